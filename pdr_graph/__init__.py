@@ -1,0 +1,86 @@
+"""pdr_graph: a factor-graph smoothing backend for pedestrian dead reckoning.
+
+The public names, loaded when first used, so that the command line answers at once.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pdr_graph.errors import InputError as InputError
+    from pdr_graph.estimation.filters import kalman_filter as kalman_filter
+    from pdr_graph.estimation.graph import Prior as Prior
+    from pdr_graph.estimation.graph import WalkGraph as WalkGraph
+    from pdr_graph.estimation.smoothers import smooth as smooth
+    from pdr_graph.evaluation import evaluate as evaluate
+    from pdr_graph.floor.plan import FloorPlan as FloorPlan
+    from pdr_graph.gait.pdr import Walker as Walker
+    from pdr_graph.gait.pdr import detect_steps as detect_steps
+    from pdr_graph.geometry import dead_reckon as dead_reckon
+    from pdr_graph.io import load as load
+    from pdr_graph.io.tables import read_fixes as read_fixes
+    from pdr_graph.io.tables import read_trajectory as read_trajectory
+    from pdr_graph.plotting import plot as plot
+    from pdr_graph.types import Calibration as Calibration
+    from pdr_graph.types import Estimate as Estimate
+    from pdr_graph.types import Fixes as Fixes
+    from pdr_graph.types import Recording as Recording
+    from pdr_graph.types import Steps as Steps
+    from pdr_graph.types import Trajectory as Trajectory
+
+_HOME = {
+    "InputError": "errors",
+    "kalman_filter": "estimation.filters",
+    "Prior": "estimation.graph",
+    "WalkGraph": "estimation.graph",
+    "smooth": "estimation.smoothers",
+    "evaluate": "evaluation",
+    "FloorPlan": "floor.plan",
+    "Walker": "gait.pdr",
+    "detect_steps": "gait.pdr",
+    "dead_reckon": "geometry",
+    "load": "io",
+    "read_fixes": "io.tables",
+    "read_trajectory": "io.tables",
+    "plot": "plotting",
+    "Calibration": "types",
+    "Estimate": "types",
+    "Fixes": "types",
+    "Recording": "types",
+    "Steps": "types",
+    "Trajectory": "types",
+}
+__all__ = [
+    "Calibration",
+    "Estimate",
+    "Fixes",
+    "FloorPlan",
+    "InputError",
+    "Prior",
+    "Recording",
+    "Steps",
+    "Trajectory",
+    "WalkGraph",
+    "Walker",
+    "dead_reckon",
+    "detect_steps",
+    "evaluate",
+    "kalman_filter",
+    "load",
+    "plot",
+    "read_fixes",
+    "read_trajectory",
+    "smooth",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'pdr_graph' has no attribute {name!r}")
+    return getattr(import_module(f"pdr_graph.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOME])

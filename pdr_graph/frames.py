@@ -1,0 +1,81 @@
+"""Metric frames and their way to latitude and longitude."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pdr_graph.types import Array, Fixes
+
+if TYPE_CHECKING:
+    from pyproj import Transformer
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A metric frame, x east and y north.
+
+    kind: ``local`` (not georeferenced), ``enu`` (about an origin), ``plan`` (a floor plan's own, linear in degrees) or
+        ``projected`` (a map projection).
+    origin: latitude and longitude of (0, 0) [deg], None if not georeferenced.
+    epsg: of a projected frame.
+    metres_per_degree: x per degree of longitude and y per degree of latitude, of a plan's frame.
+    """
+
+    kind: str = "local"
+    origin: tuple[float, float] | None = None
+    epsg: int | None = None
+    metres_per_degree: tuple[float, float] | None = None
+
+    @property
+    def georeferenced(self) -> bool:
+        """True if positions have a latitude and a longitude."""
+        return self.kind != "local"
+
+    def from_lonlat(self, lonlat: Array) -> Array:
+        """Positions ``(n, 2)`` [m] of longitudes and latitudes ``(n, 2)`` [deg]."""
+        if self.metres_per_degree is not None:
+            return (lonlat - self._origin_lonlat) * self.metres_per_degree
+        return np.stack(self._transformer.transform(*lonlat.T), axis=1)
+
+    def to_lonlat(self, position: Array) -> Array:
+        """Longitudes and latitudes ``(n, 2)`` [deg] of positions ``(n, 2)`` [m]."""
+        if self.metres_per_degree is not None:
+            return position / self.metres_per_degree + self._origin_lonlat
+        return np.stack(self._transformer.transform(*position.T, direction="INVERSE"), axis=1)
+
+    def place(self, fixes: Fixes) -> Fixes:
+        """Fixes with geodetic positions brought into this frame; others as they are."""
+        if not fixes.geodetic:
+            return fixes
+        return replace(fixes, position=self.from_lonlat(fixes.position), geodetic=False)
+
+    def describe(self) -> dict[str, Any]:
+        """As ``summary.json`` has it."""
+        lat, lon = self.origin or (None, None)
+        return {"kind": self.kind, "origin_lat": lat, "origin_lon": lon, "epsg": self.epsg}
+
+    @property
+    def _origin_lonlat(self) -> Array:
+        assert self.origin is not None
+        return np.array(self.origin[::-1])
+
+    @cached_property
+    def _transformer(self) -> Transformer:
+        from pyproj import CRS, Transformer  # here, since few walks need it and it takes time to load
+
+        if self.kind == "projected":
+            return Transformer.from_crs("EPSG:4326", f"EPSG:{self.epsg}", always_xy=True)
+        assert self.origin is not None, "a local frame has no latitude"
+        lat, lon = self.origin
+        return Transformer.from_crs(
+            "EPSG:4326", CRS(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +ellps=WGS84"), always_xy=True
+        )
+
+
+def enu(lat: float, lon: float) -> Frame:
+    """East-North about an origin [deg]: azimuthal equidistant, centimetres from the tangent plane within 10 km."""
+    return Frame("enu", origin=(lat, lon))

@@ -1,0 +1,73 @@
+"""Angles, plane geometry and dead reckoning."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_graph.types import Array, Fixes, Steps, Trajectory
+
+
+def wrap_angle(angle: Array | float) -> Array:
+    """An angle in [-π, π). [rad]"""
+    return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
+
+
+def unit(angle: Array) -> Array:
+    """Unit vectors ``(…, 2)`` at the given angles ``(…,)`` [rad] from +x."""
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def rotation(angle: Array | float) -> Array:
+    """Rotation matrices ``(…, 2, 2)`` by the given angles ``(…,)`` [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+
+
+def pose_rotation(heading: Array) -> Array:
+    """From a pose's own axes (forward, left, turn) to (x, y, heading): matrices ``(n, 3, 3)``."""
+    R = np.zeros((len(heading), 3, 3))
+    R[:, :2, :2] = rotation(heading)
+    R[:, 2, 2] = 1.0
+    return R
+
+
+def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) -> Trajectory:
+    """The track that the steps alone draw: [heading] Sec. 1, p_k = p_{k-1} + L_k (cos θ_k, sin θ_k).
+
+    θ_k is the direction half-way through the step, where the paper takes the step's one heading: in a turn the
+    foot follows the chord. The track starts at the first of ``start`` (or the origin), heading ``heading`` [rad].
+
+    Returns ``n + 2`` rows: the start, the end of each step, the end of the recording.
+    """
+    theta = heading + np.concatenate([[0.0], np.cumsum(steps.turn)])
+    course = theta[:-1] + steps.pause_turn + (steps.turn - steps.pause_turn) / 2
+    origin = np.zeros(2) if start is None or not len(start) else start.position[0]
+    moves = steps.length[:, None] * unit(course)
+    track = origin + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
+    return Trajectory(
+        time=row_times(steps),
+        position=np.concatenate([track, track[-1:]]),
+        heading=wrap_angle(np.append(theta, theta[-1] + steps.final_turn)),
+        floor=("",) * (len(steps) + 2),
+    )
+
+
+def row_times(steps: Steps) -> Array:
+    """Times ``(n + 2,)`` of a trajectory's rows: the start, the end of each step, the end. [s]"""
+    return np.concatenate([[steps.start], steps.time, [steps.end]])
+
+
+def resample(trajectory: Trajectory, rate: float) -> Trajectory:
+    """The trajectory at ``rate`` [Hz] from its first row on, with its last row; position is linear between rows."""
+    start, end = trajectory.time[0], trajectory.time[-1]
+    time = np.append(start + np.arange(np.ceil((end - start) * rate)) / rate, end)
+    after = np.searchsorted(trajectory.time, time)
+    floor = tuple(trajectory.floor[i] for i in np.minimum(after, len(trajectory) - 1))
+
+    def between(values: Array) -> Array:
+        flat = values.reshape(len(values), -1).T
+        return np.stack([np.interp(time, trajectory.time, v) for v in flat], axis=1).reshape(-1, *values.shape[1:])
+
+    covariance = None if trajectory.covariance is None else between(trajectory.covariance)
+    heading = wrap_angle(between(np.unwrap(trajectory.heading)))
+    return Trajectory(time, between(trajectory.position), heading, floor, covariance)

@@ -1,0 +1,245 @@
+"""The nouns of pdr_graph, and its conventions, stated once.
+
+* SI units and radians inside; degrees and compass bearings only in readers, writers and the command line.
+* World is East-North-Up about an origin, or the floor plan's own metric frame (x right, y up on the plan).
+  Heading is counter-clockwise from +x. ``R_world_device`` maps device to world: inner names cancel.
+* Time is float64 seconds from the recording's start; ``Recording.clock_origin`` takes it to the recorder's clock.
+* Arrays are samples-first, ``(n, 3)``. Nouns are frozen; functions return new values and never change their inputs.
+* Intervals are ``[start, end)``. Uncertainty is a standard deviation ``sigma_*`` or a covariance ``(n, d, d)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+INSTANT = 1e-6  # [s]: times closer than this are the same
+
+
+@dataclass(frozen=True)
+class Signal:
+    """The samples of one sensor.
+
+    time: ``(n,)`` [s], non-decreasing.
+    values: ``(n, 3)``, in the unit of the sensor (m/s² with gravity, rad/s, µT), on the Android device axes
+        (x right, y up, z out of the screen).
+    """
+
+    time: Array
+    values: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Positions measured now and then: GNSS, BLE, Wi-Fi, or given by the user.
+
+    time: ``(n,)`` [s].
+    position: ``(n, 2)`` [m] in the output frame; longitude and latitude [deg] while ``geodetic`` is true.
+    sigma: ``(n,)`` standard deviation *per axis* [m].
+    floor: floor label per fix, empty where unknown.
+    """
+
+    time: Array
+    position: Array
+    sigma: Array
+    floor: tuple[str, ...]
+    geodetic: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what would make an estimate NaN or silently wrong."""
+        _check_finite(self, len(self.time), "time", "position", "sigma")
+        _check("sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
+        if len(self.floor) != len(self.time):
+            raise ValueError(f"Fixes.floor: found {len(self.floor)} labels, needed {len(self.time)}")
+
+    @classmethod
+    def none(cls) -> Fixes:
+        """No fix at all."""
+        return cls(np.empty(0), np.empty((0, 2)), np.empty(0), ())
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, which: int | slice | Mask | Index) -> Fixes:
+        """A selection, itself ``Fixes``: ``fixes[0]``, ``fixes[2:5]``, ``fixes[mask]``."""
+        index = np.atleast_1d(np.arange(len(self))[which])
+        return replace(
+            self,
+            time=self.time[index],
+            position=self.position[index],
+            sigma=self.sigma[index],
+            floor=tuple(self.floor[i] for i in index),
+        )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A path over time: an estimate, or the truth.
+
+    time: ``(n,)`` [s].
+    position: ``(n, 2)`` [m].
+    heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
+    floor: the plan's label per row, empty where unknown.
+    covariance: ``(n, 3, 3)`` of (x, y, heading) in the output axes [m, m, rad], or None.
+    """
+
+    time: Array
+    position: Array
+    heading: Array
+    floor: tuple[str, ...]
+    covariance: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a phone recorded. A sensor that was not recorded is None.
+
+    source: name for messages and titles.
+    clock_origin: the recorder's own time [s] at ``t = 0``; outputs are written in that clock.
+    epoch: Unix time [s] at ``t = 0``, None if the log has no clock.
+    fixes: positions inside the recording.
+    truth: surveyed positions inside the recording. For scoring and drawing only: no estimate reads it.
+    notes: what the reader left out or had to assume, one line each.
+    """
+
+    source: str
+    clock_origin: float
+    epoch: float | None
+    accelerometer: Signal | None = None
+    gyroscope: Signal | None = None
+    magnetometer: Signal | None = None
+    fixes: Fixes = field(default_factory=Fixes.none)
+    truth: Trajectory | None = None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The walk as the front end saw it, and all that the back end knows of it.
+
+    start, end: first and last sample of the recording [s].
+    time: ``(n,)`` end of each step [s], increasing.
+    duration: ``(n,)`` time under way [s]; before ``time - duration`` the walker stood still.
+    length: ``(n,)`` [m].
+    turn: ``(n,)`` heading change since the previous row's time (the first: since ``start``) [rad], counter-clockwise.
+    pause_turn: ``(n,)`` the part of ``turn`` made while standing, before the step set off [rad].
+    sigma_length: ``(n,)`` [m]; sigma_turn: ``(n,)`` [rad]. Errors of different steps are independent.
+    final_turn: heading change from the last step to ``end`` [rad].
+    """
+
+    start: float
+    end: float
+    time: Array
+    duration: Array
+    length: Array
+    turn: Array
+    pause_turn: Array
+    sigma_length: Array
+    sigma_turn: Array
+    final_turn: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what would make an estimate NaN or silently wrong."""
+        columns = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+        _check_finite(self, len(self.time), *columns)
+        if not (np.isfinite([self.start, self.end, self.final_turn]).all() and self.start < self.end):
+            raise ValueError(f"Steps: found start {self.start} and end {self.end}, needed start < end")
+        before = np.concatenate([[self.start], self.time[:-1]])
+        _check("time", (self.time > before) & (self.time <= self.end + INSTANT), self.time, "times from start to end")
+        under_way = (self.duration > 0) & (self.time - self.duration >= before - INSTANT)
+        _check("duration", under_way, self.duration, "steps that begin after the one before has ended")
+        _check("sigma_length", self.sigma_length > 0, self.sigma_length, "standard deviations above 0 m")
+        _check("sigma_turn", self.sigma_turn > 0, self.sigma_turn, "standard deviations above 0 rad")
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the walk taught about walker and gyro, one row per segment of about a hundred steps.
+
+    The coefficients are R_s and R_d of [map-matching] Eqs. (4), (5) and the E_straight of [calibration-walk] Eq. (9)
+    written as a gyro drift: true length = R_s × length, true turn = R_d × turn + b × Δt.
+
+    start: ``(s,)`` first instant of each segment [s].
+    value: ``(s, 3)`` R_s [-], R_d [-], b [rad/s].
+    sigma: ``(s, 3)`` standard deviations.
+    prior_sigma: ``(s, 3)`` standard deviations before any measurement.
+    """
+
+    start: Array
+    value: Array
+    sigma: Array
+    prior_sigma: Array
+
+    names = ("R_s", "R_d", "b")
+
+    @property
+    def learnt(self) -> Mask:
+        """``(s, 3)``: True where the measurements at least halved the prior's variance."""
+        return self.sigma**2 < 0.5 * self.prior_sigma**2
+
+
+@dataclass(frozen=True)
+class FixReport:
+    """Why one fix was trusted or not.
+
+    residual: distance from the smoothed position [m]; weight: share of its stated information that was used, 0–1.
+    """
+
+    time: float
+    x: float
+    y: float
+    sigma: float
+    residual: float
+    weight: float
+    reason: str
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The answer to "which way did this person walk?".
+
+    trajectory: start pose, one row per step at its end, last pose. See design section 4.
+    dead_reckoning: the same rows from steps alone, laid on the fixes as a rigid shape.
+    calibration: None where the method has none.
+    fixes: one report per fix, in the order given.
+    converged: False if the optimiser stopped before the cost settled.
+    warnings: what a user must know before trusting the result.
+    """
+
+    trajectory: Trajectory
+    dead_reckoning: Trajectory
+    calibration: Calibration | None
+    fixes: tuple[FixReport, ...]
+    iterations: int
+    cost: float
+    converged: bool
+    warnings: tuple[str, ...] = ()
+
+
+def _check_finite(of: object, rows: int, *columns: str) -> None:
+    for name in columns:
+        values: Array = getattr(of, name)
+        if len(values) != rows or not np.isfinite(values).all():
+            bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)) if len(values) else []
+            place = f"row {bad[0]}: {values[bad[0]]}" if len(bad) else f"{len(values)} rows"
+            raise ValueError(f"{type(of).__name__}.{name}: found {place}, needed {rows} finite rows")
+
+
+def _check(name: str, good: Mask, values: Array, needed: str) -> None:
+    if not good.all():
+        row = int(np.argmin(good))
+        raise ValueError(f"{name}, row {row}: found {values[row]}, needed {needed}")

@@ -1,0 +1,38 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from walks import fixes_at, square_walk, wandering_walk
+
+from pdr_graph.geometry import dead_reckon, resample, wrap_angle
+
+
+@given(st.floats(-1e3, 1e3))
+def test_wrapped_angles_are_the_same_angles(angle):
+    wrapped = wrap_angle(angle)
+    assert -np.pi <= wrapped < np.pi
+    assert np.exp(1j * wrapped) == pytest.approx(np.exp(1j * angle), abs=1e-9)
+
+
+def test_a_square_closes_on_itself():
+    """Four sides of 14 m with a quarter turn half-way through the first step of each: each corner is cut alike."""
+    track = dead_reckon(square_walk(side=20))
+    assert track.position[-1] == pytest.approx(track.position[0], abs=0.7)
+    lap_length = np.hypot(*np.diff(track.position, axis=0).T).sum()
+    assert lap_length == pytest.approx(80 * 0.7)
+
+
+def test_dead_reckoning_starts_where_and_how_it_is_told():
+    track = dead_reckon(wandering_walk(5), fixes_at([0.0], [[3.0, 4.0]]), heading=1.0)
+    assert track.position[0] == pytest.approx([3.0, 4.0])
+    assert track.heading[0] == pytest.approx(1.0)
+    assert len(track) == 5 + 2
+
+
+def test_resampled_rows_lie_on_the_track():
+    track = dead_reckon(wandering_walk(40))
+    fine = resample(track, 10.0)
+    assert np.diff(fine.time[:-1]) == pytest.approx(0.1)
+    assert fine.time[-1] == track.time[-1]
+    for axis in range(2):
+        assert fine.position[:, axis] == pytest.approx(np.interp(fine.time, track.time, track.position[:, axis]))

@@ -1,0 +1,86 @@
+"""Synthetic walks for tests: valid, seeded, with their truth."""
+
+import numpy as np
+
+from pdr_graph.geometry import dead_reckon
+from pdr_graph.types import Array, Fixes, Steps, Trajectory
+
+PERIOD = 0.55  # [s] per step
+
+
+def steps_of(length: Array, turn: Array, sigma_length: float = 0.07, sigma_turn: float = 0.02) -> Steps:
+    """Steps without pauses, one every PERIOD."""
+    n = len(length)
+    time = PERIOD * np.arange(1, n + 1)
+    return Steps(
+        start=0.0,
+        end=float(time[-1] + 0.4) if n else 1.0,
+        time=time,
+        duration=np.full(n, PERIOD),
+        length=np.asarray(length, dtype=float),
+        turn=np.asarray(turn, dtype=float),
+        pause_turn=np.zeros(n),
+        sigma_length=np.full(n, sigma_length),
+        sigma_turn=np.full(n, sigma_turn),
+    )
+
+
+def square_walk(side: int = 20, laps: int = 1) -> Steps:
+    """Steps of 0.7 m along a square, quarter turns to the left."""
+    turn = np.zeros(4 * side * laps)
+    turn[side::side] = np.pi / 2
+    return steps_of(np.full(len(turn), 0.7), turn)
+
+
+def wandering_walk(n: int, seed: int = 0) -> Steps:
+    """Steps with varied lengths and turns."""
+    random = np.random.default_rng(seed)
+    return steps_of(random.uniform(0.5, 0.9, n), random.normal(0, 0.15, n))
+
+
+def fixes_on(track: Trajectory, every: int, sigma: float = 1.0, seed: int | None = None) -> Fixes:
+    """Fixes at every so many rows, and the last; exact unless a seed is given."""
+    rows = np.unique(np.append(np.arange(0, len(track), every), len(track) - 2))
+    noise = 0.0 if seed is None else np.random.default_rng(seed).normal(0, sigma, (len(rows), 2))
+    return fixes_at(track.time[rows], track.position[rows] + noise, sigma)
+
+
+def fixes_at(time, position, sigma: float = 1.0) -> Fixes:
+    """Fixes with one sigma."""
+    time = np.asarray(time, dtype=float)
+    return Fixes(time, np.reshape(position, (-1, 2)).astype(float), np.full(len(time), sigma), ("",) * len(time))
+
+
+def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0) -> tuple[Steps, Fixes, Trajectory]:
+    """A walk whose errors are just those that the graph assumes; ``wrong`` multiplies the fixes' true errors.
+
+    Returns what the front end would say, the fixes, and the truth.
+    """
+    from pdr_graph.estimation.graph import Prior
+    from pdr_graph.estimation.preintegration import SIGMA_LATERAL
+    from pdr_graph.geometry import rotation, row_times, unit
+
+    random, prior = np.random.default_rng(seed), Prior()
+    said = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n))
+    R_s, R_d, b = random.normal(prior.mean, prior.sigma)
+    theta, position, rows = random.uniform(-np.pi, np.pi), random.uniform(-20, 20, 2), []
+    rows.append([*position, theta])
+    for length, turn in zip(said.length, said.turn, strict=True):
+        expected = R_d * turn + b * PERIOD
+        wander = random.normal(0, said.sigma_turn[0])
+        course = theta + expected / 2 + wander / 2
+        move = R_s * length * unit(np.array(course))
+        sway = random.normal(0, [said.sigma_length[0], SIGMA_LATERAL])
+        position = position + move + rotation(course) @ sway
+        theta += expected + wander
+        rows.append([*position, theta])
+    rows.append([*position, theta + b * (said.end - said.time[-1]) + random.normal(0, 0.02)])
+    rows = np.array(rows)
+    truth = Trajectory(row_times(said), rows[:, :2], rows[:, 2], ("",) * len(rows))
+    sigma = 1.5
+    at = np.arange(every, n, every)
+    fixes = fixes_at(truth.time[at], truth.position[at] + random.normal(0, wrong * sigma, (len(at), 2)), sigma)
+    return said, fixes, truth
+
+
+__all__ = ["dead_reckon", "drawn_from_the_model", "fixes_at", "fixes_on", "square_walk", "steps_of", "wandering_walk"]
