@@ -1,0 +1,82 @@
+"""The reader of Indoor Location Competition recordings: what it reads, and how it refuses."""
+
+import numpy as np
+import pytest
+
+from pdr_graph import io
+from pdr_graph.errors import InputError
+
+START = 1_574_567_416_839
+
+
+def lines(seconds=2.0, rate=50):
+    """A complete small recording: gravity on z, a turn of 0.5 rad/s, two waypoints, other rows out of time order."""
+    out = [f"#\tstartTime:{START}", "#\tSiteID:x\tSiteName:y\tFloorName:F1"]
+    for n in range(round(seconds * rate)):
+        t = START + n * 1000 // rate
+        out.append(f"{t}\tTYPE_ACCELEROMETER\t0.1\t-0.2\t9.81\t3")
+        out.append(f"{t}\tTYPE_GYROSCOPE\t0.0\t0.0\t0.5\t3")
+        out.append(f"{t}\tTYPE_WIFI\tname\t00:00\t-50\t2412\t{t - 100_000}")
+    out.append(f"{START + 1000}\tTYPE_WAYPOINT\t3.0\t4.0")
+    out.insert(2, f"{START - 120}\tTYPE_WAYPOINT\t1.0\t2.0")
+    return [*out, f"#\tendTime:{START + 2000}"]
+
+
+def written(tmp_path, content):
+    path = tmp_path / "walk.txt"
+    path.write_text("\n".join(content) + "\n") if isinstance(content, list) else path.write_bytes(content)
+    return path
+
+
+def test_reader_indoor_location(tmp_path):
+    walk = io.load(written(tmp_path, lines()))
+    assert len(walk.accelerometer) == len(walk.gyroscope) == 100
+    assert walk.magnetometer is None
+    assert walk.clock_origin == walk.epoch == START / 1000
+    assert walk.accelerometer.time[0] == 0.0
+    assert walk.accelerometer.values[7] == pytest.approx([0.1, -0.2, 9.81])
+    assert np.diff(walk.accelerometer.time) == pytest.approx(0.02, abs=1e-9)
+    assert walk.truth.time == pytest.approx([-0.12, 1.0])
+    assert walk.truth.position == pytest.approx(np.array([[1.0, 2.0], [3.0, 4.0]]))
+    assert len(walk.fixes) == 0, "truth is never a fix"
+    assert walk.notes == ()
+
+
+def replaced(old, new):
+    return [line.replace(old, new, 1) if line.startswith(f"{START + 20}\tTYPE_ACC") else line for line in lines()]
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"", "empty"),
+        (bytes(range(256)) * 40, "bytes"),
+        (b"time,x,y\n1,2,3\n", "supported recorder"),
+        (lines()[:150], "endTime"),
+        ("\n".join(lines()).encode()[:3000], "endTime"),
+        ("\n".join(lines()).encode().replace(b"9.81", b"\xff\xfe", 1), "UTF-8"),
+        (replaced("9.81", "nan"), "line 7, TYPE_ACCELEROMETER.*nan"),
+        (replaced("9.81", "inf"), "line 7"),
+        (replaced("9.81", "9,81"), "line 7"),
+        (replaced("\t9.81\t3", ""), "line 7"),
+        ([line for line in lines() if "ACC" not in line and "GYR" not in line], "no accelerometer and no gyroscope"),
+        ([*lines()[:2], *reversed(lines()[2:-1]), lines()[-1]], "time order"),
+    ],
+)
+def test_bad_recordings_are_refused_in_one_line(tmp_path, content, complaint):
+    path = written(tmp_path, content)
+    with pytest.raises(InputError, match=complaint) as refusal:
+        io.load(path)
+    assert "\n" not in str(refusal.value)
+    assert str(path) in str(refusal.value)
+
+
+def test_lines_that_are_no_rows_are_noted(tmp_path):
+    walk = io.load(written(tmp_path, [*lines()[:5], "a name with a", "line break", *lines()[5:]]))
+    assert len(walk.accelerometer) == 100
+    assert "2 lines are no rows (the first: line 6)" in walk.notes[0]
+
+
+def test_a_missing_file_is_said_to_be_missing(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        io.load(tmp_path / "nothing.txt")
