@@ -1,0 +1,1 @@
+"""The walker: attitude and samples to Steps."""

@@ -1,0 +1,83 @@
+"""Pedestrian dead reckoning, the page that tells the story: a recording becomes steps."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.gait.detection import peak_pairs
+from pdr_graph.gait.direction import accumulate_turn, without_gait
+from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
+from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.types import Recording, Steps
+
+
+@dataclass(frozen=True)
+class Walker:
+    """What is known of the walker.
+
+    height: stature [m].
+    sigma_turn: heading error that one step adds [rad]; the walking direction wanders about the phone's.
+    """
+
+    height: float = REFERENCE_HEIGHT
+    sigma_turn: float = 0.02
+
+    @classmethod
+    def load(cls, path: str | Path) -> Walker:
+        """Read ``walker.toml``: the fields of this class as ``name = number``, all optional."""
+        try:
+            given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise InputError(path, "", str(error), "a TOML file") from None
+        known = {f.name for f in fields(cls)}
+        for name, value in given.items():
+            if name not in known:
+                raise InputError(path, name, "an unknown name", "one of " + ", ".join(sorted(known)))
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 3:
+                raise InputError(path, name, repr(value), "a number between 0 and 3 (metres, radians)")
+        return cls(**given)
+
+
+def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
+    """The steps in a recording: when each foot landed, how far it went, and how the heading changed.
+
+    Raises InputError if the accelerometer or the gyroscope is missing.
+    """
+    walker = walker or Walker()
+
+    # Attitude of the phone
+    attitude = vqf_offline(recording)
+
+    # When the feet landed
+    landings = peak_pairs(attitude.time, attitude.acceleration)
+    since_last = np.diff(landings.time, prepend=attitude.time[0])
+    duration = np.minimum(landings.period, since_last)
+
+    # How far
+    length, sigma_length = inverted_pendulum(landings.amplitude, landings.period, walker.height)
+    share = duration / landings.period  # below 1 only where the recording starts in mid-step
+
+    # Which way
+    step = float(np.median(landings.period)) if len(landings.time) else 0.5
+    heading = without_gait(accumulate_turn(attitude), round(step / attitude.period))
+    landed = np.interp(landings.time, attitude.time, heading)
+    set_off = np.interp(landings.time - duration, attitude.time, heading)
+    before = np.concatenate([heading[:1], landed[:-1]])
+
+    return Steps(
+        start=float(attitude.time[0]),
+        end=float(attitude.time[-1]),
+        time=landings.time,
+        duration=duration,
+        length=length * share,
+        turn=landed - before,
+        pause_turn=set_off - before,
+        sigma_length=sigma_length,
+        sigma_turn=np.full(len(landings.time), walker.sigma_turn),
+        final_turn=float(heading[-1] - landed[-1]) if len(landed) else float(heading[-1] - heading[0]),
+    )

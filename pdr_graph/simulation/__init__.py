@@ -1,0 +1,1 @@
+"""Walks with known truth, written as raw phone sensors."""
