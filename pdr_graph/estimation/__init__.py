@@ -1,0 +1,1 @@
+"""The inference: steps, fixes and the building to the most probable walk."""

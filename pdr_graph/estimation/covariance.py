@@ -1,0 +1,102 @@
+"""Covariance of every step, from the factorised graph.
+
+The joint covariance of x_i, x_j and c is needed for the steps between x_i and x_j. GTSAM gives one joint at a time; one
+walk through its Bayes net, from the last eliminated variable to the first, gives all of them. With R x_f + S x_p = d
+the conditional of a variable f on its parents p,
+
+    Σ_pf = −Σ_pp Sᵀ R⁻ᵀ,      Σ_ff = R⁻¹ R⁻ᵀ + R⁻¹ S Σ_pp Sᵀ R⁻ᵀ
+
+and Σ_pp is known, since the parents of a variable always meet again in a conditional eliminated later (Golub & Plemmons
+1980; Kaess & Dellaert 2009, Sec. 5). Variables at the same depth of the elimination tree do not wait for each other and
+are done at once; METIS keeps the tree about 2 log₂ N deep.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, X
+
+from pdr_graph.estimation.factors import Evaluation
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.geometry import pose_rotation
+from pdr_graph.types import Array, Index
+
+
+def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBayesNet) -> tuple[Array, Array]:
+    """Covariance ``(n + 2, 3, 3)`` of (x, y, heading) of each row in the output axes, and sigma ``(s, 3)`` of c.
+
+    Between keyframes: the joint of x_i, x_j and c through the derivatives of ``steps_between``, plus the spread that
+    a step keeps when both ends are known. own, net: the own factors at the optimum, and the graph factorised there.
+    """
+    blocks = CovarianceBlocks(net)
+    joint = blocks.joint([(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)])
+    placed, pieces, rows = own.poses, graph.pieces, graph.pieces.row_end
+    interval = pieces.interval[rows]
+    D = np.concatenate([placed.by_i[rows], placed.by_j[rows], placed.by_c[rows]], axis=2)
+    R = pose_rotation(own.pose_i[interval, 2])
+    of_steps = D @ joint[interval] @ D.transpose(0, 2, 1) + R @ graph.bridge.spread[rows] @ R.transpose(0, 2, 1)
+    R_0 = pose_rotation(own.pose_i[:1, 2])
+    of_start = R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
+    of_c = blocks.joint([(C(s),) for s in range(len(graph.start.c))])
+    return np.concatenate([of_start, of_steps]), np.sqrt(np.diagonal(of_c, axis1=1, axis2=2))
+
+
+class CovarianceBlocks:
+    """Covariances of all pairs of 3-vectors that share a conditional, in GTSAM's local coordinates."""
+
+    def __init__(self, net: gtsam.GaussianBayesNet):
+        """net: from sequential elimination of a graph whose variables all have three dimensions."""
+        conditionals = [net.at(n) for n in range(net.size())]
+        families = [c.keys() for c in conditionals]  # the variable itself, then its parents
+        self._place = {family[0]: n for n, family in enumerate(families)}
+        families = [[self._place[key] for key in family] for family in families]
+        depth = [0] * len(families)
+        for f, *parents in reversed(families):
+            depth[f] = 1 + max((depth[p] for p in parents), default=-1)
+
+        batches: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+        for f, family in enumerate(families):
+            batches[depth[f], len(family)].append(f)
+        members = {batch: np.array([families[f] for f in own]) for batch, own in batches.items()}
+        pairs = [self._code(m[:, :1], m) for m in members.values()] + [
+            self._code(m, m[:, :1]) for m in members.values()
+        ]
+        self._known = np.unique(np.concatenate([p.ravel() for p in pairs]))
+        self._blocks = np.empty((len(self._known), 3, 3))
+        for batch in sorted(batches):
+            own = [conditionals[f] for f in batches[batch]]
+            R, S = np.array([c.R() for c in own]), np.array([c.S() for c in own])
+            self._solve(members[batch], np.linalg.inv(R).astype(float), S)
+
+    def joint(self, keys: list[tuple[int, ...]]) -> Array:
+        """Joint covariances ``(n, 3 d, 3 d)`` of n tuples of d keys that share a conditional."""
+        return self._among(np.array([[self._place[key] for key in group] for group in keys]))
+
+    def _solve(self, family: Index, R_inverse: Array, S: Array) -> None:
+        """Conditionals of one depth with p parents each: ``family (n, 1 + p)`` places, S ``(n, 3, 3 p)``."""
+        f, parents = family[:, :1], family[:, 1:]
+        own = R_inverse @ R_inverse.transpose(0, 2, 1)
+        if parents.size:
+            share = R_inverse @ S
+            across = -self._among(parents) @ share.transpose(0, 2, 1)
+            own -= share @ across
+            across = across.reshape(*parents.shape, 3, 3)
+            self._blocks[self._slot(parents, f)] = across
+            self._blocks[self._slot(f, parents)] = across.transpose(0, 1, 3, 2)
+        self._blocks[self._slot(f, f)[:, 0]] = own
+
+    def _among(self, group: Index) -> Array:
+        """Joint covariances ``(n, 3 d, 3 d)`` of places ``(n, d)``."""
+        n, d = group.shape
+        blocks = self._blocks[self._slot(group[:, :, None], group[:, None, :])]
+        return blocks.transpose(0, 1, 3, 2, 4).reshape(n, 3 * d, 3 * d)
+
+    def _slot(self, one: Index, other: Index) -> Index:
+        return np.searchsorted(self._known, self._code(one, other))
+
+    def _code(self, one: Index, other: Index) -> Index:
+        """A number for each pair of places."""
+        return one * len(self._place) + other

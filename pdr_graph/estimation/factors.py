@@ -1,0 +1,180 @@
+"""The graph's own factors: PDR between two keyframes, and walls along the steps between them.
+
+Each factor is its equation, for any number of keyframe intervals at once. Poses are rows (x, y, θ); derivatives are by
+GTSAM's local coordinates of Pose2 (x ⊕ ξ = x Exp ξ: forward, left, turn). The batch smoother evaluates the whole walk
+with these lines, a ``gtsam.CustomFactor`` one interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import gtsam
+import numpy as np
+
+from pdr_graph.estimation.preintegration import Bridge, Increments, Pieces, preintegrate
+from pdr_graph.floor.distance import DistanceField
+from pdr_graph.geometry import pose_rotation, wrap_angle
+from pdr_graph.types import Array, Index
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Values ``(k, r)`` and their derivatives by x_i, x_j and c, each ``(k, r, 3)``."""
+
+    value: Array
+    by_i: Array
+    by_j: Array
+    by_c: Array
+
+    def times(self, matrix: Array) -> Linearised:
+        """``matrix (k, q, r)`` times values and derivatives."""
+        value = np.einsum("kqr,kr->kq", matrix, self.value)
+        return Linearised(value, matrix @ self.by_i, matrix @ self.by_j, matrix @ self.by_c)
+
+    def take(self, rows: Index) -> Linearised:
+        """The rows with these indices."""
+        return Linearised(self.value[rows], self.by_i[rows], self.by_j[rows], self.by_c[rows])
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Where walls are and how far people keep from them.
+
+    field: signed distance to the nearest wall; margin: clearance that people keep [m]; sigma: how loosely [m].
+    """
+
+    field: DistanceField
+    margin: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The own factors at one state, and what they were made of.
+
+    pieces, bridge: of the intervals; pose_i: ``(k, 3)``; increments: at c; left_over: of the PDR factor, not whitened.
+    """
+
+    pieces: Pieces
+    bridge: Bridge
+    walls: Walls | None
+    pose_i: Array
+    increments: Increments
+    left_over: Linearised
+
+    @cached_property
+    def pdr(self) -> Linearised:
+        """The PDR factors ``(k, 3)``, whitened."""
+        return self.left_over.times(self.bridge.root)
+
+    @cached_property
+    def poses(self) -> Linearised:
+        """Where every piece ends, ``(m, 3)``."""
+        return steps_between(self.pose_i, self.left_over, self.increments, self.bridge, self.pieces)
+
+    @cached_property
+    def wall(self) -> Linearised | None:
+        """The wall factors, a row ``(m, 1)`` for each piece, whitened; None without walls."""
+        return self.walls and wall(self.poses, self.pieces, self.walls)
+
+    @cached_property
+    def cost(self) -> float:
+        """Half the sum of squares, as GTSAM counts it."""
+        r = np.einsum("kij,kj->ki", self.bridge.root, self.left_over.value)
+        return 0.5 * float(np.sum(r**2) + (0.0 if self.wall is None else np.sum(self.wall.value**2)))
+
+
+def evaluate(pieces: Pieces, bridge: Bridge, pose_i: Array, pose_j: Array, c: Array, walls: Walls | None) -> Evaluation:
+    """Both own factors of every interval. pose_i, pose_j, c: ``(k, 3)`` at both ends of, and in, each interval."""
+    increments = preintegrate(pieces, c)
+    return Evaluation(pieces, bridge, walls, pose_i, increments, pdr(pose_i, pose_j, increments, pieces))
+
+
+def pdr(pose_i: Array, pose_j: Array, increments: Increments, pieces: Pieces) -> Linearised:
+    """What is left of the way from x_i to x_j when the preintegrated steps are taken off it (not yet whitened).
+
+    r = [ R_iᵀ (p_j − p_i) − Δp_K(c),  wrap(θ_j − θ_i − Δθ_K(c)) ]
+    """
+    x, y, turn = (pose_j - pose_i).T
+    cos, sin = np.cos(pose_i[:, 2]), np.sin(pose_i[:, 2])
+    way_x, way_y = cos * x + sin * y, cos * y - sin * x
+    r = np.stack([way_x, way_y, turn], axis=1) - increments.delta[pieces.last]
+    r[:, 2] = wrap_angle(r[:, 2])
+
+    zero, one, cos, sin = np.zeros_like(turn), np.ones_like(turn), np.cos(turn), np.sin(turn)
+    by_i = np.stack([-one, zero, way_y, zero, -one, -way_x, zero, zero, -one], axis=1).reshape(-1, 3, 3)
+    by_j = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
+    return Linearised(r, by_i, by_j, -increments.by_c[pieces.last])
+
+
+def steps_between(
+    pose_i: Array, left_over: Linearised, increments: Increments, bridge: Bridge, pieces: Pieces
+) -> Linearised:
+    """Where each piece between two keyframes ends, given both: the one place where sub-steps are placed.
+
+    The PDR factor's left-over r is shared out by the conditional mean of a Gaussian walk whose two ends are known,
+
+        s_k = Δ_k(c) + G_k r,      (p_k, θ_k) = (p_i + R_i s_k,xy,  θ_i + s_k,θ)
+
+    with G_k of ``Bridge``; the last piece ends exactly at x_j, so the track has no jump at a keyframe.
+
+    Returns poses ``(m, 3)``, with derivatives of (x, y, θ) by x_i, x_j and c.
+    """
+    interval = pieces.interval
+    shared = left_over.take(interval).times(bridge.gain)
+    s = increments.delta + shared.value
+    by_i = shared.by_i + np.eye(3)
+    by_i[:, 0, 2] -= s[:, 1]
+    by_i[:, 1, 2] += s[:, 0]
+    in_frame_of_i = Linearised(s, by_i, shared.by_j, increments.by_c + shared.by_c)
+    placed = in_frame_of_i.times(pose_rotation(pose_i[:, 2])[interval])
+    return Linearised(placed.value + pose_i[interval], placed.by_i, placed.by_j, placed.by_c)
+
+
+def wall(poses: Linearised, pieces: Pieces, walls: Walls) -> Linearised:
+    """A spring that keeps steps clear of walls, whitened: r = max(0, margin − d(p)) / σ.
+
+    d is the signed distance to the nearest wall, negative inside one. A piece in which nobody moved adds no evidence.
+    """
+    distance, gradient = walls.field.at(poses.value[:, :2])
+    pressed = (distance < walls.margin) & (pieces.length > 0)
+    slope = np.zeros((len(distance), 1, 3))
+    slope[pressed, 0, :2] = -gradient[pressed] / walls.sigma
+    r = np.where(pressed, (walls.margin - distance) / walls.sigma, 0.0)[:, None]
+    return Linearised(r, slope @ poses.by_i, slope @ poses.by_j, slope @ poses.by_c)
+
+
+class FactorError(RuntimeError):
+    """A factor's callback went wrong. GTSAM itself would crash or go on in silence."""
+
+
+def guarded(
+    name: str,
+    noise: gtsam.noiseModel.Base,
+    keys: Sequence[int],
+    linearised: Callable[[gtsam.Values], tuple[Array, list[Array]]],
+) -> gtsam.CustomFactor:
+    """A ``gtsam.CustomFactor`` whose callback cannot corrupt the solver.
+
+    linearised: values → error ``(r,)`` and one block ``(r, 3)`` per key. The guard checks shapes and finiteness and
+    fills every block: an unset block crashes the process, a wrong shape is accepted in silence, and a NaN ends the
+    optimiser without a word (gtsam 4.3.0).
+    """
+    rows = noise.dim()
+
+    def callback(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        error, blocks = linearised(values)
+        shapes = [error.shape, *(b.shape for b in blocks)]
+        if shapes != [(rows,)] + [(rows, 3)] * len(keys):
+            raise FactorError(f"{name} factor: shapes {shapes} for {rows} rows and {len(keys)} keys")
+        if not all(np.isfinite(a).all() for a in (error, *blocks)):
+            raise FactorError(f"{name} factor: not finite at {[gtsam.DefaultKeyFormatter(k) for k in keys]}")
+        if jacobians is not None:
+            for n, block in enumerate(blocks):
+                jacobians[n] = np.asfortranarray(block)
+        return error
+
+    return gtsam.CustomFactor(noise, list(keys), callback)

@@ -1,0 +1,264 @@
+"""The factor graph of one walk: which variables, which factors, and their linearisation.
+
+x_0 ──PDR── x_1 ──PDR── x_2 ── … ── x_k         x_i  Pose2 at keyframe i
+ │   ╲c_0╱   ╲  c_0 ╱    │                      c_s  (R_s, R_d, b) of segment s, a random walk
+fix          wall       fix
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, X
+
+from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
+from pdr_graph.estimation.initial import align, as_complex, sigma_direction
+from pdr_graph.estimation.preintegration import Increments, Pieces, bridge, cut, preintegrate
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.geometry import rotation
+from pdr_graph.types import Array, Fixes, Index, Mask, Steps
+
+STEPS_PER_SEGMENT = 100
+LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
+WALKING_SPEED = 1.4  # [m/s] at which an overhanging fix grows stale
+HUBER_WIDTH = 2.45  # [σ] 95 % of honest fixes lie within, at full weight
+WILD_WIDTH = 2.45  # [σ] Geman–McClure: a wild fix has a quarter of its weight there, and next to none far off
+AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is not believed, and more starts are tried
+ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
+FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is believed of walker, gyro and walls before the walk.
+
+    mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
+    change: standard deviation of their change from one segment to the next.
+    wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m].
+    """
+
+    mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
+    sigma: tuple[float, float, float] = (0.15, 0.03, 0.002)
+    change: tuple[float, float, float] = (0.03, 0.005, 0.0005)
+    wall_margin: float = 0.8
+    wall_sigma: float = 1.0
+
+
+@dataclass(frozen=True)
+class State:
+    """All variables as arrays: poses ``(k + 1, 3)`` x, y, θ; c ``(s, 3)``."""
+
+    poses: Array
+    c: Array
+
+    def to_values(self) -> gtsam.Values:
+        """As ``gtsam.Values``, keys x0… and c0…."""
+        values = gtsam.Values()
+        for key, (x, y, theta) in enumerate(self.poses.tolist(), X(0)):
+            values.insert(key, gtsam.Pose2(x, y, theta))
+        for key, c in enumerate(self.c, C(0)):
+            values.insert(key, c)
+        return values
+
+    def turned(self, angle: float, pivot: Array) -> State:
+        """All poses turned by ``angle`` [rad] about ``pivot (2,)`` [m]."""
+        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
+        return State(np.column_stack([position, self.poses[:, 2] + angle]), self.c)
+
+    @classmethod
+    def of(cls, values: gtsam.Values) -> State:
+        """From ``gtsam.Values``."""
+        return cls(gtsam.utilities.extractPose2(values), gtsam.utilities.extractVectors(values, "c"))
+
+
+class WalkGraph:
+    """Every measurement of one walk as a factor.
+
+    steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
+    floor: whose walls are factors, optional; prior: see ``Prior``.
+
+    The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
+    as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
+    """
+
+    def __init__(
+        self,
+        steps: Steps,
+        fixes: Fixes | None = None,
+        *,
+        floor: FloorPlan | None = None,
+        prior: Prior | None = None,
+    ):
+        self.steps = steps
+        self.fixes = Fixes.none() if fixes is None else fixes
+        self.floor = floor
+        self.prior = prior or Prior()
+
+        # Variables: a pose per keyframe, a calibration per segment
+        self.fix_used, self.fix_sigma = _freshness(self.fixes, steps)
+        self.pieces = cut(steps, self.fixes.time[self.fix_used])
+        self.fix_keyframe = _nearest(self.pieces.keyframe_time, self.fixes.time)
+        self.segment = _segments(self.pieces, steps)
+        self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
+
+        # Walls say nothing of a walk that could be anywhere, or is elsewhere
+        self.walls = None
+        if floor is not None and floor.near(self.fixes.position[self.fix_used]).any():
+            self.walls = Walls(floor.distance, self.prior.wall_margin, self.prior.wall_sigma)
+
+        # How steps add up, where to start, and GTSAM's own factors
+        c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
+        increments = preintegrate(self.pieces, c[self.segment])
+        self.bridge = bridge(self.pieces, increments)
+        self.start, self.sigma_direction = self._lay_on_fixes(increments)
+        self.sigma_heading = ANY_HEADING
+        self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
+        self.native = self._native_factors()
+
+    def evaluate(self, values: gtsam.Values) -> Evaluation:
+        """The own factors at ``values``."""
+        state = State.of(values)
+        return evaluate(self.pieces, self.bridge, state.poses[:-1], state.poses[1:], state.c[self.segment], self.walls)
+
+    def error(self, values: gtsam.Values) -> float:
+        """The cost at ``values``: half the sum of squared, robustly weighted errors, as GTSAM counts it."""
+        return self.evaluate(values).cost + self.native.error(values)
+
+    def linearize(self, values: gtsam.Values, own: Evaluation | None = None) -> gtsam.GaussianFactorGraph:
+        """All factors at ``values``, whitened, as GTSAM's linear graph; ``own`` if already evaluated there."""
+        own = own or self.evaluate(values)
+        graph = self.native.linearize(values)
+        noise = gtsam.noiseModel.Unit.Create(3)
+        pdr = own.pdr
+        for x, c, by_i, by_j, by_c, b in zip(*self.keys, pdr.by_i, pdr.by_j, pdr.by_c, -pdr.value, strict=True):
+            graph.add(x, by_i, x + 1, by_j, c, by_c, b, noise)
+        if own.wall is None:
+            return graph
+        pressed = np.flatnonzero(own.wall.value[:, 0])
+        interval, first = np.unique(self.pieces.interval[pressed], return_index=True)
+        for i, rows in zip(interval, np.split(pressed, first[1:]), strict=False):
+            wall, noise = own.wall.take(rows), gtsam.noiseModel.Unit.Create(len(rows))
+            x, c = self.keys[0][i], self.keys[1][i]
+            graph.add(x, wall.by_i[:, 0], x + 1, wall.by_j[:, 0], c, wall.by_c[:, 0], -wall.value[:, 0], noise)
+        return graph
+
+    def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
+        """The whole graph for GTSAM's own optimisers, with a guarded ``CustomFactor`` for each own factor."""
+        graph = gtsam.NonlinearFactorGraph(self.native)
+        for i, (x, c) in enumerate(zip(*self.keys, strict=True)):
+            keys = (x, x + 1, c)
+            pieces, own_bridge = self.pieces.only(i), self.bridge.only(self.pieces, i)
+
+            def at(values: gtsam.Values, keys=keys, pieces=pieces, own_bridge=own_bridge) -> Evaluation:
+                i, j = (values.atPose2(k) for k in keys[:2])
+                pose_i, pose_j = np.array([[i.x(), i.y(), i.theta()]]), np.array([[j.x(), j.y(), j.theta()]])
+                return evaluate(pieces, own_bridge, pose_i, pose_j, values.atVector(keys[2])[None], self.walls)
+
+            def pdr(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
+                r = at(values).pdr
+                return r.value[0], [r.by_i[0], r.by_j[0], r.by_c[0]]
+
+            def wall(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
+                r = at(values).wall
+                assert r is not None
+                return r.value[:, 0], [r.by_i[:, 0], r.by_j[:, 0], r.by_c[:, 0]]
+
+            graph.add(guarded("PDR", gtsam.noiseModel.Unit.Create(3), keys, pdr))
+            if self.walls:
+                graph.add(guarded("wall", gtsam.noiseModel.Unit.Create(len(pieces.length)), keys, wall))
+        return graph
+
+    def turned(self, angle: float, sigma_heading: float) -> WalkGraph:
+        """The same measurements, started ``angle`` [rad] further round the fixes and loosely held there."""
+        other = copy(self)
+        pivot = self.start.poses[self.fix_keyframe[self.fix_used], :2].mean(axis=0)
+        other.start = self.start.turned(angle, pivot)
+        other.sigma_heading = sigma_heading
+        other.native = other._native_factors()
+        return other
+
+    def without_grip(self, wild: Mask) -> WalkGraph:
+        """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are."""
+        other = copy(self)
+        other.fix_wild = wild
+        other.native = other._native_factors()
+        return other
+
+    def fix_distance(self, values: gtsam.Values) -> Array:
+        """Distance ``(f,)`` [m] of each fix from the walk at its time."""
+        return np.hypot(*(State.of(values).poses[self.fix_keyframe, :2] - self.fixes.position).T)
+
+    def fix_weight(self, distance: Array) -> Array:
+        """The share ``(f,)`` of each fix's information that is used when it lies ``distance (f,)`` [m] off."""
+        sigmas = distance / self.fix_sigma
+        gripping = np.minimum(1.0, HUBER_WIDTH / np.maximum(sigmas, 1e-9))
+        slipping = (WILD_WIDTH**2 / (WILD_WIDTH**2 + sigmas**2)) ** 2
+        return np.where(self.fix_used, np.where(self.fix_wild, slipping, gripping), 0.0)
+
+    def _lay_on_fixes(self, increments: Increments) -> tuple[State, float]:
+        """The start: the dead-reckoned track laid on the fixes; and how well these determine its direction [rad]."""
+        delta = increments.delta[self.pieces.last]
+        heading = np.concatenate([[0.0], np.cumsum(delta[:, 2])])
+        moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
+        track = np.concatenate([[0.0], np.cumsum(moves)])
+        used = self.fix_used
+        at, sigma = self.fix_keyframe[used], self.fix_sigma[used]
+        fix = as_complex(self.fixes.position[used])
+        uncertain = sigma_direction(track[at], sigma, float(np.sum(self.pieces.length)))
+
+        c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
+        if len(fix) < 2:
+            track = track + (fix - track[at] if len(fix) else 0.0)
+            return State(np.stack([track.real, track.imag, heading], axis=1), c), uncertain
+        laid = align(track, np.append(self.segment[:1], self.segment), at, fix, sigma)
+        if uncertain < AMBIGUOUS:
+            c[:, 0] = np.clip(laid.scale, *(self.prior.mean[0] + np.array([-2, 2]) * self.prior.sigma[0]))
+        poses = np.stack([laid.position.real, laid.position.imag, heading + laid.turned], axis=1)
+        return State(poses, c), uncertain
+
+    def _native_factors(self) -> gtsam.NonlinearFactorGraph:
+        """Fixes, calibration, and a loose hold on the first heading for when nothing else determines it."""
+        graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
+        gripping = noise.mEstimator.Huber.Create(HUBER_WIDTH)
+        slipping = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
+        for n in np.flatnonzero(self.fix_used):
+            loss = slipping if self.fix_wild[n] else gripping
+            robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, self.fix_sigma[n]))
+            graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], robust))
+
+        prior = self.prior
+        graph.add(gtsam.PriorFactorVector(C(0), np.array(prior.mean), noise.Diagonal.Sigmas(np.array(prior.sigma))))
+        change = noise.Diagonal.Sigmas(np.array(prior.change))
+        for s in range(self.segment[-1]):
+            graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
+
+        if self.fix_used.any():
+            heading = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
+            graph.add(gtsam.PoseRotationPrior2D(X(0), heading, noise.Isotropic.Sigma(1, self.sigma_heading)))
+        else:
+            size = FRAME_SIGMA if self.floor is None else self.floor.size
+            sigma = np.array([size, size, FRAME_SIGMA if self.floor is None else ANY_HEADING])
+            graph.add(gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), noise.Diagonal.Sigmas(sigma)))
+        return graph
+
+
+def _freshness(fixes: Fixes, steps: Steps) -> tuple[Mask, Array]:
+    """Which fixes are used, and their sigma: one shortly outside the recording holds at its end, less exactly."""
+    overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
+    return overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
+
+
+def _nearest(sorted_times: Array, time: Array) -> Index:
+    after = np.clip(np.searchsorted(sorted_times, time), 1, len(sorted_times) - 1)
+    return after - (time - sorted_times[after - 1] < sorted_times[after] - time)
+
+
+def _segments(pieces: Pieces, steps: Steps) -> Index:
+    """The calibration segment of each keyframe interval: equal shares of about a hundred steps."""
+    walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
+    count = max(1, round(len(steps) / STEPS_PER_SEGMENT))
+    segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
+    return np.unique(segment, return_inverse=True)[1]

@@ -1,0 +1,123 @@
+"""Where to start: the track laid on the fixes, in closed form.
+
+The optimum is found by Gauss–Newton, which needs headings that are roughly right. With the track of each segment (about
+a hundred steps) as complex numbers z, turning and scaling it is a product with one complex number a, and "the fix lies
+where the turned track says" is *linear* in the unknowns p_s (where segment s starts) and a_s:
+
+    fix at z:      p_s + a_s (z − z_s) = f                joint:   p_{s+1} = p_s + a_s (z_{s+1} − z_s)
+    slow change:   a_{s+1} = a_s                          weak:    a_s = 0
+
+a banded least squares, re-weighted a few times against wild fixes. It needs no start and has no local minimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+
+from pdr_graph.geometry import dead_reckon, rotation, wrap_angle
+from pdr_graph.types import Array, Fixes, Index, Steps, Trajectory
+
+Complex = NDArray[np.complex128]
+
+SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
+SIGMA_CHANGE = 0.2  # [rad, ratio] by which direction and scale change between segments
+SIGMA_SCALE = 3.0  # keeps a finite where no two fixes measure it
+REWEIGHTINGS = 5
+HUBER = 2.0  # [σ]
+ROUGH_TRACK = 0.05  # of the way walked: the error of dead reckoning when it is asked for a direction
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A track laid on fixes.
+
+    position: ``(k,)`` complex, of each keyframe [m]; turned: ``(k,)`` angle to add to each keyframe's heading [rad].
+    scale: ``(s,)`` by which each segment was stretched.
+    """
+
+    position: Complex
+    turned: Array
+    scale: Array
+
+
+def align(track: Complex, segment: Index, fix_keyframe: Index, fix: Complex, sigma: Array) -> Alignment:
+    """Lay a dead-reckoned track on at least two fixes.
+
+    track: ``(k,)`` complex positions of the keyframes [m]; segment: ``(k,)`` the segment of each, 0, 0, …, 1, …;
+    fix_keyframe: ``(f,)`` index of the keyframe at each fix; fix: ``(f,)`` complex [m]; sigma: ``(f,)`` [m].
+    """
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
+    offset = track - track[starts[segment]]
+    of_fix, z = segment[fix_keyframe], offset[fix_keyframe]
+    move = np.diff(track[starts])
+    p, a = _solve(move, of_fix, z, fix, sigma**-2.0)
+    for _ in range(REWEIGHTINGS):
+        residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma
+        if np.all(residual < HUBER):
+            break
+        p, a = _solve(move, of_fix, z, fix, sigma**-2.0 * np.minimum(1.0, HUBER / np.maximum(residual, HUBER)))
+    return Alignment(p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a))
+
+
+def _solve(move: Complex, of_fix: Index, z: Complex, fix: Complex, weight: Array) -> tuple[Complex, Complex]:
+    """Solve the module's four kinds of row for p, a of each segment. move: ``(s - 1,)`` z_{s+1} − z_s."""
+    segments = len(move) + 1
+
+    def per_segment(values: Array | Complex) -> Complex:
+        total = np.zeros(segments, dtype=complex)
+        np.add.at(total, of_fix, values)
+        return total
+
+    joint, change = SIGMA_JOINT**-2, SIGMA_CHANGE**-2
+    band = np.zeros((3, 2 * segments), dtype=complex)  # lower, of p_0, a_0, p_1, a_1, …
+    pp, aa, ap = band[0, 0::2], band[0, 1::2], band[1, 0::2]
+    pp += per_segment(weight)
+    aa += per_segment(weight * np.abs(z) ** 2) + SIGMA_SCALE**-2
+    ap += per_segment(weight * z.conj())
+    pp[:-1] += joint
+    pp[1:] += joint
+    aa[:-1] += joint * np.abs(move) ** 2 + change
+    aa[1:] += change
+    ap[:-1] += joint * move.conj()
+    band[1, 1:-1:2] -= joint * move  # next p by this a
+    band[2, 0:-2:2] -= joint  # next p by this p
+    band[2, 1:-1:2] -= change  # next a by this a
+    right = np.stack([per_segment(weight * fix), per_segment(weight * z.conj() * fix)], axis=1).ravel()
+    x: Complex = np.asarray(solveh_banded(band, right, lower=True), dtype=complex)
+    return x[0::2], x[1::2]
+
+
+def sigma_direction(at_fixes: Complex, sigma: Array, walked: float) -> float:
+    """How well the fixes determine the direction of the whole track [rad]; infinite with fewer than two.
+
+    Their errors, and the track's own, over their spread along the track. at_fixes: ``(f,)`` complex; walked [m].
+    """
+    weight = 1.0 / (sigma**2 + (ROUGH_TRACK * walked) ** 2)
+    centre = np.average(at_fixes, weights=weight) if len(at_fixes) else 0.0
+    information = float(np.sum(weight * np.abs(at_fixes - centre) ** 2))
+    return 1.0 / np.sqrt(information) if information > 0 else np.inf
+
+
+def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
+    """The track of the steps alone, turned and moved as a rigid shape to fit the fixes; not scaled."""
+    track = dead_reckon(steps)
+    if not len(fixes):
+        return track
+    at_fixes = np.stack([np.interp(fixes.time, track.time, axis) for axis in track.position.T], axis=1)
+    turn = 0.0
+    if len(fixes) > 1:
+        rows = as_complex(np.concatenate([track.position, at_fixes]))
+        at = np.arange(len(track), len(rows), dtype=np.intp)
+        turn = align(rows, np.zeros(len(rows), dtype=np.intp), at, as_complex(fixes.position), fixes.sigma).turned[0]
+    turned = track.position @ rotation(turn).T
+    shift = np.mean(fixes.position - at_fixes @ rotation(turn).T, axis=0)
+    return replace(track, position=turned + shift, heading=wrap_angle(track.heading + turn))
+
+
+def as_complex(xy: Array) -> Complex:
+    """Points ``(n, 2)`` as complex numbers ``(n,)``."""
+    return xy[:, 0] + 1j * xy[:, 1]

@@ -1,0 +1,115 @@
+"""Finding the most probable walk, and whatever else explains the measurements about as well."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from pdr_graph.estimation.factors import Evaluation
+from pdr_graph.estimation.graph import AMBIGUOUS, WalkGraph
+
+MOST_ITERATIONS = 60
+LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
+SETTLED = 3e-5  # the cost has settled when an iteration takes less than this share, or this much, off it
+LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, whose pull is local
+WILD = 5.0  # [σ] beyond which a fix loses its grip in the second pass
+STARTS = 8
+SIGMA_START = 0.6  # [rad] of each start's share of the circle: the shares overlap
+UNLIKELY = 12.0  # cost above the best at which another solution is not worth mentioning
+DIFFERENT = 0.5  # [m] apart at some step: another solution
+
+
+def solutions(graph: WalkGraph) -> list[Optimum]:
+    """The most probable walk first, then different ones that are not hopeless.
+
+    Where fixes leave the walk's direction open (one fix; two at the ends of a loop), it is started in several.
+    """
+    return _distinct([_robustly(start) for start in _starts(graph)])
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where the optimiser stopped. own: the own factors there; net: the graph factorised just before the last move."""
+
+    graph: WalkGraph
+    values: gtsam.Values
+    own: Evaluation
+    net: gtsam.GaussianBayesNet
+    cost: float
+    iterations: int
+    converged: bool
+
+
+def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
+    """Gauss–Newton, with Levenberg–Marquardt damping where a step would raise the cost.
+
+    The loop is our own because GTSAM's hands each Python callback a copy of all values (quadratic in the walk's
+    length). METIS ordering: the default overflows the stack on long chains.
+    """
+    values, own = start, graph.evaluate(start)
+    cost, damping = own.cost + graph.native.error(values), 0.0
+    linear = graph.linearize(values, own)
+    ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
+    for iteration in range(1, MOST_ITERATIONS + 1):
+        net = _damped(linear, damping).eliminateSequential(ordering)
+        candidate = values.retract(_capped(net.optimize(), LONGEST_MOVE if graph.walls else np.inf))
+        candidate_own = graph.evaluate(candidate)
+        decrease = cost - candidate_own.cost - graph.native.error(candidate)
+        if decrease < 0 and damping < MOST_DAMPING:
+            damping = max(10 * damping, LEAST_DAMPING)
+            continue
+        if decrease >= 0:
+            values, own, cost = candidate, candidate_own, cost - decrease
+        if decrease <= SETTLED * (1 + cost):
+            net = linear.eliminateSequential(ordering) if damping else net
+            return Optimum(graph, values, own, net, cost, iteration, converged=True)
+        damping = damping / 10 if damping > LEAST_DAMPING else 0.0
+        linear = graph.linearize(values, own)
+    net = linear.eliminateSequential(ordering)
+    return Optimum(graph, values, own, net, cost, MOST_ITERATIONS, converged=False)
+
+
+def _damped(linear: gtsam.GaussianFactorGraph, damping: float) -> gtsam.GaussianFactorGraph:
+    """The graph with Levenberg–Marquardt's prior on every variable to stay where it is."""
+    if damping == 0:
+        return linear
+    damped, unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(3)
+    damped.push_back(linear)
+    for key in linear.keyVector():
+        damped.add(key, np.sqrt(damping) * np.eye(3), np.zeros(3), unit)
+    return damped
+
+
+def _capped(move: gtsam.VectorValues, longest: float) -> gtsam.VectorValues:
+    """The move, shortened so that no pose goes further than ``longest`` [m]."""
+    if np.isfinite(longest):
+        furthest = np.abs(move.vector().reshape(-1, 3)[:, :2]).max()
+        move.scaleInPlace(min(1.0, longest / max(furthest, 1e-9)))
+    return move
+
+
+def _robustly(graph: WalkGraph) -> Optimum:
+    """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off."""
+    first = optimize(graph, graph.start.to_values())
+    wild = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
+    return optimize(graph.without_grip(wild), first.values) if wild.any() else first
+
+
+def _starts(graph: WalkGraph) -> list[WalkGraph]:
+    """The graph started where its fixes lay it; where they leave its direction open, in every direction."""
+    if graph.sigma_direction < AMBIGUOUS or not graph.fix_used.any():
+        return [graph]
+    return [graph.turned(turn, SIGMA_START) for turn in np.arange(STARTS) * 2 * np.pi / STARTS]
+
+
+def _distinct(solutions: list[Optimum]) -> list[Optimum]:
+    """Different solutions that are not hopeless, the most probable first."""
+    kept: list[Optimum] = []
+    for one in sorted(solutions, key=lambda s: round(s.cost, 3)):  # of equals the first: heading 0 with one fix
+        track = one.own.poses.value[:, :2]
+        apart = [np.abs(track - other.own.poses.value[:, :2]).max() for other in kept]
+        if all(a > DIFFERENT for a in apart) and (not kept or one.cost - kept[0].cost < UNLIKELY):
+            kept.append(one)
+    return kept

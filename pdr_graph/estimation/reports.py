@@ -1,0 +1,39 @@
+"""What an estimate says of itself: why each fix was trusted or not, and what to beware of."""
+
+from __future__ import annotations
+
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.types import Array, Calibration, FixReport
+
+
+def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array, from_: str) -> tuple[FixReport, ...]:
+    """Residual, weight and reason of every fix.
+
+    distance: ``(f,)`` [m] from ``from_`` ("the walk"); the same in ``sigmas (f,)``; weight: ``(f,)`` what it was given.
+    """
+    reports = []
+    for n, (x, y) in enumerate(graph.fixes.position.tolist()):
+        if not graph.fix_used[n]:
+            reason = "outside the recording: not used"
+        else:
+            trust = "full weight" if weight[n] == 1.0 else "taken for wild" if graph.fix_wild[n] else "weighted down"
+            reason = f"{sigmas[n]:.1f} sigma from {from_}: {trust}"
+        time, sigma = float(graph.fixes.time[n]), float(graph.fixes.sigma[n])
+        reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
+    return tuple(reports)
+
+
+def warnings(graph: WalkGraph, explanations: int, converged: bool, calibration: Calibration) -> tuple[str, ...]:
+    """What a user must know before trusting the result. explanations: how many walks explain the measurements."""
+    used, given = int(graph.fix_used.sum()), len(graph.fixes)
+    warned = {
+        "no position fix: the track starts at (0, 0) with heading 0": used == 0,
+        "one position fix: the direction of the walk is unknown, heading 0 was assumed": used == 1 and not graph.walls,
+        "no fix lies near the floor plan: its walls were not used": bool(used and graph.floor and not graph.walls),
+        f"{given - used} fixes lie outside the recording and were not used": used < given,
+        f"{explanations} different walks explain the measurements; the covariance spans them": explanations > 1,
+        "the optimiser had not settled": not converged,
+    }
+    for n, name in enumerate(calibration.names):
+        warned[f"{name} is the prior's: the measurements do not determine it"] = not calibration.learnt[:, n].any()
+    return tuple(text for text, holds in warned.items() if holds)

@@ -1,0 +1,73 @@
+"""The most probable walk: batch smoothing of a ``WalkGraph``."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_graph.estimation.covariance import covariance_of_rows
+from pdr_graph.estimation.graph import State, WalkGraph
+from pdr_graph.estimation.initial import lay_dead_reckoning
+from pdr_graph.estimation.optimizer import Optimum, solutions
+from pdr_graph.estimation.reports import fix_reports, warnings
+from pdr_graph.geometry import row_times, wrap_angle
+from pdr_graph.types import Array, Calibration, Estimate, Trajectory
+
+
+def smooth(graph: WalkGraph) -> Estimate:
+    """The most probable walk given every measurement in ``graph``, with the covariance of every step.
+
+    Where other walks explain the measurements about as well, they widen the covariance and are warned of.
+    """
+    # The optimum, and whatever else explains the measurements
+    found = solutions(graph)
+    best = found[0]
+
+    # Every step, with its covariance
+    rows = _rows(best)
+    covariance, sigma_c = _mixed_covariance(found)
+    floor = (graph.floor.label if graph.floor else "",) * len(rows)
+    trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), floor, covariance)
+
+    # What was learnt, what was trusted, and what to beware of
+    calibration = _calibration(best, sigma_c)
+    distance = best.graph.fix_distance(best.values)
+    weight = best.graph.fix_weight(distance)
+    return Estimate(
+        trajectory=trajectory,
+        dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
+        calibration=calibration,
+        fixes=fix_reports(best.graph, distance, distance / graph.fix_sigma, weight, "the walk"),
+        iterations=best.iterations,
+        cost=best.cost,
+        converged=best.converged,
+        warnings=warnings(graph, len(found), best.converged, calibration),
+    )
+
+
+def _rows(optimum: Optimum) -> Array:
+    """Poses ``(n + 2, 3)``: the start, the end of every step, the end."""
+    own = optimum.own
+    return np.concatenate([own.pose_i[:1], own.poses.value[optimum.graph.pieces.row_end]])
+
+
+def _mixed_covariance(found: list[Optimum]) -> tuple[Array, Array]:
+    """Covariance of each row about the best solution, the others counted by their probability; sigma of c."""
+    weight = np.exp(found[0].cost - np.array([s.cost for s in found]))
+    weight /= weight.sum()
+    rows = _rows(found[0])
+    covariance, sigma_c = covariance_of_rows(found[0].graph, found[0].own, found[0].net)
+    total = weight[0] * covariance
+    for w, other in zip(weight[1:], found[1:], strict=True):
+        covariance, _ = covariance_of_rows(other.graph, other.own, other.net)
+        apart = _rows(other) - rows
+        apart[:, 2] = wrap_angle(apart[:, 2])
+        total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
+    return total, sigma_c
+
+
+def _calibration(best: Optimum, sigma: Array) -> Calibration:
+    graph, c = best.graph, State.of(best.values).c
+    segments = np.arange(len(c))[:, None]
+    prior = np.sqrt(np.square(graph.prior.sigma) + segments * np.square(graph.prior.change))
+    first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
+    return Calibration(graph.pieces.keyframe_time[first], c, sigma, prior)
