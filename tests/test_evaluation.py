@@ -1,0 +1,136 @@
+"""The metrics, against answers known by hand and a plain loop over the definitions."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+
+from pdr_graph.evaluation import circular_accuracy, evaluate, pair, table
+from pdr_graph.floor.areas import Area
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import rotation
+from pdr_graph.types import Trajectory
+
+
+def track(seconds=120.0, rate=20.0, seed=0, start=1.7e9, floor=""):
+    """A wandering track with headings."""
+    random = np.random.default_rng(seed)
+    time = start + np.arange(0, seconds, 1 / rate)
+    heading = np.cumsum(random.normal(0, 0.05, len(time)))
+    velocity = 1.2 * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    position = np.cumsum(velocity / rate, axis=0)
+    return Trajectory(time, position, heading, (floor,) * len(time))
+
+
+def changed(truth, shift=(0.0, 0.0), turn=0.0, drift=0.0):
+    moved = truth.position + np.asarray(shift) + np.outer(truth.time - truth.time[0], [drift, 0.0])
+    return Trajectory(truth.time, moved, truth.heading + turn, truth.floor)
+
+
+@pytest.mark.parametrize("pairing", ["linear", "nearest"])
+def test_the_published_check_values(pairing):
+    """../shared/metrics.md, section 5: the truth itself; (3, 4) m and 0.3 rad off; a drift of 0.1 m/s along x."""
+    truth = track()
+    same = evaluate(truth, truth, pairing=pairing)
+    assert same["ce"]["p95"] == same["he"]["max"] == same["eag"] == same["ve"] == 0
+    off = evaluate(changed(truth, (3, 4), 0.3), truth, pairing=pairing)
+    assert off["ce"]["mean"] == pytest.approx(5.0, abs=1e-9)
+    assert off["he"]["p50"] == pytest.approx(0.3, abs=1e-9)
+    drifting = evaluate(changed(truth, drift=0.1), truth, pairing=pairing)
+    # 0.1 throughout if measured from the start; to the nearer end, the second half grows as its time shrinks
+    elapsed = np.minimum(truth.time - truth.time[0], truth.time[-1] - truth.time)
+    expected = np.median((0.1 * (truth.time - truth.time[0]) / np.maximum(elapsed, 1e-9))[elapsed >= 1])
+    assert drifting["eag"] == pytest.approx(expected, abs=1e-6)
+
+
+def loops(estimate, truth):
+    """CE, HE, EAG, VE by the definitions of ../shared/metrics.md section 1, sample by sample."""
+    pairs = []
+    for t, g, h in zip(truth.time, truth.position, truth.heading, strict=True):
+        gaps = np.abs(estimate.time - t)
+        k = int(np.argmin(gaps))
+        if gaps[k] <= 0.5:
+            pairs.append((t, g, h, estimate.position[k], estimate.heading[k]))
+    ce = [np.hypot(*(e - g)) for _, g, _, e, _ in pairs]
+    he = [abs((eh - gh + np.pi) % (2 * np.pi) - np.pi) for _, _, gh, _, eh in pairs]
+    s, f = truth.time[0], truth.time[-1]
+    eag = [c / min(t - s, f - t) for (t, *_), c in zip(pairs, ce, strict=True) if min(t - s, f - t) >= 1]
+    speeds = []
+    for column in (1, 3):
+        v = [0.0]
+        for p, q in pairwise(pairs):
+            v.append(np.hypot(*(q[column] - p[column])) / (q[0] - p[0]))
+        t = [p[0] for p in pairs]
+        speeds.append([np.mean([w for u, w in zip(t, v, strict=True) if x - 0.5 <= u <= x + 0.5]) for x in t])
+    ve = np.abs(np.subtract(*speeds))
+    return np.percentile(ce, [50, 95]), np.percentile(he, 75), np.median(eag), np.median(ve), len(pairs)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nearest_pairing_equals_the_definitions(seed):
+    """An estimate of uneven rows, with a gap longer than the half second that pairing allows."""
+    random = np.random.default_rng(seed)
+    truth = track(60.0, 10.0, seed)
+    source = track(66.0, 30.0, seed + 10, start=truth.time[0] - 2.0)
+    rows = np.sort(random.choice(len(source), 150, replace=False))
+    rows = rows[(source.time[rows] < truth.time[200]) | (source.time[rows] > truth.time[260])]
+    estimate = Trajectory(source.time[rows], source.position[rows], source.heading[rows], ("",) * len(rows))
+    scores = evaluate(estimate, truth, pairing="nearest")
+    ce, he, eag, ve, n = loops(estimate, truth)
+    assert scores["n"] == n < len(truth)
+    assert [scores["ce"]["p50"], scores["ce"]["p95"]] == pytest.approx(ce, abs=1e-9)
+    assert scores["he"]["p75"] == pytest.approx(he, abs=1e-9)
+    assert scores["eag"] == pytest.approx(eag, abs=1e-9)
+    assert scores["ve"] == pytest.approx(ve, abs=1e-9)
+
+
+def test_linear_pairing_interpolates_position_and_heading_over_the_wrap():
+    estimate = Trajectory(np.array([0.0, 1.0]), np.array([[0, 0], [2, 0]]), np.array([3.1, -3.1]), ("", ""))
+    truth = Trajectory(np.array([0.25, 1.4, 1.6]), np.zeros((3, 2)), np.full(3, np.pi), ("",) * 3)
+    pairs = pair(estimate, truth)
+    assert pairs.estimate[:, 0] == pytest.approx([0.5, 2.0]), "held for half a second beyond the end, then left out"
+    assert np.abs(np.abs(pairs.estimate_heading[0]) - np.pi) < 0.03
+
+
+def test_circular_accuracy_is_the_mode_in_the_walkers_axes():
+    """Errors 1 m to the walker's left whatever the heading, and a tenth of them wild: CA is 1 m, the mean is not."""
+    truth = track()
+    random = np.random.default_rng(0)
+    left = rotation(truth.heading)[:, :, 1]
+    error = left + random.normal(0, 0.05, left.shape)
+    error[::10] += 20.0
+    estimate = Trajectory(truth.time, truth.position + error, truth.heading, truth.floor)
+    assert circular_accuracy(pair(estimate, truth)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_obstacle_error_is_the_share_of_steps_through_walls():
+    hall = shapely.box(0, 0, 10, 10).difference(shapely.box(4, 4, 6, 6))
+    plan = FloorPlan("", (Area("corridor", "", hall),), Frame())
+    path = np.array([[1, 1], [1, 5], [9, 5], [9, 9]], dtype=float)  # the second step cuts the pillar
+    estimate = Trajectory(np.arange(4.0), path, np.zeros(4), ("",) * 4)
+    assert evaluate(estimate, estimate, plan)["oe"] == pytest.approx(1 / 4)
+
+
+def test_floors():
+    """FE counts right floors; CE leaves out samples on a wrong one; an unknown floor is not a wrong one."""
+    truth = track(10.0, 1.0, floor="F1")
+    half = tuple("F2" if n < 5 else "F1" for n in range(10))
+    estimate = Trajectory(truth.time, truth.position + np.outer(np.array(half) == "F2", [7, 0]), truth.heading, half)
+    scores = evaluate(estimate, truth)
+    assert scores["fe"] == 0.5
+    assert scores["ce"]["max"] == 0
+    nameless = Trajectory(truth.time, truth.position, truth.heading, ("",) * 10)
+    assert evaluate(nameless, truth)["ce"]["max"] == 0
+    assert evaluate(truth, nameless)["fe"] is None
+
+
+def test_what_cannot_be_computed_is_none():
+    truth = track(10.0, 1.0)
+    headless = Trajectory(truth.time, truth.position, np.full(10, np.nan), truth.floor)
+    scores = evaluate(headless, truth)
+    assert scores["he"] is None
+    assert scores["ca"] is None
+    assert scores["oe"] is None
+    assert "—" in table(scores)
