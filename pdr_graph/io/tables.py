@@ -1,0 +1,132 @@
+"""Comma-separated tables at the door: fixes, truth and trajectories, with complaints that name the line."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.frames import Frame
+from pdr_graph.types import Array, Fixes, Mask, Recording, Trajectory
+
+ALIASES = {"timestamp": "time", "yaw": "heading"}  # what the PDR Benchmark's tools call them
+
+
+def read_fixes(path: str | Path, recording: Recording, frame: Frame | None = None) -> Fixes:
+    """Position fixes ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``.
+
+    time is in the recorder's clock; sigma is one standard deviation *per axis* [m] (a phone's 68 % radius divided by
+    1.51). Rows may stand in any order. Fixes in degrees are brought into ``frame`` where one is given.
+
+    Raises InputError naming the line; also if no fix lies within the recording, as when the clock is another one.
+    """
+    numbers, words = _read(Path(path), [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
+    geodetic = "lat" in numbers
+    names = ("lon", "lat") if geodetic else ("x", "y")
+    order = np.argsort(numbers["time"], kind="stable")
+    position = np.stack([numbers[n] for n in names], axis=1)
+    _each(path, numbers["sigma"] <= 0, numbers["sigma"], "sigma", "a standard deviation above 0 m")
+    if geodetic:
+        _each(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
+        _each(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
+    fixes = Fixes(numbers["time"] - recording.clock_origin, position, numbers["sigma"], words["floor"], geodetic)[order]
+    _check_clock(path, fixes, recording)
+    return frame.place(fixes) if frame else fixes
+
+
+def read_trajectory(path: str | Path) -> Trajectory:
+    """A trajectory or truth ``time,x,y[,heading][,floor]``, rows in time order; time stays in the file's clock.
+
+    Covariance columns, as ``trajectory.csv`` has them, are read if they are there. Raises InputError naming the line.
+    """
+    optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
+    numbers, words = _read(Path(path), [("time", "x", "y")], optional, words=("floor",))
+    time = numbers["time"]
+    back = np.diff(time, prepend=-np.inf) <= 0
+    _each(path, back, time, "time", "times that increase from row to row")
+    return Trajectory(
+        time=time,
+        position=np.stack([numbers["x"], numbers["y"]], axis=1),
+        heading=numbers.get("heading", np.full(len(time), np.nan)),
+        floor=words["floor"],
+        covariance=_covariance(numbers) if all(name in numbers for name in optional) else None,
+    )
+
+
+def _covariance(numbers: dict[str, Array]) -> Array:
+    covariance = np.zeros((len(numbers["time"]), 3, 3))
+    for axis, name in enumerate(("sigma_x", "sigma_y", "sigma_heading")):
+        covariance[:, axis, axis] = numbers[name] ** 2
+    covariance[:, 0, 1] = covariance[:, 1, 0] = numbers["cov_xy"]
+    return covariance
+
+
+def _read(
+    path: Path, required: list[tuple[str, ...]], optional: tuple[str, ...] = (), words: tuple[str, ...] = ()
+) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
+    """Columns of a CSV with a header. required: alternatives, the first that is there; words: columns of text.
+
+    Empty cells are allowed in optional columns (NaN) and columns of text only.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines())]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(path, "", str(error), "a CSV file") from None
+    header = [ALIASES.get(name.lower(), name.lower()) for name in rows[0]] if rows else []
+    wanted = next((r for r in required if set(r) <= set(header)), None)
+    if wanted is None:
+        found = ",".join(header)[:60] or "an empty file"
+        raise InputError(path, "line 1", found, "a header with " + " or ".join(",".join(r) for r in required))
+    data = [(n, row) for n, row in enumerate(rows[1:], start=2) if any(row)]
+    if not data:
+        raise InputError(path, "line 2", "the end of the file", "at least one row")
+    for n, row in data:
+        if len(row) != len(header):
+            raise InputError(path, f"line {n}", f"{len(row)} fields", f"{len(header)} as in the header")
+
+    def column(name: str, empty_allowed: bool) -> Array:
+        k = header.index(name)
+        return np.array([_number(path, n, name, row[k], empty_allowed) for n, row in data])
+
+    numbers = {name: column(name, False) for name in wanted}
+    numbers |= {name: column(name, True) for name in optional if name in header}
+    nothing = ("",) * len(data)
+    text_columns = {w: tuple(row[header.index(w)] for _, row in data) if w in header else nothing for w in words}
+    return numbers, text_columns
+
+
+def _number(path: Path, line: int, name: str, text: str, empty_allowed: bool) -> float:
+    if empty_allowed and text in ("", "nan"):
+        return math.nan
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(path, f"line {line}, {name}", repr(text[:40]), "a finite number")
+    return value
+
+
+def _each(path: str | Path, wrong: Mask, values: Array, name: str, needed: str) -> None:
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", needed)
+
+
+def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
+    """At least one fix must lie within the recording, give or take a few seconds."""
+    signals = [s for s in (recording.accelerometer, recording.gyroscope) if s is not None]
+    start = min(s.time[0] for s in signals) - 5.0
+    end = max(s.time[-1] for s in signals) + 5.0
+    if not np.any((fixes.time >= start) & (fixes.time <= end)):
+        origin = recording.clock_origin
+        raise InputError(
+            path,
+            "time",
+            f"{fixes.time[0] + origin:.3f} to {fixes.time[-1] + origin:.3f}",
+            f"times within the recording, {start + 5 + origin:.3f} to {end - 5 + origin:.3f}",
+        )

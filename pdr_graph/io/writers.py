@@ -1,0 +1,89 @@
+"""Trajectories out: CSV, GeoJSON and GPX, and the summary beside them."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.frames import Frame
+from pdr_graph.types import Array, Estimate, Recording, Steps, Trajectory
+
+TRAJECTORY_HEADER = "time,x,y,heading,floor,sigma_x,sigma_y,cov_xy,sigma_heading"
+STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn"
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
+    """``trajectory.csv``: time in the recorder's clock, metres, radians, covariance in the output axes."""
+    lines = [TRAJECTORY_HEADER]
+    covariance = trajectory.covariance
+    assert covariance is not None, "an estimate has a covariance"
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    for t, (x, y), heading, floor, (sx, sy, sh), xy in zip(
+        trajectory.time + clock_origin,
+        trajectory.position,
+        trajectory.heading,
+        trajectory.floor,
+        sigma,
+        covariance[:, 0, 1],
+        strict=True,
+    ):
+        lines.append(f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{_cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
+    """One row per step, for other back ends: its end, length [m], heading change since the row before [rad], sigmas."""
+    lines = [STEPS_HEADER]
+    table = np.stack(
+        [steps.time + clock_origin, steps.length, steps.turn, steps.sigma_length, steps.sigma_turn], axis=1
+    )
+    lines += [f"{t:.4f},{length:.4f},{turn:.6f},{sl:.4f},{st:.6f}" for t, length, turn, sl, st in table]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: float) -> None:
+    """``trajectory.geojson`` (RFC 7946): the track as a LineString with a point per row, then the fixes."""
+    track = frame.to_lonlat(estimate.trajectory.position)
+    line = {"times": (estimate.trajectory.time + clock_origin).round(3).tolist(), "kind": "trajectory"}
+    features = [_feature("LineString", track, line)]
+    if estimate.fixes:
+        places = frame.to_lonlat(np.array([(f.x, f.y) for f in estimate.fixes]))
+        for fix, place in zip(estimate.fixes, places, strict=True):
+            about = {"kind": "fix", "time": fix.time + clock_origin, "sigma": fix.sigma}
+            about |= {"residual": fix.residual, "weight": fix.weight, "reason": fix.reason}
+            features.append(_feature("Point", place, about))
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
+
+
+def write_gpx(path: Path, trajectory: Trajectory, frame: Frame, recording: Recording) -> None:
+    """``trajectory.gpx``: the track for any map app, with UTC times where the log has a clock."""
+    from gpxpy.gpx import GPX, GPXTrack, GPXTrackPoint, GPXTrackSegment
+
+    segment = GPXTrackSegment()
+    for t, (lon, lat) in zip(trajectory.time, frame.to_lonlat(trajectory.position), strict=True):
+        when = None if recording.epoch is None else datetime.fromtimestamp(recording.epoch + t, UTC)
+        segment.points.append(GPXTrackPoint(latitude=lat, longitude=lon, time=when))
+    track = GPXTrack(name=recording.source)
+    track.segments.append(segment)
+    gpx = GPX()
+    gpx.creator = "pdr_graph"
+    gpx.tracks.append(track)
+    path.write_text(gpx.to_xml(), encoding="utf-8")
+
+
+def write_summary(path: Path, summary: dict[str, Any]) -> None:
+    """``summary.json``."""
+    path.write_text(json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _cell(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
+
+
+def _feature(kind: str, lonlat: Array, properties: dict[str, Any]) -> dict[str, Any]:
+    geometry = {"type": kind, "coordinates": np.round(lonlat, 8).tolist()}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}

@@ -1,0 +1,97 @@
+"""Tables at the door: fixes, truth, trajectories."""
+
+import json
+
+import gpxpy
+import numpy as np
+import pytest
+from walks import dead_reckon, fixes_on, wandering_walk
+
+from pdr_graph import smooth
+from pdr_graph.errors import InputError
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.frames import enu
+from pdr_graph.io import writers
+from pdr_graph.io.tables import read_fixes, read_trajectory
+from pdr_graph.types import Recording, Signal
+
+ORIGIN = 1_700_000_000.0
+WALK = Recording("walk", ORIGIN, ORIGIN, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
+
+
+def table(tmp_path, text):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    return path
+
+
+def test_fixes_come_in_time_order_and_in_recording_time(tmp_path):
+    path = table(tmp_path, f"time,x,y,sigma,floor\n{ORIGIN + 20},3,4,2,F2\n{ORIGIN + 10.5},1,2,0.5,F1\n")
+    fixes = read_fixes(path, WALK)
+    assert fixes.time == pytest.approx([10.5, 20.0])
+    assert fixes.position == pytest.approx(np.array([[1, 2], [3, 4]]))
+    assert fixes.sigma == pytest.approx([0.5, 2.0])
+    assert fixes.floor == ("F1", "F2")
+
+
+def test_fixes_in_degrees_are_brought_into_the_frame(tmp_path):
+    frame = enu(35.0, 135.0)
+    lon, lat = frame.to_lonlat(np.array([[30.0, -12.0]]))[0]
+    path = table(tmp_path, f"\ufefftime,lat,lon,sigma\n{ORIGIN},{lat:.9f},{lon:.9f},3\n")
+    assert read_fixes(path, WALK, frame).position == pytest.approx(np.array([[30.0, -12.0]]), abs=1e-3)
+    assert read_fixes(path, WALK).geodetic
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "line 1.*empty"),
+        ("time,x,y,sigma\n", "line 2"),
+        ("time,x,y\n1,2,3\n", "time,x,y,sigma or time,lat,lon,sigma"),
+        (f"time,x,y,sigma\n{ORIGIN},1,2,1\n{ORIGIN},1,nan,1\n", "line 3, y.*nan"),
+        (f"time,x,y,sigma\n{ORIGIN},1,2,0\n", "sigma"),
+        (f"time,x,y,sigma\n{ORIGIN},1,2\n", "line 2.*3 fields.*4"),
+        (f"time,lat,lon,sigma\n{ORIGIN},100,2,1\n", "latitude"),
+        ("time,x,y,sigma\n5,1,2,1\n", "times within the recording"),
+        ("\x00\x01\x02", "header"),
+    ],
+)
+def test_bad_fixes_are_refused_with_their_line(tmp_path, text, complaint):
+    with pytest.raises(InputError, match=complaint) as refusal:
+        read_fixes(table(tmp_path, text), WALK)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_trajectory_reads_back_as_written(tmp_path):
+    steps = wandering_walk(30)
+    estimate = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), every=10)))
+    writers.write_trajectory(tmp_path / "t.csv", estimate.trajectory, ORIGIN)
+    again = read_trajectory(tmp_path / "t.csv")
+    assert (tmp_path / "t.csv").read_text().splitlines()[0] == writers.TRAJECTORY_HEADER
+    assert len(again) == 30 + 2
+    assert again.time - ORIGIN == pytest.approx(estimate.trajectory.time, abs=1e-4)
+    assert again.position == pytest.approx(estimate.trajectory.position, abs=1e-4)
+    assert again.covariance[:, :2, :2] == pytest.approx(estimate.trajectory.covariance[:, :2, :2], abs=1e-3)
+
+
+def test_truth_must_run_forward_in_time(tmp_path):
+    with pytest.raises(InputError, match="increase"):
+        read_trajectory(table(tmp_path, "time,x,y\n1,0,0\n3,0,0\n2,0,0\n"))
+
+
+def test_geojson_and_gpx_hold_the_same_track(tmp_path):
+    """As many points as rows, in longitude and latitude, and the fixes after them."""
+    steps, frame = wandering_walk(20), enu(35.0, 135.0)
+    estimate = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), every=10)))
+    writers.write_geojson(tmp_path / "t.geojson", estimate, frame, ORIGIN)
+    writers.write_gpx(tmp_path / "t.gpx", estimate.trajectory, frame, WALK)
+    features = json.loads((tmp_path / "t.geojson").read_text())["features"]
+    line, *points = features
+    assert line["geometry"]["type"] == "LineString"
+    assert frame.from_lonlat(np.array(line["geometry"]["coordinates"])) == pytest.approx(
+        estimate.trajectory.position, abs=0.01
+    )
+    assert [p["properties"]["kind"] for p in points] == ["fix"] * len(estimate.fixes)
+    track = gpxpy.parse((tmp_path / "t.gpx").read_text()).tracks[0].segments[0].points
+    assert len(track) == len(estimate.trajectory)
+    assert track[0].time.timestamp() == pytest.approx(ORIGIN)
