@@ -1,0 +1,148 @@
+"""The command line: one verb each. Heavy modules are loaded by the verb that needs them: ``--help`` is instant."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pdr_graph.errors import InputError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Which way did this person walk? A phone's sensor log and a floor plan in, the most probable walk out.",
+)
+maps = typer.Typer(no_args_is_help=True, help="Look at floor plans.")
+app.add_typer(maps, name="map")
+
+RefusedExit, DegradedExit = 2, 3
+
+
+class Method(StrEnum):
+    """How a walk is estimated."""
+
+    graph = "graph"
+    filter = "filter"
+    pdr = "pdr"
+
+
+class Pairing(StrEnum):
+    """How truth and estimate are brought to the same time."""
+
+    linear = "linear"
+    nearest = "nearest"
+
+
+RecordingPath = Annotated[Path, typer.Argument(help="A recording: file, folder or zip of a supported recorder.")]
+WalkerPath = Annotated[Path | None, typer.Option("--walker", metavar="TOML", help="What is known of the walker.")]
+MapPath = Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="A floor plan; its frame is the output's.")]
+
+
+@app.command()
+def smooth(
+    recording: RecordingPath,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")],
+    map_: MapPath = None,
+    fixes: Annotated[
+        Path | None,
+        typer.Option("--fixes", metavar="CSV", help="time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor]."),
+    ] = None,
+    walker: WalkerPath = None,
+    method: Annotated[
+        Method, typer.Option(help="The factor graph, the causal filter, or dead reckoning.")
+    ] = Method.graph,
+    recorded_fixes: Annotated[
+        bool,
+        typer.Option("--recorded-fixes/--no-recorded-fixes", help="Use positions inside the recording too."),
+    ] = True,
+    rate: Annotated[
+        float | None, typer.Option(metavar="HZ", help="Resample the trajectory; default: a row per step.")
+    ] = None,
+) -> None:
+    """Reconstruct one walk.
+
+    pdr-graph smooth walk.txt --map maps/office.geojson --fixes fixes.csv --out result
+    """
+    from pdr_graph.pipeline import smooth_recording
+
+    missing = smooth_recording(recording, out, map_, fixes, walker, str(method), recorded_fixes, rate)
+    if missing:
+        typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+        raise typer.Exit(DegradedExit)
+
+
+@app.command()
+def steps(
+    recording: RecordingPath,
+    out: Annotated[Path, typer.Option("--out", metavar="CSV", help="Where the steps go.")],
+    walker: WalkerPath = None,
+) -> None:
+    """Detect the steps of a recording, for other back ends: time,length,turn,sigma_length,sigma_turn."""
+    from pdr_graph import io
+    from pdr_graph.gait.pdr import Walker, detect_steps
+    from pdr_graph.io.writers import write_steps
+
+    walk = io.load(recording)
+    found = detect_steps(walk, Walker.load(walker) if walker else None)
+    write_steps(out, found, walk.clock_origin)
+    typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {out}")
+
+
+@app.command()
+def evaluate(
+    trajectory: Annotated[Path, typer.Argument(help="trajectory.csv, or any CSV with time,x,y[,heading][,floor].")],
+    truth: Annotated[Path, typer.Argument(help="CSV with time,x,y[,heading][,floor].")],
+    map_: MapPath = None,
+    pairing: Annotated[
+        Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
+    ] = Pairing.linear,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON: metres, radians, seconds.")] = False,
+) -> None:
+    """Score a trajectory: CE, HE, EAG, VE, CA, OE, FE of the draft ISO/IEC 21134."""
+    import json
+
+    from pdr_graph import evaluation
+    from pdr_graph.floor.plan import FloorPlan
+    from pdr_graph.io.tables import read_trajectory
+
+    floor = FloorPlan.load(map_) if map_ else None
+    scores = evaluation.evaluate(read_trajectory(trajectory), read_trajectory(truth), floor, str(pairing))
+    if not scores["n"]:
+        raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
+    typer.echo(json.dumps(scores) if json_ else evaluation.table(scores))
+
+
+@maps.command("show")
+def map_show(
+    plan: Annotated[Path, typer.Argument(help="Our GeoJSON, or a Microsoft floor folder.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="PNG", help="Default: PLAN's name with .png, here.")
+    ] = None,
+) -> None:
+    """Draw a floor plan."""
+    from pdr_graph.floor.plan import FloorPlan
+    from pdr_graph.plotting import plot_plan
+
+    floor = FloorPlan.load(plan)
+    target = out or Path(plan.resolve().stem + ".png")
+    plot_plan(floor).savefig(target, dpi=150)
+    typer.echo(
+        f"{floor.label or plan.stem}: {len(floor.areas)} areas, {floor.walkable_area:.0f} m² walkable -> {target}"
+    )
+
+
+def main() -> None:
+    """Run; a refusal is one line and exit 2, never a traceback."""
+    try:
+        app()
+    except InputError as error:
+        typer.echo(f"pdr-graph: {error}", err=True)
+        sys.exit(RefusedExit)
+    except OSError as error:
+        typer.echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
+        sys.exit(RefusedExit)

@@ -1,0 +1,238 @@
+"""One walk from files to files: what ``pdr-graph smooth`` does, stage by stage."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_graph import io
+from pdr_graph.errors import InputError
+from pdr_graph.estimation.filters import kalman_filter
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.smoothers import smooth
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import Frame, enu
+from pdr_graph.gait.pdr import Walker, detect_steps
+from pdr_graph.geometry import resample
+from pdr_graph.io import writers
+from pdr_graph.io.tables import read_fixes
+from pdr_graph.types import Estimate, Fixes, FixReport, Recording, Steps
+
+FASTEST_RATE = 1000.0  # [Hz]
+
+
+@dataclass
+class Stages:
+    """Wall time of each stage [s]; on a terminal, the stage under way is shown."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time one stage."""
+        started = time.perf_counter()
+        if sys.stderr.isatty():
+            from rich.console import Console
+
+            with Console(stderr=True).status(f"{name} …"):
+                yield
+        else:
+            yield
+        self.seconds[name] = round(time.perf_counter() - started, 4)
+
+
+def smooth_recording(
+    recording: Path,
+    out: Path,
+    plan: Path | None = None,
+    fixes: Path | None = None,
+    walker: Path | None = None,
+    method: str = "graph",
+    use_recorded_fixes: bool = True,
+    rate: float | None = None,
+) -> tuple[str, ...]:
+    """Reconstruct one walk and write trajectory, picture and summary to ``out``.
+
+    Arguments as of ``pdr-graph smooth``. Returns what could not be estimated or written; empty if all went well.
+    Raises InputError if an input cannot be used.
+    """
+    if rate is not None and not 0 < rate <= FASTEST_RATE:
+        raise InputError("--rate", "", f"{rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
+    out.mkdir(parents=True, exist_ok=True)
+    stage = Stages()
+
+    with stage("reading"):
+        walk = io.load(recording)
+        floor = FloorPlan.load(plan) if plan else None
+        known = Walker.load(walker) if walker else Walker()
+        given = read_fixes(fixes, walk) if fixes else Fixes.none()
+        frame, located, notes = _locate(floor, given, walk.fixes if use_recorded_fixes else Fixes.none())
+    with stage("steps"):
+        steps = detect_steps(walk, known)
+    with stage("estimate"):
+        estimate, missing = _estimate(steps, located, floor, method)
+    with stage("write"):
+        missing += _write(out, walk, floor, frame, estimate, rate)
+
+    settings = {"method": method, "walker": asdict(known), "recorded_fixes": use_recorded_fixes, "rate": rate}
+    settings |= {name: str(path) if path else None for name, path in (("map", plan), ("fixes", fixes))}
+    summary = summarize(walk, steps, floor, frame, estimate)
+    summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
+    summary["warnings"] = [*walk.notes, *notes, *estimate.warnings]
+    writers.write_summary(out / "summary.json", summary)
+    return missing
+
+
+def _locate(floor: FloorPlan | None, given: Fixes, recorded: Fixes) -> tuple[Frame, Fixes, tuple[str, ...]]:
+    """The output frame, all fixes in it, and a note on fixes that have no place in it.
+
+    The plan's frame; else that of metric fixes; else east-north about the first geodetic fix.
+    """
+    metric = len(given) > 0 and not given.geodetic
+    if floor is not None:
+        frame = floor.frame
+    elif metric or not len(given) + len(recorded):
+        frame = Frame()
+    else:
+        first = min((f for f in (given, recorded) if len(f)), key=lambda f: f.time[0])
+        lon, lat = first.position[0].tolist()
+        frame = enu(lat, lon)
+    notes: tuple[str, ...] = ()
+    if not frame.georeferenced and len(recorded):
+        notes = (f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude",)
+        recorded = Fixes.none()
+    return frame, _merge(frame.place(given), frame.place(recorded)), notes
+
+
+def _merge(one: Fixes, other: Fixes) -> Fixes:
+    """Both, in time order."""
+    if not len(one) or not len(other):
+        return one if len(one) else other
+    joined = Fixes(
+        np.concatenate([one.time, other.time]),
+        np.concatenate([one.position, other.position]),
+        np.concatenate([one.sigma, other.sigma]),
+        one.floor + other.floor,
+    )
+    return joined[np.argsort(joined.time, kind="stable")]
+
+
+def _estimate(steps: Steps, fixes: Fixes, floor: FloorPlan | None, method: str) -> tuple[Estimate, tuple[str, ...]]:
+    """The walk by one method, and what of it could not be had."""
+    graph = WalkGraph(steps, fixes, floor=floor)
+    if method == "pdr":
+        return _dead_reckoned(graph), ()
+    if method == "filter":
+        return kalman_filter(graph), ()
+    try:
+        estimate = smooth(graph)
+    except RuntimeError as error:  # GTSAM's, of a system it cannot solve
+        return kalman_filter(graph), (f"the graph ({str(error).splitlines()[0]}): this is the filter's walk",)
+    return estimate, () if estimate.converged else ("a settled optimum",)
+
+
+def _dead_reckoned(graph: WalkGraph) -> Estimate:
+    """Dead reckoning through the first fix, turned and scaled by nothing: the graph of that fix alone."""
+    first = int(np.argmax(graph.fix_used)) if graph.fix_used.any() else 0
+    alone = smooth(WalkGraph(graph.steps, graph.fixes[first : first + 1]))
+    track, fixes = alone.trajectory, graph.fixes
+    at = np.stack([np.interp(fixes.time, track.time, axis) for axis in track.position.T], axis=1)
+    distance = np.hypot(*(fixes.position - at).T)
+    reports = [
+        FixReport(t, x, y, sigma, d, 0.0, "not used: dead reckoning takes the first fix only")
+        for t, (x, y), sigma, d in zip(
+            fixes.time.tolist(), fixes.position.tolist(), fixes.sigma.tolist(), distance.tolist(), strict=True
+        )
+    ]
+    reports[first : first + 1] = alone.fixes
+    floor = (graph.floor.label if graph.floor else "",) * len(track)
+    return replace(alone, trajectory=replace(track, floor=floor), fixes=tuple(reports))
+
+
+def _write(
+    out: Path, walk: Recording, floor: FloorPlan | None, frame: Frame, estimate: Estimate, rate: float | None
+) -> tuple[str, ...]:
+    """All files but the summary; returns what could not be written."""
+    trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
+    writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
+    if frame.georeferenced:
+        writers.write_geojson(
+            out / "trajectory.geojson", replace(estimate, trajectory=trajectory), frame, walk.clock_origin
+        )
+        writers.write_gpx(out / "trajectory.gpx", trajectory, frame, walk)
+    try:
+        from pdr_graph.plotting import plot
+
+        steps = len(estimate.trajectory) - 2
+        title = f"{walk.source}   {steps} steps, {_length(estimate):.0f} m"
+        plot(estimate, floor, walk.truth if _truth_fits(walk, estimate) else None, title).savefig(
+            out / "figure.png", dpi=120
+        )
+    except Exception as error:  # a picture must not cost the result
+        return (f"figure.png ({type(error).__name__}: {error})",)
+    return ()
+
+
+def _truth_fits(walk: Recording, estimate: Estimate) -> bool:
+    """Truth inside a recording is in the plan's frame: draw it only if it is where the walk is."""
+    if walk.truth is None or not estimate.fixes:
+        return False
+    apart = np.abs(walk.truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
+    return bool(np.max(apart) < 2 * np.ptp(estimate.trajectory.position, axis=0).max() + 50.0)
+
+
+def summarize(
+    walk: Recording, steps: Steps, floor: FloorPlan | None, frame: Frame, estimate: Estimate
+) -> dict[str, Any]:
+    """What ``summary.json`` says of the walk itself."""
+    position = estimate.trajectory.position
+    crossings = None if floor is None else int(floor.crosses_wall(position[:-1], position[1:]).sum())
+    packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
+    return {
+        "recording": walk.source,
+        "steps": len(steps),
+        "distance": round(_length(estimate), 3),
+        "duration": round(steps.end - steps.start, 3),
+        "frame": frame.describe(),
+        "floor": floor.label if floor else None,
+        "calibration": _calibration(estimate, walk.clock_origin),
+        "fixes": [_finite(asdict(replace(f, time=f.time + walk.clock_origin))) for f in estimate.fixes],
+        "wall_crossings": crossings,
+        "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
+        "versions": packages | {"python": platform.python_version()},
+    }
+
+
+def _calibration(estimate: Estimate, clock_origin: float) -> list[dict[str, Any]]:
+    c = estimate.calibration
+    if c is None:
+        return []
+    return [
+        {"start": float(c.start[s] + clock_origin)}
+        | {
+            name: {
+                "value": float(c.value[s, n]),
+                "sigma": float(c.sigma[s, n]),
+                "learnt": bool(c.learnt[s, n]),
+            }
+            for n, name in enumerate(c.names)
+        }
+        for s in range(len(c.start))
+    ]
+
+
+def _length(estimate: Estimate) -> float:
+    return float(np.hypot(*np.diff(estimate.trajectory.position, axis=0).T).sum())
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}

@@ -1,0 +1,149 @@
+"""Pictures of plans and walks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+
+from pdr_graph.floor.areas import SOLID
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.geometry import unit
+from pdr_graph.types import Array, Estimate, Trajectory
+
+WALL, BORDER, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#efece6", "#ffffff"
+TRACK, BAND, GREY, FIX, TRUTH = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111"
+SURROUNDINGS = 0.12  # share of the walk's size shown around it
+MOST_ELLIPSES = 400
+MANY = 50  # points above which their marks must not hide the track
+LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
+
+
+def plot(
+    estimate: Estimate, floor: FloorPlan | None = None, truth: Trajectory | None = None, title: str = ""
+) -> Figure:
+    """One walk: the plan, dead reckoning in grey, the result with its 95 % region, fixes by weight, truth if given."""
+    track, grey = estimate.trajectory.position, estimate.dead_reckoning.position
+    surveyed = track if truth is None else truth.position
+    near = [(f.x, f.y) for f in estimate.fixes if f.residual < 0.5 * np.ptp(track, axis=0).max()]
+    figure, axes = _canvas(np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))]))
+    if floor is not None:
+        draw_plan(axes, floor)
+    axes.plot(*grey.T, color=GREY, lw=1.2, ls=(0, (4, 2)), label="dead reckoning", zorder=3)
+    _draw_uncertainty(axes, estimate.trajectory)
+    axes.plot(*track.T, color=TRACK, lw=2.2, label="most probable walk", zorder=5, solid_joinstyle="round")
+    axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
+    axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
+    if truth is not None:
+        few = len(truth) <= MANY
+        style: dict[str, Any] = {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0}
+        axes.plot(*truth.position.T, color=TRUTH, label="surveyed", zorder=8 if few else 6, **style)
+    _draw_fixes(axes, estimate)
+    axes.set_title(title, loc="left", fontsize=10)
+    columns = max(2, int(figure.get_figwidth() / 1.6))
+    figure.legend(loc="lower center", ncols=columns, frameon=False, fontsize=9)
+    return figure
+
+
+def plot_plan(floor: FloorPlan) -> Figure:
+    """One floor: where one can walk, and what is solid."""
+    figure, axes = _canvas(floor.corners, around=0.02)
+    draw_plan(axes, floor)
+    axes.set_title(f"{floor.label}   walkable {floor.walkable_area:.0f} m²", loc="left", fontsize=10)
+    return figure
+
+
+def draw_plan(axes: Axes, floor: FloorPlan) -> None:
+    """What is walkable and what is solid, in metres, with the names that fit into what is shown."""
+    solid = [area for area in floor.areas if area.kind in SOLID]
+    whole = shapely.union_all([area.polygon for area in floor.areas])
+    axes.set_facecolor(OUTSIDE)
+    axes.add_collection(_patches(whole, facecolor=WALL, edgecolor="none", zorder=1))
+    borders = shapely.geometrycollections([area.polygon for area in solid])
+    axes.add_collection(_patches(borders, facecolor="none", edgecolor=BORDER, lw=0.4, zorder=1))
+    axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE, edgecolor="#8d877c", lw=0.5, zorder=2))
+    for area in solid:
+        if area.name.isascii():
+            _name(axes, area.name, area.polygon)
+
+
+def _patches(geometry: shapely.Geometry, **style: object) -> PatchCollection:
+    """Polygons with holes as one collection."""
+    patches = []
+    for polygon in shapely.get_parts(shapely.get_parts(geometry)):
+        if shapely.get_dimensions(polygon) == 2:
+            rings = [shapely.get_coordinates(r) for r in shapely.get_rings(polygon)]
+            patches.append(PathPatch(Path.make_compound_path(*(Path(r, closed=True) for r in rings))))
+    return PatchCollection(patches, match_original=False, **style)
+
+
+def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
+    """Write a name into its polygon, where both are shown and it fits."""
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    shown = shapely.intersection(polygon, shapely.box(west, south, east, north))
+    letter = 0.06 * (east - west) / LONGEST_SIDE  # [m] wide, at 6 points
+    x0, y0, x1, y1 = shapely.bounds(shown)
+    if shapely.area(shown) > 0 and len(name) * letter < x1 - x0 and 2 * letter < y1 - y0:
+        place = shapely.point_on_surface(shown)
+        x, y = shapely.get_x(place), shapely.get_y(place)
+        axes.annotate(name, (x, y), ha="center", va="center", fontsize=6, color="#6b655b", zorder=2.5)
+
+
+def _draw_uncertainty(axes: Axes, trajectory: Trajectory) -> None:
+    """The 95 % ellipses of the steps, joined to a band."""
+    if trajectory.covariance is None:
+        return
+    every = max(1, len(trajectory) // MOST_ELLIPSES)
+    variance, direction = np.linalg.eigh(trajectory.covariance[::every, :2, :2])
+    half_axes = np.sqrt(5.99 * np.maximum(variance, 1e-6))
+    circle = unit(np.linspace(0, 2 * np.pi, 33)[:-1])
+    rims = np.einsum("nij,nj,kj->nki", direction, half_axes, circle) + trajectory.position[::every, None]
+    pairs = shapely.multipoints(np.concatenate([rims[:-1], rims[1:]], axis=1))
+    band = shapely.union_all(shapely.convex_hull(pairs))
+    axes.add_collection(_patches(band, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
+
+
+def _draw_fixes(axes: Axes, estimate: Estimate) -> None:
+    """Fixes, the paler the less they were trusted, with a line to where the walk was at their time."""
+    if not estimate.fixes:
+        return
+    place = np.array([(f.x, f.y) for f in estimate.fixes])
+    weight = np.array([f.weight for f in estimate.fixes])
+    track = estimate.trajectory
+    at = np.stack([np.interp([f.time for f in estimate.fixes], track.time, axis) for axis in track.position.T], axis=1)
+    for p, q in zip(place, at, strict=True):
+        axes.plot(*np.stack([p, q]).T, color=FIX, lw=0.8, alpha=0.6, zorder=4.5)
+    faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
+    label = "fixes" if weight.min() > 0.99 else "fixes (pale: weighted down)"
+    size = 42 * min(1.0, MANY / len(place))
+    axes.scatter(*place.T, s=max(size, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)
+
+
+def _canvas(points: Array, around: float = SURROUNDINGS) -> tuple[Figure, Axes]:
+    """A figure in the shape of some points ``(n, 2)`` [m] and their surroundings, axes equal.
+
+    Without the pyplot machinery, which is slow to load and keeps every figure alive.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    shown = high - low + 2 * max(2.0, around * float(np.max(high - low)))
+    scale = LONGEST_SIDE / float(shown.max())  # [inch/m]
+    shown = np.maximum(shown, SHORTEST_SIDE / scale)
+    left, right, bottom, top = 0.7, 0.15, 1.05, 0.35  # [inch]
+    width, height = shown * scale + (left + right, bottom + top)
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((left / width, bottom / height, shown[0] * scale / width, shown[1] * scale / height))
+    (west, south), (east, north) = (low + high - shown) / 2, (low + high + shown) / 2
+    axes.set(xlim=(west, east), ylim=(south, north), aspect="equal")
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.tick_params(labelsize=8)
+    axes.ticklabel_format(useOffset=False, style="plain")
+    return figure, axes

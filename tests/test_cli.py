@@ -1,0 +1,205 @@
+"""The command line, as its contract (docs/design.md, section 4) has it, on a simulated walk through maps/arcade."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pdr_graph.simulation.walk import walk_along, write
+
+ROOT = Path(__file__).parent.parent
+ARCADE = ROOT / "maps" / "arcade.geojson"
+ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])
+
+
+def run(*arguments, cwd=None):
+    """The installed command; its exit code, output and error lines."""
+    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
+    return done.returncode, done.stdout, done.stderr.strip().splitlines()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk")
+    write(walk_along(ROUTE, seed=1), folder, seed=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    out = folder / "result"
+    code, _, errors = run("smooth", folder / "walk.txt", "--map", ARCADE, "--fixes", folder / "fixes.csv", "--out", out)
+    assert (code, errors) == (0, [])
+    return out
+
+
+def rows(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_smooth_writes_what_the_contract_names(result):
+    assert {p.name for p in result.iterdir()} == {
+        "trajectory.csv",
+        "trajectory.geojson",
+        "trajectory.gpx",
+        "figure.png",
+        "summary.json",
+    }
+    table = rows(result / "trajectory.csv")
+    assert list(table[0]) == [
+        "time",
+        "x",
+        "y",
+        "heading",
+        "floor",
+        "sigma_x",
+        "sigma_y",
+        "cov_xy",
+        "sigma_heading",
+    ]
+    summary = json.loads((result / "summary.json").read_text())
+    assert len(table) == summary["steps"] + 2
+    assert {row["floor"] for row in table} == {"1"}
+    times = np.array([float(row["time"]) for row in table])
+    assert times[0] == pytest.approx(1.7e9, abs=0.01), "recording time, not time from the start"
+    assert np.all(np.diff(times) >= 0)
+
+
+def test_summary_can_say_why(result):
+    summary = json.loads((result / "summary.json").read_text())
+    assert summary["frame"] == {"kind": "enu", "origin_lat": 35.0, "origin_lon": 135.0, "epsg": None}
+    assert set(summary["calibration"][0]) == {"start", "R_s", "R_d", "b"}
+    assert summary["fixes"][2]["weight"] < 0.1, "the simulation's wild fix"
+    assert "wild" in summary["fixes"][2]["reason"]
+    assert summary["missing"] == []
+    assert set(summary["seconds"]) == {"reading", "steps", "estimate", "write"}
+    assert summary["wall_crossings"] <= 2
+    assert {"pdr_graph", "gtsam", "numpy", "vqf", "python"} <= set(summary["versions"])
+
+
+def test_smoothing_beats_dead_reckoning_and_evaluate_says_by_how_much(folder, result):
+    scores = {}
+    for method in ("pdr", "filter"):
+        out = folder / method
+        code, _, _ = run(
+            "smooth", folder / "walk.txt", "--fixes", folder / "fixes.csv", "--method", method, "--out", out
+        )
+        assert code == 0
+        scores[method] = score(out, folder)
+        assert not (out / "trajectory.gpx").exists(), "metric fixes alone have no latitude"
+    scores["graph"] = score(result, folder)
+    assert scores["graph"]["ce"]["p95"] < 3.0
+    assert scores["graph"]["oe"] < 0.02
+    assert scores["graph"]["ce"]["p50"] < min(scores["pdr"]["ce"]["p50"], scores["filter"]["ce"]["p50"])
+
+
+def score(out, folder):
+    code, printed, errors = run(
+        "evaluate", out / "trajectory.csv", folder / "truth.csv", "--map", ARCADE, "--json", "--pairing", "nearest"
+    )
+    assert (code, errors) == (0, [])
+    values = json.loads(printed)
+    assert list(values) == ["ce", "he", "eag", "ve", "ca", "oe", "fe", "n"]
+    assert list(values["ce"]) == ["p50", "p75", "p95", "mean", "max"]
+    return values
+
+
+def test_rate_resamples(folder):
+    out = folder / "ten"
+    arguments = ("--fixes", folder / "fixes.csv", "--rate", "10", "--out", out)
+    assert run("smooth", folder / "walk.txt", *arguments)[0] == 0
+    times = np.array([float(row["time"]) for row in rows(out / "trajectory.csv")])
+    assert np.diff(times)[:-1] == pytest.approx(0.1, abs=1e-3)
+
+
+def test_without_any_position_the_walk_starts_at_the_origin(folder):
+    out = folder / "nowhere"
+    assert run("smooth", folder / "walk.txt", "--no-recorded-fixes", "--out", out)[0] == 0
+    first = rows(out / "trajectory.csv")[0]
+    assert [float(first[k]) for k in ("x", "y", "heading")] == pytest.approx([0, 0, 0], abs=1e-3)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["frame"]["kind"] == "local"
+    assert any("no position fix" in w for w in summary["warnings"])
+
+
+def test_steps(folder):
+    assert run("steps", folder / "walk.txt", "--out", folder / "steps.csv")[0] == 0
+    table = rows(folder / "steps.csv")
+    assert list(table[0]) == ["time", "length", "turn", "sigma_length", "sigma_turn"]
+    assert all(0.2 <= float(row["length"]) <= 1.2 for row in table[1:])
+
+
+def test_map_show(tmp_path):
+    code, printed, _ = run("map", "show", ARCADE, "--out", tmp_path / "plan.png")
+    assert code == 0
+    assert "m² walkable" in printed
+    assert (tmp_path / "plan.png").stat().st_size > 10_000
+
+
+def test_help_names_the_verbs():
+    code, printed, _ = run("--help")
+    assert code == 0
+    assert all(verb in printed for verb in ("smooth", "steps", "evaluate", "map"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("smooth", "nowhere.txt", "--out", "o"), "nowhere.txt: found no such file"),
+        (("smooth", "walk.txt", "--fixes", "nowhere.csv", "--out", "o"), "nowhere.csv"),
+        (("smooth", "walk.txt", "--map", "nowhere", "--out", "o"), "nowhere"),
+        (("smooth", "walk.txt", "--map", "fixes.csv", "--out", "o"), "fixes.csv"),
+        (("smooth", "walk.txt", "--walker", "fixes.csv", "--out", "o"), "fixes.csv"),
+        (("smooth", "fixes.csv", "--out", "o"), "supported recorder"),
+        (("smooth", "walk.txt", "--rate", "-1", "--out", "o"), "--rate"),
+        (("smooth", "walk.txt", "--out", "walk.txt"), "walk.txt"),
+        (("steps", "truth.csv", "--out", "o.csv"), "supported recorder"),
+        (("steps", "walk.txt", "--out", "no/such/folder/o.csv"), "no/such/folder"),
+        (("evaluate", "walk.txt", "truth.csv"), "header"),
+        (("evaluate", "truth.csv", "nowhere.csv"), "nowhere.csv"),
+        (("map", "show", "truth.csv"), "truth.csv"),
+    ],
+)
+def test_refusals_are_one_line_and_exit_2(folder, arguments, complaint):
+    code, _, errors = run(*arguments, cwd=folder)
+    assert code == 2
+    assert len(errors) == 1, errors
+    assert complaint in errors[0]
+
+
+def test_evaluating_against_another_clock_is_refused(folder, result, tmp_path):
+    (tmp_path / "truth.csv").write_text("time,x,y\n1,2,3\n2,3,4\n")
+    code, _, errors = run("evaluate", result / "trajectory.csv", tmp_path / "truth.csv")
+    assert code == 2
+    assert "same clock" in errors[0]
+
+
+def test_a_graph_that_cannot_be_solved_leaves_the_filters_walk(folder, tmp_path, monkeypatch):
+    """Degraded, not lost: everything else is written, and the summary says what is missing."""
+    from pdr_graph import pipeline
+
+    def indeterminate(graph):
+        raise RuntimeError("Indeterminant linear system detected\nmore lines of it")
+
+    monkeypatch.setattr(pipeline, "smooth", indeterminate)
+    missing = pipeline.smooth_recording(folder / "walk.txt", tmp_path, fixes=folder / "fixes.csv")
+    assert "Indeterminant linear system" in missing[0]
+    assert json.loads((tmp_path / "summary.json").read_text())["missing"] == list(missing)
+    assert (tmp_path / "figure.png").exists()
+
+
+def test_a_plan_elsewhere_is_not_used(folder, tmp_path):
+    """Fixes 5 km from the plan: its walls pull at nothing, and the summary says so."""
+    elsewhere = tmp_path / "fixes.csv"
+    lines = (folder / "fixes.csv").read_text().splitlines()
+    moved = [f"{t},{float(x) + 5000},{y},{s}" for t, x, y, s in (line.split(",") for line in lines[1:])]
+    elsewhere.write_text("\n".join([lines[0], *moved]) + "\n")
+    out = tmp_path / "out"
+    assert run("smooth", folder / "walk.txt", "--map", ARCADE, "--fixes", elsewhere, "--out", out)[0] == 0
+    assert any("near the floor plan" in w for w in json.loads((out / "summary.json").read_text())["warnings"])
