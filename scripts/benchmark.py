@@ -1,0 +1,188 @@
+"""The smoother's speed beside what a user would write with GTSAM's tutorials, and beside the limit, in one run.
+
+Times are medians of several runs in this process; quote the ratios, machines differ.
+"""
+
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, X
+from scipy.linalg import solveh_banded
+from tables import publish, table
+
+from pdr_graph import WalkGraph, dead_reckon, io, smooth
+from pdr_graph.estimation.graph import Prior
+from pdr_graph.estimation.optimizer import optimize
+from pdr_graph.estimation.preintegration import SIGMA_LATERAL
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.simulation.walk import walk_along, write
+from pdr_graph.types import Fixes, Steps
+
+ROOT = Path(__file__).resolve().parent.parent
+PERIOD = 0.53  # [s] per step
+
+
+def walk(n, every):
+    """``n`` steps as a front end would say them, with a fix of 3 m every so many steps, at its own time."""
+    random = np.random.default_rng(0)
+    time_, sigma_length, sigma_turn = PERIOD * np.arange(1, n + 1), np.full(n, 0.07), np.full(n, 0.02)
+
+    def steps(length, turn):
+        pauses = np.zeros(n)
+        return Steps(0.0, time_[-1] + 0.5, time_, np.full(n, PERIOD), length, turn, pauses, sigma_length, sigma_turn)
+
+    length, turn = random.normal(0.7, 0.05, n), random.normal(0, 0.1, n)
+    truth = dead_reckon(steps(length, turn))
+    at = np.arange(every, n + 1, every)
+    place = truth.position[at] + random.normal(0, 3, (len(at), 2))
+    fixes = Fixes(truth.time[at] - 0.1, place, np.full(len(at), 3.0), ("",) * len(at))
+    said = steps(length * 0.95 + random.normal(0, 0.07, n), turn * 0.99 + random.normal(0, 0.02, n) - 0.0005)
+    return said, fixes
+
+
+def median_time(function, runs):
+    """Median wall time [s], after one run that is not counted."""
+    times = []
+    for _ in range(runs + 1):
+        started = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - started)
+    return float(np.median(times[1:] or times))
+
+
+def textbook(steps, fixes):
+    """The same model as the tutorials write it: a Python CustomFactor per step, under GTSAM's Levenberg–Marquardt."""
+    prior, graph, start = Prior(), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    sigmas = np.array([steps.sigma_length[0], SIGMA_LATERAL, steps.sigma_turn[0]])
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+
+    def step_factor(k, length, turn):
+        def error(this, values, jacobians):
+            d = values.atPose2(X(k)).between(values.atPose2(X(k + 1)))
+            R_s, R_d, b = values.atVector(C(k // 100))
+            angle = R_d * turn + b * PERIOD
+            forward = length * np.array([np.cos(angle / 2), np.sin(angle / 2), 0.0])
+            left = length * np.array([-np.sin(angle / 2), np.cos(angle / 2), 0.0])
+            if jacobians is not None:
+                jacobians[1] = np.eye(3, order="F")
+                jacobians[1][:2, :2] = d.rotation().matrix()
+                jacobians[0] = np.asfortranarray(-jacobians[1] @ d.inverse().AdjointMap())
+                by_turn = R_s * left / 2 + np.array([0, 0, 1.0])
+                jacobians[2] = np.asfortranarray(-np.column_stack([forward, by_turn * turn, by_turn * PERIOD]))
+            return np.array([d.x(), d.y(), wrap_angle(d.theta() - angle)]) - R_s * forward
+
+        return gtsam.CustomFactor(noise, [X(k), X(k + 1), C(k // 100)], error)
+
+    for k, (length, turn) in enumerate(zip(steps.length, steps.turn, strict=True)):
+        graph.add(step_factor(k, length, turn))
+    huber = gtsam.noiseModel.mEstimator.Huber.Create(2.45)
+    at = np.searchsorted(steps.time, fixes.time) + 1
+    for k, place, sigma in zip(at, fixes.position, fixes.sigma, strict=True):
+        robust = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(2, sigma))
+        graph.add(gtsam.PoseTranslationPrior2D(X(int(k)), place, robust))
+    segments = (len(steps) - 1) // 100 + 1
+    graph.add(
+        gtsam.PriorFactorVector(C(0), np.array(prior.mean), gtsam.noiseModel.Diagonal.Sigmas(np.array(prior.sigma)))
+    )
+    change = gtsam.noiseModel.Diagonal.Sigmas(np.array(prior.change))
+    for s in range(segments - 1):
+        graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
+    track = dead_reckon(steps)
+    for k in range(len(steps) + 1):
+        start.insert(X(k), gtsam.Pose2(*track.position[k], track.heading[k]))
+    for s in range(segments):
+        start.insert(C(s), np.array(prior.mean))
+    optimiser = gtsam.LevenbergMarquardtOptimizer(graph, start)
+    return optimiser.optimize(), graph
+
+
+def banded_limit(n):
+    """LAPACK's banded Cholesky of a chain of n poses and four iterations: what no general solver can beat."""
+    band = np.zeros((6, 3 * n))
+    band[0], band[1:, :] = 4.0, -0.1
+    for _ in range(4):
+        solveh_banded(band, np.ones(3 * n), lower=True, overwrite_ab=False, check_finite=False)
+
+
+def smoother_rows():
+    """Time of the graph alone and with the covariance of every step, by length and how often a fix comes."""
+    rows = []
+    for n, every in ((1000, 30), (2000, 30), (7000, 30), (7000, 2), (30_000, 30), (100_000, 30)):
+        steps, fixes = walk(n, every)
+        runs = 9 if n <= 7000 else 3
+
+        def mean_only(steps=steps, fixes=fixes):
+            graph = WalkGraph(steps, fixes)
+            return optimize(graph, graph.start.to_values())
+
+        alone = median_time(mean_only, runs)
+        whole = median_time(lambda steps=steps, fixes=fixes: smooth(WalkGraph(steps, fixes)), runs)
+        limit = median_time(lambda n=n: banded_limit(n), runs)
+        often = "1 Hz" if every == 2 else f"every {every} steps"
+        rows.append(
+            [n, often, f"{alone:.3f}", f"{whole:.3f}", f"{1e6 * whole / n:.1f}", f"{limit:.4f}", f"{whole / limit:.1f}"]
+        )
+    header = ["steps", "fixes", "walk [s]", "with covariance [s]", "µs per step", "banded limit [s]", "times the limit"]
+    return table(header, rows)
+
+
+def textbook_ratio():
+    """2000 steps, ours and the textbook's, in turn; and how far apart their answers are."""
+    steps, fixes = walk(2000, 30)
+    ours = median_time(lambda: smooth(WalkGraph(steps, fixes)), 5)
+    started = time.perf_counter()
+    values, _ = textbook(steps, fixes)
+    theirs = time.perf_counter() - started
+    poses = gtsam.utilities.extractPose2(values)
+    apart = np.hypot(*(smooth(WalkGraph(steps, fixes)).trajectory.position[:-1] - poses[:, :2]).T)
+    rows = [["pdr_graph, with covariance", f"{ours:.3f}", "1"]]
+    rows += [["one CustomFactor per step, LevenbergMarquardtOptimizer", f"{theirs:.1f}", f"{theirs / ours:.0f}"]]
+    text = table(["2000 steps, fix every 30", "time [s]", "ratio"], rows)
+    return f"{text}\n\nThe two tracks are {np.median(apart):.2f} m apart in the median (fixes: 3 m)."
+
+
+def command_rows():
+    """Whole commands in a new process, on a simulated walk of 100 s at 50 Hz in maps/arcade; and the reader."""
+    route = np.array([(6.8, 8.0), (27.8, 7.9), (27.8, 27.6), (6.8, 27.8), (6.8, 8), (53, 7.7), (53.2, 27.0)])
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        write(walk_along(route), out)
+        recording = out / "walk.txt"
+        start = [sys.executable, "-c", "from pdr_graph.cli import main; main()"]
+        arguments = [
+            "smooth",
+            recording,
+            "--map",
+            ROOT / "maps/arcade.geojson",
+            "--fixes",
+            out / "fixes.csv",
+            "--out",
+            out,
+        ]
+        whole = median_time(lambda: subprocess.run([*start, *arguments], check=True), 5)
+        help_ = median_time(lambda: subprocess.run([*start, "--help"], check=True, stdout=subprocess.DEVNULL), 5)
+        reading = median_time(lambda: io.load(recording), 7)
+        size = recording.stat().st_size / 1e6
+        seconds = io.load(recording).accelerometer.time[-1]
+    rows = [[f"`pdr-graph smooth`, {seconds:.0f} s at 50 Hz with a map, start-up included", f"{whole:.2f} s"]]
+    rows += [
+        ["`pdr-graph --help`", f"{help_:.2f} s"],
+        [f"reading a recording ({size:.1f} MB)", f"{size / reading:.0f} MB/s"],
+    ]
+    return table(["command", "median"], rows)
+
+
+if __name__ == "__main__":
+    packages = ", ".join(f"{name} {version(name)}" for name in ("gtsam", "numpy"))
+    machine = f"{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
+    publish("performance.md", "smoother", f"{smoother_rows()}\n\n{machine}")
+    publish("performance.md", "textbook", textbook_ratio())
+    publish("performance.md", "commands", command_rows())

@@ -1,0 +1,180 @@
+"""The accuracy tables of docs/accuracy.md, from real recordings in ../shared/data or $PDR_GRAPH_DATA."""
+
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+from tables import publish, table
+
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, smooth
+from pdr_graph.estimation import preintegration
+from pdr_graph.estimation.graph import Prior
+from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.gait.detection import peak_pairs
+from pdr_graph.gait.length import inverted_pendulum
+from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.types import Fixes, Trajectory
+
+DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+SIGMA = 0.5  # [m] stated of a waypoint that is given
+WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the surveyor's taps
+HELP = {
+    "every second waypoint": lambda n: np.unique(np.append(np.arange(0, n, 2), n - 1)),
+    "first and last": lambda n: np.array([0, n - 1]),
+    "first only": lambda n: np.array([0]),
+}
+
+
+def recordings():
+    """The fifteen Microsoft walks with their floors."""
+    paths = sorted((DATA / "ms_indoor20").glob("site*/*/*.txt"))
+    if not paths:
+        raise SystemExit(f"no recordings under {DATA} (set PDR_GRAPH_DATA)")
+    floors = {folder: FloorPlan.load(folder) for folder in {p.parent for p in paths}}
+    return [(walk := io.load(p), detect_steps(walk), floors[p.parent]) for p in paths]
+
+
+def some(truth, which):
+    """The rows ``which`` of a truth, as a truth."""
+    return Trajectory(truth.time[which], truth.position[which], truth.heading[which], ("",) * len(which))
+
+
+def withheld_errors(walk, steps, floor, which, method):
+    """Errors [m] at the waypoints that were not given, whether each is inside its 90 % region, and wall crossings."""
+    truth = walk.truth
+    rest = np.setdiff1d(np.arange(len(truth)), which)
+    if not len(rest):
+        return np.empty(0), np.empty(0, dtype=bool), np.nan
+    fixes = Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
+    track = method(steps, fixes, floor)
+    pairs = pair(track, some(truth, rest))
+    inside = np.empty(0, dtype=bool)
+    if track.covariance is not None:
+        of_position = track.covariance[:, :2, :2].reshape(-1, 4).T
+        covariance = np.stack([np.interp(pairs.time, track.time, v) for v in of_position], 1).reshape(-1, 2, 2)
+        gap = pairs.estimate - pairs.truth
+        covariance = covariance + WAYPOINT_NOISE**2 * np.eye(2)
+        inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < 4.605
+    crossings = floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
+    return circular_error(pairs), inside, crossings
+
+
+METHODS = {
+    "straight lines": lambda steps, fixes, floor: some(
+        Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor), np.arange(len(fixes))
+    ),
+    "dead reckoning": lambda steps, fixes, floor: smooth(WalkGraph(steps, fixes)).dead_reckoning,
+    "filter (causal)": lambda steps, fixes, floor: kalman_filter(WalkGraph(steps, fixes)).trajectory,
+    "graph": lambda steps, fixes, floor: smooth(WalkGraph(steps, fixes)).trajectory,
+    "graph with map": lambda steps, fixes, floor: smooth(WalkGraph(steps, fixes, floor=floor)).trajectory,
+}
+
+
+def percentiles_with_interval(groups, draws=2000):
+    """CE50/75/95 and their 95 % bootstrap intervals: whole walks are drawn, since errors in one walk are alike."""
+    random = np.random.default_rng(0)
+    groups = [g for g in groups if len(g)]
+    at = [50, 75, 95]
+    samples = [
+        np.percentile(np.concatenate([groups[i] for i in random.integers(0, len(groups), len(groups))]), at)
+        for _ in range(draws)
+    ]
+    low, high = np.percentile(samples, [2.5, 97.5], axis=0)
+    values = np.percentile(np.concatenate(groups), at)
+    return [f"{v:.2f} ({a:.2f}–{b:.2f})" for v, a, b in zip(values, low, high, strict=True)]
+
+
+def microsoft():
+    """CE at waypoints that were not given, by method and by what was given."""
+    walks, rows = recordings(), []
+    for given, choose in HELP.items():
+        for name, method in METHODS.items():
+            if given == "first only" and name == "straight lines":
+                continue
+            results = [withheld_errors(w, s, f, choose(len(w.truth)), method) for w, s, f in walks]
+            errors, inside = [r[0] for r in results], np.concatenate([r[1] for r in results])
+            crossing = np.nanmean([r[2] for r in results])
+            coverage = f"{100 * inside.mean():.0f} %" if len(inside) else "—"
+            rows.append([given, name, *percentiles_with_interval(errors), coverage, f"{100 * crossing:.1f} %"])
+    header = ["given", "method", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region", "rows that cross a wall"]
+    publish("accuracy.md", "microsoft", table(header, rows))
+
+
+def settings():
+    """How much the hand-set numbers matter: process noise without a map, the wall's spring with one."""
+    walks, rows = recordings(), []
+
+    def row(name, method, change=lambda steps: steps):
+        cells = []
+        for given in ("every second waypoint", "first and last"):
+            results = [withheld_errors(w, change(s), f, HELP[given](len(w.truth)), method) for w, s, f in walks]
+            errors, inside = (np.concatenate([r[k] for r in results]) for k in (0, 1))
+            cells += [
+                " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95])),
+                f"{100 * inside.mean():.0f} %",
+            ]
+        rows.append([name, *cells])
+
+    default = preintegration.SIGMA_LATERAL
+    for sway in (0.1, 0.25, 0.4):
+        for share in (0.2, 0.3, 0.4):
+            preintegration.SIGMA_LATERAL = sway
+            row(
+                f"sway {sway} m, stride {share:.0%}",
+                METHODS["graph"],
+                lambda s, k=share: replace(s, sigma_length=k * s.length),
+            )
+    preintegration.SIGMA_LATERAL = default
+    for turn in (0.01, 0.04):
+        changed = lambda s, k=turn: replace(s, sigma_turn=np.full(len(s), k))  # noqa: E731
+        row(f"turn {turn} rad", METHODS["graph"], changed)
+    for margin, sigma in ((0.8, 1.0), (0.8, 0.5), (0.8, 2.0), (0.2, 1.0), (1.2, 1.0)):
+        prior = Prior(wall_margin=margin, wall_sigma=sigma)
+        method = lambda s, x, f, p=prior: smooth(WalkGraph(s, x, floor=f, prior=p)).trajectory  # noqa: E731
+        row(f"with map: margin {margin} m, sigma {sigma} m", method)
+    header = ["setting", "every second: CE50/75/95 [m]", "in 90 %", "first and last: CE50/75/95 [m]", "in 90 %"]
+    publish("accuracy.md", "settings", table(header, rows))
+
+
+def stride():
+    """Dead-reckoned length against the way between waypoints, and the fit of the stride model's constants."""
+    legs, rows = [], []
+    for walk, steps, _ in recordings():
+        attitude = vqf_offline(walk)
+        landings = peak_pairs(attitude.time, attitude.acceleration)
+        truth = walk.truth
+        way = np.hypot(*np.diff(truth.position, axis=0).T)
+        begin = landings.time - steps.duration
+        for a, b, distance in zip(truth.time[:-1], truth.time[1:], way, strict=True):
+            share = np.clip(np.minimum(landings.time, b) - np.maximum(begin, a), 0, None) / steps.duration
+            on = share > 0
+            if share.sum() > 2:
+                legs.append((distance, share[on], np.sqrt(landings.amplitude[on]) * landings.period[on]))
+        within = (steps.time > truth.time[0]) & (steps.time <= truth.time[-1])
+        model, _ = inverted_pendulum(landings.amplitude, landings.period)
+        rows.append([walk.source[:8], f"{way.sum():.0f}", within.sum(), f"{model[within].sum() / way.sum():.2f}"])
+
+    def residuals(k):
+        sigma = [np.sqrt(2 * WAYPOINT_NOISE**2 + 0.15**2 * share.sum()) for _, share, _ in legs]
+        walked = [np.sum(share * (k[0] + k[1] * z)) - distance for distance, share, z in legs]
+        return np.divide(walked, sigma)
+
+    free = least_squares(residuals, [0.2, 0.3], loss="soft_l1").x
+    half = least_squares(lambda k: residuals([0.34, k[0]]), [0.3], loss="soft_l1").x
+    ratios = np.array([float(row[-1]) for row in rows])
+    text = table(["walk", "way [m]", "steps", "model / way"], rows)
+    text += f"\n\nMean ratio {ratios.mean():.3f}, standard deviation {ratios.std():.3f}. Fit of both constants: "
+    text += f"k₀ = {free[0]:.2f}, k₁ = {free[1]:.2f}; of k₁ with k₀ = 0.34: {half[0]:.3f}."
+    publish("accuracy.md", "stride", text)
+
+
+if __name__ == "__main__":
+    tables = {"microsoft": microsoft, "settings": settings, "stride": stride}
+    chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
+    if not chosen or not set(chosen) <= set(tables):
+        raise SystemExit(f"usage: scripts/reproduce {' | '.join(tables)} [--write]")
+    for name in chosen:
+        tables[name]()
