@@ -38,7 +38,9 @@ class Pairing(StrEnum):
     nearest = "nearest"
 
 
-RecordingPath = Annotated[Path, typer.Argument(help="A recording: file, folder or zip of a supported recorder.")]
+RecordingPath = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="A recording: file, folder or zip of a supported recorder.")
+]
 WalkerPath = Annotated[Path | None, typer.Option("--walker", metavar="TOML", help="What is known of the walker.")]
 MapPath = Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="A floor plan; its frame is the output's.")]
 
@@ -66,7 +68,7 @@ def smooth(
 ) -> None:
     """Reconstruct one walk.
 
-    pdr-graph smooth walk.txt --map maps/office.geojson --fixes fixes.csv --out result
+    pdr-graph smooth walk.txt --map maps/arcade.geojson --fixes fixes.csv --out result
     """
     from pdr_graph.pipeline import smooth_recording
 
@@ -95,9 +97,13 @@ def steps(
 
 @app.command()
 def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="trajectory.csv, or any CSV with time,x,y[,heading][,floor].")],
-    truth: Annotated[Path, typer.Argument(help="CSV with time,x,y[,heading][,floor].")],
-    map_: MapPath = None,
+    trajectory: Annotated[
+        Path, typer.Argument(metavar="TRAJECTORY", help="trajectory.csv, or any CSV with time,x,y[,heading][,floor].")
+    ],
+    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor].")],
+    map_: Annotated[
+        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for EAG and CA against its walls.")
+    ] = None,
     pairing: Annotated[
         Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
     ] = Pairing.linear,
