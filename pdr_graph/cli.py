@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -17,7 +18,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Which way did this person walk? A phone's sensor log and a floor plan in, the most probable walk out.",
 )
-maps = typer.Typer(no_args_is_help=True, help="Look at floor plans.")
+maps = typer.Typer(no_args_is_help=True, help="Check and look at floor plans.")
 app.add_typer(maps, name="map")
 
 RefusedExit, DegradedExit = 2, 3
@@ -65,6 +66,12 @@ def smooth(
     rate: Annotated[
         float | None, typer.Option(metavar="HZ", help="Resample the trajectory; default: a row per step.")
     ] = None,
+    gnss_latency: Annotated[
+        float, typer.Option(metavar="S", min=-60, max=60, help="How late the phone's own positions are, 0–3 s.")
+    ] = 0.0,
+    floor: Annotated[
+        str | None, typer.Option(metavar="LABEL", help="The floor, of a plan with several; default: the fixes' floor.")
+    ] = None,
 ) -> None:
     """Reconstruct one walk.
 
@@ -72,7 +79,9 @@ def smooth(
     """
     from pdr_graph.pipeline import smooth_recording
 
-    missing = smooth_recording(recording, out, map_, fixes, walker, str(method), recorded_fixes, rate)
+    missing = smooth_recording(
+        recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor
+    )
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
         raise typer.Exit(DegradedExit)
@@ -123,23 +132,50 @@ def evaluate(
     typer.echo(json.dumps(scores) if json_ else evaluation.table(scores))
 
 
+PlanPath = Annotated[
+    Path, typer.Argument(metavar="PLAN", help="Our GeoJSON, a Microsoft floor folder, or IPIN21 polygons.")
+]
+
+
 @maps.command("show")
 def map_show(
-    plan: Annotated[Path, typer.Argument(help="Our GeoJSON, or a Microsoft floor folder.")],
+    plan: PlanPath,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="PNG", help="Default: PLAN's name with .png, here.")
     ] = None,
 ) -> None:
-    """Draw a floor plan."""
+    """Draw a floor plan, all its floors side by side."""
     from pdr_graph.floor.plan import FloorPlan
     from pdr_graph.plotting import plot_plan
 
-    floor = FloorPlan.load(plan)
+    floors = FloorPlan.load_all(plan)
     target = out or Path(plan.resolve().stem + ".png")
-    plot_plan(floor).savefig(target, dpi=150)
-    typer.echo(
-        f"{floor.label or plan.stem}: {len(floor.areas)} areas, {floor.walkable_area:.0f} m² walkable -> {target}"
-    )
+    plot_plan(*floors).savefig(target, dpi=150)
+    for floor in floors:
+        size = f"{len(floor.areas)} areas, {len(floor.cells)} cells, {floor.walkable_area:.0f} m² walkable"
+        typer.echo(f"{floor.label or plan.stem}: {size} -> {target}")
+
+
+@maps.command("check")
+def map_check(plan: PlanPath) -> None:
+    """Look for what would mislead a walk: sealed rooms, doors to nowhere, links through walls. Exit 3 if any."""
+    from pdr_graph.floor.check import problems
+    from pdr_graph.floor.plan import FloorPlan
+
+    found = False
+    floors = FloorPlan.load_all(plan)
+    for note in floors[0].notes:
+        typer.echo(f"note: {note}")
+    for floor in floors:
+        kinds = Counter(area.kind for area in floor.areas)
+        drawn = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+        typer.echo(f"{floor.label or plan.stem}: {floor.walkable_area:.0f} m² walkable; {drawn}")
+        for problem in problems(floor):
+            found = True
+            typer.echo(f"  {problem}")
+    if found:
+        raise typer.Exit(DegradedExit)
+    typer.echo("no problems found")
 
 
 def main() -> None:

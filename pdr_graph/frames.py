@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.types import Array, Fixes
+from pdr_graph.types import LONLAT, Array, Fixes, Trajectory
 
 if TYPE_CHECKING:
     from pyproj import Transformer
+
+Placed = TypeVar("Placed", Fixes, Trajectory)
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,15 @@ class Frame:
             return position / self.metres_per_degree + self._origin_lonlat
         return np.stack(self._transformer.transform(*position.T, direction="INVERSE"), axis=1)
 
-    def place(self, fixes: Fixes) -> Fixes:
-        """Fixes with geodetic positions brought into this frame; others as they are."""
-        if not fixes.geodetic:
-            return fixes
-        return replace(fixes, position=self.from_lonlat(fixes.position), geodetic=False)
+    def place(self, what: Placed) -> Placed:
+        """Fixes or a truth brought into this frame from that of their ``epsg``; those without one as they are."""
+        if what.epsg is None:
+            return what
+        position = what.position
+        if what.epsg != self.epsg:
+            lonlat = position if what.epsg == LONLAT else projected(what.epsg).to_lonlat(position)
+            position = self.from_lonlat(lonlat)
+        return replace(what, position=position, epsg=None)
 
     def describe(self) -> dict[str, Any]:
         """As ``summary.json`` has it."""
@@ -79,3 +85,8 @@ class Frame:
 def enu(lat: float, lon: float) -> Frame:
     """East-North about an origin [deg]: azimuthal equidistant, centimetres from the tangent plane within 10 km."""
     return Frame("enu", origin=(lat, lon))
+
+
+def projected(epsg: int) -> Frame:
+    """The frame of a map projection, as it is."""
+    return Frame("projected", epsg=epsg)

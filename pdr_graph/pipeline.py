@@ -17,15 +17,16 @@ import numpy as np
 from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.filters import kalman_filter
+from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame, enu
+from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.gait.pdr import Walker, detect_steps
 from pdr_graph.geometry import resample
-from pdr_graph.io import writers
+from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_fixes
-from pdr_graph.types import Estimate, Fixes, FixReport, Recording, Steps
+from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Recording, Steps, Trajectory
 
 FASTEST_RATE = 1000.0  # [Hz]
 
@@ -59,6 +60,8 @@ def smooth_recording(
     method: str = "graph",
     use_recorded_fixes: bool = True,
     rate: float | None = None,
+    gnss_latency: float = 0.0,
+    floor_label: str | None = None,
 ) -> tuple[str, ...]:
     """Reconstruct one walk and write trajectory, picture and summary to ``out``.
 
@@ -71,46 +74,54 @@ def smooth_recording(
     stage = Stages()
 
     with stage("reading"):
-        walk = io.load(recording)
-        floor = FloorPlan.load(plan) if plan else None
+        walk = io.load(recording, gnss_latency)
         known = Walker.load(walker) if walker else Walker()
-        given = read_fixes(fixes, walk) if fixes else Fixes.none()
-        frame, located, notes = _locate(floor, given, walk.fixes if use_recorded_fixes else Fixes.none())
+        notes = list(walk.notes)
+        given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
+        floor = FloorPlan.load(plan, floor_label or _floor_of(given)) if plan else None
+        frame, located = _locate(floor, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
     with stage("steps"):
-        steps = detect_steps(walk, known)
+        steps = _steps(walk, known, located)
     with stage("estimate"):
         estimate, missing = _estimate(steps, located, floor, method)
     with stage("write"):
         missing += _write(out, walk, floor, frame, estimate, rate)
 
     settings = {"method": method, "walker": asdict(known), "recorded_fixes": use_recorded_fixes, "rate": rate}
+    settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
     settings |= {name: str(path) if path else None for name, path in (("map", plan), ("fixes", fixes))}
     summary = summarize(walk, steps, floor, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
-    summary["warnings"] = [*walk.notes, *notes, *estimate.warnings]
+    summary["warnings"] = [*notes, *estimate.warnings]
     writers.write_summary(out / "summary.json", summary)
     return missing
 
 
-def _locate(floor: FloorPlan | None, given: Fixes, recorded: Fixes) -> tuple[Frame, Fixes, tuple[str, ...]]:
-    """The output frame, all fixes in it, and a note on fixes that have no place in it.
+def _floor_of(fixes: Fixes) -> str | None:
+    """The floor that most fixes are on, None where none says."""
+    labels = [label for label in fixes.floor if label]
+    return max(set(labels), key=labels.count) if labels else None
+
+
+def _locate(floor: FloorPlan | None, given: Fixes, recorded: Fixes, notes: list[str]) -> tuple[Frame, Fixes]:
+    """The output frame and all fixes in it; a note on fixes that have no place in it.
 
     The plan's frame; else that of metric fixes; else east-north about the first geodetic fix.
     """
-    metric = len(given) > 0 and not given.geodetic
     if floor is not None:
         frame = floor.frame
-    elif metric or not len(given) + len(recorded):
+    elif len(given) and given.epsg != LONLAT:
+        frame = Frame() if given.epsg is None else projected(given.epsg)
+    elif not len(given) + len(recorded):
         frame = Frame()
     else:
         first = min((f for f in (given, recorded) if len(f)), key=lambda f: f.time[0])
         lon, lat = first.position[0].tolist()
         frame = enu(lat, lon)
-    notes: tuple[str, ...] = ()
     if not frame.georeferenced and len(recorded):
-        notes = (f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude",)
+        notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
         recorded = Fixes.none()
-    return frame, _merge(frame.place(given), frame.place(recorded)), notes
+    return frame, _merge(frame.place(given), frame.place(recorded))
 
 
 def _merge(one: Fixes, other: Fixes) -> Fixes:
@@ -126,9 +137,24 @@ def _merge(one: Fixes, other: Fixes) -> Fixes:
     return joined[np.argsort(joined.time, kind="stable")]
 
 
-def _estimate(steps: Steps, fixes: Fixes, floor: FloorPlan | None, method: str) -> tuple[Estimate, tuple[str, ...]]:
+def _steps(walk: Recording, walker: Walker, fixes: Fixes) -> Steps | None:
+    """The steps, None where nothing recorded them and the fixes are all there is."""
+    if len(fixes) and walk.accelerometer is None and walk.linear_acceleration is None:
+        return None
+    return detect_steps(walk, walker)
+
+
+def _estimate(
+    steps: Steps | None, fixes: Fixes, floor: FloorPlan | None, method: str
+) -> tuple[Estimate, tuple[str, ...]]:
     """The walk by one method, and what of it could not be had."""
-    graph = WalkGraph(steps, fixes, floor=floor)
+    if steps is None:
+        return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
+    estimate, missing = _smoothed(WalkGraph(steps, fixes, floor=floor), method)
+    return estimate, (*steps.unknown, *missing)
+
+
+def _smoothed(graph: WalkGraph, method: str) -> tuple[Estimate, tuple[str, ...]]:
     if method == "pdr":
         return _dead_reckoned(graph), ()
     if method == "filter":
@@ -164,34 +190,34 @@ def _write(
     """All files but the summary; returns what could not be written."""
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
+    writers.write_tum(out / "trajectory.tum", trajectory, walk.clock_origin)
     if frame.georeferenced:
         writers.write_geojson(
             out / "trajectory.geojson", replace(estimate, trajectory=trajectory), frame, walk.clock_origin
         )
-        writers.write_gpx(out / "trajectory.gpx", trajectory, frame, walk)
+        gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
     try:
         from pdr_graph.plotting import plot
 
-        steps = len(estimate.trajectory) - 2
-        title = f"{walk.source}   {steps} steps, {_length(estimate):.0f} m"
-        plot(estimate, floor, walk.truth if _truth_fits(walk, estimate) else None, title).savefig(
-            out / "figure.png", dpi=120
-        )
+        truth = _truth_beside(walk.truth, frame, estimate)
+        plot(estimate, floor, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(out / "figure.png", dpi=120)
     except Exception as error:  # a picture must not cost the result
         return (f"figure.png ({type(error).__name__}: {error})",)
     return ()
 
 
-def _truth_fits(walk: Recording, estimate: Estimate) -> bool:
-    """Truth inside a recording is in the plan's frame: draw it only if it is where the walk is."""
-    if walk.truth is None or not estimate.fixes:
-        return False
-    apart = np.abs(walk.truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
-    return bool(np.max(apart) < 2 * np.ptp(estimate.trajectory.position, axis=0).max() + 50.0)
+def _truth_beside(truth: Trajectory | None, frame: Frame, estimate: Estimate) -> Trajectory | None:
+    """Truth inside a recording, to be drawn where it has a place in the frame and lies where the walk is."""
+    if truth is None or not estimate.fixes or (truth.epsg is not None and not frame.georeferenced):
+        return None
+    truth = frame.place(truth)
+    apart = np.abs(truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
+    near = np.max(apart) < 2 * np.ptp(estimate.trajectory.position, axis=0).max() + 50.0
+    return truth if near else None
 
 
 def summarize(
-    walk: Recording, steps: Steps, floor: FloorPlan | None, frame: Frame, estimate: Estimate
+    walk: Recording, steps: Steps | None, floor: FloorPlan | None, frame: Frame, estimate: Estimate
 ) -> dict[str, Any]:
     """What ``summary.json`` says of the walk itself."""
     position = estimate.trajectory.position
@@ -199,9 +225,9 @@ def summarize(
     packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
     return {
         "recording": walk.source,
-        "steps": len(steps),
+        "steps": 0 if steps is None else int((steps.length > 0).sum()),
         "distance": round(_length(estimate), 3),
-        "duration": round(steps.end - steps.start, 3),
+        "duration": round(float(np.ptp(estimate.trajectory.time)), 3),
         "frame": frame.describe(),
         "floor": floor.label if floor else None,
         "calibration": _calibration(estimate, walk.clock_origin),

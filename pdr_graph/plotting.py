@@ -8,17 +8,18 @@ import numpy as np
 import shapely
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PatchCollection
+from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from pdr_graph.floor.areas import SOLID
+from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import unit
 from pdr_graph.types import Array, Estimate, Trajectory
 
-WALL, BORDER, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#efece6", "#ffffff"
+SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
+ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
 TRACK, BAND, GREY, FIX, TRUTH = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111"
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
 MOST_ELLIPSES = 400
@@ -33,7 +34,7 @@ def plot(
     track, grey = estimate.trajectory.position, estimate.dead_reckoning.position
     surveyed = track if truth is None else truth.position
     near = [(f.x, f.y) for f in estimate.fixes if f.residual < 0.5 * np.ptp(track, axis=0).max()]
-    figure, axes = _canvas(np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))]))
+    figure, (axes,) = _canvas(np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))]), SURROUNDINGS, 1.05)
     if floor is not None:
         draw_plan(axes, floor)
     axes.plot(*grey.T, color=GREY, lw=1.2, ls=(0, (4, 2)), label="dead reckoning", zorder=3)
@@ -52,26 +53,42 @@ def plot(
     return figure
 
 
-def plot_plan(floor: FloorPlan) -> Figure:
-    """One floor: where one can walk, and what is solid."""
-    figure, axes = _canvas(floor.corners, around=0.02)
-    draw_plan(axes, floor)
-    axes.set_title(f"{floor.label}   walkable {floor.walkable_area:.0f} m²", loc="left", fontsize=10)
+def plot_plan(*floors: FloorPlan) -> Figure:
+    """Floors side by side: where one can walk, and what is solid."""
+    figure, canvases = _canvas(
+        np.concatenate([floor.corners for floor in floors]), around=0.02, bottom=0.6, count=len(floors)
+    )
+    for axes, floor in zip(canvases, floors, strict=True):
+        draw_plan(axes, floor)
+        axes.set_title(f"{floor.label}   walkable {floor.walkable_area:.0f} m²", loc="left", fontsize=10)
     return figure
 
 
 def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     """What is walkable and what is solid, in metres, with the names that fit into what is shown."""
-    solid = [area for area in floor.areas if area.kind in SOLID]
-    whole = shapely.union_all([area.polygon for area in floor.areas])
+    solid = [area for area in floor.of_kind(*SOLID) if area.is_polygon]
+    drawn = [area for area in floor.areas if area.is_polygon and area.kind != LINK]
     axes.set_facecolor(OUTSIDE)
-    axes.add_collection(_patches(whole, facecolor=WALL, edgecolor="none", zorder=1))
-    borders = shapely.geometrycollections([area.polygon for area in solid])
+    axes.add_collection(_patches(shapely.union_all([a.shape for a in drawn]), facecolor=SOLID_FILL, lw=0, zorder=1))
+    borders = shapely.geometrycollections([area.shape for area in solid])
     axes.add_collection(_patches(borders, facecolor="none", edgecolor=BORDER, lw=0.4, zorder=1))
-    axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE, edgecolor="#8d877c", lw=0.5, zorder=2))
-    for area in solid:
-        if area.name.isascii():
-            _name(axes, area.name, area.polygon)
+    axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE, edgecolor=EDGE, lw=0.5, zorder=2))
+    for kinds, colour in ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS)):
+        cells = shapely.geometrycollections([c.polygon for c in floor.cells.cells if c.kind in kinds])
+        axes.add_collection(_patches(cells, facecolor=colour, lw=0, zorder=2.1))
+    _lines(axes, floor.cells.barriers, color=EDGE, lw=0.7, zorder=2.2)
+    _lines(axes, shapely.union_all([a.shape for a in floor.of_kind(LINK)]), color=BORDER, lw=0.5, ls=":", zorder=2.3)
+    for beacon in floor.of_kind(BEACON):
+        axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=FIX, ls="none", zorder=2.4)
+    for area in (*solid, *floor.of_kind(*CLOSED)):
+        if area.name.isascii() and area.is_polygon:
+            _name(axes, area.name, area.shape)
+
+
+def _lines(axes: Axes, geometry: shapely.Geometry, **style: Any) -> None:
+    """Lines as one collection."""
+    parts = [shapely.get_coordinates(p) for p in shapely.get_parts(geometry) if shapely.get_dimensions(p) == 1]
+    axes.add_collection(LineCollection(parts, **style))
 
 
 def _patches(geometry: shapely.Geometry, **style: object) -> PatchCollection:
@@ -126,8 +143,10 @@ def _draw_fixes(axes: Axes, estimate: Estimate) -> None:
     axes.scatter(*place.T, s=max(size, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)
 
 
-def _canvas(points: Array, around: float = SURROUNDINGS) -> tuple[Figure, Axes]:
-    """A figure in the shape of some points ``(n, 2)`` [m] and their surroundings, axes equal.
+def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure with ``count`` axes in the shape of some points ``(n, 2)`` [m] and their surroundings, axes equal.
+
+    bottom: room for labels and legend [inch].
 
     Without the pyplot machinery, which is slow to load and keeps every figure alive.
     """
@@ -135,15 +154,25 @@ def _canvas(points: Array, around: float = SURROUNDINGS) -> tuple[Figure, Axes]:
     shown = high - low + 2 * max(2.0, around * float(np.max(high - low)))
     scale = LONGEST_SIDE / float(shown.max())  # [inch/m]
     shown = np.maximum(shown, SHORTEST_SIDE / scale)
-    left, right, bottom, top = 0.7, 0.15, 1.05, 0.35  # [inch]
-    width, height = shown * scale + (left + right, bottom + top)
-    figure = Figure(figsize=(width, height))
+    left, right, top = 0.85, 0.15, 0.35  # [inch]
+    each, high_up = shown * scale + (left + right, bottom + top)
+    figure = Figure(figsize=(count * each, high_up))
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((left / width, bottom / height, shown[0] * scale / width, shown[1] * scale / height))
     (west, south), (east, north) = (low + high - shown) / 2, (low + high + shown) / 2
-    axes.set(xlim=(west, east), ylim=(south, north), aspect="equal")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-    axes.tick_params(labelsize=8)
-    axes.ticklabel_format(useOffset=False, style="plain")
-    return figure, axes
+    canvases = []
+    for n in range(count):
+        place = (
+            (n + left / each) / count,
+            bottom / high_up,
+            shown[0] * scale / each / count,
+            shown[1] * scale / high_up,
+        )
+        axes = figure.add_axes(place)
+        axes.set(xlim=(west, east), ylim=(south, north), aspect="equal")
+        axes.set_xlabel("x [m]")
+        axes.set_ylabel("y [m]")
+        axes.tick_params(labelsize=8)
+        axes.locator_params(nbins=7)
+        axes.ticklabel_format(useOffset=False, style="plain")
+        canvases.append(axes)
+    return figure, canvases

@@ -19,19 +19,40 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 INSTANT = 1e-6  # [s]: times closer than this are the same
+LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 
 
 @dataclass(frozen=True)
 class Signal:
     """The samples of one sensor.
 
-    time: ``(n,)`` [s], non-decreasing.
+    time: ``(n,)`` [s], increasing.
     values: ``(n, 3)``, in the unit of the sensor (m/s² with gravity, rad/s, µT), on the Android device axes
-        (x right, y up, z out of the screen).
+        (x right, y up, z out of the screen); a barometer's are ``(n, 1)`` [hPa].
     """
 
     time: Array
     values: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def rate(self) -> float:
+        """Samples per second, by the usual interval between them; gaps do not lower it. [Hz]"""
+        return float(1 / np.median(np.diff(self.time))) if len(self) > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """What a radio heard: Bluetooth beacons or Wi-Fi access points.
+
+    time: ``(n,)`` [s]; transmitter: its identity, one per row; rssi: ``(n,)`` received power [dBm].
+    """
+
+    time: Array
+    transmitter: tuple[str, ...]
+    rssi: Array
 
     def __len__(self) -> int:
         return len(self.time)
@@ -42,20 +63,23 @@ class Fixes:
     """Positions measured now and then: GNSS, BLE, Wi-Fi, or given by the user.
 
     time: ``(n,)`` [s].
-    position: ``(n, 2)`` [m] in the output frame; longitude and latitude [deg] while ``geodetic`` is true.
+    position: ``(n, 2)`` [m] in the output frame, or in that of ``epsg``.
     sigma: ``(n,)`` standard deviation *per axis* [m].
     floor: floor label per fix, empty where unknown.
+    epsg: None in the output frame; LONLAT where ``position`` is longitude and latitude [deg]; a projection's code.
     """
 
     time: Array
     position: Array
     sigma: Array
     floor: tuple[str, ...]
-    geodetic: bool = False
+    epsg: int | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
         _check_finite(self, len(self.time), "time", "position", "sigma")
+        if self.position.shape[1:] != (2,):
+            raise ValueError(f"Fixes.position: found shape {self.position.shape}, needed (n, 2)")
         _check("sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
         if len(self.floor) != len(self.time):
             raise ValueError(f"Fixes.floor: found {len(self.floor)} labels, needed {len(self.time)}")
@@ -89,6 +113,7 @@ class Trajectory:
     heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
     floor: the plan's label per row, empty where unknown.
     covariance: ``(n, 3, 3)`` of (x, y, heading) in the output axes [m, m, rad], or None.
+    epsg: of a surveyed truth, as of ``Fixes``; None in the output frame.
     """
 
     time: Array
@@ -96,6 +121,7 @@ class Trajectory:
     heading: Array
     floor: tuple[str, ...]
     covariance: Array | None = None
+    epsg: int | None = None
 
     def __len__(self) -> int:
         return len(self.time)
@@ -108,7 +134,9 @@ class Recording:
     source: name for messages and titles.
     clock_origin: the recorder's own time [s] at ``t = 0``; outputs are written in that clock.
     epoch: Unix time [s] at ``t = 0``, None if the log has no clock.
+    linear_acceleration: with gravity removed by the recorder; read only where there is no ``accelerometer``.
     fixes: positions inside the recording.
+    bluetooth, wifi: what its radios heard.
     truth: surveyed positions inside the recording. For scoring and drawing only: no estimate reads it.
     notes: what the reader left out or had to assume, one line each.
     """
@@ -119,9 +147,19 @@ class Recording:
     accelerometer: Signal | None = None
     gyroscope: Signal | None = None
     magnetometer: Signal | None = None
+    linear_acceleration: Signal | None = None
+    barometer: Signal | None = None
     fixes: Fixes = field(default_factory=Fixes.none)
+    bluetooth: Sightings | None = None
+    wifi: Sightings | None = None
     truth: Trajectory | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def signals(self) -> dict[str, Signal]:
+        """The sensors that were recorded, by name."""
+        names = ("accelerometer", "gyroscope", "magnetometer", "linear_acceleration", "barometer")
+        return {name: signal for name in names if (signal := getattr(self, name)) is not None}
 
 
 @dataclass(frozen=True)
@@ -136,6 +174,9 @@ class Steps:
     pause_turn: ``(n,)`` the part of ``turn`` made while standing, before the step set off [rad].
     sigma_length: ``(n,)`` [m]; sigma_turn: ``(n,)`` [rad]. Errors of different steps are independent.
     final_turn: heading change from the last step to ``end`` [rad].
+    unknown: what the recording could not tell of the steps, a line each.
+
+    A row of length 0 is a gap in the recording: the walker went anywhere within ``sigma_length``.
     """
 
     start: float
@@ -148,6 +189,7 @@ class Steps:
     sigma_length: Array
     sigma_turn: Array
     final_turn: float = 0.0
+    unknown: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""

@@ -48,6 +48,7 @@ def test_smooth_writes_what_the_contract_names(result):
         "trajectory.csv",
         "trajectory.geojson",
         "trajectory.gpx",
+        "trajectory.tum",
         "figure.png",
         "summary.json",
     }

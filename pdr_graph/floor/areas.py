@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import shapely
 
 OUTLINE = "floor"
-WALKABLE = ("corridor", "room", "door", "stairs", "lift")
-SOLID = ("wall", "shop", "place")
+OPEN = ("corridor", "intersection", "stairs")  # one steps from one into the next
+CLOSED = ("room", "lift")  # walls all round, but for doors
+DOOR = "door"
+WALKABLE = (*OPEN, *CLOSED, DOOR)
+WALL = "wall"
+SOLID = (WALL, "shop", "place")
+LINK, BEACON = "link", "beacon"
+KINDS = (OUTLINE, *WALKABLE, *SOLID, LINK, BEACON)
 
 
 @dataclass(frozen=True)
 class Area:
-    """One polygon of a plan [m]. kind: OUTLINE, or one of WALKABLE or SOLID."""
+    """One feature of a plan.
+
+    kind: one of KINDS. shape [m]: a polygon; a wall or door may be a line, a door, place or beacon a point, a link is
+    a line that people walk along. properties: whatever else the file says of it.
+    """
 
     kind: str
     name: str
-    polygon: shapely.Geometry
+    shape: shapely.Geometry
+    properties: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_polygon(self) -> bool:
+        """True if it has an area."""
+        return shapely.get_dimensions(self.shape) == 2

@@ -21,13 +21,16 @@ class DistanceField:
     near, so that a floor costs nothing where nobody walks.
     """
 
-    def __init__(self, walkable: shapely.Geometry):
-        """walkable: (multi)polygon where one can walk [m]."""
+    def __init__(self, walkable: shapely.Geometry, barriers: shapely.Geometry | None = None):
+        """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls all the same. [m]"""
         half = NARROWEST / 2
         self._walkable = shapely.buffer(shapely.buffer(walkable, -half), half, join_style="mitre")
         if shapely.is_empty(self._walkable):
             raise ValueError(f"no walkable area wider than {NARROWEST} m")
-        self._walls = _segments(self._walkable)
+        lines = shapely.get_rings(shapely.get_parts(self._walkable))
+        if barriers is not None:
+            lines = np.concatenate([lines, shapely.get_parts(shapely.line_merge(barriers))])
+        self._walls = _segments(lines)
         self._tree = shapely.STRtree(self._walls)
         self._slot: dict[tuple[int, int], int] = {}
         self._tiles = np.empty((0, NODES, NODES))
@@ -70,8 +73,7 @@ class DistanceField:
         return np.where(shapely.contains_xy(self._walkable, x, y), distance, -distance).reshape(NODES, NODES)
 
 
-def _segments(area: shapely.Geometry) -> NDArray[np.object_]:
-    """The boundary of an area as single segments."""
-    rings = shapely.get_rings(shapely.get_parts(area))
-    ends = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, rings)]
+def _segments(lines: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Lines and rings as single segments."""
+    ends = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, lines)]
     return np.asarray(shapely.linestrings(np.concatenate(ends)))

@@ -1,8 +1,11 @@
-"""Floor plans from files."""
+"""Floor plans from files: our GeoJSON, Microsoft floor folders and IPIN21 polygons."""
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,23 +13,51 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.areas import OUTLINE, SOLID, WALKABLE, Area
-from pdr_graph.frames import Frame, enu
+from pdr_graph.floor.areas import KINDS, OUTLINE, Area
+from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.types import Array
 
 MICROSOFT_MAP = "geojson_map.json"
 MICROSOFT_INFO = "floor_info.json"
-KINDS = (OUTLINE, *WALKABLE, *SOLID)
-Drawing = tuple[str, tuple[Area, ...], Frame]  # label, areas and frame: the arguments of FloorPlan
+IPIN21_EPSG = 32632
+IPIN21_KINDS = {
+    "Corridor": "corridor",
+    "Gallery": "corridor",
+    "Balcony": "corridor",
+    "Room": "room",
+    "Door": "door",
+    "B_Door": "door",
+    "Stairs": "stairs",
+    "Stairscase": "stairs",
+    "Elevator": "lift",
+    "Wall": "wall",
+    "Wa": "wall",  # a wall whose name was cut short
+}
+LARGEST_FILE = 200_000_000  # bytes
+Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A file's floors by label, all in one frame, and what was left out or mended of it, one line each."""
+
+    floors: dict[str, tuple[Area, ...]]
+    frame: Frame
+    notes: tuple[str, ...] = ()
 
 
 def read(path: Path) -> Drawing:
-    """A plan of either format, recognised by what is there."""
+    """A plan of any format, recognised by what is there."""
     if path.name in (MICROSOFT_MAP, MICROSOFT_INFO):
         path = path.parent
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
-    return microsoft_floor(path) if path.is_dir() else geojson(path)
+    if path.is_dir():
+        return microsoft_floor(path)
+    collection, notes = _json(path), list[str]()
+    features = list(_features(path, collection, notes))
+    is_ipin21 = any("Type" in properties and "kind" not in properties for _, _, properties in features)
+    return (ipin21 if is_ipin21 else own)(path, collection, features, notes)
 
 
 def microsoft_floor(folder: Path) -> Drawing:
@@ -36,81 +67,120 @@ def microsoft_floor(folder: Path) -> Drawing:
     all others. The metric frame stretches the outline's bounding box, in degrees, to ``map_info``'s width and height:
     x = (lon − lon0)/(lon1 − lon0)·width, y likewise.
     """
-    collection = _json(folder / MICROSOFT_MAP)
+    path, notes = folder / MICROSOFT_MAP, list[str]()
+    features = [f for f in _features(path, _json(path), notes) if shapely.get_dimensions(f[1]) == 2]
+    if not features:
+        raise InputError(path, "", "no polygon", "the floor's outline")
+    _check_degrees(path, features)
     info = _json(folder / MICROSOFT_INFO).get("map_info")
     size = [info.get("width"), info.get("height")] if isinstance(info, dict) else [None]
     if not all(isinstance(s, int | float) and np.isfinite(s) and s > 0 for s in size):
         raise InputError(folder / MICROSOFT_INFO, "map_info", f"width and height {size}", "two positive numbers [m]")
-    polygons = [(p, props) for p, props in _polygons(folder / MICROSOFT_MAP, collection)]
-    lon0, lat0, lon1, lat1 = shapely.bounds(polygons[0][0])
+    lon0, lat0, lon1, lat1 = shapely.bounds(features[0][1])
     if not (lon1 > lon0 and lat1 > lat0):
-        raise InputError(
-            folder / MICROSOFT_MAP, "feature 0", "an outline without width or height", "the floor's outline"
-        )
+        raise InputError(path, "feature 0", "an outline without width or height", "the floor's outline")
     frame = Frame("plan", (lat0, lon0), metres_per_degree=(size[0] / (lon1 - lon0), size[1] / (lat1 - lat0)))
-    areas = tuple(
-        Area("shop" if n else OUTLINE, str(properties.get("name") or ""), _project(polygon, frame))
-        for n, (polygon, properties) in enumerate(polygons)
-    )
-    return folder.resolve().name, areas, frame
+    kinds = [OUTLINE, *(len(features) - 1) * ["shop"]]
+    areas = [_area(kind, f, frame) for kind, f in zip(kinds, features, strict=True)]
+    return Drawing({folder.resolve().name: tuple(areas)}, frame, tuple(notes))
 
 
-def geojson(path: Path) -> Drawing:
-    """Our own format: an RFC 7946 FeatureCollection of polygons with ``kind`` and ``name`` (``docs/formats.md``).
+def own(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
+    """Our own format: an RFC 7946 FeatureCollection whose features have ``kind`` and ``name`` (``docs/formats.md``).
 
-    The frame is ENU about the member ``pdr_graph.origin`` ([longitude, latitude]), else about the centre of the
-    bounding box.
+    A feature's ``floor`` says which floor it is on, or a list of them; without it, it is on all. The frame is ENU about
+    the member ``pdr_graph.origin`` ([longitude, latitude]), else about the centre of the bounding box.
     """
-    collection = _json(path)
-    polygons = list(_polygons(path, collection))
-    for n, (_, properties) in enumerate(polygons):
+    for n, _, properties in features:
         if properties.get("kind") not in KINDS:
-            found = f"kind {properties.get('kind')!r}"
+            found = f"kind {properties.get('kind')!r}"[:80]
             raise InputError(path, f"feature {n}", found, "one of " + ", ".join(KINDS))
-    own = collection.get("pdr_graph")
-    own = own if isinstance(own, dict) else {}
-    west, south, east, north = shapely.total_bounds([p for p, _ in polygons])
-    origin = own.get("origin", [(west + east) / 2, (south + north) / 2])
+    _check_degrees(path, features)
+    about = collection.get("pdr_graph")
+    about = about if isinstance(about, dict) else {}
+    if not features:
+        raise InputError(path, "", "no feature with a geometry", "at least one polygon")
+    west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features])
+    origin = about.get("origin", [(west + east) / 2, (south + north) / 2])
     if not _is_place(origin):
         raise InputError(path, "pdr_graph.origin", repr(origin)[:40], "[longitude, latitude] in degrees")
     frame = enu(origin[1], origin[0])
-    areas = tuple(Area(q["kind"], str(q.get("name") or ""), _project(p, frame)) for p, q in polygons)
-    return str(own.get("floor", "")), areas, frame
+    areas = [(_labels(f[2]), _area(f[2]["kind"], f, frame)) for f in features]
+    labels = sorted({label for on, _ in areas for label in on}) or [str(about.get("floor", ""))]
+    floors = {label: tuple(area for on, area in areas if not on or label in on) for label in labels}
+    return Drawing(floors, frame, tuple(notes))
+
+
+def ipin21(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
+    """Polygons of IPIN21Data with the property ``Type``, in metres of UTM zone 32N, whatever their label says."""
+    corners = shapely.get_coordinates([shape for _, shape, _ in features])
+    in_degrees = bool((np.abs(corners) <= (180, 90)).all())
+    stated = re.findall(r"\d{4,5}|CRS84", json.dumps(collection.get("crs")))
+    expected = ["4326", "CRS84"] if in_degrees else [str(IPIN21_EPSG)]
+    if stated and stated[-1] not in expected:
+        found = "degrees" if in_degrees else f"metres, taken for EPSG:{IPIN21_EPSG}"
+        notes.append(f"the file says CRS {stated[-1]}, its coordinates are {found}")
+    frame = projected(IPIN21_EPSG)
+    areas: list[Area] = []
+    for feature in features:
+        kind = IPIN21_KINDS.get(str(feature[2].get("Type")))
+        if kind is None:
+            notes.append(f"feature {feature[0]}: Type {str(feature[2].get('Type'))[:30]!r} was left out")
+        else:
+            areas.append(_area(kind, feature, frame if in_degrees else None))
+    return Drawing({path.stem.removeprefix("Plan"): tuple(areas)}, frame, tuple(notes))
 
 
 def _json(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, RecursionError, json.JSONDecodeError) as error:
-        raise InputError(path, "", str(error), "a JSON file") from None
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST_FILE}")
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise error if isinstance(error, InputError) else InputError(path, "", str(error), "a JSON file") from None
     if not isinstance(value, dict):
         raise InputError(path, "", f"a JSON {type(value).__name__}", "a JSON object")
     return value
 
 
-def _polygons(path: Path, collection: dict[str, Any]) -> list[tuple[shapely.Geometry, dict[str, Any]]]:
-    """Polygons [deg] and their properties; features with null geometry are left out, as RFC 7946 allows them."""
+def _features(path: Path, collection: dict[str, Any], notes: list[str]) -> Iterator[Feature]:
+    """All features with a geometry; null ones are noted, as RFC 7946 allows them, and broken polygons mended."""
     features = collection.get("features")
     if collection.get("type") != "FeatureCollection" or not isinstance(features, list):
         raise InputError(path, "", f"type {str(collection.get('type'))[:40]!r}", "a GeoJSON FeatureCollection")
-    polygons = []
+    nowhere = []
     for n, feature in enumerate(features):
         try:
             geometry, properties = feature["geometry"], dict(feature.get("properties") or {})
             shape = shapely.Polygon() if geometry is None else shapely.from_geojson(json.dumps(geometry))
-        except (KeyError, TypeError, AttributeError, ValueError, shapely.errors.GEOSException) as error:
+        except (KeyError, TypeError, AttributeError, ValueError, RecursionError, shapely.errors.GEOSException) as error:
             found = f"{type(error).__name__} {str(error)[:80]}"
             raise InputError(path, f"feature {n}", found, "a GeoJSON geometry") from None
-        if shapely.is_empty(shape) or shapely.get_dimensions(shape) != 2:
+        if shapely.is_empty(shape):
+            nowhere.append(n)
             continue
+        if not np.isfinite(shapely.get_coordinates(shape)).all():
+            raise InputError(path, f"feature {n}", "a coordinate that is no number", "finite coordinates")
+        if not shapely.is_valid(shape):
+            notes.append(f"feature {n}: its outline crosses itself and was mended")
+            shape = shapely.make_valid(shape)
+        yield n, shapely.force_2d(shape), properties
+    if nowhere:
+        notes.append(f"{len(nowhere)} features without a geometry were left out (the first: feature {nowhere[0]})")
+
+
+def _check_degrees(path: Path, features: list[Feature]) -> None:
+    for n, shape, _ in features:
         corners = shapely.get_coordinates(shape)
         if not (np.abs(corners) <= (180, 90)).all():
             found = f"coordinates up to {np.abs(corners).max():.6g}"
             raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees, as RFC 7946 has them")
-        polygons.append((shapely.make_valid(shape), properties))
-    if not polygons:
-        raise InputError(path, "", f"{len(features)} features, none a polygon", "at least one polygon")
-    return polygons
+
+
+def _labels(properties: dict[str, Any]) -> tuple[str, ...]:
+    """The floors that a feature is on."""
+    on = properties.get("floor", properties.get("level"))
+    return tuple(str(label) for label in (on if isinstance(on, list) else [on]) if label not in (None, ""))
 
 
 def _is_place(value: object) -> bool:
@@ -119,8 +189,11 @@ def _is_place(value: object) -> bool:
     return numbers and abs(value[0]) <= 180 and abs(value[1]) <= 90  # type: ignore[index]
 
 
-def _project(polygon: shapely.Geometry, frame: Frame) -> shapely.Geometry:
-    def transform(lonlat: Array) -> Array:
-        return frame.from_lonlat(lonlat)
+def _area(kind: str, feature: Feature, frame: Frame | None) -> Area:
+    """A feature in metres; one without a frame is already."""
+    _, shape, properties = feature
 
-    return shapely.transform(polygon, transform)
+    def transform(lonlat: Array) -> Array:
+        return lonlat if frame is None else frame.from_lonlat(lonlat)
+
+    return Area(kind, str(properties.get("name") or ""), shapely.transform(shape, transform), properties)

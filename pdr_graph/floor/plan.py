@@ -11,7 +11,8 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor import formats
-from pdr_graph.floor.areas import OUTLINE, SOLID, WALKABLE, Area
+from pdr_graph.floor.areas import OUTLINE, SOLID, Area
+from pdr_graph.floor.cells import CRACK, Cells
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
@@ -23,33 +24,62 @@ FAR_FROM_PLAN = 100.0  # [m] outside everything drawn, where its walls say nothi
 class FloorPlan:
     """One floor, in its own metric frame.
 
-    label: the floor's name, "F1"; areas: the outline and everything in it; frame: its way to latitude and longitude.
+    label: the floor's name, "F1"; areas: the outline and everything in it; frame: its way to latitude and longitude;
+    notes: what was left out of the file or mended, one line each.
     """
 
     label: str
     areas: tuple[Area, ...]
     frame: Frame
+    notes: tuple[str, ...] = ()
 
     @classmethod
-    def load(cls, path: str | Path) -> FloorPlan:
-        """Read a plan: our GeoJSON, or a Microsoft floor folder (``floor_info.json`` and ``geojson_map.json``).
+    def load(cls, path: str | Path, floor: str | None = None) -> FloorPlan:
+        """One floor of a plan: our GeoJSON, a Microsoft floor folder, or a file of IPIN21 polygons.
 
-        Raises InputError if it is neither, or leaves nowhere to walk.
+        floor: its label, of a plan with several floors; a plan with one has it whatever its label.
+
+        Raises InputError if the file is none of these, has no such floor, or leaves nowhere to walk.
         """
-        plan = cls(*formats.read(Path(path)))
-        if shapely.is_empty(plan.walkable):
-            raise InputError(path, "", "no walkable area", "an outline or a corridor that is not all solid")
-        return plan
+        plans = cls.load_all(path)
+        found = ", ".join(plan.label for plan in plans)
+        if len(plans) == 1:
+            return plans[0]
+        if floor is None:
+            raise InputError(path, "", f"{len(plans)} floors, {found[:80]}", "the label of one")
+        chosen = next((plan for plan in plans if plan.label == floor), None)
+        if chosen is None:
+            raise InputError(path, "", f"the floors {found[:80]}", f"a floor {floor!r}")
+        return chosen
 
-    def union(self, *kinds: str) -> shapely.Geometry:
-        """All areas of some kinds, joined. [m]"""
-        return shapely.union_all([a.polygon for a in self.areas if a.kind in kinds])
+    @classmethod
+    def load_all(cls, path: str | Path) -> tuple[FloorPlan, ...]:
+        """All floors of a plan, in one frame. Raises InputError if one of them leaves nowhere to walk."""
+        drawing = formats.read(Path(path))
+        plans = tuple(cls(label, areas, drawing.frame, drawing.notes) for label, areas in drawing.floors.items())
+        for plan in plans:
+            if shapely.is_empty(plan.walkable):
+                needed = "an outline or a corridor that is not all solid"
+                raise InputError(path, f"floor {plan.label}" if plan.label else "", "no walkable area", needed)
+        return plans
+
+    def of_kind(self, *kinds: str) -> tuple[Area, ...]:
+        """The areas of some kinds."""
+        return tuple(area for area in self.areas if area.kind in kinds)
+
+    @cached_property
+    def cells(self) -> Cells:
+        """Rooms, corridors and doors, and which of them one can step between."""
+        return Cells.of(self.areas)
 
     @cached_property
     def walkable(self) -> shapely.Geometry:
-        """Corridors, rooms and doors where the plan has them, else the outline; minus everything solid."""
-        drawn = self.union(*WALKABLE)
-        return shapely.difference(self.union(OUTLINE) if shapely.is_empty(drawn) else drawn, self.union(*SOLID))
+        """Where one can stand: the cells where the plan has them, else the outline minus everything solid. [m]"""
+        if len(self.cells):
+            return _without_cracks([cell.polygon for cell in self.cells.cells])
+        solid = [a.shape for a in self.of_kind(*SOLID) if a.is_polygon]
+        outline = [a.shape for a in self.of_kind(OUTLINE) if a.is_polygon]
+        return shapely.difference(shapely.union_all(outline), shapely.union_all(solid))
 
     @property
     def walkable_area(self) -> float:
@@ -59,12 +89,12 @@ class FloorPlan:
     @cached_property
     def distance(self) -> DistanceField:
         """Signed distance to the nearest wall."""
-        return DistanceField(self.walkable)
+        return DistanceField(self.walkable, self.cells.barriers)
 
     @cached_property
     def corners(self) -> Array:
         """South-west and north-east corner ``(2, 2)`` of everything drawn. [m]"""
-        return shapely.total_bounds([a.polygon for a in self.areas]).reshape(2, 2)
+        return shapely.total_bounds([a.shape for a in self.areas]).reshape(2, 2)
 
     @property
     def size(self) -> float:
@@ -77,7 +107,19 @@ class FloorPlan:
         return np.all((position > low - FAR_FROM_PLAN) & (position < high + FAR_FROM_PLAN), axis=1)
 
     def crosses_wall(self, start: Array, end: Array) -> Mask:
-        """Which segments from ``start (n, 2)`` to ``end (n, 2)`` leave the walkable area. ``(n,)`` bool"""
+        """Which segments from ``start (n, 2)`` to ``end (n, 2)`` leave the walkable area or go through a wall."""
         shapely.prepare(self.walkable)
         segments = shapely.linestrings(np.stack([start, end], axis=1))
-        return ~np.atleast_1d(shapely.covers(self.walkable, segments))
+        crossed = ~np.atleast_1d(shapely.covers(self.walkable, segments))
+        if not shapely.is_empty(self.cells.barriers):
+            shapely.prepare(self.cells.barriers)
+            crossed |= np.atleast_1d(shapely.intersects(self.cells.barriers, segments))
+        return crossed
+
+
+def _without_cracks(polygons: list[shapely.Geometry]) -> shapely.Geometry:
+    """Their union, with the hairlines between neighbours closed."""
+    half = CRACK / 2
+    return shapely.buffer(
+        shapely.buffer(shapely.union_all(polygons), half, join_style="mitre"), -half, join_style="mitre"
+    )

@@ -14,6 +14,7 @@ def accumulate_turn(attitude: Attitude) -> Array:
 
     [heading] Sec. 4.3, Eq. (1): θ_i = θ_{i-1} + ω_{z,i} ΔT_i. It does not matter how the phone is held.
     """
+    assert attitude.angular_rate is not None, "there is a gyroscope"
     rate_z = attitude.R_world_device.apply(attitude.angular_rate)[:, 2]
     turned = np.cumsum(rate_z) * attitude.period
     return turned - turned[0]

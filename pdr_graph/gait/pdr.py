@@ -12,8 +12,10 @@ from pdr_graph.errors import InputError
 from pdr_graph.gait.detection import peak_pairs
 from pdr_graph.gait.direction import accumulate_turn, without_gait
 from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
-from pdr_graph.inertial.attitude import vqf_offline
-from pdr_graph.types import Recording, Steps
+from pdr_graph.inertial.attitude import Attitude, attitude_of
+from pdr_graph.types import Array, Recording, Steps
+
+UNSEEN_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps
 
 
 @dataclass(frozen=True)
@@ -46,12 +48,14 @@ class Walker:
 def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
     """The steps in a recording: when each foot landed, how far it went, and how the heading changed.
 
-    Raises InputError if the accelerometer or the gyroscope is missing.
+    Without a gyroscope turns are unknown, 0 with a wide sigma; what else a sensor did not tell is in ``unknown``.
+
+    Raises InputError if there is no accelerometer.
     """
     walker = walker or Walker()
 
     # Attitude of the phone
-    attitude = vqf_offline(recording)
+    attitude = attitude_of(recording)
 
     # When the feet landed
     landings = peak_pairs(attitude.time, attitude.acceleration)
@@ -64,7 +68,7 @@ def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
 
     # Which way
     step = float(np.median(landings.period)) if len(landings.time) else 0.5
-    heading = without_gait(accumulate_turn(attitude), round(step / attitude.period))
+    heading = _heading(attitude, step)
     landed = np.interp(landings.time, attitude.time, heading)
     set_off = np.interp(landings.time - duration, attitude.time, heading)
     before = np.concatenate([heading[:1], landed[:-1]])
@@ -78,6 +82,14 @@ def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
         turn=landed - before,
         pause_turn=set_off - before,
         sigma_length=sigma_length,
-        sigma_turn=np.full(len(landings.time), walker.sigma_turn),
+        sigma_turn=np.full(len(landings.time), walker.sigma_turn if attitude.angular_rate is not None else UNSEEN_TURN),
         final_turn=float(heading[-1] - landed[-1]) if len(landed) else float(heading[-1] - heading[0]),
+        unknown=attitude.unknown,
     )
+
+
+def _heading(attitude: Attitude, step: float) -> Array:
+    """Heading ``(n,)`` since the first sample [rad]; straight on where nothing tells. step: usual duration [s]."""
+    if attitude.angular_rate is None:
+        return np.zeros(len(attitude.time))
+    return without_gait(accumulate_turn(attitude), round(step / attitude.period))

@@ -7,133 +7,115 @@ sensors are interleaved out of time order, rows of one sensor are in order; a fi
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
+from pathlib import PurePosixPath
 
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.types import Array, Recording, Signal, Trajectory
+from pdr_graph.io.columns import Rows
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import surveyed
+from pdr_graph.io.source import Source
+from pdr_graph.types import Array, Recording, Sightings, Trajectory
 
 NAME = "Indoor Location Competition 2.0 (.txt)"
-SENSORS = ("TYPE_ACCELEROMETER", "TYPE_GYROSCOPE", "TYPE_MAGNETIC_FIELD")
+SENSORS = {
+    "TYPE_ACCELEROMETER": "accelerometer",
+    "TYPE_GYROSCOPE": "gyroscope",
+    "TYPE_MAGNETIC_FIELD": "magnetometer",
+}
 WAYPOINT = "TYPE_WAYPOINT"
-Rows = list[tuple[int, str]]  # line numbers and lines
+KINDS = (*SENSORS, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
 
 
-def recognizes(path: Path) -> bool:
+def recognizes(source: Source) -> bool:
     """True if the first lines look like this format."""
-    if path.is_dir():
-        return False
-    with path.open("rb") as file:
-        head = file.read(4096)
+    head = source.head(source.single) if source.single else b""
     return b"\tTYPE_" in head or head.startswith(b"#\tstartTime:")
 
 
-def read(path: Path) -> Recording:
+def read(source: Source) -> Recording:
     """Read one walk. Waypoints become ``truth``: the surveyor's taps on the map, straight between them.
 
     Raises InputError naming the line if the file is cut off, shuffled, not text, or holds a value that is no number.
     """
-    rows, note = _rows_by_kind(path, _lines(path))
-    tables = {kind: _table(path, kind, numbered) for kind, numbered in rows.items()}
-    starts = [tables[kind][0, 0] for kind in SENSORS if len(tables[kind])]
-    if not starts:
-        raise InputError(path, "", "no accelerometer and no gyroscope rows", "the rows of an inertial sensor")
-    first = min(starts)  # [ms]: differences are taken before the division, which loses digits of a Unix time
-
-    def signal(kind: str) -> Signal | None:
-        table = tables[kind]
-        return Signal((table[:, 0] - first) / 1000, table[:, 1:4]) if len(table) else None
-
-    return Recording(
-        source=path.name,
-        clock_origin=first / 1000,
-        epoch=first / 1000,
-        truth=_truth(tables[WAYPOINT], first),
-        accelerometer=signal("TYPE_ACCELEROMETER"),
-        gyroscope=signal("TYPE_GYROSCOPE"),
-        magnetometer=signal("TYPE_MAGNETIC_FIELD"),
-        notes=(note,) if note else (),
+    name = source.single or ""
+    where = source.where(name)
+    lines = _complete(where, source.text(name).split("\n"))
+    rows, notes = _rows_by_kind(where, lines)
+    tables = {sensor: _table(kind, rows[kind]) for kind, sensor in SENSORS.items() if len(rows[kind])}
+    if not {"accelerometer", "gyroscope"} & set(tables):
+        raise InputError(where, "", "no accelerometer and no gyroscope rows", "the rows of an inertial sensor")
+    return admit(
+        where,
+        PurePosixPath(name).name,
+        tables,
+        0.0,
+        bluetooth=_sightings(rows["TYPE_BEACON"], transmitter=8, rssi=6),
+        wifi=_sightings(rows["TYPE_WIFI"], transmitter=3, rssi=4),
+        truth=_truth(_table(WAYPOINT, rows[WAYPOINT])),
+        notes=notes,
     )
 
 
-def _lines(path: Path) -> list[str]:
-    """The lines of a complete file."""
-    try:
-        lines = path.read_bytes().decode("utf-8").split("\n")
-    except UnicodeDecodeError as error:
-        raise InputError(path, f"byte {error.start}", "bytes that are not UTF-8", "a text file") from None
+def _complete(where: str, lines: list[str]) -> list[str]:
+    """The lines of a file that was not cut off."""
     last = next((n for n in range(len(lines) - 1, -1, -1) if lines[n].strip()), 0)
     if not lines[last].startswith("#\tendTime:"):
-        raise InputError(
-            path,
-            f"line {last + 1}, the last",
-            repr(lines[last][:40]),
-            "a closing '# endTime' line: the file is cut off",
-        )
+        found, needed = repr(lines[last][:40]), "a closing '# endTime' line: the file is cut off"
+        raise InputError(where, f"line {last + 1}, the last", found, needed)
     return lines
 
 
-def _rows_by_kind(path: Path, lines: list[str]) -> tuple[dict[str, Rows], str]:
+def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, Rows], list[str]]:
     """The rows that are used, with their line numbers; and a note on lines that are no rows."""
-    rows: dict[str, Rows] = {kind: [] for kind in (*SENSORS, WAYPOINT)}
+    kept: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
     strangers: list[int] = []
     for number, line in enumerate(lines, start=1):
         second = line.find("\t") + 1
         end = line.find("\t", second)
         kind = line[second:end] if end > 0 else line[second:]
-        if kind in rows:
-            rows[kind].append((number, line))
+        if kind in kept:
+            kept[kind].append(line)
+            numbers[kind].append(number)
         elif line and line[0] != "#" and not kind.startswith("TYPE_"):
             strangers.append(number)
-    note = f"{path.name}: {len(strangers)} lines are no rows (the first: line {strangers[0]})" if strangers else ""
-    return rows, note
+    notes = [f"{len(strangers)} lines are no rows (the first: line {strangers[0]})"] if strangers else []
+    return {kind: Rows(where, kept[kind], numbers[kind], "\t") for kind in KINDS}, notes
 
 
-def _table(path: Path, kind: str, rows: Rows) -> Array:
-    """Time [ms] and values of one kind of row, ``(n, 1 + k)``; finite and in time order."""
-    width = 2 if kind == WAYPOINT else 3
-    columns = (0, *range(2, 2 + width))
-    if not rows:
-        return np.empty((0, 1 + width))
-    try:
-        table = np.loadtxt([line for _, line in rows], delimiter="\t", usecols=columns, comments=None, ndmin=2)
-    except ValueError:
-        raise _bad_number(path, kind, width, rows) from None
-    if not np.isfinite(table).all():
-        raise _bad_number(path, kind, width, rows)
+def _table(kind: str, rows: Rows) -> Array:
+    """Unix time [s] and values of one kind of row; finite and in time order, or the file was damaged."""
+    table = rows.floats((0, *range(2, 4 if kind == WAYPOINT else 5)), cut_off_allowed=False)
+    bad = ~np.isfinite(table).all(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        found = repr(rows.lines[row][:80])
+        raise InputError(rows.where, f"line {rows.numbers[row]}, {kind}", found, "a time and finite numbers")
     back = np.flatnonzero(np.diff(table[:, 0]) < 0)
     if len(back):
-        place = f"line {rows[back[0] + 1][0]}"
+        place = f"line {rows.numbers[back[0] + 1]}"
         found = f"a {kind} row {(table[back[0], 0] - table[back[0] + 1, 0]) / 1000:.3f} s before the one above it"
-        raise InputError(path, place, found, "the rows of one sensor in time order: the file was shuffled or damaged")
+        needed = "the rows of one sensor in time order: the file was shuffled or damaged"
+        raise InputError(rows.where, place, found, needed)
+    table[:, 0] /= 1000
     return table
 
 
-def _bad_number(path: Path, kind: str, width: int, rows: Rows) -> InputError:
-    """The complaint about the first row that does not hold a time and ``width`` finite numbers."""
-    split = [(number, line.split("\t")) for number, line in rows]
-    wanted = [(number, [fields[0], *fields[2 : 2 + width]]) for number, fields in split]
-    bad = (row for row in wanted if len(row[1]) != 1 + width or not all(map(_is_number, row[1])))
-    number, values = next(bad, wanted[0])
-    found = " ".join(values)[:80]
-    return InputError(path, f"line {number}, {kind}", repr(found), f"a time and {width} finite numbers")
+def _sightings(rows: Rows, transmitter: int, rssi: int) -> Sightings | None:
+    """Who was heard and how loud; rows that do not say are left out."""
+    heard: list[tuple[float, str, float]] = []
+    for line in rows.lines:
+        fields = line.split("\t")
+        try:
+            heard.append((float(fields[0]) / 1000, fields[transmitter], float(fields[rssi])))
+        except (ValueError, IndexError):
+            continue
+    heard.sort(key=lambda row: row[0])
+    time, who, level = zip(*heard, strict=True) if heard else ((), (), ())
+    return Sightings(np.array(time), who, np.array(level))
 
 
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
-
-
-def _truth(waypoints: Array, first: float) -> Trajectory | None:
-    if not len(waypoints):
-        return None
-    return Trajectory(
-        time=(waypoints[:, 0] - first) / 1000,
-        position=waypoints[:, 1:3],
-        heading=np.full(len(waypoints), np.nan),
-        floor=("",) * len(waypoints),
-    )
+def _truth(waypoints: Array) -> Trajectory | None:
+    return surveyed(waypoints[:, 0], waypoints[:, 1:]) if len(waypoints) else None

@@ -4,26 +4,62 @@ from __future__ import annotations
 
 import csv
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
-from pdr_graph.types import Array, Fixes, Mask, Recording, Trajectory
+from pdr_graph.io import geolife, gpx, ipin21
+from pdr_graph.io.source import Source
+from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 ALIASES = {"timestamp": "time", "yaw": "heading"}  # what the PDR Benchmark's tools call them
 
 
-def read_fixes(path: str | Path, recording: Recording, frame: Frame | None = None) -> Fixes:
-    """Position fixes ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``.
+def read_fixes(
+    path: str | Path, recording: Recording, frame: Frame | None = None, notes: list[str] | None = None
+) -> Fixes:
+    """Position fixes from a table, a GPX track, a GeoLife ``.plt`` or a file of IPIN21's simulated fixes.
 
-    time is in the recorder's clock; sigma is one standard deviation *per axis* [m] (a phone's 68 % radius divided by
-    1.51). Rows may stand in any order. Fixes in degrees are brought into ``frame`` where one is given.
+    A table has ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``: time in the
+    recorder's clock; sigma one standard deviation *per axis* [m] (a phone's 68 % radius divided by 1.51). Rows may
+    stand in any order. The other formats have Unix times. Fixes are brought into ``frame`` where one is given;
+    what was left out or assumed is said in ``notes``.
 
     Raises InputError naming the line; also if no fix lies within the recording, as when the clock is another one.
     """
-    numbers, words = _read(Path(path), [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
+    path = Path(path)
+    unix = _unix_fixes(path, [] if notes is None else notes)
+    if unix is None:
+        fixes = _tabular_fixes(path)
+        fixes = replace(fixes, time=fixes.time - recording.clock_origin)
+    elif recording.epoch is not None:
+        fixes = replace(unix, time=unix.time - recording.epoch)
+    else:
+        raise InputError(path, "time", "Unix times", f"a recording with a clock, which {recording.source} has not")
+    _check_clock(path, fixes, recording)
+    return frame.place(fixes) if frame else fixes
+
+
+def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
+    """Fixes at Unix times of the formats that have them; None for a table."""
+    source = Source(path)
+    if source.single is None:
+        raise InputError(path, "", f"{len(source.names)} files", "one file of fixes")
+    if gpx.recognizes(source):
+        return gpx.read_fixes(source, notes)
+    if geolife.recognizes(source):
+        return geolife.read_fixes(source, notes)
+    if ipin21.is_fixes(source.head(source.single)):
+        return ipin21.read_fixes(path, source.text(source.single))
+    return None
+
+
+def _tabular_fixes(path: Path) -> Fixes:
+    """Fixes of a table, in order of its own clock."""
+    numbers, words = _read(path, [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
     geodetic = "lat" in numbers
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
@@ -32,9 +68,8 @@ def read_fixes(path: str | Path, recording: Recording, frame: Frame | None = Non
     if geodetic:
         _each(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
         _each(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
-    fixes = Fixes(numbers["time"] - recording.clock_origin, position, numbers["sigma"], words["floor"], geodetic)[order]
-    _check_clock(path, fixes, recording)
-    return frame.place(fixes) if frame else fixes
+    epsg = LONLAT if geodetic else None
+    return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg)[order]
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -119,7 +154,9 @@ def _each(path: str | Path, wrong: Mask, values: Array, name: str, needed: str) 
 
 def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
     """At least one fix must lie within the recording, give or take a few seconds."""
-    signals = [s for s in (recording.accelerometer, recording.gyroscope) if s is not None]
+    signals = list(recording.signals.values())
+    if not signals:
+        return
     start = min(s.time[0] for s in signals) - 5.0
     end = max(s.time[-1] for s in signals) + 5.0
     if not np.any((fixes.time >= start) & (fixes.time <= end)):

@@ -1,16 +1,15 @@
-"""Trajectories out: CSV, GeoJSON and GPX, and the summary beside them."""
+"""Trajectories out: CSV, TUM and GeoJSON, and the summary beside them. GPX has its own file."""
 
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.frames import Frame
-from pdr_graph.types import Array, Estimate, Recording, Steps, Trajectory
+from pdr_graph.types import Array, Estimate, Steps, Trajectory
 
 TRAJECTORY_HEADER = "time,x,y,heading,floor,sigma_x,sigma_y,cov_xy,sigma_heading"
 STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn"
@@ -35,6 +34,18 @@ def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) ->
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
+def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
+    """``trajectory.tum`` for evo and its kin: ``time x y z qx qy qz qw``, z = 0 and the heading about it.
+
+    Rows without a heading have none about them either: the identity.
+    """
+    half = np.nan_to_num(trajectory.heading) / 2
+    zero = np.zeros(len(half))
+    time = trajectory.time + clock_origin
+    table = np.column_stack([time, trajectory.position, zero, zero, zero, np.sin(half), np.cos(half)])
+    np.savetxt(path, table, fmt=["%.6f", "%.4f", "%.4f", "%.0f", "%.0f", "%.0f", "%.8f", "%.8f"])
+
+
 def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
     """One row per step, for other back ends: its end, length [m], heading change since the row before [rad], sigmas."""
     lines = [STEPS_HEADER]
@@ -57,22 +68,6 @@ def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: fl
             about |= {"residual": fix.residual, "weight": fix.weight, "reason": fix.reason}
             features.append(_feature("Point", place, about))
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
-
-
-def write_gpx(path: Path, trajectory: Trajectory, frame: Frame, recording: Recording) -> None:
-    """``trajectory.gpx``: the track for any map app, with UTC times where the log has a clock."""
-    from gpxpy.gpx import GPX, GPXTrack, GPXTrackPoint, GPXTrackSegment
-
-    segment = GPXTrackSegment()
-    for t, (lon, lat) in zip(trajectory.time, frame.to_lonlat(trajectory.position), strict=True):
-        when = None if recording.epoch is None else datetime.fromtimestamp(recording.epoch + t, UTC)
-        segment.points.append(GPXTrackPoint(latitude=lat, longitude=lon, time=when))
-    track = GPXTrack(name=recording.source)
-    track.segments.append(segment)
-    gpx = GPX()
-    gpx.creator = "pdr_graph"
-    gpx.tracks.append(track)
-    path.write_text(gpx.to_xml(), encoding="utf-8")
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:

@@ -43,7 +43,7 @@ def test_microsoft_floor(floor_folder):
     plan = FloorPlan.load(floor_folder)
     assert plan.label == "F9"
     assert plan.walkable_area == pytest.approx(40 * 20 - 10 * 20, rel=1e-6)
-    assert shapely.bounds(plan.areas[0].polygon) == pytest.approx([0, 0, 40, 20], abs=1e-6)
+    assert shapely.bounds(plan.areas[0].shape) == pytest.approx([0, 0, 40, 20], abs=1e-6)
     assert plan.frame.to_lonlat(np.array([[40.0, 20.0]])) == pytest.approx(np.array([[120.0004, 30.0002]]))
 
 

@@ -11,9 +11,9 @@ from pdr_graph import smooth
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import enu
-from pdr_graph.io import writers
+from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_fixes, read_trajectory
-from pdr_graph.types import Recording, Signal
+from pdr_graph.types import LONLAT, Recording, Signal
 
 ORIGIN = 1_700_000_000.0
 WALK = Recording("walk", ORIGIN, ORIGIN, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
@@ -39,7 +39,7 @@ def test_fixes_in_degrees_are_brought_into_the_frame(tmp_path):
     lon, lat = frame.to_lonlat(np.array([[30.0, -12.0]]))[0]
     path = table(tmp_path, f"\ufefftime,lat,lon,sigma\n{ORIGIN},{lat:.9f},{lon:.9f},3\n")
     assert read_fixes(path, WALK, frame).position == pytest.approx(np.array([[30.0, -12.0]]), abs=1e-3)
-    assert read_fixes(path, WALK).geodetic
+    assert read_fixes(path, WALK).epsg == LONLAT
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_geojson_and_gpx_hold_the_same_track(tmp_path):
     steps, frame = wandering_walk(20), enu(35.0, 135.0)
     estimate = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), every=10)))
     writers.write_geojson(tmp_path / "t.geojson", estimate, frame, ORIGIN)
-    writers.write_gpx(tmp_path / "t.gpx", estimate.trajectory, frame, WALK)
+    gpx.write(tmp_path / "t.gpx", estimate.trajectory, frame, WALK.epoch, WALK.source)
     features = json.loads((tmp_path / "t.geojson").read_text())["features"]
     line, *points = features
     assert line["geometry"]["type"] == "LineString"

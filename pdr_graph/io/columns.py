@@ -1,0 +1,130 @@
+"""Delimited text to columns of numbers, at the speed of ``numpy.loadtxt``, with complaints that name the line."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.types import Array
+
+DELIMITERS = "\t;,"  # in the order of trust: a comma may be a decimal one
+NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")  # what recorders write for no value
+LONGEST_LINE = 10_000  # characters of a row; recorders' rows have some hundred
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one file.
+
+    where: the file, for messages; lines: the rows' text; numbers: their line numbers, from 1.
+    """
+
+    where: str
+    lines: Sequence[str]
+    numbers: Sequence[int]
+    delimiter: str = ","
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def floats(self, columns: Sequence[int], cut_off_allowed: bool = True) -> Array:
+        """Some columns ``(n, k)``, NaN where a cell is empty. A last row that was cut off is left out.
+
+        cut_off_allowed: False where a format marks its end, so that a short last row is damage.
+        Raises InputError naming the line where a cell is neither empty nor a number.
+        """
+        if not self.lines:
+            return np.empty((0, len(columns)))
+        try:
+            table = np.loadtxt(
+                self.lines, delimiter=self.delimiter, usecols=columns, comments=None, quotechar='"', ndmin=2
+            )
+        except (ValueError, OverflowError):
+            return self._floats_one_by_one(columns, cut_off_allowed)
+        return table
+
+    def words(self, column: int) -> list[str]:
+        """One column as text, empty where a row is too short."""
+        return [row[column].strip() if column < len(row) else "" for row in self._cells()]
+
+    def _cells(self) -> list[list[str]]:
+        if any(len(line) > LONGEST_LINE for line in self.lines):
+            longest = int(np.argmax([len(line) for line in self.lines]))
+            found = f"{len(self.lines[longest])} characters"
+            raise InputError(self.where, f"line {self.numbers[longest]}", found, f"a row of at most {LONGEST_LINE}")
+        if any('"' in line for line in self.lines):
+            return [next(csv.reader([line], delimiter=self.delimiter), []) for line in self.lines]
+        return [line.split(self.delimiter) for line in self.lines]
+
+    def _floats_one_by_one(self, columns: Sequence[int], cut_off_allowed: bool) -> Array:
+        table: list[list[float]] = []
+        for number, line, row in zip(self.numbers, self.lines, self._cells(), strict=True):
+            if len(row) <= max(columns):
+                if cut_off_allowed and number == self.numbers[-1]:
+                    break  # the recorder was stopped in mid-line
+                found = f"{len(row)} fields, {line[:40]!r}"
+                raise InputError(self.where, f"line {number}", found, f"at least {max(columns) + 1}")
+            table.append([self._number(number, row[c]) for c in columns])
+        return np.array(table).reshape(-1, len(columns))
+
+    def _number(self, line: int, cell: str) -> float:
+        cell = cell.strip()
+        if cell.lower() in NOTHING:
+            return math.nan
+        try:
+            return float(cell)
+        except ValueError:
+            raise InputError(self.where, f"line {line}", repr(cell[:40]), "a number") from None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A file with a header: the names of its columns, as written, and its rows."""
+
+    header: tuple[str, ...]
+    rows: Rows
+
+    def find(self, wanted: Callable[[str], bool]) -> int | None:
+        """The first column whose name, in lower case, is wanted."""
+        return next((k for k, name in enumerate(self.header) if wanted(name.lower())), None)
+
+    def floats(self, *names: str, optional: Sequence[str] = ()) -> Array:
+        """Columns ``(n, k)`` by their names in whatever case; an optional one that is missing is all NaN.
+
+        Raises InputError if another is missing.
+        """
+        columns = [self.find(name.lower().__eq__) for name in (*names, *optional)]
+        if None in columns[: len(names)]:
+            found = f"the columns {', '.join(self.header)[:80]}"
+            raise InputError(self.rows.where, "the header", found, f"a column {names[columns.index(None)]}")
+        there = [n for n, column in enumerate(columns) if column is not None]
+        values = self.rows.floats([column for column in columns if column is not None])
+        wide = np.full((len(values), len(columns)), np.nan)
+        wide[:, there] = values
+        return wide
+
+
+def table(where: str, text: str) -> Table:
+    """A CSV with a header in its first line, whatever its delimiter and decimal mark."""
+    lines = text.split("\n")
+    first = next((n for n, line in enumerate(lines) if line.strip()), None)
+    if first is None:
+        raise InputError(where, "", "an empty file", "a header and rows")
+    if len(lines[first]) > LONGEST_LINE:
+        raise InputError(where, "line 1", f"{len(lines[first])} characters", "a header")
+    head = lines[first]
+    delimiter = next((d for d in DELIMITERS if d in head), ",")
+    header = tuple(name.strip() for name in next(csv.reader([head], delimiter=delimiter)))
+    numbers: Sequence[int] = range(first + 2, len(lines) + 1)
+    rows = lines[first + 1 :]
+    if any(not line or line.isspace() for line in rows):
+        numbers = [number for number, line in zip(numbers, rows, strict=True) if line and not line.isspace()]
+        rows = [lines[number - 1] for number in numbers]
+    if delimiter != "," and any("," in line for line in rows[:10]):
+        rows = [line.replace(",", ".") for line in rows]
+    return Table(header, Rows(where, rows, numbers, delimiter))

@@ -1,0 +1,38 @@
+"""GeoLife trajectories (Microsoft Research), ``.plt``: positions of a day, no other sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_graph.io.columns import Rows
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io.source import Source
+from pdr_graph.types import Array, Fixes, Recording
+
+NAME = "GeoLife (.plt)"
+HEADER_LINES = 6
+EPOCH_1899 = -2_209_161_600.0  # [s] Unix time of 1899-12-30, from which days are counted
+DAY = 86_400.0  # [s]
+
+
+def recognizes(source: Source) -> bool:
+    """True if the file begins as they do."""
+    return source.single is not None and source.head(source.single).startswith(b"Geolife trajectory")
+
+
+def read(source: Source) -> Recording:
+    """Read one trajectory as a recording of fixes alone."""
+    notes: list[str] = []
+    fixes = read_fixes(source, notes)
+    return admit(str(source.path), source.path.stem, {}, 0.0, fixes, notes=notes)
+
+
+def read_fixes(source: Source, notes: list[str]) -> Fixes:
+    """Positions at Unix times. The format has no accuracy."""
+    name = source.single or ""
+    lines = source.text(name).rstrip().split("\n")[HEADER_LINES:]
+    rows = Rows(source.where(name), lines, range(HEADER_LINES + 1, HEADER_LINES + 1 + len(lines)))
+    lat, lon, days = rows.floats((0, 1, 4)).T
+    time: Array = np.round(days * DAY + EPOCH_1899)  # written to the second; the days' digits are not
+    return receiver_fixes(np.column_stack([time, lat, lon, np.full(len(time), np.nan)]), notes, "GeoLife")

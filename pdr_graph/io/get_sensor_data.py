@@ -1,0 +1,124 @@
+"""Logs of GetSensorData, the app of the IPIN competitions, and of the xDR Challenge, which writes the same rows.
+
+One text file: ``%`` comments, then ``TAG;AppTimestamp;SensorTimestamp;…``. AppTimestamp [s] runs from the log's start
+and is common to all sensors, but it says when the app got a sample, not when it was taken; SensorTimestamp [s] says
+that, in a clock of its own (since boot; GNSS: Unix). Samples are therefore timed by the sensor and laid on the app's
+clock as a whole. The xDR dialect has the accelerometer in g, which the door tells by its size.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from pdr_graph.io.columns import Rows
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import receiver_fixes, surveyed
+from pdr_graph.io.source import Source
+from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
+
+NAME = "GetSensorData, IPIN and xDR (.txt)"
+SENSORS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
+TAGS = (*SENSORS, "GNSS", "POSI", "BLE4", "WIFI")
+FIRST_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb");\s*-?[0-9.]+;", re.MULTILINE)
+LARGEST_WANDER = 1.0  # [s] between the clocks of app and sensor; 0.35 s was seen
+UNIX = 1e9  # [s] a larger time is a Unix time: later than 2001
+MAC = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
+
+
+def recognizes(source: Source) -> bool:
+    """True if the first lines look like this format."""
+    name = source.single
+    if name is None:
+        return False
+    head = source.head(name, 16_384)
+    return b"GetSensorData" in head or bool(FIRST_ROW.search(head))
+
+
+def read(source: Source) -> Recording:
+    """Read one log. POSI rows, where the surveyor pressed a button on a landmark, become ``truth``."""
+    name = source.single or ""
+    rows = _rows_by_tag(source.where(name), source.text(name, errors="replace"))
+    notes: list[str] = []
+    tables = {sensor: _sensor(tag, rows[tag], notes) for tag, sensor in SENSORS.items() if tag in rows}
+    fixes, unix_zero = _gnss(rows.get("GNSS"), notes)
+    return admit(
+        source.where(name),
+        PurePosixPath(name).name,
+        tables,
+        unix_zero,
+        fixes,
+        bluetooth=_sightings(rows.get("BLE4")),
+        wifi=_sightings(rows.get("WIFI")),
+        truth=_landmarks(rows.get("POSI")),
+        notes=notes,
+    )
+
+
+def _rows_by_tag(where: str, text: str) -> dict[str, Rows]:
+    """The rows that are used, with their line numbers."""
+    lines: dict[str, list[str]] = {tag: [] for tag in TAGS}
+    numbers: dict[str, list[int]] = {tag: [] for tag in TAGS}
+    for number, line in enumerate(text.split("\n"), start=1):
+        tag = line[:4]
+        if tag in lines and line[4:5] == ";":
+            lines[tag].append(line)
+            numbers[tag].append(number)
+    return {tag: Rows(where, lines[tag], numbers[tag], ";") for tag in TAGS if lines[tag]}
+
+
+def _sensor(tag: str, rows: Rows, notes: list[str]) -> Array:
+    """Time on the app's clock and values of one sensor."""
+    values = 1 if tag == "PRES" else 3
+    table = rows.floats(range(1, 3 + values))
+    app, sensor = table[:, 0], table[:, 1]
+    lag = app - sensor
+    usual = float(np.nanmedian(lag)) if np.isfinite(lag).any() else 0.0
+    wander = float(np.nanpercentile(np.abs(lag - usual), 99)) if len(lag) else 0.0
+    if wander > LARGEST_WANDER:
+        notes.append(f"{SENSORS[tag]}: its clock and the app's part by {wander:.2f} s; the app's was used")
+        return np.delete(table, 1, axis=1)
+    return np.column_stack([sensor + usual, table[:, 2:]])
+
+
+def _gnss(rows: Rows | None, notes: list[str]) -> tuple[Fixes | None, float | None]:
+    """Fixes on the app's clock, and the Unix time of its zero. Every epoch is written twice: once counts."""
+    if rows is None:
+        return None, None
+    app, sensor, lat, lon, accuracy = rows.floats((1, 2, 3, 4, 7)).T
+    _, first = np.unique(sensor, return_index=True)
+    first = np.sort(first)
+    if len(first) < len(app):
+        notes.append(f"GNSS: {len(app) - len(first)} repeats of an epoch were left out")
+    fixes = receiver_fixes(np.column_stack([app, lat, lon, accuracy])[first], notes)
+    unix = sensor > UNIX
+    return fixes, float(np.median((sensor - app)[unix])) if unix.any() else None
+
+
+def _landmarks(rows: Rows | None) -> Trajectory | None:
+    if rows is None:
+        return None
+    table = rows.floats((1, 3, 4))
+    whole = np.flatnonzero(np.isfinite(table[:, 0]) & (np.abs(table[:, 1]) <= 90) & (np.abs(table[:, 2]) <= 180))
+    whole = whole[np.argsort(table[whole, 0], kind="stable")]
+    floors = rows.words(5)
+    return surveyed(table[whole, 0], table[whole][:, [2, 1]], tuple(floors[n] for n in whole), LONLAT)
+
+
+def _sightings(rows: Rows | None) -> Sightings | None:
+    """Who was heard, by MAC, and how loud. Network names may hold anything, the delimiter too."""
+    if rows is None:
+        return None
+    heard: list[tuple[float, str, float]] = []
+    for line in rows.lines:
+        mac = MAC.search(line)
+        fields = line[mac.end() + 1 :].rstrip(";\r ").split(";") if mac else []
+        level = fields[0 if rows.lines[0].startswith("BLE4") else -1] if fields else ""
+        try:
+            heard.append((float(line.split(";", 2)[1]), mac.group() if mac else "", float(level)))
+        except (ValueError, IndexError):
+            continue
+    time = np.array([t for t, _, _ in heard])
+    return Sightings(time, tuple(m for _, m, _ in heard), np.array([level for _, _, level in heard]))

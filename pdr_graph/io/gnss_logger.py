@@ -1,0 +1,100 @@
+"""Logs of Google's GnssLogger for Android: comma-separated rows of many kinds in one text file.
+
+The header comment names the columns of each kind, ``# Fix,Provider,LatitudeDegrees,…``, and older versions have fewer.
+Sensors are timed by ``elapsedRealtimeNanos``, which never jumps, laid on ``utcTimeMillis`` as a whole.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.io.columns import Rows, Table
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io.source import Source
+from pdr_graph.types import Array, Fixes, Recording
+
+NAME = "GnssLogger (.txt)"
+SENSORS = {
+    "accelerometer": ("Accel", "UncalAccel"),
+    "gyroscope": ("Gyro", "UncalGyro"),
+    "magnetometer": ("Mag", "UncalMag"),
+}
+KINDS = ("Fix", *(kind for kinds in SENSORS.values() for kind in kinds))
+PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of the same position: the first that is there counts
+
+
+def recognizes(source: Source) -> bool:
+    """True if the header comment names the columns of fixes or raw measurements."""
+    head = source.head(source.single, 16_384) if source.single else b""
+    return head.lstrip(b"\xef\xbb\xbf").startswith(b"#") and any(
+        f"# {kind},".encode() in head for kind in ("Fix", "Raw", "UncalAccel")
+    )
+
+
+def read(source: Source) -> Recording:
+    """Read one log. Raw GNSS measurements are left alone."""
+    name = source.single or ""
+    tables = _tables(source.where(name), source.text(name, errors="replace"))
+    notes: list[str] = []
+    sensors = {}
+    for sensor, kinds in SENSORS.items():
+        there = next((kind for kind in kinds if kind in tables), None)
+        if there is not None:
+            sensors[sensor] = _sensor(tables[there])
+    fixes = _fixes(tables["Fix"], notes) if "Fix" in tables else None
+    return admit(source.where(name), PurePosixPath(name).name, sensors, 0.0, fixes, notes=notes)
+
+
+def _tables(where: str, text: str) -> dict[str, Table]:
+    """The rows of each kind under the header's names for their columns."""
+    headers: dict[str, tuple[str, ...]] = {}
+    lines: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
+    for number, line in enumerate(text.split("\n"), start=1):
+        kind = line[: line.find(",")]
+        if kind in lines:
+            lines[kind].append(line)
+            numbers[kind].append(number)
+        elif line.startswith("#"):
+            names = tuple(name.strip() for name in line[1:].split(","))
+            headers[names[0]] = names
+    nameless = [kind for kind in KINDS if lines[kind] and kind not in headers]
+    if nameless:
+        found = f"{nameless[0]} rows of which no header comment names the columns"
+        raise InputError(where, f"line {numbers[nameless[0]][0]}", found, f"a comment '# {nameless[0]},…' above")
+    return {k: Table(headers[k], Rows(where, lines[k], numbers[k])) for k in KINDS if lines[k]}
+
+
+def _sensor(table: Table) -> Array:
+    """Unix time [s] and values; uncalibrated ones less the bias that Android estimates beside them."""
+    rows = table.rows.floats(range(1, 6))
+    utc, elapsed = rows[:, 0] * 1e-3, rows[:, 1] * 1e-9
+    values = rows[:, 2:]
+    if table.header[0].startswith("Uncal") and len(table.header) >= 9:
+        values = values - np.nan_to_num(table.rows.floats(range(6, 9))[: len(values)])
+    ahead = float(np.nanmedian(utc - elapsed)) if np.isfinite(utc - elapsed).any() else 0.0
+    return np.column_stack([elapsed + ahead, values])
+
+
+def _fixes(table: Table, notes: list[str]) -> Fixes:
+    """Fixes of the best provider at Unix times."""
+    lat = table.find(lambda name: name.startswith("lat"))
+    lon = table.find(lambda name: name.startswith("lon"))
+    accuracy = table.find(lambda name: name.startswith("acc"))
+    time = table.find(lambda name: "timeinms" in name or "unixtime" in name)
+    if lat is None or lon is None or accuracy is None or time is None:
+        found = f"Fix columns {', '.join(table.header)[:80]}"
+        raise InputError(table.rows.where, "the header", found, "latitude, longitude, accuracy and Unix time")
+    rows = table.rows.floats((time, lat, lon, accuracy)) * (1e-3, 1, 1, 1)
+    providers = np.array([word.lower() for word in table.rows.words(1)[: len(rows)]])
+    best = next((p for p in PROVIDERS if p in providers), providers[0] if len(providers) else "")
+    others = int((providers != best).sum())
+    if others:
+        notes.append(
+            f"GNSS: {others} fixes of other providers than {best!r} were left out: they are of the same receiver"
+        )
+    return receiver_fixes(rows[providers == best], notes)

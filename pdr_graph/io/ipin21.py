@@ -1,0 +1,77 @@
+"""The folders of IPIN21Data (HafenCity University Hamburg): ``acc.csv``, ``gyr.csv``, ``mag.csv``, ``bar.csv``.
+
+Unix milliseconds and values, separated by spaces, without a header. Positions beside them are metres in UTM zone 32N.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.io.columns import Rows
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import surveyed
+from pdr_graph.io.source import Source
+from pdr_graph.types import Array, Fixes, Recording
+
+NAME = "IPIN21Data (folder of acc.csv, gyr.csv, …)"
+SENSORS = {"acc.csv": "accelerometer", "gyr.csv": "gyroscope", "mag.csv": "magnetometer", "bar.csv": "barometer"}
+ROW = re.compile(rb"^\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)")
+EPSG = 32632
+FIX_NAME = re.compile(r"err(\d+(?:\.\d+)?)m?$")
+
+
+def recognizes(source: Source) -> bool:
+    """True if the folder has their file names and rows of Unix milliseconds."""
+    name = source.named("acc.csv", "gyr.csv")
+    return name is not None and bool(ROW.match(source.head(name)))
+
+
+def read(source: Source) -> Recording:
+    """Read one walk. The authors' track per step becomes ``truth``.
+
+    The simulated fixes beside it are alternatives and are left to the user, who gives one by ``--fixes``.
+    """
+    tables = {sensor: _sensor(source, name) for file, sensor in SENSORS.items() if (name := source.named(file))}
+    track = next((n for n in source.names if PurePosixPath(n).name.lower().startswith("groundtruth")), None)
+    alternatives = [n for n in source.names if FIX_NAME.search(PurePosixPath(n).stem)]
+    notes = (
+        [f"{len(alternatives)} sets of simulated fixes lie beside it: give one with --fixes"] if alternatives else []
+    )
+    truth = None
+    if track is not None:
+        rows = _numbers(source.where(track), source.text(track), 3)
+        truth = surveyed(rows[:, 0], rows[:, 1:3], epsg=EPSG)
+    return admit(str(source.path), source.path.stem, tables, 0.0, truth=truth, notes=notes)
+
+
+def is_fixes(head: bytes) -> bool:
+    """True if a file's first bytes look like their simulated fixes: Unix milliseconds, east, north, height."""
+    return bool(re.match(rb"\s*1\.?[0-9]+(?:e\+12)?,[0-9.]+(?:e\+05)?,[0-9.]+(?:e\+06)?,", head))
+
+
+def read_fixes(path: Path, text: str) -> Fixes:
+    """Simulated fixes, of which the file's name gives the 3-D error: a third of its square per axis."""
+    stated = FIX_NAME.search(path.stem)
+    if stated is None:
+        raise InputError(path, "its name", repr(path.stem), "the error in it, as in 'freq10_s_err5m.csv'")
+    rows = _numbers(str(path), text, 3)
+    sigma = np.full(len(rows), float(stated[1]) / np.sqrt(3))
+    return Fixes(rows[:, 0], rows[:, 1:3], sigma, ("",) * len(rows), EPSG)
+
+
+def _sensor(source: Source, name: str) -> Array:
+    return _numbers(source.where(name), source.text(name), 1 if name.lower().endswith("bar.csv") else 3)
+
+
+def _numbers(where: str, text: str, values: int) -> Array:
+    """Times [s] and values ``(n, 1 + values)`` of a file without a header."""
+    lines = text.split("\n")
+    numbers = [n for n, line in enumerate(lines, start=1) if line and not line.isspace()]
+    first = lines[numbers[0] - 1] if numbers else ""
+    delimiter = next((d for d in "\t, " if d in first), " ")
+    rows = Rows(where, [lines[n - 1] for n in numbers], numbers, delimiter)
+    return rows.floats(range(1 + values)) * ([0.001] + values * [1.0])

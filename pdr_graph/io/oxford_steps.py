@@ -1,0 +1,43 @@
+"""Recordings of the Oxford step counter data set: an accelerometer alone, without a header.
+
+Either a file ``t_ns,ax,ay,az,…`` of the validation set, or a folder with an ``accelerometer.csv`` of
+``t_ns,accuracy,ax,ay,az``. Times are nanoseconds since the phone was started.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from pdr_graph.io.columns import Rows
+from pdr_graph.io.door import admit
+from pdr_graph.io.source import Source
+from pdr_graph.types import Recording
+
+NAME = "Oxford step counter (.csv, or a folder with accelerometer.csv)"
+NUMBER = rb"-?[0-9.]+(?:[eE][+-]?[0-9]+)?"
+VALIDATION = re.compile(rb"^[0-9]{9,19}(?:," + NUMBER + rb"){3}(?:,[0-9]+){3}\r?\n")
+WITH_ACCURACY = re.compile(rb"^[0-9]{9,19},[0-3](?:," + NUMBER + rb"){3}\r?\n")
+
+
+def recognizes(source: Source) -> bool:
+    """True if the first row has one of the two shapes."""
+    name = _accelerometer(source)
+    return name is not None and bool(re.match(VALIDATION.pattern + b"|" + WITH_ACCURACY.pattern, source.head(name)))
+
+
+def read(source: Source) -> Recording:
+    """Read one recording. The first rows may be zeros, while the phone's filter settles."""
+    name = _accelerometer(source) or ""
+    first = 2 if WITH_ACCURACY.match(source.head(name)) else 1
+    lines = source.text(name).rstrip().split("\n")
+    rows = Rows(source.where(name), lines, range(1, len(lines) + 1)).floats((0, first, first + 1, first + 2))
+    settled = np.cumsum(np.any(rows[:, 1:] != 0, axis=1)) > 0
+    rows = rows[settled] * (1e-9, 1, 1, 1)
+    notes = [f"accelerometer: {int((~settled).sum())} first rows of zeros were left out"] if not settled.all() else []
+    return admit(source.where(name), source.path.stem, {"accelerometer": rows}, None, notes=notes)
+
+
+def _accelerometer(source: Source) -> str | None:
+    return source.single or source.named("accelerometer.csv")

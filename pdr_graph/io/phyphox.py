@@ -1,0 +1,148 @@
+"""CSV exports of phyphox (RWTH Aachen): a folder or a zip of one table per sensor, or one table alone.
+
+A column is told by its unit, since names follow the experiment and the phone's language: seconds, then m/s², rad/s, µT,
+hPa or degrees. Fields may be separated by comma, semicolon or tab and may have decimal commas. All tables count seconds
+from the experiment's start and *leave pauses out*; ``meta/time.csv`` says when they were.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.io import columns
+from pdr_graph.io.columns import Table
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io.source import Source
+from pdr_graph.types import Array, Fixes, Recording
+
+NAME = "phyphox (CSV export: folder, .zip or .csv)"
+SENSOR_OF_UNIT = {"m/s2": "accelerometer", "rad/s": "gyroscope", "°/s": "gyroscope", "t": "magnetometer"}
+SENSOR_OF_UNIT |= {"hpa": "barometer", "°": "location"}
+WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in the name of a table or a column
+TIME_HEADER = re.compile(rb'^(?:\xef\xbb\xbf)?"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
+UNIT = re.compile(r"\(([^()]*)\)\s*$")
+AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:[^a-z]|$)")
+UNIX_MS = 1e11  # a larger system time is in milliseconds
+
+
+def recognizes(source: Source) -> bool:
+    """True if one of the files is such a table."""
+    return any(True for _ in _tables_named(source))
+
+
+def read(source: Source) -> Recording:
+    """Read one experiment. Raises InputError if a table is damaged."""
+    notes: list[str] = []
+    clock = _clock(source)
+    tables: dict[str, Array] = {}
+    fixes: Fixes | None = None
+    for name in _tables_named(source):
+        table = columns.table(source.where(name), source.text(name))
+        for sensor, chosen in _sensors(name, table).items():
+            if sensor in tables or (sensor == "location" and fixes is not None):
+                notes.append(f"{sensor}: {PurePosixPath(name).name} has it again and was left out")
+                continue
+            values = table.rows.floats(chosen)
+            values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns are filled up with nothing
+            values[:, 0] = clock(values[:, 0])
+            if sensor == "location":
+                fixes = receiver_fixes(_with_accuracy(table, chosen, values), notes)
+            else:
+                tables[sensor] = values
+    return admit(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
+
+
+def _tables_named(source: Source) -> Iterator[str]:
+    """The files that look like tables of sensors, the plainest names first."""
+    for name in sorted(source.names, key=lambda n: (len(n), n)):
+        if name.lower().endswith((".csv", ".txt", ".tsv")) or source.single:
+            head = source.head(name)
+            header = head.split(b"\n", 1)[0].decode("utf-8", "replace")
+            if TIME_HEADER.match(head) and any(_unit(cell) in SENSOR_OF_UNIT for cell in re.split("[,;\t]", header)):
+                yield name
+
+
+@dataclass(frozen=True)
+class Clock:
+    """From seconds of the experiment, which stands still in pauses, to the recorder's clock.
+
+    begins: ``(n,)`` experiment time at which each part begins [s]; ahead: ``(n,)`` clock minus experiment time [s].
+    unix: True if the clock is Unix time.
+    """
+
+    begins: Array
+    ahead: Array
+    unix: bool
+
+    def __call__(self, time: Array) -> Array:
+        """Times [s] on the recorder's clock."""
+        part = np.searchsorted(self.begins, time, side="right") - 1
+        return time + self.ahead[np.maximum(part, 0)]
+
+
+def _clock(source: Source) -> Clock:
+    """What ``meta/time.csv`` says; without it, the experiment's time is all there is."""
+    name = source.named("time.csv")
+    if name is None:
+        return Clock(np.zeros(1), np.zeros(1), unix=False)
+    events = columns.table(source.where(name), source.text(name))
+    table = events.rows.floats((1, 2))
+    words = events.rows.words(0)[: len(table)]
+    starts = table[[word.upper() == "START" for word in words]]
+    starts = starts[np.isfinite(starts).all(axis=1)]
+    if not len(starts):
+        raise InputError(source.where(name), "", "no START event", "event,experiment time,system time")
+    unit = 1000.0 if starts[0, 1] > UNIX_MS else 1.0
+    return Clock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
+
+
+def _sensors(name: str, table: Table) -> dict[str, list[int]]:
+    """The sensors in a table, each with the numbers of its columns: the time to their left, then the values."""
+    units = [_unit(cell) for cell in table.header]
+    found: dict[str, list[int]] = {}
+    time = 0
+    for k, unit in enumerate(units):
+        if unit in ("s", "ms"):
+            time = k
+        sensor = SENSOR_OF_UNIT.get(unit)
+        if sensor == "accelerometer" and any(w in f"{name} {table.header[k]}".lower() for w in WITHOUT_GRAVITY):
+            sensor = "linear_acceleration"
+        if sensor is not None:
+            found.setdefault(sensor, [time]).append(k)
+    sized = {"barometer": 1, "location": 2}
+    return {s: chosen for s, ks in found.items() if (chosen := _axes(table, ks, sized.get(s, 3)))}
+
+
+def _axes(table: Table, chosen: list[int], wanted: int) -> list[int]:
+    """Time and as many value columns as the sensor has: those called x, y and z, without the absolute value."""
+    time, values = chosen[0], chosen[1:]
+    if wanted == 3:
+        named = {axis[1]: k for k in values if (axis := AXIS.search(UNIT.sub("", table.header[k]).lower()))}
+        values = [named[axis] for axis in "xyz" if axis in named] or values
+    return [time, *values[:wanted]] if len(values) >= wanted else []
+
+
+def _with_accuracy(table: Table, chosen: list[int], values: Array) -> Array:
+    """Time, latitude, longitude and accuracy: the second column in metres, after the height."""
+    metres = [k for k, cell in enumerate(table.header) if _unit(cell) == "m"]
+    named = [k for k in metres if re.search("horiz|accuracy|genauigkeit", table.header[k].lower())]
+    accuracy = (named or metres[1:])[:1]
+    if not accuracy:
+        return np.column_stack([values, np.full(len(values), np.nan)])
+    whole = table.rows.floats([*chosen, *accuracy])
+    whole = whole[np.isfinite(whole[:, 1:3]).any(axis=1)]
+    return np.column_stack([values, whole[:, 3]])
+
+
+def _unit(cell: str) -> str:
+    """The unit in a column's name, in one spelling: ``m/s2``, ``t`` for any micro sign before it."""
+    unit = UNIT.search(cell.strip().strip('"'))
+    plain = unit[1].lower().replace("²", "2").replace("^", "").strip() if unit else ""
+    return plain.removeprefix("µ").removeprefix("μ").removeprefix("u") if plain.endswith("t") else plain

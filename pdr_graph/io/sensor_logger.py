@@ -1,0 +1,141 @@
+"""Exports of Sensor Logger (Kelvin Choi): a folder or a zip of one table per sensor, Android or iOS.
+
+Every table has ``time`` (Unix nanoseconds) and ``seconds_elapsed``; columns are found by name: their order varies.
+``Accelerometer`` is without gravity. On iOS ``Accelerometer``, ``Gravity`` and ``AccelerometerUncalibrated`` have the
+opposite sign, unless the recording was made with "Standardise Units & Frames": ``Metadata.csv`` says so.
+Source: UNITS.md, COORDINATES.md and CROSSPLATFORM.md of tszheichoi/awesome-sensor-logger.
+"""
+
+from __future__ import annotations
+
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from pdr_graph.io import columns
+from pdr_graph.io.columns import Table
+from pdr_graph.io.door import admit
+from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io.source import Source
+from pdr_graph.types import Array, Fixes, Recording, Sightings
+
+NAME = "Sensor Logger (folder, .zip or .csv)"
+XYZ = ("x", "y", "z")
+NANOSECOND = 1e-9  # [s]
+PLAIN = {
+    "gyroscope": ("Gyroscope.csv", "GyroscopeUncalibrated.csv"),
+    "magnetometer": ("Magnetometer.csv", "MagnetometerUncalibrated.csv"),
+}
+FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gravity", "Location", "Barometer")
+
+
+def recognizes(source: Source) -> bool:
+    """True if one of its files has their header."""
+    known = (*(f"{name}.csv" for name in FILES), *PLAIN["gyroscope"])
+    names = {name for file in known for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
+    names |= {source.single} if source.single else set()
+    return any(b"seconds_elapsed" in source.head(name, 512) for name in names)
+
+
+def read(source: Source) -> Recording:
+    """Read one recording. Raises InputError if a table is damaged."""
+    notes: list[str] = []
+    tables = _accelerations(source, notes)
+    for sensor, files in PLAIN.items():
+        if (table := _samples(source, *files)) is not None:
+            tables[sensor] = table
+    if (table := _samples(source, "Barometer.csv", values=("pressure",))) is not None:
+        tables["barometer"] = table
+    return admit(
+        str(source.path),
+        source.path.stem,
+        tables,
+        0.0,
+        _location(source, notes),
+        bluetooth=_sightings(source, "Bluetooth.csv", "id", "rssi"),
+        wifi=_sightings(source, "WiFi.csv", "bssid", "level"),
+        notes=notes,
+    )
+
+
+def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
+    """The acceleration with gravity, in Android's signs, from whatever was recorded; else the one without."""
+    total = _samples(source, "TotalAcceleration.csv")
+    linear, gravity = _samples(source, "Accelerometer.csv"), _samples(source, "Gravity.csv")
+    raw = _samples(source, "AccelerometerUncalibrated.csv")
+    if total is None and linear is None and raw is None and source.single:
+        total = _samples(source, PurePosixPath(source.single).name)  # one table, renamed by its owner
+    sign = _sign(source, total is not None, gravity if gravity is not None else raw, notes)
+    if total is not None:
+        return {"accelerometer": total}
+    if linear is not None and gravity is not None and len(gravity) and len(linear):
+        there = gravity[np.isfinite(gravity).all(axis=1)]
+        down = np.column_stack([np.interp(linear[:, 0], there[:, 0], axis) for axis in there[:, 1:].T])
+        return {"accelerometer": np.column_stack([linear[:, 0], sign * (linear[:, 1:] + down)])}
+    if raw is not None:
+        return {"accelerometer": raw * (1, sign, sign, sign)}
+    return {} if linear is None else {"linear_acceleration": linear * (1, sign, sign, sign)}
+
+
+def _sign(source: Source, is_android: bool, with_gravity: Array | None, notes: list[str]) -> float:
+    """−1 where accelerations have iOS's signs.
+
+    Without metadata: a phone that someone carries for a walk looks up more than down.
+    """
+    about = _metadata(source)
+    if "platform" in about:
+        return (
+            -1.0 if about["platform"].lower() == "ios" and about.get("standardisation", "").lower() != "true" else 1.0
+        )
+    if is_android or with_gravity is None or not len(with_gravity):
+        return 1.0
+    into_screen = float(np.nanmedian(with_gravity[:, 3])) < 0
+    system = "iOS" if into_screen else "Android"
+    notes.append(f"accelerometer: no Metadata.csv says which phone it was; {system} was taken from gravity's sign")
+    return -1.0 if into_screen else 1.0
+
+
+def _metadata(source: Source) -> dict[str, str]:
+    name = source.named("Metadata.csv")
+    if name is None:
+        return {}
+    table = columns.table(source.where(name), source.text(name))
+    return {key.lower(): (table.rows.words(k) or [""])[0] for k, key in enumerate(table.header)}
+
+
+def _table(source: Source, *files: str) -> Table | None:
+    """The first of some files that is there and has rows."""
+    for file in files:
+        name = source.named(file)
+        if name is not None and source.head(name, 1):
+            table = columns.table(source.where(name), source.text(name))
+            if len(table.rows):
+                return table
+    return None
+
+
+def _samples(source: Source, *files: str, values: tuple[str, ...] = XYZ) -> Array | None:
+    """Unix time [s] and values of a sensor, None where it was not recorded."""
+    table = _table(source, *files)
+    return None if table is None else table.floats("time", *values) * ([NANOSECOND] + len(values) * [1.0])
+
+
+def _location(source: Source, notes: list[str]) -> Fixes | None:
+    table = _table(source, "Location.csv", "LocationGps.csv")
+    if table is None:
+        return None
+    rows = table.floats("time", "latitude", "longitude", optional=("horizontalAccuracy",))
+    return receiver_fixes(rows * (NANOSECOND, 1, 1, 1), notes)
+
+
+def _sightings(source: Source, file: str, identity: str, level: str) -> Sightings | None:
+    """Who was heard and how loud; rows without a level are left out."""
+    table = _table(source, file)
+    column = table.find(identity.__eq__) if table else None
+    if table is None or column is None:
+        return None
+    rows = table.floats("time", level)
+    heard = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    names = table.rows.words(column)
+    who = [names[n] for n in heard]
+    return Sightings(rows[heard, 0] * NANOSECOND, tuple(who), rows[heard, 1])

@@ -1,0 +1,166 @@
+"""The files of a recording: one file, a folder's, or a zip's. Nothing is ever unpacked to disk.
+
+Files are untrusted. Archives are read member by member, up to a limit that counts what comes out, whatever their
+directory claims; members that point elsewhere are refused by name.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from pdr_graph.errors import InputError
+
+MOST_FILES = 1000
+MOST_MEGABYTES = 1000  # of text in one recording: a day at 100 Hz of three sensors; PDR_GRAPH_MAX_MB raises it
+DEEPEST = 3  # folders below the one given
+CLUTTER = ("__MACOSX", ".DS_Store", "Thumbs.db")
+
+
+class Source:
+    """The named files of a recording.
+
+    path: what the user gave; names: of the files in it, with ``/`` between folders, a common top folder left out.
+    """
+
+    def __init__(self, path: Path):
+        """Raises InputError if there is nothing, or an archive that is damaged or hostile."""
+        self.path = path
+        self._limit = self._left = _limit()
+        if not path.exists():
+            raise InputError(path, "", "no such file", "a recording")
+        self._zip = _open_zip(path)
+        if self._zip is not None:
+            entries = _zip_entries(path, self._zip)
+        elif path.is_dir():
+            entries = _folder_entries(path)
+        elif path.is_file():
+            entries = {path.name: path.name}
+        else:
+            raise InputError(path, "", "neither a file nor a folder", "a recording")
+        if len(entries) > MOST_FILES:
+            raise InputError(path, "", f"more than {MOST_FILES} files", "the files of one recording")
+        self._entries = _without_top_folder(entries)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All files, in order of name."""
+        return tuple(sorted(self._entries))
+
+    @property
+    def single(self) -> str | None:
+        """The name of the only file, None if there are several."""
+        return self.names[0] if len(self._entries) == 1 else None
+
+    def where(self, name: str) -> str:
+        """How a message names one of the files."""
+        return str(self.path) if self._zip is None and self.path.is_file() else f"{self.path}/{name}"
+
+    def named(self, *names: str) -> str | None:
+        """The first file with one of these names, in whatever folder and case, None if there is none.
+
+        Raises InputError if a name is there twice: two recordings were packed together.
+        """
+        for wanted in names:
+            found = [n for n in self.names if PurePosixPath(n).name.lower() == wanted.lower()]
+            if len(found) > 1:
+                raise InputError(self.path, "", f"two files {found[0]} and {found[1]}", "one recording at a time")
+            if found:
+                return found[0]
+        return None
+
+    def head(self, name: str, size: int = 4096) -> bytes:
+        """The first bytes of a file."""
+        return self._read(name, size)[:size]
+
+    def text(self, name: str, errors: str = "strict") -> str:
+        """A whole file as text: UTF-8, or UTF-16 with its byte-order mark, as spreadsheets save it."""
+        data = self._read(name, self._left + 1)
+        self._left -= len(data)
+        if self._left < 0:
+            found = f"more than {self._limit // 10**6} MB of files"
+            raise InputError(self.where(name), "", found, "less (the environment variable PDR_GRAPH_MAX_MB raises it)")
+        encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
+        try:
+            return data.decode(encoding, errors)
+        except UnicodeDecodeError as error:
+            raise InputError(self.where(name), f"byte {error.start}", "bytes that are not UTF-8", "text") from None
+
+    def _read(self, name: str, size: int) -> bytes:
+        entry = self._entries[name]
+        if self._zip is None:
+            file = self.path / entry if self.path.is_dir() else self.path
+            with file.open("rb") as stream:
+                return stream.read(size)
+        try:
+            with self._zip.open(entry) as stream:
+                return stream.read(size)
+        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+            found = f"an archive member that cannot be unpacked ({error})"
+            raise InputError(self.where(name), "", found, "an undamaged zip without a password") from None
+
+
+def _limit() -> int:
+    """Bytes of text that one recording may have."""
+    given = os.environ.get("PDR_GRAPH_MAX_MB", str(MOST_MEGABYTES))
+    if not given.isdecimal() or int(given) == 0:
+        raise InputError("PDR_GRAPH_MAX_MB", "", repr(given), "a number of megabytes")
+    return int(given) * 10**6
+
+
+def _open_zip(path: Path) -> zipfile.ZipFile | None:
+    """The archive, None if the file is none."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as stream:
+        if stream.read(4) not in (b"PK\x03\x04", b"PK\x05\x06"):
+            return None
+    try:
+        return zipfile.ZipFile(path)
+    except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError) as error:
+        raise InputError(path, "", f"a damaged zip ({error})", "a whole zip: was the download cut off?") from None
+
+
+def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
+    entries: dict[str, str] = {}
+    for info in archive.infolist():
+        parts = PurePosixPath(info.filename.replace("\\", "/")).parts
+        if info.is_dir() or _is_clutter(parts):
+            continue
+        is_link = stat.S_ISLNK(info.external_attr >> 16)
+        if is_link or ".." in parts or parts[0].startswith("/") or ":" in parts[0]:
+            found = f"a member {'link' if is_link else 'name'} that leads elsewhere, {info.filename[:60]!r}"
+            raise InputError(path, "", found, "an archive of plain files")
+        name = "/".join(parts)
+        if name in entries:
+            raise InputError(path, "", f"two members named {name[:60]!r}", "an archive with each file once")
+        entries[name] = info.filename
+    return entries
+
+
+def _folder_entries(folder: Path) -> dict[str, str]:
+    """The regular files in a folder, no deeper than recorders nest them; links to folders are not followed."""
+    entries: dict[str, str] = {}
+    for top, folders, files in os.walk(folder):
+        inside = Path(top).relative_to(folder)
+        if len(inside.parts) >= DEEPEST or len(entries) > MOST_FILES:
+            folders.clear()
+        for file in files:
+            name = inside / file
+            if not _is_clutter(name.parts) and (folder / name).is_file():
+                entries[name.as_posix()] = str(name)
+    return entries
+
+
+def _is_clutter(parts: tuple[str, ...]) -> bool:
+    return not parts or any(part in CLUTTER or part.startswith("._") for part in parts)
+
+
+def _without_top_folder(entries: dict[str, str]) -> dict[str, str]:
+    tops = {name.split("/")[0] for name in entries}
+    if len(tops) == 1 and all("/" in name for name in entries):
+        return {name.split("/", 1)[1]: entry for name, entry in entries.items()}
+    return entries
