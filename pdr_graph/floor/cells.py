@@ -98,11 +98,18 @@ class Cells:
         return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
     def _joined(self, i: int, j: int) -> bool:
-        if DOOR in (self.cells[i].kind, self.cells[j].kind):
+        one, other = self.cells[i], self.cells[j]
+        if DOOR in (one.kind, other.kind):
             return True
-        reach = shapely.buffer(self.cells[i].polygon, CRACK, cap_style="flat", join_style="mitre")
-        border = shapely.intersection(reach, shapely.boundary(self.cells[j].polygon))
+        if self._has_doors and (one.is_closed or other.is_closed):
+            return False
+        reach = shapely.buffer(one.polygon, CRACK, cap_style="flat", join_style="mitre")
+        border = shapely.intersection(reach, shapely.boundary(other.polygon))
         return float(shapely.length(shapely.difference(border, self._wide_barriers))) > NARROWEST_WAY
+
+    @cached_property
+    def _has_doors(self) -> bool:
+        return any(cell.kind == DOOR for cell in self.cells)
 
     @cached_property
     def _wide_barriers(self) -> shapely.Geometry:

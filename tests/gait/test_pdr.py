@@ -80,7 +80,8 @@ def test_removed_gravity_is_put_back_along_the_axis_that_shook_most(walk):
     )
     assert len(found) == len(complete)
     assert found.time == pytest.approx(complete.time, abs=0.1)
-    assert found.turn.sum() == pytest.approx(complete.turn.sum(), abs=0.05)
+    # the axis is up to 20° off here, 3–9° on real walks: its turns are short by the cosine
+    assert found.turn.sum() == pytest.approx(complete.turn.sum(), rel=0.1)
     assert "gravity" in found.unknown[0]
 
 

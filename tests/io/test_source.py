@@ -1,0 +1,100 @@
+"""Files are untrusted: what an archive says of itself is not believed, and nothing leaves it."""
+
+import os
+import stat
+import zipfile
+
+import pytest
+from recorders import in_folder, in_zip, phyphox, sample
+
+from pdr_graph import InputError, io
+from pdr_graph.io.source import MOST_FILES
+
+
+@pytest.fixture(scope="module")
+def files():
+    return phyphox(sample())
+
+
+def refused(path, complaint):
+    with pytest.raises(InputError, match=complaint) as refusal:
+        io.load(path)
+    assert "\n" not in str(refusal.value)
+    assert str(path) in str(refusal.value)
+
+
+def test_a_bomb_is_refused_by_what_comes_out(tmp_path, files, monkeypatch):
+    """Three megabytes out of three kilobytes; the limit is the user's to raise."""
+    big = files["Accelerometer.csv"] + 3_000_000 * "0"
+    path = in_zip(tmp_path / "bomb.zip", files | {"Accelerometer.csv": big})
+    monkeypatch.setenv("PDR_GRAPH_MAX_MB", "2")
+    refused(path, "more than 2 MB.*PDR_GRAPH_MAX_MB")
+    monkeypatch.setenv("PDR_GRAPH_MAX_MB", "20")
+    assert len(io.load(in_zip(tmp_path / "walk.zip", files)).accelerometer) > 900
+    monkeypatch.setenv("PDR_GRAPH_MAX_MB", "lots")
+    with pytest.raises(InputError, match="a number of megabytes"):
+        io.load(path)
+
+
+@pytest.mark.parametrize("name", ["../Accelerometer.csv", "/etc/Accelerometer.csv", "a/../../b.csv", "C:\\b.csv"])
+def test_members_that_lead_elsewhere_are_refused(tmp_path, files, name):
+    refused(in_zip(tmp_path / "walk.zip", files | {name: "1"}), "leads elsewhere")
+
+
+def test_links_in_archives_are_refused(tmp_path, files):
+    path = in_zip(tmp_path / "walk.zip", files)
+    link = zipfile.ZipInfo("Gravity.csv")
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr(link, "/etc/passwd")
+    refused(path, "link that leads elsewhere")
+
+
+def test_archives_with_thousands_of_members_are_refused(tmp_path):
+    refused(in_zip(tmp_path / "many.zip", {f"{n}.csv": "" for n in range(MOST_FILES + 1)}), "more than 1000 files")
+
+
+def test_a_name_twice_is_refused(tmp_path, files):
+    path = in_zip(tmp_path / "walk.zip", files)
+    with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("Accelerometer.csv", "other")
+    refused(path, "two members named")
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:40] + bytes(9) + b[49:], lambda b: b[:4]])
+def test_damaged_archives_are_refused(tmp_path, files, damage):
+    path = in_zip(tmp_path / "walk.zip", files)
+    path.write_bytes(damage(path.read_bytes()))
+    refused(path, "zip|unpacked")
+
+
+def test_an_archive_with_a_password_is_refused(tmp_path, files):
+    path = in_zip(tmp_path / "walk.zip", files)
+    data = bytearray(path.read_bytes())
+    for mark, flag in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        at = data.find(mark)
+        while at >= 0:
+            data[at + flag] |= 1
+            at = data.find(mark, at + 4)
+    path.write_bytes(data)
+    refused(path, "password")
+
+
+def test_clutter_of_other_systems_does_not_matter(tmp_path, files):
+    clutter = {"__MACOSX/._Accelerometer.csv": "\x00", ".DS_Store": "x", "Walk/._Gyroscope.csv": "y"}
+    walk = io.load(in_zip(tmp_path / "walk.zip", {f"Walk/{n}": t for n, t in files.items()} | clutter))
+    assert len(walk.accelerometer) == len(walk.gyroscope)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+def test_pipes_and_devices_do_not_hang(tmp_path, files):
+    os.mkfifo(tmp_path / "pipe")
+    refused(tmp_path / "pipe", "neither a file nor a folder")
+    folder = in_folder(tmp_path / "walk", files)
+    os.mkfifo(folder / "Gravity.csv")
+    assert len(io.load(folder).accelerometer) > 900
+
+
+def test_an_empty_folder_is_named(tmp_path):
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty", "an empty folder")

@@ -1,0 +1,162 @@
+"""Recordings by others: the figures of their data page, and from raw file to estimate with their own fixes."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
+from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.frames import enu, projected
+from pdr_graph.io.positions import RADIUS_68
+from pdr_graph.io.tables import read_fixes
+from pdr_graph.types import LONLAT
+
+UTM_32 = 32632
+
+
+def one(data, pattern):
+    (path,) = data.glob(pattern)
+    return path
+
+
+IPIN = {  # trial: gyroscope [Hz], POSI, BLE rows, floors, GNSS error [m] at 50 % against POSI
+    "Trial01": (100, 14, 649, {"0"}, 1.5),
+    "Trial24": (50, 16, 571, {"-2"}, 10.8),
+    "Trial52": (50, 12, 12, {"0", "-2"}, 5.0),
+}
+
+
+@pytest.mark.parametrize("trial", IPIN)
+def test_ipin_2023(data, trial):
+    rate, landmarks, beacons, floors, error = IPIN[trial]
+    walk = io.load(one(data, f"ipin2023_track3/*{trial}*.txt"))
+    assert walk.accelerometer.rate == pytest.approx(50, rel=0.01)
+    assert walk.magnetometer.rate == pytest.approx(50, rel=0.01)
+    assert walk.gyroscope.rate == pytest.approx(rate, rel=0.01)
+    assert 6 < walk.barometer.rate < 10.1
+    assert (len(walk.truth), len(walk.bluetooth), set(walk.truth.floor)) == (landmarks, beacons, floors)
+    assert walk.truth.time[0] == pytest.approx(61, abs=1.5)
+    assert any("repeats of an epoch" in note for note in walk.notes), "every epoch is written twice"
+    assert np.median(np.diff(walk.fixes.time)) == pytest.approx(1.0, abs=0.05)
+    assert 1_686_700_000 < walk.epoch < 1_686_900_000, "14 and 15 June 2023"
+    frame = enu(49.461, 11.111)
+    fixes, truth = frame.place(walk.fixes), frame.place(walk.truth)
+    at = np.stack([np.interp(truth.time, fixes.time, axis) for axis in fixes.position.T], axis=1)
+    # a median of a dozen landmarks; the data page does not say how it paired them
+    assert np.median(np.hypot(*(at - truth.position).T)) == pytest.approx(error, rel=0.5)
+
+
+def test_ipin_beacon_table_is_no_recording(data):
+    with pytest.raises(io.InputError, match="supported recorder"):
+        io.load(data / "ipin2023_track3" / "BLE_Locations.csv")
+
+
+@pytest.mark.parametrize("folder", ["ipin2023_track3", "ms_indoor20", "geolife_sample"])
+def test_folders_of_several_recordings_are_refused(data, folder):
+    with pytest.raises(io.InputError, match="supported recorder"):
+        io.load(data / folder)
+
+
+def test_nju_phyphox(data):
+    walk = io.load(data / "nju_phyphox_outdoor")
+    assert walk.accelerometer.rate == pytest.approx(49.7, abs=0.1)
+    assert len(walk.accelerometer) == len(walk.gyroscope) == len(walk.magnetometer) == 29829
+    assert len(walk.fixes) == 601
+    assert walk.fixes.sigma * RADIUS_68 == pytest.approx(4.73, abs=1.3)
+    assert walk.accelerometer.time[-1] == pytest.approx(600, abs=0.1)
+    assert walk.barometer.time[0] < 0
+    assert walk.epoch is None
+    assert np.median(walk.barometer.values) == pytest.approx(1019.8, abs=0.5)
+
+
+def test_ipin21(data):
+    walk = io.load(data / "ipin21_hcu" / "eight")
+    for signal in (walk.accelerometer, walk.gyroscope, walk.magnetometer, walk.barometer):
+        assert signal.rate == pytest.approx(100, abs=0.1)
+        assert signal.time[-1] == pytest.approx(129, abs=1)
+    assert len(walk.truth) == 220
+    assert walk.truth.epsg == UTM_32
+    way = np.hypot(*np.diff(walk.truth.position, axis=0).T).sum()
+    assert way == pytest.approx(146, abs=1)
+    assert any("5 sets of simulated fixes" in note for note in walk.notes)
+
+
+OXFORD = {"hand": 326, "frontpocket": 327, "bag": 346}
+
+
+@pytest.mark.parametrize("held", OXFORD)
+def test_oxford(data, held):
+    """An accelerometer alone: the steps are counted to within 2 %, their turns are unknown."""
+    walk = io.load(one(data, f"oxford_steps/validation/user1_{held}_*.csv"))
+    assert walk.accelerometer.rate == pytest.approx(100, abs=1)
+    assert walk.gyroscope is None
+    steps = detect_steps(walk)
+    assert len(steps) == pytest.approx(OXFORD[held], rel=0.02)
+    assert steps.unknown == ("turns: there is no gyroscope",)
+
+
+def test_oxford_swinging_arm(data):
+    walk = io.load(data / "oxford_steps" / "Pixel_Jamie_Hard_SwingingArm_1")
+    assert walk.accelerometer.rate == pytest.approx(405, abs=2)
+    assert walk.accelerometer.time[-1] == pytest.approx(143, abs=1)
+
+
+GEOLIFE = {"001/20081024234405": (7075, 11.8), "005/20081024041230": (4298, 11.8), "000/20081028003826": (1477, 4.4)}
+
+
+@pytest.mark.parametrize("name", [*GEOLIFE, "010/20080402060926"])
+def test_geolife(data, name):
+    """Against the date and time columns, which the reader does not use."""
+    path = data / "geolife_sample" / f"{name}.plt"
+    walk = io.load(path)
+    rows = list(csv.reader(path.read_text().splitlines()[6:]))
+    stamps = np.array([f"{date}T{time}" for *_, date, time in rows], dtype="datetime64[s]").astype(float)
+    fixes, hours = GEOLIFE.get(name, (1004, 5.7))
+    assert len(rows) == fixes
+    assert np.isin(walk.fixes.time + walk.epoch, stamps).all()
+    assert len(walk.fixes) == len(np.unique(stamps))
+    assert np.ptp(walk.fixes.time) / 3600 == pytest.approx(hours, abs=0.05)
+
+
+def test_gpx(data):
+    walk = io.load(data / "gpx_sample" / "cerknicko-jezero.gpx")
+    assert len(walk.fixes) == 296
+    assert np.ptp(walk.fixes.time) == pytest.approx(2.0 * 3600, rel=0.02)
+    assert np.diff(walk.fixes.time).max() == 894
+    position = enu(45.77, 14.36).place(walk.fixes).position
+    assert np.hypot(*np.diff(position, axis=0).T).sum() == pytest.approx(13_700, rel=0.01)
+
+
+def test_ipin21_plan_is_walked_by_its_own_route_network(data):
+    """369 links that the authors drew to be walked: rooms are entered by doors, and thin walls stand."""
+    floor = FloorPlan.load(data / "ipin21_hcu" / "map" / "Plan4OG.geojson")
+    route = json.loads((data / "ipin21_hcu" / "map" / "Route4OG.geojson").read_text())
+    links = [np.array(f["geometry"]["coordinates"]) for f in route["features"]]
+    start, end = np.concatenate([k[:-1] for k in links]), np.concatenate([k[1:] for k in links])
+    assert floor.crosses_wall(start, end).mean() < 0.02
+    aside = np.stack([-(end - start)[:, 1], (end - start)[:, 0]], axis=1)
+    assert floor.crosses_wall(start, start + 3 * aside).mean() > 0.5, "a control: across the way there are walls"
+
+
+@pytest.mark.parametrize(("fixes", "target"), [("freq10_s_err5m", 1.6), ("Freq30_s_err1", 1.1), ("Freq5_err3m", 1.2)])
+def test_ipin21_eight_with_its_simulated_fixes(data, fixes, target):
+    """Half of the true steps nearer than the fixes' own error; ``target`` [m] leaves a third above what we measured."""
+    folder = data / "ipin21_hcu" / "eight"
+    walk = io.load(folder)
+    given = read_fixes(folder / "simulated_fixes" / f"{fixes}.csv", walk, projected(UTM_32))
+    track = smooth(WalkGraph(detect_steps(walk), given)).trajectory
+    error = circular_error(pair(track, projected(UTM_32).place(walk.truth)))
+    assert np.median(error) < target
+
+
+def test_nju_walks_on_through_a_minute_without_gps(data):
+    """Fixes withheld for 60 s, of 2.5–3.6 m per axis: half of them nearer than 3 m to the walk that never saw them."""
+    walk = io.load(data / "nju_phyphox_outdoor")
+    assert walk.fixes.epsg == LONLAT
+    fixes = enu(*walk.fixes.position[0, ::-1].tolist()).place(walk.fixes)
+    withheld = (fixes.time > 300) & (fixes.time < 360)
+    track = smooth(WalkGraph(detect_steps(walk), fixes[~withheld])).trajectory
+    at = np.stack([np.interp(fixes.time[withheld], track.time, axis) for axis in track.position.T], axis=1)
+    assert np.median(np.hypot(*(at - fixes.position[withheld]).T)) < 3.0

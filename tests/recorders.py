@@ -1,0 +1,160 @@
+"""One short walk, as the phone recorders that we read would have written it."""
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.frames import enu
+from pdr_graph.simulation.walk import walk_along
+
+UNIX = 1_700_000_000.0
+FRAME = enu(49.45, 11.1)
+G = 9.80665
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What was felt: time [s] from 0, acceleration with gravity, its gravity, angular rate, field, pressure, fixes."""
+
+    time: np.ndarray
+    acceleration: np.ndarray
+    gravity: np.ndarray
+    angular_rate: np.ndarray
+    field: np.ndarray
+    pressure: np.ndarray
+    fix_time: np.ndarray
+    lonlat: np.ndarray
+    accuracy: np.ndarray
+
+
+def sample(seed=0):
+    """Twenty seconds of a walk round a corner, the phone's top raised by 0.6 rad."""
+    walk = walk_along(np.array([(0.0, 0.0), (14.0, 0.0), (14.0, 7.0)]), seed=seed)
+    n = len(walk.time)
+    every = slice(25, None, 50)
+    return Sample(
+        time=walk.time,
+        acceleration=walk.acceleration.round(5),
+        gravity=np.tile([0.0, G * np.sin(0.6), G * np.cos(0.6)], (n, 1)).round(5),
+        angular_rate=walk.angular_rate.round(5),
+        field=np.tile([5.0, 20.0, -40.0], (n, 1)),
+        pressure=np.full(n, 1013.25),
+        fix_time=walk.time[every],
+        lonlat=FRAME.to_lonlat(walk.position[every]).round(8),
+        accuracy=np.full(len(walk.time[every]), 4.53),
+    )
+
+
+def table(header, *columns, delimiter=",", decimal=".", quote='"', form="{:.9E}"):
+    """A CSV as phyphox writes it: quoted names, scientific numbers."""
+    rows = [delimiter.join(form.format(v).replace(".", decimal) for v in row) for row in np.column_stack(columns)]
+    return "\n".join([delimiter.join(f"{quote}{name}{quote}" for name in header), *rows]) + "\n"
+
+
+def xyz(unit, name="{}"):
+    return ["Time (s)", *(f"{name.format(axis)} ({unit})" for axis in ("x", "y", "z"))]
+
+
+def phyphox(s, **style):
+    """The files of a multi-sensor experiment."""
+    location = ["Latitude (°)", "Longitude (°)", "Height (m)", "Velocity (m/s)", "Direction (°)"]
+    zero = np.zeros(len(s.fix_time))
+    return {
+        "Accelerometer.csv": table(xyz("m/s^2", "Acceleration {}"), s.time, s.acceleration, **style),
+        "Gyroscope.csv": table(xyz("rad/s", "Gyroscope {}"), s.time, s.angular_rate, **style),
+        "Magnetometer.csv": table(xyz("µT", "Magnetic field {}"), s.time, s.field, **style),
+        "Pressure.csv": table(["Time (s)", "Pressure (hPa)"], s.time, s.pressure, **style),
+        "Location.csv": table(
+            ["Time (s)", *location, "Horizontal Accuracy (m)", "Vertical Accuracy (m)"],
+            *(s.fix_time, s.lonlat[:, 1], s.lonlat[:, 0], zero, zero, zero, s.accuracy, zero),
+            **style,
+        ),
+        "meta/device.csv": '"property","value"\n"deviceModel","Pixel 6a"\n',
+    }
+
+
+def nanoseconds(header, time, *columns):
+    """A Sensor Logger table: Unix nanoseconds as integers, seconds elapsed, then the columns."""
+    rows = [
+        ",".join([f"{round((UNIX + t) * 1e9)}", f"{t:.6f}", *(f"{v}" for v in row)])
+        for t, row in zip(time, np.column_stack(columns), strict=True)
+    ]
+    return "\n".join([f"time,seconds_elapsed,{header}", *rows]) + "\n"
+
+
+def sensor_logger(s, platform="android", standardised=False):
+    """The files of one export; on iOS accelerations have the other sign and the uncalibrated one is in g."""
+    flipped = -1.0 if platform == "ios" and not standardised else 1.0
+    user, zyx = s.acceleration - s.gravity, "z,y,x"
+    backwards = slice(None, None, -1)
+    files = {
+        "Accelerometer.csv": nanoseconds(zyx, s.time, flipped * user[:, backwards]),
+        "Gravity.csv": nanoseconds(zyx, s.time, flipped * s.gravity[:, backwards]),
+        "Gyroscope.csv": nanoseconds(zyx, s.time, s.angular_rate[:, backwards]),
+        "Magnetometer.csv": nanoseconds(zyx, s.time, s.field[:, backwards]),
+        "Barometer.csv": nanoseconds("relativeAltitude,pressure", s.time, 0 * s.pressure, s.pressure),
+        "Location.csv": nanoseconds(
+            "bearingAccuracy,horizontalAccuracy,speed,longitude,latitude",
+            *(s.fix_time, 0 * s.accuracy, s.accuracy, 0 * s.accuracy, s.lonlat),
+        ),
+        "Annotation.csv": "time,seconds_elapsed,text,millisecond_press_duration\n",
+        "Metadata.csv": "version,device name,recording epoch time,recording time,recording timezone,platform,"
+        "appVersion,device id,sensors,sampleRateMs,standardisation,platform version\n"
+        f"3,Phone,1700000000000,2023-11-14_22-13-20,Europe/Berlin,{platform},1.64,id,Accelerometer|Gravity,10|10,"
+        f"{str(standardised).lower()},1\n",
+    }
+    if platform == "android":
+        files["TotalAcceleration.csv"] = nanoseconds(zyx, s.time, s.acceleration[:, backwards])
+    raw = s.acceleration * (flipped if standardised or platform == "android" else -1 / G)
+    return files | {"AccelerometerUncalibrated.csv": nanoseconds(zyx, s.time, raw[:, backwards])}
+
+
+def get_sensor_data(s, unit=1.0, boot=65093.5):
+    """A log whose sensors have a clock of their own, since boot; every epoch of GNSS twice."""
+    rows = []
+    for tag, values, factor in (("ACCE", s.acceleration, unit), ("GYRO", s.angular_rate, 1), ("MAGN", s.field, 1)):
+        rows += [
+            (t, f"{tag};{t + 0.004:.4f};{t + boot:.4f};{x * factor:.5f};{y * factor:.5f};{z * factor:.5f};3")
+            for t, (x, y, z) in zip(s.time, values, strict=True)
+        ]
+    rows += [(t, f"PRES;{t:.4f};{t + boot:.4f};{p:.4f};3") for t, p in zip(s.time, s.pressure, strict=True)]
+    for t, (lon, lat), accuracy in zip(s.fix_time, s.lonlat, s.accuracy, strict=True):
+        gnss = f"{int(UNIX + t)}.0000;{lat:.8f};{lon:.8f};346.000;79.500;{accuracy:.2f};0.1;22;19"
+        rows += [(t, f"GNSS;{t + d:.4f};{gnss}") for d in (0.0, 0.01)]
+    rows.append((3.0, "WIFI;3.0000;65096.5;a;network;00:11:22:33:44:55;2437;-61;"))
+    rows.append((4.0, "BLE4;4.0000;iBeacon;BE:AC:20:23:00:01;-90;0;1;1;11111111-1111-BEAC-2023-111111111111"))
+    rows.append((5.0, "POSI;5.0000;1;49.450000000000;11.100000000000;-2;100"))
+    head = ["% LogFile created by the 'GetSensorData' App for Android.", "% "]
+    return "\n".join(head + [row for _, row in sorted(rows, key=lambda r: r[0])]) + "\n"
+
+
+def gnss_logger(s, fix="Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,AccuracyMeters,Bearing"):
+    """A log with uncalibrated sensors and the bias beside them, and fixes of two providers."""
+    bias = 0.25
+    lines = ["# ", "# Header Description:", f"# {fix},UnixTimeMillis,SpeedAccuracyMps", "# "]
+    for kind in ("UncalAccel", "UncalGyro", "UncalMag"):
+        lines.append(f"# {kind},utcTimeMillis,elapsedRealtimeNanos,X,Y,Z,BiasX,BiasY,BiasZ")
+    for kind, values in (("UncalAccel", s.acceleration), ("UncalGyro", s.angular_rate), ("UncalMag", s.field)):
+        for t, (x, y, z) in zip(s.time, values + bias, strict=True):
+            when = f"{round((UNIX + t) * 1e3)},{round((t + 500) * 1e9)}"
+            lines.append(f"{kind},{when},{x:.6f},{y:.6f},{z:.6f},{bias},{bias},{bias}")
+    for t, (lon, lat), accuracy in zip(s.fix_time, s.lonlat, s.accuracy, strict=True):
+        for provider in ("GPS", "NLP"):
+            lines.append(f"Fix,{provider},{lat:.8f},{lon:.8f},346.0,0.1,{accuracy:.2f},0,{(UNIX + t) * 1e3:.0f},0.5")
+    return "\n".join(lines) + "\n"
+
+
+def in_folder(folder: Path, files):
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder
+
+
+def in_zip(path: Path, files, top=""):
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(top + name, text)
+    return path
