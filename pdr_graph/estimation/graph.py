@@ -16,7 +16,7 @@ from gtsam.symbol_shorthand import C, X
 
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
-from pdr_graph.estimation.preintegration import Increments, Pieces, bridge, cut, preintegrate
+from pdr_graph.estimation.preintegration import DECIMALS, Increments, Pieces, bridge, cut, preintegrate
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import rotation
 from pdr_graph.types import Array, Fixes, Index, Mask, Steps
@@ -99,7 +99,9 @@ class WalkGraph:
 
         # Variables: a pose per keyframe, a calibration per segment
         self.fix_used, self.fix_sigma = _freshness(self.fixes, steps)
-        self.pieces = cut(steps, self.fixes.time[self.fix_used])
+        lost = steps.length == 0
+        gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
+        self.pieces = cut(steps, np.append(self.fixes.time[self.fix_used], gap_ends))
         self.fix_keyframe = _nearest(self.pieces.keyframe_time, self.fixes.time)
         self.segment = _segments(self.pieces, steps)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
@@ -213,11 +215,20 @@ class WalkGraph:
         if len(fix) < 2:
             track = track + (fix - track[at] if len(fix) else 0.0)
             return State(np.stack([track.real, track.imag, heading], axis=1), c), uncertain
-        laid = align(track, np.append(self.segment[:1], self.segment), at, fix, sigma)
+        laid = align(track, np.append(self.segment[:1], self.segment), at, fix, sigma, self._gaps())
         if uncertain < AMBIGUOUS:
             c[:, 0] = np.clip(laid.scale, *(self.prior.mean[0] + np.array([-2, 2]) * self.prior.sigma[0]))
         poses = np.stack([laid.position.real, laid.position.imag, heading + laid.turned], axis=1)
         return State(poses, c), uncertain
+
+    def _gaps(self) -> Array:
+        """How far the walker may have gone unrecorded from each segment to the next ``(s - 1,)`` [m]."""
+        lost = np.flatnonzero(self.steps.length == 0)
+        first = np.flatnonzero(np.diff(self.segment, prepend=-1))[1:]
+        after = np.searchsorted(self.pieces.keyframe_time[first], self.steps.time[lost])
+        gap = np.zeros(len(first))
+        np.maximum.at(gap, np.minimum(after, len(first) - 1), self.steps.sigma_length[lost])
+        return gap
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, calibration, and a loose hold on the first heading for when nothing else determines it."""
@@ -257,8 +268,9 @@ def _nearest(sorted_times: Array, time: Array) -> Index:
 
 
 def _segments(pieces: Pieces, steps: Steps) -> Index:
-    """The calibration segment of each keyframe interval: equal shares of about a hundred steps."""
+    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps."""
     walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
     count = max(1, round(len(steps) / STEPS_PER_SEGMENT))
     segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
-    return np.unique(segment, return_inverse=True)[1]
+    gaps = np.searchsorted(np.round(steps.time[steps.length == 0], DECIMALS), pieces.keyframe_time[:-1], side="right")
+    return np.unique(segment + gaps, return_inverse=True)[1]

@@ -44,27 +44,38 @@ class Alignment:
     scale: Array
 
 
-def align(track: Complex, segment: Index, fix_keyframe: Index, fix: Complex, sigma: Array) -> Alignment:
+def align(
+    track: Complex, segment: Index, fix_keyframe: Index, fix: Complex, sigma: Array, gap: Array | None = None
+) -> Alignment:
     """Lay a dead-reckoned track on at least two fixes.
 
     track: ``(k,)`` complex positions of the keyframes [m]; segment: ``(k,)`` the segment of each, 0, 0, …, 1, …;
     fix_keyframe: ``(f,)`` index of the keyframe at each fix; fix: ``(f,)`` complex [m]; sigma: ``(f,)`` [m].
+    gap: ``(s - 1,)`` how far the walker may have gone, unrecorded and in any direction, from each segment to the next
+        [m]; none by default.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     offset = track - track[starts[segment]]
     of_fix, z = segment[fix_keyframe], offset[fix_keyframe]
     move = np.diff(track[starts])
-    p, a = _solve(move, of_fix, z, fix, sigma**-2.0)
+    gap = np.zeros(len(move)) if gap is None else gap
+    joints = np.hypot(SIGMA_JOINT, gap) ** -2, np.where(gap > 0, SIGMA_SCALE, SIGMA_CHANGE) ** -2
+    p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0)
     for _ in range(REWEIGHTINGS):
         residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma
         if np.all(residual < HUBER):
             break
-        p, a = _solve(move, of_fix, z, fix, sigma**-2.0 * np.minimum(1.0, HUBER / np.maximum(residual, HUBER)))
+        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * np.minimum(1.0, HUBER / np.maximum(residual, HUBER)))
     return Alignment(p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a))
 
 
-def _solve(move: Complex, of_fix: Index, z: Complex, fix: Complex, weight: Array) -> tuple[Complex, Complex]:
-    """Solve the module's four kinds of row for p, a of each segment. move: ``(s - 1,)`` z_{s+1} − z_s."""
+def _solve(
+    move: Complex, joints: tuple[Array, Array], of_fix: Index, z: Complex, fix: Complex, weight: Array
+) -> tuple[Complex, Complex]:
+    """Solve the module's four kinds of row for p, a of each segment.
+
+    move: ``(s - 1,)`` z_{s+1} − z_s; joints: weights ``(s - 1,)`` of the joint and of the slow change.
+    """
     segments = len(move) + 1
 
     def per_segment(values: Array | Complex) -> Complex:
@@ -72,7 +83,7 @@ def _solve(move: Complex, of_fix: Index, z: Complex, fix: Complex, weight: Array
         np.add.at(total, of_fix, values)
         return total
 
-    joint, change = SIGMA_JOINT**-2, SIGMA_CHANGE**-2
+    joint, change = joints
     band = np.zeros((3, 2 * segments), dtype=complex)  # lower, of p_0, a_0, p_1, a_1, …
     pp, aa, ap = band[0, 0::2], band[0, 1::2], band[1, 0::2]
     pp += per_segment(weight)

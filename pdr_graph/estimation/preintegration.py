@@ -109,7 +109,10 @@ def _whole_pieces(steps: Steps) -> Array:
     pauses, moves = rows[0:-1:2], rows[1::2]
     pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
     moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
-    moves[:, 3:] = np.stack([steps.sigma_length, np.full(n, SIGMA_LATERAL), steps.sigma_turn], axis=1) ** 2
+    sigma_lateral = np.where(
+        steps.length > 0, SIGMA_LATERAL, steps.sigma_length
+    )  # a gap in the recording leads anywhere
+    moves[:, 3:] = np.stack([steps.sigma_length, sigma_lateral, steps.sigma_turn], axis=1) ** 2
     rows[-1, :3] = steps.end, 0.0, steps.final_turn
     rows[0::2, 5] = SIGMA_STANDING_TURN**2
     rows[:, 0] = np.round(rows[:, 0], DECIMALS)

@@ -34,6 +34,7 @@ IPIN21_KINDS = {
     "Wa": "wall",  # a wall whose name was cut short
 }
 LARGEST_FILE = 200_000_000  # bytes
+FARTHEST = 1e8  # [m] of any coordinate
 Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
 
 
@@ -159,8 +160,8 @@ def _features(path: Path, collection: dict[str, Any], notes: list[str]) -> Itera
         if shapely.is_empty(shape):
             nowhere.append(n)
             continue
-        if not np.isfinite(shapely.get_coordinates(shape)).all():
-            raise InputError(path, f"feature {n}", "a coordinate that is no number", "finite coordinates")
+        if not (np.abs(shapely.get_coordinates(shape)) < FARTHEST).all():
+            raise InputError(path, f"feature {n}", "a coordinate that is nowhere on Earth", "degrees, or metres")
         if not shapely.is_valid(shape):
             notes.append(f"feature {n}: its outline crosses itself and was mended")
             shape = shapely.make_valid(shape)

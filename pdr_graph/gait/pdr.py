@@ -11,6 +11,7 @@ import numpy as np
 from pdr_graph.errors import InputError
 from pdr_graph.gait.detection import peak_pairs
 from pdr_graph.gait.direction import accumulate_turn, without_gait
+from pdr_graph.gait.gaps import join, uninterrupted
 from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.types import Array, Recording, Steps
@@ -48,12 +49,17 @@ class Walker:
 def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
     """The steps in a recording: when each foot landed, how far it went, and how the heading changed.
 
+    Where the recording has a gap, a row of length 0 says that the walker went nobody knows where.
+
     Without a gyroscope turns are unknown, 0 with a wide sigma; what else a sensor did not tell is in ``unknown``.
 
     Raises InputError if there is no accelerometer.
     """
     walker = walker or Walker()
+    return join([_uninterrupted_steps(part, walker) for part in uninterrupted(recording)])
 
+
+def _uninterrupted_steps(recording: Recording, walker: Walker) -> Steps:
     # Attitude of the phone
     attitude = attitude_of(recording)
 

@@ -14,6 +14,8 @@ from pdr_graph.types import Array
 
 DELIMITERS = "\t;,"  # in the order of trust: a comma may be a decimal one
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")  # what recorders write for no value
+LARGEST = 1e20  # of any number: Unix nanoseconds have 1e18
+BLANK = ("", "\r", " ", " \r")
 LONGEST_LINE = 10_000  # characters of a row; recorders' rows have some hundred
 
 
@@ -33,8 +35,9 @@ class Rows:
         return len(self.lines)
 
     def floats(self, columns: Sequence[int], cut_off_allowed: bool = True) -> Array:
-        """Some columns ``(n, k)``, NaN where a cell is empty. A last row that was cut off is left out.
+        """Some columns ``(n, k)``, NaN where a cell is empty or beyond all measure.
 
+        A last row that was cut off is left out.
         cut_off_allowed: False where a format marks its end, so that a short last row is damage.
         Raises InputError naming the line where a cell is neither empty nor a number.
         """
@@ -45,8 +48,9 @@ class Rows:
                 self.lines, delimiter=self.delimiter, usecols=columns, comments=None, quotechar='"', ndmin=2
             )
         except (ValueError, OverflowError):
-            return self._floats_one_by_one(columns, cut_off_allowed)
-        return table
+            table = self._floats_one_by_one(columns, cut_off_allowed)
+        with np.errstate(invalid="ignore"):
+            return np.where(np.abs(table) < LARGEST, table, np.nan)
 
     def words(self, column: int) -> list[str]:
         """One column as text, empty where a row is too short."""
@@ -58,7 +62,7 @@ class Rows:
             found = f"{len(self.lines[longest])} characters"
             raise InputError(self.where, f"line {self.numbers[longest]}", found, f"a row of at most {LONGEST_LINE}")
         if any('"' in line for line in self.lines):
-            return [next(csv.reader([line], delimiter=self.delimiter), []) for line in self.lines]
+            return [split(line, self.delimiter) for line in self.lines]
         return [line.split(self.delimiter) for line in self.lines]
 
     def _floats_one_by_one(self, columns: Sequence[int], cut_off_allowed: bool) -> Array:
@@ -109,6 +113,14 @@ class Table:
         return wide
 
 
+def split(line: str, delimiter: str) -> list[str]:
+    """The cells of one line, of which some may be quoted."""
+    try:
+        return next(csv.reader([line.strip("\r\n")], delimiter=delimiter), [])
+    except csv.Error:
+        return line.split(delimiter)
+
+
 def table(where: str, text: str) -> Table:
     """A CSV with a header in its first line, whatever its delimiter and decimal mark."""
     lines = text.split("\n")
@@ -119,11 +131,11 @@ def table(where: str, text: str) -> Table:
         raise InputError(where, "line 1", f"{len(lines[first])} characters", "a header")
     head = lines[first]
     delimiter = next((d for d in DELIMITERS if d in head), ",")
-    header = tuple(name.strip() for name in next(csv.reader([head], delimiter=delimiter)))
+    header = tuple(name.strip() for name in split(head, delimiter))
     numbers: Sequence[int] = range(first + 2, len(lines) + 1)
     rows = lines[first + 1 :]
-    if any(not line or line.isspace() for line in rows):
-        numbers = [number for number, line in zip(numbers, rows, strict=True) if line and not line.isspace()]
+    if any(line in BLANK for line in rows):
+        numbers = [number for number, line in zip(numbers, rows, strict=True) if line not in BLANK]
         rows = [lines[number - 1] for number in numbers]
     if delimiter != "," and any("," in line for line in rows[:10]):
         rows = [line.replace(",", ".") for line in rows]

@@ -18,6 +18,7 @@ from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal, Trajecto
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 MOST_MISSING = 0.2  # of a sensor's rows without a value: beyond, the file is damaged
 MOST_UNORDERED, FARTHEST_BACK = 0.01, 1.0  # share of rows, and [s]: a recorder's threads, not a shuffled file
+ABSURD = 1e12  # of a time [s] or a value in any unit: no measurement is as large, nor is what is not finite smaller
 WINDOW = 2.0  # [s] over which a walker's own acceleration averages out, a stride or two
 GRAVITY = (8.0, 11.5)  # [m/s²] of window means: real walks have 9.5–10.2
 GRAVITY_IN_G = (0.85, 1.15)
@@ -89,7 +90,8 @@ def _since(origin: float, part: Timed | None) -> Timed | None:
 
 def _clean(path: str, sensor: str, table: Array, said: list[str]) -> Array:
     """Rows with a value, in order of time, each once."""
-    whole = np.isfinite(table).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        whole = (np.abs(table) < ABSURD).all(axis=1)
     missing = int((~whole).sum())
     if missing > MOST_MISSING * len(table):
         raise InputError(path, sensor, f"{missing} of {len(table)} rows without a value", "rows of finite numbers")

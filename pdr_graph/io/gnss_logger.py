@@ -71,11 +71,10 @@ def _tables(where: str, text: str) -> dict[str, Table]:
 
 def _sensor(table: Table) -> Array:
     """Unix time [s] and values; uncalibrated ones less the bias that Android estimates beside them."""
-    rows = table.rows.floats(range(1, 6))
+    biased = table.header[0].startswith("Uncal") and len(table.header) >= 9
+    rows = table.rows.floats(range(1, 9 if biased else 6))
     utc, elapsed = rows[:, 0] * 1e-3, rows[:, 1] * 1e-9
-    values = rows[:, 2:]
-    if table.header[0].startswith("Uncal") and len(table.header) >= 9:
-        values = values - np.nan_to_num(table.rows.floats(range(6, 9))[: len(values)])
+    values = rows[:, 2:5] - (np.nan_to_num(rows[:, 5:]) if biased else 0.0)
     ahead = float(np.nanmedian(utc - elapsed)) if np.isfinite(utc - elapsed).any() else 0.0
     return np.column_stack([elapsed + ahead, values])
 

@@ -5,6 +5,7 @@ lxml parses ten times as fast as gpxpy, and can be told to trust nothing: no doc
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 
@@ -21,6 +22,7 @@ from pdr_graph.types import Array, Fixes, Recording, Trajectory
 NAME = "GPX (.gpx)"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 ACCURACY_PER_HDOP = 5.3  # [m] 68 % radius: a phone's range error of 5 m, times HDOP, is the root mean square distance
+PLAIN_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z")
 Point = tuple[float, float, str, float]  # latitude and longitude [deg], time, accuracy [m]
 
 
@@ -71,7 +73,7 @@ def _points(where: str, text: str) -> list[Point]:
     try:
         root = etree.fromstring(text.encode(), parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        raise InputError(where, "", f"broken XML ({error})", "a whole GPX file") from None
+        raise InputError(where, "", f"broken XML ({str(error)[:120]})", "a whole GPX file") from None
     if root.getroottree().docinfo.doctype:
         raise InputError(where, "", "a document type definition", "plain GPX, which has none")
     prefix = root.tag[: root.tag.find("}") + 1]
@@ -108,7 +110,7 @@ def _accuracy(point: etree._Element) -> float:
 def _unix(where: str, times: tuple[str, ...]) -> Array:
     """Unix seconds of ISO 8601 times; without a zone they are UTC, as the format demands."""
     try:
-        if all(t.endswith("Z") for t in times):
+        if all(PLAIN_TIME.fullmatch(t) for t in times):
             return np.array([t[:-1] for t in times], dtype="datetime64[ms]").astype(float) / 1000
         parsed = [datetime.fromisoformat(t) for t in times]
         return np.array([(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in parsed])

@@ -49,11 +49,13 @@ def read(source: Source) -> Recording:
             if sensor in tables or (sensor == "location" and fixes is not None):
                 notes.append(f"{sensor}: {PurePosixPath(name).name} has it again and was left out")
                 continue
-            values = table.rows.floats(chosen)
+            accuracy = _accuracy(table) if sensor == "location" else []
+            values = table.rows.floats([*chosen, *accuracy])
             values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns are filled up with nothing
             values[:, 0] = clock(values[:, 0])
             if sensor == "location":
-                fixes = receiver_fixes(_with_accuracy(table, chosen, values), notes)
+                unknown = np.full((len(values), 1 - len(accuracy)), np.nan)
+                fixes = receiver_fixes(np.column_stack([values, unknown]), notes)
             else:
                 tables[sensor] = values
     return admit(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
@@ -129,16 +131,11 @@ def _axes(table: Table, chosen: list[int], wanted: int) -> list[int]:
     return [time, *values[:wanted]] if len(values) >= wanted else []
 
 
-def _with_accuracy(table: Table, chosen: list[int], values: Array) -> Array:
-    """Time, latitude, longitude and accuracy: the second column in metres, after the height."""
+def _accuracy(table: Table) -> list[int]:
+    """The column of a position's horizontal accuracy: by its name, else the second in metres, after the height."""
     metres = [k for k, cell in enumerate(table.header) if _unit(cell) == "m"]
     named = [k for k in metres if re.search("horiz|accuracy|genauigkeit", table.header[k].lower())]
-    accuracy = (named or metres[1:])[:1]
-    if not accuracy:
-        return np.column_stack([values, np.full(len(values), np.nan)])
-    whole = table.rows.floats([*chosen, *accuracy])
-    whole = whole[np.isfinite(whole[:, 1:3]).any(axis=1)]
-    return np.column_stack([values, whole[:, 3]])
+    return (named or metres[1:])[:1]
 
 
 def _unit(cell: str) -> str:

@@ -6,6 +6,7 @@ directory claims; members that point elsewhere are refused by name.
 
 from __future__ import annotations
 
+import lzma
 import os
 import stat
 import zipfile
@@ -16,6 +17,7 @@ from pdr_graph.errors import InputError
 
 MOST_FILES = 1000
 MOST_MEGABYTES = 1000  # of text in one recording: a day at 100 Hz of three sensors; PDR_GRAPH_MAX_MB raises it
+DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, RuntimeError, ValueError, OverflowError)
 DEEPEST = 3  # folders below the one given
 CLUTTER = ("__MACOSX", ".DS_Store", "Thumbs.db")
 
@@ -98,7 +100,7 @@ class Source:
         try:
             with self._zip.open(entry) as stream:
                 return stream.read(size)
-        except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+        except DAMAGE as error:
             found = f"an archive member that cannot be unpacked ({error})"
             raise InputError(self.where(name), "", found, "an undamaged zip without a password") from None
 
@@ -120,7 +122,7 @@ def _open_zip(path: Path) -> zipfile.ZipFile | None:
             return None
     try:
         return zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OverflowError) as error:
+    except DAMAGE as error:
         raise InputError(path, "", f"a damaged zip ({error})", "a whole zip: was the download cut off?") from None
 
 

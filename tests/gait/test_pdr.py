@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pdr_graph import InputError, Walker, detect_steps
+from pdr_graph import InputError, Walker, WalkGraph, detect_steps, smooth
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.simulation.walk import walk_along
-from pdr_graph.types import Recording, Signal
+from pdr_graph.types import Fixes, Recording, Signal
 
 ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 12.0), (2.0, 12.0)])
 
@@ -85,16 +85,52 @@ def test_removed_gravity_is_put_back_along_the_axis_that_shook_most(walk):
     assert "gravity" in found.unknown[0]
 
 
-def test_wrong_units_and_wild_times_are_refused(walk):
-    """An accelerometer in g; a last sample a year later, whose gap nobody could fill."""
+def test_wrong_units_are_refused(walk):
     in_g = Signal(walk.time, walk.acceleration / 9.81)
     with pytest.raises(InputError, match=r"median magnitude of 0\.99.*9\.8 m/s²"):
         detect_steps(recorded(walk, accelerometer=in_g))
+
+
+def holed(walk, start, end):
+    """The walk with no samples between two times [s]."""
+    there = (walk.time < start) | (walk.time > end)
+    return recorded(
+        walk,
+        accelerometer=Signal(walk.time[there], walk.acceleration[there]),
+        gyroscope=Signal(walk.time[there], walk.angular_rate[there]),
+    )
+
+
+def test_a_gap_is_a_row_of_no_length_that_leads_anywhere(walk, steps):
+    found = detect_steps(holed(walk, 10.0, 20.0))
+    gap = np.flatnonzero(found.length == 0)
+    assert len(gap) == 1
+    assert found.time[gap] - found.duration[gap] == pytest.approx(10.0, abs=0.05)
+    assert found.time[gap] == pytest.approx(20.0, abs=0.05)
+    assert found.sigma_length[gap] == pytest.approx(10.0, abs=0.1), "a metre a second"
+    assert found.unknown == ("1 gaps in the recording",)
+    outside = (steps.time < 10.0) | (steps.time > 20.5)
+    assert len(found) - 1 == pytest.approx(outside.sum(), abs=2)
+
+
+def test_a_stray_sample_a_year_later_is_no_part_of_the_walk(walk, steps):
     late = np.append(walk.time[:-1], 3e7)
-    with pytest.raises(InputError, match="are its times in seconds"):
-        detect_steps(
-            recorded(walk, accelerometer=Signal(late, walk.acceleration), gyroscope=Signal(late, walk.angular_rate))
-        )
+    stray = recorded(walk, accelerometer=Signal(late, walk.acceleration), gyroscope=Signal(late, walk.angular_rate))
+    assert detect_steps(stray).time == pytest.approx(steps.time)
+
+
+def test_across_a_gap_the_fixes_say_where_the_walk_went_on(walk):
+    """A walker unrecorded for ten seconds round a corner, a fix every five: found again behind it, honestly."""
+    at = np.arange(0.0, walk.time[-1], 5.0)
+    truth = np.stack([np.interp(at, walk.time, axis) for axis in walk.position.T], axis=1)
+    fixes = Fixes(at, truth, np.full(len(at), 0.5), ("",) * len(at))[(at < 16.0) | (at > 26.0)]
+    track = smooth(WalkGraph(detect_steps(holed(walk, 16.0, 26.0)), fixes)).trajectory
+    there = np.stack([np.interp(track.time, walk.time, axis) for axis in walk.position.T], axis=1)
+    error = np.hypot(*(track.position - there).T)
+    recorded_rows = (track.time < 16.0) | (track.time > 26.0)
+    assert error[recorded_rows].max() < 1.5
+    sigma = np.sqrt(track.covariance[:, 0, 0] + track.covariance[:, 1, 1])
+    assert (error < 3.5 * sigma)[recorded_rows].all()
 
 
 def test_a_standing_phone_takes_no_steps():

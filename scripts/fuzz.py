@@ -1,0 +1,95 @@
+"""Damage every kind of input many times: each must load or be refused in one line, soon, without a traceback.
+
+python scripts/fuzz.py [COUNT] [NAME …]
+"""
+
+import random
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from mutations import inputs, mutated
+
+from pdr_graph import FloorPlan, InputError, detect_steps, io, read_fixes, read_trajectory
+from pdr_graph.floor.check import problems
+from pdr_graph.types import Recording, Signal
+
+SLOWEST = 10  # [s] for inputs of some kilobytes
+
+
+def record(path):
+    walk = io.load(path)
+    if walk.accelerometer or walk.linear_acceleration:
+        detect_steps(walk)
+
+
+def plan(path):
+    for floor in FloorPlan.load_all(path):
+        problems(floor)
+
+
+def fixes(path):
+    import numpy as np
+
+    walk = Recording("walk", 1.7e9, 1.7e9, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
+    read_fixes(path, walk)
+
+
+def late(*_):
+    raise TimeoutError(f"more than {SLOWEST} s")
+
+
+def fuzz(name, file, whole, use, count, folder):
+    """Failures among ``count`` damaged copies; the first few are kept beside their traceback."""
+    loaded, failures, started, slowest = 0, 0, time.time(), 0.0
+    path = folder / file
+    for n in range(count):
+        data = mutated(whole, random.Random(f"{name}{n}"))
+        path.write_bytes(data)
+        signal.alarm(SLOWEST)
+        begun = time.perf_counter()
+        try:
+            use(path)
+            loaded += 1
+        except InputError as refusal:
+            if "\n" in str(refusal) or len(str(refusal)) > 1000:
+                failures += 1
+                print(f"{name} {n}: a long refusal: {str(refusal)[:300]!r}")
+        except Exception:
+            failures += 1
+            Path(f"{name}-{n}-{file}".replace(" ", "_")).write_bytes(data)
+            print(f"{name} {n}:", *traceback.format_exc().splitlines()[-7:], sep="\n  ")
+        signal.alarm(0)
+        slowest = max(slowest, time.perf_counter() - begun)
+        if failures >= 10:
+            break
+    took = time.time() - started
+    print(
+        f"{name}: {n + 1} damaged, {loaded} loaded, {failures} failures, slowest {slowest:.2f} s, {took:.0f} s",
+        flush=True,
+    )
+    return failures
+
+
+def main():
+    warnings.simplefilter("error")  # a warning is a line of noise on a user's terminal
+    signal.signal(signal.SIGALRM, late)
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
+    recordings, tables, plans = inputs()
+    cases = [(name, *given, record) for name, given in recordings.items()]
+    cases += [(name, *given, plan) for name, given in plans.items()]
+    cases += [("fixes", *tables["fixes"], fixes), ("trajectory", *tables["trajectory"], read_trajectory)]
+    wanted = sys.argv[2:]
+    with tempfile.TemporaryDirectory() as folder:
+        failures = sum(fuzz(*case, count, Path(folder)) for case in cases if not wanted or case[0] in wanted)
+    sys.exit(failures > 0)
+
+
+if __name__ == "__main__":
+    main()

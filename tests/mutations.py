@@ -1,0 +1,190 @@
+"""Damaged inputs: one of every kind that we read, and ways to damage it."""
+
+import io as memory
+import json
+import random
+import zipfile
+from dataclasses import fields, replace
+
+import numpy as np
+import shapely
+from recorders import get_sensor_data, gnss_logger, phyphox, sample, sensor_logger
+
+from pdr_graph.simulation.walk import _recording_lines, walk_along
+
+SAMPLES = 80
+NUMBERS = (
+    b"nan",
+    b"inf",
+    b"-inf",
+    b"1e308",
+    b"-1",
+    b"0",
+    b"",
+    b"9" * 400,
+    b"1e-320",
+    b"0x10",
+    b"1,5",
+    b"true",
+    b"\xff\xfe",
+)
+BYTES = (b"\x00", b'"', b",", b";", b"\t", b"\n", b"\r", b"\\", b"<", b"&", b"{", b"[", b"\xef\xbb\xbf", "٣".encode())
+
+
+def small():
+    """The first second and a half of the walk."""
+    whole = sample()
+    long = {f.name: getattr(whole, f.name) for f in fields(whole)}
+    few = {"fix_time", "lonlat", "accuracy"}
+    return replace(whole, **{n: v[: 2 if n in few else SAMPLES] for n, v in long.items()})
+
+
+def zipped(files):
+    out = memory.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return out.getvalue()
+
+
+def columns(*arrays, delimiter=" ", form="{:.12e}"):
+    return "\n".join(delimiter.join(form.format(v) for v in row) for row in np.column_stack(arrays)) + "\n"
+
+
+def indoor_location():
+    walk = walk_along(np.array([(0.0, 0.0), (4.0, 0.0)]))
+    lines = _recording_lines(walk, 1.7e9)
+    return "\n".join([*lines[: 2 + 2 * SAMPLES], lines[-1]]) + "\n"
+
+
+def ipin21(s):
+    ms = 1.7e12 + s.time * 1e3
+    files = {
+        "acc.csv": columns(ms, s.acceleration),
+        "gyr.csv": columns(ms, s.angular_rate),
+        "bar.csv": columns(ms, s.pressure),
+    }
+    return files | {"GroundTruthEight.csv": columns(ms[:3], *np.full((3, 3), 5e5), delimiter="\t", form="{:.3f}")}
+
+
+def gpx():
+    point = '<trkpt lat="49.4{}" lon="11.1"><ele>3</ele><time>2023-11-14T22:13:2{}Z</time><hdop>1.2</hdop></trkpt>'
+    points = "".join(point.format(n, n) for n in range(5))
+    return f'<?xml version="1.0"?><gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{points}</trkseg></trk></gpx>'
+
+
+def geolife():
+    head = "Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My Track,0,0,2,8421376\n0\n"
+    return head + "".join(f"39.9,116.3{n},0,492,39747.11240{n},2008-10-26,02:41:5{n}\n" for n in range(6))
+
+
+def plan(ipin=False):
+    shift = (566e3, 5932e3) * 2 if ipin else (8, 49) * 2
+    scale = 1.0 if ipin else 1e-5
+    boxes = {"corridor": (0, 0, 9, 2), "room": (0, 2, 9, 6), "wall": (0, 2, 4, 2.2), "door": (4, 2, 5, 2.2)}
+    features = []
+    for kind, b in boxes.items():
+        box = shapely.box(*(v * scale + o for v, o in zip(b, shift, strict=True)))
+        properties = {"Type": kind.title()} if ipin else {"kind": kind, "name": kind, "floor": ["0", "1"]}
+        features.append({"type": "Feature", "properties": properties, "geometry": json.loads(shapely.to_geojson(box))})
+    about = {"crs": {"properties": {"name": "EPSG::32632"}}} if ipin else {"pdr_graph": {"origin": [8.0, 49.0]}}
+    return json.dumps({"type": "FeatureCollection", **about, "features": features})
+
+
+def inputs():
+    """Name to (file name, bytes or files of a folder) of a whole input of every kind."""
+    s = small()
+    recordings = {
+        "indoor_location": ("walk.txt", indoor_location().encode()),
+        "get_sensor_data": ("log.txt", get_sensor_data(s).encode()),
+        "gnss_logger": ("gnss_log.txt", gnss_logger(s).encode()),
+        "phyphox": ("walk.zip", phyphox(s) | {"meta/time.csv": '"event","a","b"\n"START",0.0,1.7E9\n'}),
+        "sensor_logger": ("walk.zip", sensor_logger(s, "ios")),
+        "ipin21": ("walk.zip", ipin21(s)),
+        "oxford_steps": (
+            "hand.csv",
+            columns(
+                s.time * 1e9 + 1e12, s.acceleration, *np.zeros((3, SAMPLES)), delimiter=",", form="{:.0f}"
+            ).encode(),
+        ),
+        "geolife": ("day.plt", geolife().encode()),
+        "gpx": ("track.gpx", gpx().encode()),
+    }
+    tables = {
+        "fixes": ("fixes.csv", b"time,x,y,sigma,floor\n1700000000.5,1,2,0.5,F1\n1700000001,3,4,2,\n"),
+        "trajectory": ("t.csv", b"time,x,y,heading,floor\n1,0,0,0.1,F1\n2,1,0,,\n3,2,0,nan,F1\n"),
+    }
+    plans = {
+        "own plan": ("plan.geojson", plan().encode()),
+        "ipin21 plan": ("Plan4OG.geojson", plan(ipin=True).encode()),
+    }
+    return recordings, tables, plans
+
+
+def mutated(whole, chance: random.Random):
+    """A damaged copy: of the bytes, or of the files in a zip, or of the zip itself."""
+    if isinstance(whole, bytes):
+        return _damage(whole, chance)
+    files = {name: text.encode() for name, text in whole.items()}
+    for _ in range(chance.randint(1, 2)):
+        name = chance.choice(list(files))
+        files[name] = _damage(files[name], chance)
+    if chance.random() < 0.1:
+        del files[chance.choice(list(files))]
+    archive = zipped(files)
+    return _damage(archive, chance) if chance.random() < 0.2 else archive
+
+
+def _damage(data: bytes, chance: random.Random) -> bytes:
+    for _ in range(chance.choice((1, 1, 1, 2, 5))):
+        data = chance.choice((_cut, _flip, _insert, _repeat, _drop, _number, _swap_lines))(data, chance)
+    return data
+
+
+def _span(data, chance, longest=200):
+    start = chance.randrange(len(data) + 1)
+    return start, min(len(data), start + chance.randint(1, longest))
+
+
+def _cut(data, chance):
+    return data[: chance.randrange(len(data) + 1)]
+
+
+def _flip(data, chance):
+    if not data:
+        return data
+    at = chance.randrange(len(data))
+    return data[:at] + bytes([data[at] ^ (1 << chance.randrange(8))]) + data[at + 1 :]
+
+
+def _insert(data, chance):
+    at = chance.randrange(len(data) + 1)
+    return data[:at] + chance.choice(BYTES) * chance.choice((1, 1, 3, 100)) + data[at:]
+
+
+def _repeat(data, chance):
+    start, end = _span(data, chance)
+    return data[:end] + data[start:end] * chance.choice((1, 2, 20)) + data[end:]
+
+
+def _drop(data, chance):
+    start, end = _span(data, chance)
+    return data[:start] + data[end:]
+
+
+def _number(data, chance):
+    """One number becomes something else."""
+    digits = [n for n in range(len(data)) if data[n : n + 1].isdigit()]
+    if not digits:
+        return data
+    start = end = chance.choice(digits)
+    while end < len(data) and data[end : end + 1] in b"0123456789.eE+-":
+        end += 1
+    return data[:start] + chance.choice(NUMBERS) + data[end:]
+
+
+def _swap_lines(data, chance):
+    lines = data.split(b"\n")
+    i, j = chance.randrange(len(lines)), chance.randrange(len(lines))
+    lines[i], lines[j] = lines[j], lines[i]
+    return b"\n".join(lines)

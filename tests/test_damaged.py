@@ -1,0 +1,52 @@
+"""Damaged inputs load or are refused in one line; ``scripts/fuzz.py`` does the same a hundred thousand times."""
+
+import random
+import warnings
+
+import numpy as np
+import pytest
+from mutations import inputs, mutated
+
+from pdr_graph import FloorPlan, InputError, io, read_fixes, read_trajectory
+from pdr_graph.floor.check import problems
+from pdr_graph.types import Recording, Signal
+
+RECORDINGS, TABLES, PLANS = inputs()
+WALK = Recording("walk", 1.7e9, 1.7e9, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
+COPIES = 100
+
+
+def survive(name, given, use, folder):
+    file, whole = given
+    loaded, refusals = 0, []
+    for n in range(COPIES):
+        (folder / file).write_bytes(mutated(whole, random.Random(f"{name}{n}")))
+        try:
+            with warnings.catch_warnings(action="error"):
+                use(folder / file)
+            loaded += 1
+        except InputError as refusal:
+            refusals.append(str(refusal))
+    assert loaded, "a control: some damage does not matter"
+    assert refusals, "a control: some damage does"
+    assert not any("\n" in text for text in refusals)
+    assert max(map(len, refusals)) < 1000
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_damaged_recordings(name, tmp_path):
+    survive(name, RECORDINGS[name], io.load, tmp_path)
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_damaged_plans(name, tmp_path):
+    def check(path):
+        for floor in FloorPlan.load_all(path):
+            problems(floor)
+
+    survive(name, PLANS[name], check, tmp_path)
+
+
+def test_damaged_tables(tmp_path):
+    survive("fixes", TABLES["fixes"], lambda path: read_fixes(path, WALK), tmp_path)
+    survive("trajectory", TABLES["trajectory"], read_trajectory, tmp_path)
