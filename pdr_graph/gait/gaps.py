@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_graph.errors import InputError
 from pdr_graph.inertial.attitude import SHORTEST_WALK
 from pdr_graph.types import Array, Recording, Signal, Steps
 
@@ -19,6 +20,8 @@ def uninterrupted(recording: Recording) -> list[Recording]:
     """The parts of a recording in which every inertial sensor ran; the recording itself if it has no gap.
 
     Parts too short for a step are left to the gap.
+
+    Raises InputError if no part is long enough.
     """
     inertial = [
         s for s in (recording.accelerometer, recording.linear_acceleration, recording.gyroscope) if s is not None
@@ -31,7 +34,12 @@ def uninterrupted(recording: Recording) -> list[Recording]:
     spans = [
         (a, b) for a, b in zip(np.append(start, ends), np.append(begins, end), strict=True) if b - a > SHORTEST_WALK
     ]
-    return [_cut(recording, a, b) for a, b in spans] or [recording]
+    if not spans:
+        found = (
+            f"{len(gaps)} gaps, at most {np.max(ends - begins):.0f} s long, and no {SHORTEST_WALK:.0f} s between them"
+        )
+        raise InputError(recording.source, "", found, "samples more often than one a second")
+    return [_cut(recording, a, b) for a, b in spans]
 
 
 def join(parts: Sequence[Steps]) -> Steps:

@@ -119,6 +119,13 @@ def test_a_stray_sample_a_year_later_is_no_part_of_the_walk(walk, steps):
     assert detect_steps(stray).time == pytest.approx(steps.time)
 
 
+def test_a_recording_that_is_all_gaps_is_refused(walk):
+    """A sample each three seconds: no step can be seen, and nothing is interpolated over days between two."""
+    rare = Signal(np.arange(0.0, 60.0, 3.0), np.tile([0.0, 0.0, 9.81], (20, 1)))
+    with pytest.raises(InputError, match=r"19 gaps.*needed samples more often"):
+        detect_steps(recorded(walk, accelerometer=rare, gyroscope=None))
+
+
 def test_across_a_gap_the_fixes_say_where_the_walk_went_on(walk):
     """A walker unrecorded for ten seconds round a corner, a fix every five: found again behind it, honestly."""
     at = np.arange(0.0, walk.time[-1], 5.0)
