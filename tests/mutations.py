@@ -57,6 +57,12 @@ def indoor_location():
     return "\n".join([*lines[: 2 + 2 * SAMPLES], lines[-1]]) + "\n"
 
 
+def oxford_steps(s):
+    ns = s.time * 1e9 + 1e12
+    counts = np.zeros((3, len(s.time)))
+    return columns(ns, s.acceleration, *counts, delimiter=",", form="{:.0f}")
+
+
 def ipin21(s):
     ms = 1.7e12 + s.time * 1e3
     files = {
@@ -101,12 +107,7 @@ def inputs():
         "phyphox": ("walk.zip", phyphox(s) | {"meta/time.csv": '"event","a","b"\n"START",0.0,1.7E9\n'}),
         "sensor_logger": ("walk.zip", sensor_logger(s, "ios")),
         "ipin21": ("walk.zip", ipin21(s)),
-        "oxford_steps": (
-            "hand.csv",
-            columns(
-                s.time * 1e9 + 1e12, s.acceleration, *np.zeros((3, SAMPLES)), delimiter=",", form="{:.0f}"
-            ).encode(),
-        ),
+        "oxford_steps": ("hand.csv", oxford_steps(s).encode()),
         "geolife": ("day.plt", geolife().encode()),
         "gpx": ("track.gpx", gpx().encode()),
     }

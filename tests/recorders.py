@@ -29,9 +29,9 @@ class Sample:
     accuracy: np.ndarray
 
 
-def sample(seed=0):
-    """Twenty seconds of a walk round a corner, the phone's top raised by 0.6 rad."""
-    walk = walk_along(np.array([(0.0, 0.0), (14.0, 0.0), (14.0, 7.0)]), seed=seed)
+def sample(seed=0, route=((0.0, 0.0), (14.0, 0.0), (14.0, 7.0))):
+    """A walk, by default twenty seconds round a corner, the phone's top raised by 0.6 rad."""
+    walk = walk_along(np.array(route), seed=seed)
     n = len(walk.time)
     every = slice(25, None, 50)
     return Sample(

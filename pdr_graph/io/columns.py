@@ -15,7 +15,7 @@ from pdr_graph.types import Array
 DELIMITERS = "\t;,"  # in the order of trust: a comma may be a decimal one
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")  # what recorders write for no value
 LARGEST = 1e20  # of any number: Unix nanoseconds have 1e18
-BLANK = ("", "\r", " ", " \r")
+NO_CELLS = " \r\t;,"  # all that a row without a single cell has
 LONGEST_LINE = 10_000  # characters of a row; recorders' rows have some hundred
 
 
@@ -134,8 +134,9 @@ def table(where: str, text: str) -> Table:
     header = tuple(name.strip() for name in split(head, delimiter))
     numbers: Sequence[int] = range(first + 2, len(lines) + 1)
     rows = lines[first + 1 :]
-    if any(line in BLANK for line in rows):
-        numbers = [number for number, line in zip(numbers, rows, strict=True) if line not in BLANK]
+    filled = [bool(line.strip(NO_CELLS)) for line in rows]
+    if not all(filled):
+        numbers = [number for number, is_row in zip(numbers, filled, strict=True) if is_row]
         rows = [lines[number - 1] for number in numbers]
     if delimiter != "," and any("," in line for line in rows[:10]):
         rows = [line.replace(",", ".") for line in rows]

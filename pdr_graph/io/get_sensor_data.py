@@ -74,9 +74,9 @@ def _sensor(tag: str, rows: Rows, notes: list[str]) -> Array:
     values = 1 if tag == "PRES" else 3
     table = rows.floats(range(1, 3 + values))
     app, sensor = table[:, 0], table[:, 1]
-    lag = app - sensor
-    usual = float(np.nanmedian(lag)) if np.isfinite(lag).any() else 0.0
-    wander = float(np.nanpercentile(np.abs(lag - usual), 99)) if len(lag) else 0.0
+    lag = (app - sensor)[np.isfinite(app - sensor)]
+    usual = float(np.median(lag)) if len(lag) else 0.0
+    wander = float(np.percentile(np.abs(lag - usual), 99)) if len(lag) else 0.0
     if wander > LARGEST_WANDER:
         notes.append(f"{SENSORS[tag]}: its clock and the app's part by {wander:.2f} s; the app's was used")
         return np.delete(table, 1, axis=1)
@@ -93,7 +93,7 @@ def _gnss(rows: Rows | None, notes: list[str]) -> tuple[Fixes | None, float | No
     if len(first) < len(app):
         notes.append(f"GNSS: {len(app) - len(first)} repeats of an epoch were left out")
     fixes = receiver_fixes(np.column_stack([app, lat, lon, accuracy])[first], notes)
-    unix = sensor > UNIX
+    unix = (sensor > UNIX) & np.isfinite(app)
     return fixes, float(np.median((sensor - app)[unix])) if unix.any() else None
 
 

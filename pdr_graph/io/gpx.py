@@ -6,7 +6,9 @@ lxml parses ten times as fast as gpxpy, and can be told to trust nothing: no doc
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -23,7 +25,7 @@ NAME = "GPX (.gpx)"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 ACCURACY_PER_HDOP = 5.3  # [m] 68 % radius: a phone's range error of 5 m, times HDOP, is the root mean square distance
 PLAIN_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z")
-Point = tuple[float, float, str, float]  # latitude and longitude [deg], time, accuracy [m]
+ACCURACIES = ("accuracy", "horizontalAccuracy", "horizontalaccuracy")  # extensions that hold a radius [m]
 
 
 def recognizes(source: Source) -> bool:
@@ -42,14 +44,19 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     """Track points at Unix times. Accuracy is an ``accuracy`` extension's, else from HDOP. Segments are joined."""
     name = source.single or ""
     where = source.where(name)
-    points = _points(where, source.text(name))
-    timed = [p for p in points if p[2]]
-    if not timed:
-        raise InputError(where, "", f"{len(points)} track points, none with a time", "<trkpt> with <time>")
-    if len(timed) < len(points):
-        notes.append(f"GPX: {len(points) - len(timed)} of {len(points)} track points have no time")
-    lat, lon, time, accuracy = zip(*timed, strict=True)
-    return receiver_fixes(np.column_stack([_unix(where, time), lat, lon, accuracy]), notes, "GPX")
+    root = _root(where, source.text(name))
+    points = _points(root)
+    timed = np.array([bool(time) for time in points.time], bool)
+    if not timed.any():
+        raise InputError(where, "", f"{len(timed)} track points, none with a time", "<trkpt> with <time>")
+    if not timed.all():
+        notes.append(f"GPX: {np.sum(~timed)} of {len(timed)} track points have no time")
+    lat, lon = (_degrees(where, root, texts, name) for texts, name in ((points.lat, "lat"), (points.lon, "lon")))
+    accuracy = np.full(len(timed), np.nan)
+    for k, said in points.said.items():
+        accuracy[k] = _accuracy(said)
+    time = _unix(where, [time for time in points.time if time])
+    return receiver_fixes(np.column_stack([time, lat[timed], lon[timed], accuracy[timed]]), notes, "GPX")
 
 
 def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str) -> None:
@@ -66,7 +73,39 @@ def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None,
     etree.ElementTree(gpx).write(path, encoding="UTF-8", xml_declaration=True, pretty_print=True)
 
 
-def _points(where: str, text: str) -> list[Point]:
+@dataclass
+class _Points:
+    """The track points of a file as text: attributes, times ("" for none), and what few say of their accuracy."""
+
+    lat: list[str | None] = field(default_factory=list)
+    lon: list[str | None] = field(default_factory=list)
+    time: list[str] = field(default_factory=list)
+    said: dict[int, dict[str, str]] = field(default_factory=dict)
+
+
+def _points(root: etree._Element) -> _Points:
+    prefix = root.tag[: root.tag.find("}") + 1]
+    track_point, time = prefix + "trkpt", prefix + "time"
+    others = (prefix + "wpt", prefix + "rtept")
+    points, inside = _Points(), False
+    for element in root.iter(track_point, time, *others, prefix + "hdop", *(f"{{*}}{name}" for name in ACCURACIES)):
+        tag = element.tag
+        if tag == track_point:
+            points.lat.append(element.get("lat"))
+            points.lon.append(element.get("lon"))
+            points.time.append("")
+            inside = True
+        elif tag in others:
+            inside = False  # a waypoint's time is none of the track's
+        elif inside and tag == time:
+            points.time[-1] = points.time[-1] or (element.text or "").strip()
+        elif inside:
+            said = points.said.setdefault(len(points.time) - 1, {})
+            said.setdefault(tag.rpartition("}")[2].lower(), element.text or "")
+    return points
+
+
+def _root(where: str, text: str) -> etree._Element:
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )
@@ -76,38 +115,37 @@ def _points(where: str, text: str) -> list[Point]:
         raise InputError(where, "", f"broken XML ({str(error)[:120]})", "a whole GPX file") from None
     if root.getroottree().docinfo.doctype:
         raise InputError(where, "", "a document type definition", "plain GPX, which has none")
-    prefix = root.tag[: root.tag.find("}") + 1]
-    rated = "hdop" in text or "ccuracy" in text
-    points: list[Point] = []
-    for point in root.iter(prefix + "trkpt"):
-        children = {child.tag: child.text for child in point}
-        accuracy = _accuracy(point) if rated else np.nan
-        at = point.attrib
-        lat, lon = _number(where, point, at.get("lat")), _number(where, point, at.get("lon"))
-        points.append((lat, lon, (children.get(prefix + "time") or "").strip(), accuracy))
-    return points
+    return root
 
 
-def _number(where: str, point: etree._Element, text: str | None) -> float:
+def _degrees(where: str, root: etree._Element, texts: list[str | None], name: str) -> Array:
+    """An attribute of every point as a number."""
     try:
-        return float(text or "")
+        return np.array([float(text) for text in texts])  # pyright: ignore[reportArgumentType] None is a TypeError
+    except (TypeError, ValueError):
+        wrong = next(n for n, text in enumerate(texts) if not _is_number(text))
+        line = next(islice(root.iter("{*}trkpt"), wrong, None)).sourceline
+        found = f"no {name}" if texts[wrong] is None else repr(str(texts[wrong])[:40])
+        raise InputError(where, f"line {line}", found, "lat and lon in degrees") from None
+
+
+def _is_number(text: str | None) -> bool:
+    try:
+        float(text or "")
     except ValueError:
-        found = "no coordinate" if text is None else repr(text[:40])
-        raise InputError(where, f"line {point.sourceline}", found, "lat and lon in degrees") from None
+        return False
+    return True
 
 
-def _accuracy(point: etree._Element) -> float:
+def _accuracy(said: dict[str, str]) -> float:
     """68 % radius of one point [m], NaN where the file does not say."""
-    said = {str(e.tag).rpartition("}")[2].lower(): e.text for e in point.iter()}
     for name, factor in (("accuracy", 1.0), ("horizontalaccuracy", 1.0), ("hdop", ACCURACY_PER_HDOP)):
-        try:
-            return factor * float(said[name] or "")
-        except (KeyError, ValueError):
-            continue
+        if _is_number(said.get(name)):
+            return factor * float(said[name])
     return np.nan
 
 
-def _unix(where: str, times: tuple[str, ...]) -> Array:
+def _unix(where: str, times: list[str]) -> Array:
     """Unix seconds of ISO 8601 times; without a zone they are UTC, as the format demands."""
     try:
         if all(PLAIN_TIME.fullmatch(t) for t in times):

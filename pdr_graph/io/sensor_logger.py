@@ -87,9 +87,10 @@ def _sign(source: Source, is_android: bool, with_gravity: Array | None, notes: l
         return (
             -1.0 if about["platform"].lower() == "ios" and about.get("standardisation", "").lower() != "true" else 1.0
         )
-    if is_android or with_gravity is None or not len(with_gravity):
+    z = np.empty(0) if with_gravity is None else with_gravity[np.isfinite(with_gravity[:, 3]), 3]
+    if is_android or not len(z):
         return 1.0
-    into_screen = float(np.nanmedian(with_gravity[:, 3])) < 0
+    into_screen = bool(np.median(z) < 0)
     system = "iOS" if into_screen else "Android"
     notes.append(f"accelerometer: no Metadata.csv says which phone it was; {system} was taken from gravity's sign")
     return -1.0 if into_screen else 1.0

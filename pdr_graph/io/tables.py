@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +9,8 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
-from pdr_graph.io import geolife, gpx, ipin21
+from pdr_graph.io import columns, geolife, gpx, ipin21
+from pdr_graph.io.columns import Table
 from pdr_graph.io.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
@@ -45,15 +44,13 @@ def read_fixes(
 
 def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
     """Fixes at Unix times of the formats that have them; None for a table."""
-    source = Source(path)
-    if source.single is None:
-        raise InputError(path, "", f"{len(source.names)} files", "one file of fixes")
+    source = _one_file(path)
     if gpx.recognizes(source):
         return gpx.read_fixes(source, notes)
     if geolife.recognizes(source):
         return geolife.read_fixes(source, notes)
-    if ipin21.is_fixes(source.head(source.single)):
-        return ipin21.read_fixes(path, source.text(source.single))
+    if ipin21.is_fixes(source.head(source.single or "")):
+        return ipin21.read_fixes(path, source.text(source.single or ""))
     return None
 
 
@@ -102,48 +99,44 @@ def _covariance(numbers: dict[str, Array]) -> Array:
 def _read(
     path: Path, required: list[tuple[str, ...]], optional: tuple[str, ...] = (), words: tuple[str, ...] = ()
 ) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
-    """Columns of a CSV with a header. required: alternatives, the first that is there; words: columns of text.
+    """Columns of a table with a header. required: alternatives, the first that is there; words: columns of text.
 
     Empty cells are allowed in optional columns (NaN) and columns of text only.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines())]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(path, "", str(error), "a CSV file") from None
-    header = [ALIASES.get(name.lower(), name.lower()) for name in rows[0]] if rows else []
+    source = _one_file(path)
+    table = columns.table(str(path), source.text(source.single or ""))
+    header = [ALIASES.get(name.lower(), name.lower()) for name in table.header]
     wanted = next((r for r in required if set(r) <= set(header)), None)
     if wanted is None:
-        found = ",".join(header)[:60] or "an empty file"
+        found = ",".join(header)[:60]
         raise InputError(path, "line 1", found, "a header with " + " or ".join(",".join(r) for r in required))
-    data = [(n, row) for n, row in enumerate(rows[1:], start=2) if any(row)]
-    if not data:
+    _check_widths(path, table)
+    names = [*wanted, *(name for name in optional if name in header)]
+    values = table.rows.floats([header.index(name) for name in names], cut_off_allowed=False)
+    numbers = dict(zip(names, values.T, strict=True))
+    for name in wanted:
+        for row in np.flatnonzero(np.isnan(numbers[name]))[:1]:
+            cell = table.rows.words(header.index(name))[row]
+            raise InputError(path, f"line {table.rows.numbers[row]}, {name}", repr(cell[:40]), "a finite number")
+    nothing = ("",) * len(values)
+    return numbers, {w: tuple(table.rows.words(header.index(w))) if w in header else nothing for w in words}
+
+
+def _one_file(path: Path) -> Source:
+    source = Source(path)
+    if source.single is None:
+        raise InputError(path, "", f"{len(source.names)} files", "one file")
+    return source
+
+
+def _check_widths(path: Path, table: Table) -> None:
+    """As many fields in every row as in the header: one more is a decimal comma, one less a row cut off."""
+    rows, width = table.rows, len(table.header)
+    if not len(rows):
         raise InputError(path, "line 2", "the end of the file", "at least one row")
-    for n, row in data:
-        if len(row) != len(header):
-            raise InputError(path, f"line {n}", f"{len(row)} fields", f"{len(header)} as in the header")
-
-    def column(name: str, empty_allowed: bool) -> Array:
-        k = header.index(name)
-        return np.array([_number(path, n, name, row[k], empty_allowed) for n, row in data])
-
-    numbers = {name: column(name, False) for name in wanted}
-    numbers |= {name: column(name, True) for name in optional if name in header}
-    nothing = ("",) * len(data)
-    text_columns = {w: tuple(row[header.index(w)] for _, row in data) if w in header else nothing for w in words}
-    return numbers, text_columns
-
-
-def _number(path: Path, line: int, name: str, text: str, empty_allowed: bool) -> float:
-    if empty_allowed and text in ("", "nan"):
-        return math.nan
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(path, f"line {line}, {name}", repr(text[:40]), "a finite number")
-    return value
+    for number, line in zip(rows.numbers, rows.lines, strict=True):
+        if line.count(rows.delimiter) != width - 1 and (found := len(columns.split(line, rows.delimiter))) != width:
+            raise InputError(path, f"line {number}", f"{found} fields", f"{width} as in the header")
 
 
 def _each(path: str | Path, wrong: Mask, values: Array, name: str, needed: str) -> None:

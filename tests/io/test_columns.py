@@ -9,8 +9,15 @@ from pdr_graph import InputError
 from pdr_graph.io.columns import table
 
 NUMBERS = st.one_of(st.just(float("nan")), st.floats(-1e12, 1e12, allow_subnormal=False))
+
+
+def is_row(numbers):
+    """A row of empty cells is none: spreadsheets leave them behind."""
+    return not all(map(np.isnan, numbers))
+
+
 TABLES = st.integers(2, 4).flatmap(
-    lambda k: st.lists(st.lists(NUMBERS, min_size=k, max_size=k), min_size=1, max_size=8)
+    lambda k: st.lists(st.lists(NUMBERS, min_size=k, max_size=k).filter(is_row), min_size=1, max_size=8)
 )
 
 

@@ -45,7 +45,7 @@ def test_fixes_in_degrees_are_brought_into_the_frame(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "line 1.*empty"),
+        ("", "an empty file"),
         ("time,x,y,sigma\n", "line 2"),
         ("time,x,y\n1,2,3\n", "time,x,y,sigma or time,lat,lon,sigma"),
         (f"time,x,y,sigma\n{ORIGIN},1,2,1\n{ORIGIN},1,nan,1\n", "line 3, y.*nan"),
