@@ -1,0 +1,71 @@
+"""Accuracy on walks that came with their own fixes, for docs/accuracy.md."""
+
+import numpy as np
+from tables import publish, table
+
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, read_fixes, smooth
+from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.frames import enu
+from pdr_graph.types import Trajectory
+
+
+def percentiles(errors):
+    return " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95]))
+
+
+def coverage(track, truth):
+    """How often the truth lies in the stated 90 % region."""
+    pairs = pair(track, truth)
+    parts = track.covariance[:, :2, :2].reshape(-1, 4).T
+    covariance = np.stack([np.interp(pairs.time, track.time, v) for v in parts], 1).reshape(-1, 2, 2)
+    gap = pairs.estimate - pairs.truth
+    inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < 4.605
+    return f"{100 * inside.mean():.0f} %"
+
+
+def fixes_as_track(fixes):
+    return Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor)
+
+
+def ipin21(data):
+    """The figure of eight with each set of simulated fixes, without and with the plan's walls."""
+    folder = data / "ipin21_hcu"
+    walk, floor = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
+    steps, truth, rows = detect_steps(walk), floor.frame.place(walk.truth), []
+    for path in sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower()):
+        fixes = read_fixes(path, walk, floor.frame)
+        cells = [path.stem, percentiles(circular_error(pair(truth, fixes_as_track(fixes))))]
+        for plan in (None, floor):
+            track = smooth(WalkGraph(steps, fixes, floor=plan)).trajectory
+            crossing = 100 * floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
+            cells += [percentiles(circular_error(pair(track, truth))), coverage(track, truth), f"{crossing:.0f} %"]
+        rows.append(cells)
+    header = ["fixes", "their own error [m]", "graph [m]", "in 90 %", "cross", "with map [m]", "in 90 %", "cross"]
+    publish("accuracy.md", "ipin21", table(header, rows))
+
+
+def gnss(data):
+    """Phones with their own GNSS: a museum's landmarks, and a campus walk of which most positions were withheld."""
+    rows = []
+    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
+        walk = io.load(path)
+        lon, lat = walk.fixes.position[0]
+        frame = enu(lat, lon)
+        truth, fixes = frame.place(walk.truth), frame.place(walk.fixes)
+        track = smooth(WalkGraph(detect_steps(walk), fixes)).trajectory
+        own = percentiles(circular_error(pair(fixes_as_track(fixes), truth)))
+        rows.append([path.stem, "all of the phone's", own, percentiles(circular_error(pair(track, truth)))])
+        rows[-1].append(coverage(track, truth))
+    walk = io.load(data / "nju_phyphox_outdoor")
+    lon, lat = walk.fixes.position[0]
+    fixes = enu(lat, lon).place(walk.fixes)
+    steps = detect_steps(walk)
+    for every in (10, 30, 60, 120):
+        given = np.arange(0, len(fixes), every)
+        rest = fixes_as_track(fixes[np.setdiff1d(np.arange(len(fixes)), given)])
+        between = percentiles(circular_error(pair(fixes_as_track(fixes[given]), rest)))
+        track = smooth(WalkGraph(steps, fixes[given])).trajectory
+        errors = percentiles(circular_error(pair(track, rest)))
+        rows.append(["NJU campus", f"one in {every} s", between, errors, coverage(track, rest)])
+    header = ["walk", "positions given", "straight lines between them [m]", "graph [m]", "in 90 %"]
+    publish("accuracy.md", "gnss", table(header, rows))
