@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+LONGEST_PART = 250  # characters; names and contents of files are their makers' and may be anything
+
 
 class InputError(ValueError):
-    """Input that cannot be used. Its text is one line: ``file, place: found …, needed …``."""
+    """Input that cannot be used. Its text is one printable line: ``file, place: found …, needed …``."""
 
     def __init__(self, source: str | Path, place: str, found: str, needed: str):
-        where = f"{source}, {place}" if place else f"{source}"
-        super().__init__(" ".join(f"{where}: found {found}, needed {needed}".split()))
+        where = f"{_line(str(source))}, {_line(place)}" if place else _line(str(source))
+        super().__init__(f"{where}: found {_line(found)}, needed {_line(needed)}")
+
+
+def _line(text: str) -> str:
+    """A text on one line, without what a terminal would obey; the middle of a long one is left out."""
+    plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    half = LONGEST_PART // 2
+    return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
