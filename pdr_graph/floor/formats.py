@@ -101,7 +101,7 @@ def own(path: Path, collection: dict[str, Any], features: list[Feature], notes: 
     about = about if isinstance(about, dict) else {}
     if not features:
         raise InputError(path, "", "no feature with a geometry", "at least one polygon")
-    west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features])
+    west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features]).tolist()
     origin = about.get("origin", [(west + east) / 2, (south + north) / 2])
     if not _is_place(origin):
         raise InputError(path, "pdr_graph.origin", repr(origin)[:40], "[longitude, latitude] in degrees")
