@@ -42,6 +42,25 @@ def test_an_export_becomes_a_picture(tmp_path, felt, recorder):
     assert (tmp_path / "out" / "figure.png").stat().st_size > 10_000
 
 
+def test_the_summary_speaks_in_the_recorders_clock(tmp_path, felt):
+    path = recorders.in_zip(tmp_path / "walk.zip", recorders.sensor_logger(felt))
+    _, _, summary = smoothed(path, tmp_path / "out")
+    assert [fix["time"] for fix in summary["fixes"]] == pytest.approx(recorders.UNIX + felt.fix_time, abs=1e-3)
+    assert summary["calibration"][0]["start"] == pytest.approx(recorders.UNIX, abs=0.1)
+
+
+def test_dead_reckoning_is_turned_and_scaled_by_nothing(tmp_path, felt):
+    """``--method pdr``: the first fix says where it starts; the rest are not looked at."""
+    path = recorders.in_zip(tmp_path / "walk.zip", recorders.phyphox(felt))
+    code, _, summary = smoothed(path, tmp_path / "out", "--method", "pdr")
+    assert code == 0
+    run("steps", path, "--out", tmp_path / "steps.csv")
+    lengths = np.loadtxt(tmp_path / "steps.csv", delimiter=",", skiprows=1, usecols=1)
+    track = read_trajectory(tmp_path / "out" / "trajectory.csv")
+    assert np.hypot(*np.diff(track.position, axis=0).T).sum() == pytest.approx(lengths.sum(), abs=0.01)
+    assert [fix["weight"] > 0 for fix in summary["fixes"]] == [True, *[False] * (len(felt.fix_time) - 1)]
+
+
 @pytest.mark.parametrize(("name", "text"), [("track.gpx", gpx()), ("day.plt", geolife())])
 def test_positions_alone_are_joined_and_the_exit_says_so(tmp_path, name, text):
     (tmp_path / name).write_text(text)

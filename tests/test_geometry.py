@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from walks import fixes_at, square_walk, wandering_walk
 
 from pdr_graph.geometry import dead_reckon, resample, wrap_angle
+from pdr_graph.types import Trajectory
 
 
 @given(st.floats(-1e3, 1e3))
@@ -36,3 +37,12 @@ def test_resampled_rows_lie_on_the_track():
     assert fine.time[-1] == track.time[-1]
     for axis in range(2):
         assert fine.position[:, axis] == pytest.approx(np.interp(fine.time, track.time, track.position[:, axis]))
+
+
+def test_resampling_takes_the_short_way_round_and_mixes_covariances():
+    """From 3.0 rad to −3.0 rad it is 0.28 rad over π, not through zero."""
+    covariance = np.array([np.eye(3), 3 * np.eye(3)])
+    track = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 2)), np.array([3.0, -3.0]), ("", ""), covariance)
+    middle = resample(track, 2.0)
+    assert abs(middle.heading[1]) == pytest.approx(np.pi)
+    assert middle.covariance[1] == pytest.approx(2 * np.eye(3))

@@ -251,6 +251,46 @@ def test_fixes_outside_the_recording():
     assert any("outside" in w for w in estimate.warnings)
 
 
+@pytest.mark.parametrize("late", [True, False])
+def test_a_fix_from_outside_the_recording_is_trusted_less(late):
+    """Two seconds before the start or after the end, the walker may have been 2.8 m away."""
+    steps = wandering_walk(30)
+    track = dead_reckon(steps)
+    at = steps.end + 2.0 if late else -2.0
+    row = -1 if late else 0
+    fixes = fixes_at([at] if late else [at, steps.time[10]], track.position[[row] if late else [0, 11]], 0.1)
+    report = smooth(WalkGraph(steps, fixes))
+    sigma = np.sqrt(np.linalg.eigvalsh(report.trajectory.covariance[row, :2, :2]))
+    assert sigma.max() > 2.0
+
+
+def test_what_is_not_measured_grows_with_the_walk():
+    """R_s, R_d and b walk randomly from segment to segment: the prior's variance adds a change for each."""
+    prior = Prior()
+    calibration = smooth(WalkGraph(wandering_walk(350), fixes_at([0.0], [[0.0, 0.0]]))).calibration
+    segments = np.arange(len(calibration.start))[:, None]
+    assert len(segments) == 4
+    expected = np.square(prior.sigma) + segments * np.square(prior.change)
+    assert np.square(calibration.prior_sigma) == pytest.approx(expected)
+    assert np.square(calibration.sigma) == pytest.approx(expected, rel=1e-3)
+    assert not calibration.learnt.any()
+
+
+def test_a_pause_hardly_loosens_the_heading():
+    """Nine pauses of a minute: a phone whose gyro drifts by nothing goes on knowing the way, to 0.02 rad each."""
+    steps = square_walk(laps=2)
+    shift = 60.0 * (np.arange(len(steps)) // 16)
+    paused = replace(steps, time=steps.time + shift, end=steps.end + shift[-1])
+    no_drift = Prior(sigma=(0.2, 1e-3, 1e-6), change=(0.03, 1e-3, 1e-7))
+
+    def variance_gained(walk):
+        fix = fixes_at([0.0], [[0.0, 0.0]])
+        heading = smooth(WalkGraph(walk, fix, prior=no_drift)).trajectory.covariance[:, 2, 2]
+        return heading[-1] - heading[0]
+
+    assert variance_gained(paused) - variance_gained(steps) == pytest.approx(9 * 0.02**2, rel=0.1)
+
+
 def test_walls_keep_a_drifting_walk_in_its_corridor():
     """A straight corridor 2 m wide, a gyro that drifts: without walls the track leaves it, with them it stays."""
     steps = steps_of(np.full(100, 0.7), np.full(100, 0.004))

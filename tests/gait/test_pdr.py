@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from pdr_graph import InputError, Walker, WalkGraph, detect_steps, smooth
+from pdr_graph.gait.direction import without_gait
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.simulation.walk import walk_along
 from pdr_graph.types import Fixes, Recording, Signal
@@ -50,6 +51,49 @@ def test_the_track_has_the_shape_of_the_route(walk, steps):
     truth -= truth[0]
     scale = np.sum(truth * track.position) / np.sum(track.position**2)
     assert np.hypot(*(scale * track.position - truth).T).max() < 3.0
+
+
+def test_a_gyroscopes_bias_is_learnt_at_rest(walk):
+    """0.02 rad/s about all axes would turn this walk by a whole radian more; ten seconds on a table tell."""
+    rest, random = 500, np.random.default_rng(0)
+
+    def on_a_table_first(values, noise):
+        still = values[0] + random.normal(0, noise, (rest, 3))
+        return Signal(np.arange(rest + len(values)) / 50, np.concatenate([still, values]))
+
+    acceleration = on_a_table_first(walk.acceleration, 0.02)
+    plain, biased = (
+        detect_steps(recorded(walk, accelerometer=acceleration, gyroscope=on_a_table_first(rate, 0.002)))
+        for rate in (walk.angular_rate, walk.angular_rate + 0.02)
+    )
+    assert biased.turn.sum() == pytest.approx(plain.turn.sum(), abs=0.15)
+
+
+def test_a_recording_that_begins_in_mid_step_counts_what_it_saw_of_it(walk, steps):
+    """Cut at 60 % of a step: its length and duration are the rest."""
+    n = 12
+    begin = steps.time[n] - 0.4 * steps.duration[n]
+    first = Signal(walk.time, walk.acceleration), Signal(walk.time, walk.angular_rate)
+    late = [Signal(s.time[s.time >= begin], s.values[s.time >= begin]) for s in first]
+    found = detect_steps(recorded(walk, accelerometer=late[0], gyroscope=late[1]))
+    assert found.time[0] == pytest.approx(steps.time[n], abs=0.05)
+    assert found.length[0] == pytest.approx(0.4 * steps.length[n], rel=0.35)
+
+
+def test_turning_after_the_last_step_is_not_lost(walk):
+    """Somebody stops, then turns by a right angle on the spot."""
+    turning = (walk.time > walk.time[-1] - 1.5) & (walk.time < walk.time[-1] - 0.5)
+    up = walk.acceleration[-1] / np.linalg.norm(walk.acceleration[-1])
+    rate = walk.angular_rate + np.outer(turning, up) * np.pi / 2
+    plain, turned = (detect_steps(w) for w in (recorded(walk), recorded(walk, gyroscope=Signal(walk.time, rate))))
+    assert turned.final_turn - plain.final_turn == pytest.approx(np.pi / 2, abs=0.15)
+
+
+def test_the_gaits_sway_is_no_turn():
+    """A heading that swings once per step about a slow curve: the curve is left."""
+    n = np.arange(600)
+    curve = 0.3 * np.sin(2 * np.pi * n / 600)
+    assert without_gait(curve + 0.2 * np.sin(2 * np.pi * n / 25), 25)[30:-30] == pytest.approx(curve[30:-30], abs=0.01)
 
 
 def test_taller_walkers_take_longer_steps(walk):

@@ -95,3 +95,6 @@ def test_geojson_and_gpx_hold_the_same_track(tmp_path):
     track = gpxpy.parse((tmp_path / "t.gpx").read_text()).tracks[0].segments[0].points
     assert len(track) == len(estimate.trajectory)
     assert track[0].time.timestamp() == pytest.approx(ORIGIN)
+    assert track[-1].time.timestamp() == pytest.approx(ORIGIN + estimate.trajectory.time[-1], abs=1e-3)
+    said = [p["properties"]["time"] for p in points]
+    assert said == pytest.approx([ORIGIN + fix.time for fix in estimate.fixes], abs=1e-3)
