@@ -130,7 +130,7 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
     entries: dict[str, str] = {}
     for info in archive.infolist():
         parts = PurePosixPath(info.filename.replace("\\", "/")).parts
-        if info.is_dir() or _is_clutter(parts):
+        if _is_clutter(parts) or info.is_dir():
             continue
         is_link = stat.S_ISLNK(info.external_attr >> 16)
         if is_link or ".." in parts or parts[0].startswith("/") or ":" in parts[0]:

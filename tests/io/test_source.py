@@ -86,6 +86,13 @@ def test_clutter_of_other_systems_does_not_matter(tmp_path, files):
     assert len(walk.accelerometer) == len(walk.gyroscope)
 
 
+def test_a_nameless_member_does_not_matter(tmp_path, files):
+    """A name ends at its first zero byte; here that is the first."""
+    path = in_zip(tmp_path / "walk.zip", files | {"nameless": "x"})
+    path.write_bytes(path.read_bytes().replace(b"nameless", b"\0ameless"))
+    assert len(io.load(path).accelerometer) > 900
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 def test_pipes_and_devices_do_not_hang(tmp_path, files):
     os.mkfifo(tmp_path / "pipe")
