@@ -132,6 +132,25 @@ def evaluate(
     typer.echo(json.dumps(scores) if json_ else evaluation.table(scores))
 
 
+@app.command()
+def simulate(
+    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md).")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the recording and its truth go.")],
+) -> None:
+    """Simulate a walk with known truth, as a phone would have recorded it.
+
+    pdr-graph simulate maps/scenarios/arcade.toml --out walk && pdr-graph smooth walk --out result
+    """
+    from pdr_graph.simulation.recorders import write
+    from pdr_graph.simulation.scenario import Scenario
+    from pdr_graph.simulation.simulate import simulate as simulated
+
+    walk = simulated(Scenario.load(scenario))
+    write(walk, out)
+    body = walk.body
+    typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {out}")
+
+
 PlanPath = Annotated[
     Path, typer.Argument(metavar="PLAN", help="Our GeoJSON, a Microsoft floor folder, or IPIN21 polygons.")
 ]

@@ -24,7 +24,9 @@ from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.preintegration import SIGMA_LATERAL
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.simulation.walk import walk_along, write
+from pdr_graph.simulation.recorders import write
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Steps
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -152,10 +154,12 @@ def textbook_ratio():
 
 def command_rows():
     """Whole commands in a new process, on a simulated walk of 100 s at 50 Hz in maps/arcade."""
-    route = np.array([(6.8, 8.0), (27.8, 7.9), (27.8, 27.6), (6.8, 27.8), (6.8, 8), (53, 7.7), (53.2, 27.0)])
+    corners = [[27.8, 7.9], [27.8, 27.6], [6.8, 27.8], [6.8, 8.2], [53, 7.7], [53.2, 27.0]]
+    given = {"recorder": "indoor_location", "phone": {"rate": 50}, "fixes": {"period": 10.0}}
+    given |= {"plan": str(ROOT / "maps" / "arcade.geojson"), "route": [[6.8, 8.0], {"to": corners}]}
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        write(walk_along(route), out)
+        write(simulate(Scenario.of(given)), out)
         recording = out / "walk.txt"
         start = [sys.executable, "-c", "from pdr_graph.cli import main; main()"]
         arguments = [

@@ -11,9 +11,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 import mutations
 import recorders
+import simulated
 
 from pdr_graph import io, read_trajectory
-from pdr_graph.simulation.walk import _recording_lines, walk_along
 
 ROUTE = ((0.0, 0.0), (400.0, 0.0), (400.0, 300.0))
 
@@ -29,7 +29,7 @@ def track_of_fixes(form, head="", tail="", count=50_000):
 
 def written(folder):
     """Name to path and bytes of each format's file."""
-    walk, s = walk_along(np.array(ROUTE)), recorders.sample(route=ROUTE)
+    walk, s = simulated.walk_along(ROUTE), recorders.sample(route=ROUTE)
     point = '<trkpt lat="{lat:.9f}" lon="{lon:.9f}">\n  <ele>542.3</ele>\n'
     point += "  <time>{time:%Y-%m-%dT%H:%M:%SZ}</time>\n</trkpt>\n"
     namespace = 'xmlns="http://www.topografix.com/GPX/1/1"'
@@ -39,7 +39,7 @@ def written(folder):
     )
     poses = np.column_stack([walk.time, *walk.position.T, *walk.position.T])
     texts = {
-        "Indoor Location Competition": ("walk.txt", "\n".join(_recording_lines(walk, 1.7e9)) + "\n"),
+        "Indoor Location Competition": ("walk.txt", mutations.indoor_location(-1, ROUTE)),
         "GetSensorData": ("log.txt", recorders.get_sensor_data(s)),
         "Android GnssLogger": ("gnss_log.txt", recorders.gnss_logger(s)),
         "phyphox": ("phyphox", recorders.phyphox(s)),

@@ -3,14 +3,15 @@
 import io as memory
 import json
 import random
+import tempfile
 import zipfile
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import shapely
+import simulated
 from recorders import get_sensor_data, gnss_logger, phyphox, sample, sensor_logger
-
-from pdr_graph.simulation.walk import _recording_lines, walk_along
 
 SAMPLES = 80
 NUMBERS = (
@@ -51,10 +52,10 @@ def columns(*arrays, delimiter=" ", form="{:.12e}"):
     return "\n".join(delimiter.join(form.format(v) for v in row) for row in np.column_stack(arrays)) + "\n"
 
 
-def indoor_location():
-    walk = walk_along(np.array([(0.0, 0.0), (4.0, 0.0)]))
-    lines = _recording_lines(walk, 1.7e9)
-    return "\n".join([*lines[: 2 + 2 * SAMPLES], lines[-1]]) + "\n"
+def indoor_location(samples=SAMPLES, route=((1.0, 18.0), (4.0, 18.0))):
+    with tempfile.TemporaryDirectory() as folder:
+        lines = (simulated.indoor_location(Path(folder), route) / "walk.txt").read_text().splitlines()
+    return "\n".join([*lines[: 2 + 3 * samples if samples > 0 else -1], lines[-1]]) + "\n"
 
 
 def oxford_steps(s):

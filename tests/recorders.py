@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from simulated import walk_along
 
 from pdr_graph.frames import enu
-from pdr_graph.simulation.walk import walk_along
 
 UNIX = 1_700_000_000.0
 FRAME = enu(49.45, 11.1)

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from pdr_graph.simulation.walk import walk_along, write
+import simulated
 
 ROOT = Path(__file__).parent.parent
 
@@ -16,7 +15,7 @@ def test_the_readme_example_runs_as_printed(tmp_path, monkeypatch, capsys):
     """In a folder with a simulated walk, its fixes and the plan that the example names."""
     (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     route = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])
-    write(walk_along(route), tmp_path)
+    simulated.indoor_location(tmp_path, route)
     shutil.copytree(ROOT / "maps", tmp_path / "maps")
     monkeypatch.chdir(tmp_path)
     exec(compile(example, "README.md", "exec"), {})

@@ -1,0 +1,301 @@
+"""The phone on the body: held in five ways, re-held, on a cart, shaken; what it feels without any sensor's faults.
+
+The phone hangs by a lever from a hinge on the body: the wrist, the hip under a trouser pocket, the strap of a bag. The
+gait bobs the body and swings the lever, as harmonics of the stride; every landing sends a shock. Acceleration and
+angular rate are the derivatives of that one movement, so that they agree with each other and with the truth. The
+amplitudes are set so that simulated and real recordings have like spectra (docs/simulation.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation, Slerp
+
+from pdr_graph.simulation.body import REHOLD, Body
+from pdr_graph.simulation.noise import slow
+from pdr_graph.simulation.walker import Walker
+from pdr_graph.types import Array
+
+GRAVITY = 9.80665  # [m/s²]
+USUAL_STEP = 0.72  # [m] at which the amplitudes below hold
+HIP = 0.53  # of the stature: the height of the body's middle
+# of the body's middle, [m]: harmonics of the stride (2, 4, … are of the step), axis, amplitude, phase [rad]
+BOUNCE = (
+    (2, "up", 0.0270, np.pi),
+    (4, "up", 0.0021, 2.6),
+    (6, "up", 0.0004, 1.0),
+    (8, "up", 0.0002, 0.0),
+    (2, "forward", 0.0085, 1.9),
+    (4, "forward", 0.0012, 0.5),
+    (1, "right", 0.0200, 0.0),
+    (3, "right", 0.0015, 0.6),
+)
+AXES = {"right": 0, "forward": 1, "up": 2}
+VARIATION = 0.12  # of the amplitudes from stride to stride
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A way to carry a phone. Body axes are right, forward, up.
+
+    axes: where the device's x, y and z point; spread: of that between people and walks [rad].
+    hinge: from the body's middle, as a share of the stature; lever: from there to the phone [m].
+    swings: harmonic of the stride, axis, amplitude [rad], phase [rad].
+    bounce: factor of the body's; shock: of a landing [m/s²], its frequency [Hz] and decay [s]; one_sided: share by
+    which the other leg's landing is weaker.
+    tremor: fast [rad]; wander: slow, about the vertical and the horizontal axes [rad]; roughness: of the acceleration
+    between 1 and 8 Hz [m/s²].
+    """
+
+    axes: tuple[tuple[float, float, float], ...]
+    spread: float
+    hinge: tuple[float, float, float]
+    lever: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    swings: tuple[tuple[int, str, float, float], ...] = ()
+    bounce: float = 1.0
+    shock: tuple[float, float, float] = (1.0, 9.0, 0.05)
+    one_sided: float = 0.0
+    tremor: float = 0.004
+    wander: tuple[float, float] = (0.07, 0.04)
+    roughness: float = 0.4
+
+
+RIGHT, FORWARD, UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+LEFT, BACK, DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
+C, S = np.cos(0.6), np.sin(0.6)
+HOLDS = {
+    "hand": Hold(
+        axes=(RIGHT, (0.0, C, S), (0.0, -S, C)),  # the top raised by 0.6 rad
+        spread=0.12,
+        hinge=(0.0, 0.18, 0.17),
+        swings=((2, "right", 0.030, 0.4), (1, "forward", 0.055, 0.8), (1, "up", 0.050, 0.0), (3, "up", 0.010, 1.0)),
+        shock=(2.4, 8.5, 0.05),
+        tremor=0.009,
+        roughness=0.7,
+    ),
+    "swinging arm": Hold(
+        axes=(UP, FORWARD, LEFT),
+        spread=0.25,
+        hinge=(0.11, 0.0, 0.28),
+        lever=(0.02, 0.06, -0.66),
+        swings=((1, "right", 0.24, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.05, 2.0)),
+        bounce=0.75,
+        shock=(1.2, 6.5, 0.06),
+        wander=(0.10, 0.06),
+    ),
+    "trouser pocket": Hold(
+        axes=(RIGHT, DOWN, FORWARD),
+        spread=0.30,
+        hinge=(0.06, 0.03, -0.02),
+        lever=(0.04, 0.10, -0.22),
+        swings=((1, "right", 0.30, 0.3), (2, "right", 0.07, 1.2), (3, "right", 0.03, 2.2), (1, "up", 0.10, 1.0)),
+        bounce=0.85,
+        shock=(13.0, 6.5, 0.06),
+        one_sided=0.6,
+        tremor=0.012,
+        wander=(0.06, 0.05),
+        roughness=1.2,
+    ),
+    "breast pocket": Hold(
+        axes=(LEFT, UP, FORWARD),
+        spread=0.20,
+        hinge=(-0.05, 0.07, 0.22),
+        swings=((2, "right", 0.020, 0.0), (1, "forward", 0.030, 0.5), (1, "up", 0.070, 0.0)),
+        shock=(2.4, 8.5, 0.05),
+        tremor=0.006,
+        roughness=0.6,
+        wander=(0.03, 0.03),
+    ),
+    "bag": Hold(
+        axes=(FORWARD, UP, RIGHT),
+        spread=1.5,  # anyhow
+        hinge=(0.10, -0.03, 0.25),
+        lever=(0.08, 0.0, -0.55),
+        swings=((1, "right", 0.05, 0.9), (2, "right", 0.04, 2.0), (1, "forward", 0.05, 0.3), (1, "up", 0.06, 1.5)),
+        bounce=1.12,
+        shock=(5.0, 6.0, 0.06),
+        tremor=0.006,
+        wander=(0.06, 0.05),
+        roughness=1.0,
+    ),
+    "cart": Hold(
+        axes=(RIGHT, FORWARD, UP),
+        spread=0.0,
+        hinge=(0.0, 0.0, 0.0),
+        bounce=0.0,
+        shock=(0.0, 9.0, 0.05),
+        tremor=0.0,
+        wander=(0.0, 0.0),
+        roughness=0.0,
+    ),
+}
+CART_SHAKES, CART_ROCKS = 0.6, 0.02  # [m/s²], [rad/s] at 0.5 m/s: castors on a floor
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a phone without faults feels.
+
+    time: ``(n,)`` [s]; R_world_device: n rotations; acceleration: ``(n, 3)`` specific force, gravity in, device axes
+    [m/s²]; angular_rate: ``(n, 3)`` device axes [rad/s]; height: ``(n,)`` [m].
+    """
+
+    rate: float
+    time: Array
+    R_world_device: Rotation = field(repr=False)
+    acceleration: Array
+    angular_rate: Array
+    height: Array
+
+
+def carry(body: Body, walker: Walker, random: np.random.Generator) -> Motion:
+    """The phone's motion on a body that moves so."""
+    n, rate = len(body.time), body.rate
+    stride = _Stride.of(body, walker, random)
+    taken = body.during("hold")
+    holds = [HOLDS[event.what] for event in taken]
+    starts = [event.start for event in taken]
+    weights = _weights(body.time, starts)
+
+    # Where it is, and how it is turned, in body axes
+    swing = sum((w[:, None] * stride.rotation(h.swings) for h, w in zip(holds, weights, strict=True)), np.zeros((n, 3)))
+    swing += _unsteadiness(body, holds, weights, stride.vigour, random)
+    swing += _shaking(body, random)
+    swinging = Rotation.from_rotvec(swing)
+    place = np.zeros((n, 3))
+    for hold, weight in zip(holds, weights, strict=True):
+        hinge = np.array(hold.hinge) * walker.height + hold.bounce * stride.bounce
+        place += weight[:, None] * (hinge + swinging.apply(hold.lever))
+
+    # In the world
+    to_world = Rotation.from_euler("Z", body.heading[:, None] - np.pi / 2)
+    position = np.column_stack([body.position, body.height + HIP * walker.height]) + to_world.apply(place)
+    R_world_device = to_world * swinging * _bases(body.time, starts, holds, random)
+
+    # What it feels
+    force = _second_derivative(position, rate)
+    force[:, 2] += GRAVITY
+    force += to_world.apply(
+        _shocks(body, holds, weights, random) + _roughness(body, holds, weights, stride.vigour, random)
+    )
+    turned = (R_world_device[:-1].inv() * R_world_device[1:]).as_rotvec() * rate
+    angular_rate = np.concatenate([turned[:1], (turned[:-1] + turned[1:]) / 2, turned[-1:]])
+    rolling = np.abs(body.rolling)[:, None] / 0.5
+    angular_rate += rolling * random.normal(0, CART_ROCKS, (n, 3))
+    acceleration = R_world_device.inv().apply(force) + rolling * random.normal(0, CART_SHAKES, (n, 3))
+    return Motion(rate, body.time, R_world_device, acceleration, angular_rate, position[:, 2])
+
+
+@dataclass(frozen=True)
+class _Stride:
+    """The gait's harmonics as somebody has them. vigour: ``(n,)`` 0 at rest, 1 at a usual step."""
+
+    phase: Array
+    vigour: Array
+    bob: float
+    variation: Array
+    shift: Array
+
+    @classmethod
+    def of(cls, body: Body, walker: Walker, random: np.random.Generator) -> _Stride:
+        vigour = body.step_length / USUAL_STEP
+        variation = 1 + slow(random, len(vigour), 1.1 * body.rate, VARIATION)[:, 0]
+        return cls(body.phase, vigour, walker.bounce, variation, random.normal(0, 0.35, 12))
+
+    @property
+    def bounce(self) -> Array:
+        """Of the body's middle ``(n, 3)``, right, forward, up [m]: an inverted pendulum's, with the step squared."""
+        return self.bob * (self.vigour**2)[:, None] * self._sum(BOUNCE)
+
+    def rotation(self, swings: tuple[tuple[int, str, float, float], ...]) -> Array:
+        """Rotation vectors ``(n, 3)`` of a lever. [rad]"""
+        return self.vigour[:, None] * self._sum(swings)
+
+    def _sum(self, harmonics: tuple[tuple[int, str, float, float], ...]) -> Array:
+        total = np.zeros((len(self.phase), 3))
+        for n, (harmonic, axis, amplitude, phase) in enumerate(harmonics):
+            angle = 2 * np.pi * harmonic * self.phase + phase + (self.shift[n] if n else 0.0)
+            total[:, AXES[axis]] += amplitude * self.variation * np.cos(angle)
+        return total
+
+
+def _weights(time: Array, starts: Sequence[float]) -> list[Array]:
+    """How far each hold is in force ``(n,)``: they follow each other over REHOLD."""
+    begun = [np.clip((time - start) / REHOLD, 0, 1) if k else np.ones(len(time)) for k, start in enumerate(starts)]
+    begun = [b * b * (3 - 2 * b) for b in begun]
+    after = [*begun[1:], np.zeros(len(time))]
+    return [b - a for b, a in zip(begun, after, strict=True)]
+
+
+def _bases(time: Array, starts: Sequence[float], holds: Sequence[Hold], random: np.random.Generator) -> Rotation:
+    """How the device lies in the hand, pocket or bag: as it was taken, until it is taken otherwise."""
+    bases = [
+        Rotation.from_rotvec(random.normal(0, hold.spread, 3)) * Rotation.from_matrix(np.array(hold.axes).T)
+        for hold in holds
+    ]
+    changes = [t for start in starts[1:] for t in (start, start + REHOLD)]
+    times = np.maximum.accumulate([-1.0, *changes, time[-1] + REHOLD + 1])
+    keys = [base for base in bases for _ in range(2)]
+    later = np.diff(times, prepend=-2.0) > 1e-6
+    kept = Rotation.concatenate([key for key, keep in zip(keys, later, strict=True) if keep])
+    return Slerp(times[later], kept)(time)
+
+
+def _unsteadiness(
+    body: Body, holds: Sequence[Hold], weights: Sequence[Array], vigour: Array, random: np.random.Generator
+) -> Array:
+    """Rotation vectors ``(n, 3)`` of a hand's tremor and of how it wanders off. [rad]"""
+    n, rate = len(body.time), body.rate
+    tremor = slow(random, n, 0.12 * rate, 1.0, 3) * (0.25 + 0.75 * vigour)[:, None]
+    wander = slow(random, n, 9.0 * rate, 1.0, 3)
+    total = np.zeros((n, 3))
+    for hold, weight in zip(holds, weights, strict=True):
+        about = np.array([hold.wander[1], hold.wander[1], hold.wander[0]])
+        total += weight[:, None] * (hold.tremor * tremor + about * wander)
+    return total
+
+
+def _shaking(body: Body, random: np.random.Generator) -> Array:
+    """Rotation vectors ``(n, 3)`` of being waved about. [rad]"""
+    on = np.zeros(len(body.time))
+    for event in body.during("shake"):
+        on[(body.time >= event.start) & (body.time < event.end)] = 1.0
+    if not on.any():
+        return np.zeros((len(on), 3))
+    on = gaussian_filter1d(on, 0.3 * body.rate)
+    return on[:, None] * slow(random, len(on), 0.5 * body.rate, 0.9, 3)
+
+
+def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random: np.random.Generator) -> Array:
+    """Acceleration ``(n, 3)`` in body axes that landings send through the body. [m/s²]"""
+    n, total = len(body.time), np.zeros((len(body.time), 3))
+    strength = np.minimum(body.lengths / USUAL_STEP, 1.5) ** 1.5 * np.exp(random.normal(0, 0.3, len(body.lengths)))
+    at = np.clip(np.round(body.landings * body.rate).astype(int), 0, n - 1)
+    for hold, weight in zip(holds, weights, strict=True):
+        size, frequency, decay = hold.shock
+        if size == 0 or not len(at):
+            continue
+        train = np.zeros(n)
+        np.add.at(train, at, size * strength * np.where(np.arange(len(at)) % 2, 1 - hold.one_sided, 1.0))
+        t = np.arange(round(5 * decay * body.rate)) / body.rate
+        ring = np.exp(-t / decay) * np.sin(2 * np.pi * frequency * t + 0.3)
+        along = np.array([0.25, -0.5, 1.0]) + random.normal(0, 0.15, 3)
+        total += (weight * np.convolve(train, ring)[:n])[:, None] * along
+    return total
+
+
+def _roughness(
+    body: Body, holds: Sequence[Hold], weights: Sequence[Array], vigour: Array, random: np.random.Generator
+) -> Array:
+    """What no harmonic explains ``(n, 3)``. [m/s²]"""
+    size = sum((h.roughness * w for h, w in zip(holds, weights, strict=True)), np.zeros(len(body.time)))
+    return (size * vigour)[:, None] * slow(random, len(body.time), 0.10 * body.rate, 1.0, 3)
+
+
+def _second_derivative(position: Array, rate: float) -> Array:
+    inside = (position[2:] - 2 * position[1:-1] + position[:-2]) * rate**2
+    return np.concatenate([inside[:1], inside, inside[-1:]])
