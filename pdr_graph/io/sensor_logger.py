@@ -68,8 +68,8 @@ def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
     sign = _sign(source, total is not None, gravity if gravity is not None else raw, notes)
     if total is not None:
         return {"accelerometer": total}
-    if linear is not None and gravity is not None and len(gravity) and len(linear):
-        there = gravity[np.isfinite(gravity).all(axis=1)]
+    there = np.empty((0, 4)) if gravity is None else gravity[np.isfinite(gravity).all(axis=1)]
+    if linear is not None and len(linear) and len(there):
         down = np.column_stack([np.interp(linear[:, 0], there[:, 0], axis) for axis in there[:, 1:].T])
         return {"accelerometer": np.column_stack([linear[:, 0], sign * (linear[:, 1:] + down)])}
     if raw is not None:
