@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -136,16 +137,20 @@ def evaluate(
 def simulate(
     scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md).")],
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the recording and its truth go.")],
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, metavar="N", help="Another walk: instead of the scenario's seed.")
+    ] = None,
 ) -> None:
     """Simulate a walk with known truth, as a phone would have recorded it.
 
-    pdr-graph simulate maps/scenarios/arcade.toml --out walk && pdr-graph smooth walk --out result
+    pdr-graph simulate scenarios/arcade.toml --out walk && pdr-graph smooth walk --out result
     """
     from pdr_graph.simulation.recorders import write
     from pdr_graph.simulation.scenario import Scenario
     from pdr_graph.simulation.simulate import simulate as simulated
 
-    walk = simulated(Scenario.load(scenario))
+    given = Scenario.load(scenario)
+    walk = simulated(given if seed is None else replace(given, seed=seed))
     write(walk, out)
     body = walk.body
     typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {out}")

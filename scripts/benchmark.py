@@ -180,10 +180,27 @@ def command_rows():
     return table(["command", "median"], rows)
 
 
+def simulation_rows():
+    """An hour's walk about a loop, five sensors at 100 Hz; and writing its tables."""
+    lap = [[40, 0], [40, 30], [0, 30], [0, 0]]
+    route = [[0, 0], *({"to": lap} for _ in range(37))]
+    given = Scenario.of({"route": route, "gnss": {}, "phone": {"barometer_rate": 100}})
+    simulated = simulate(given)
+    alone = median_time(lambda: simulate(given), 3)
+    with tempfile.TemporaryDirectory() as folder:
+        writing = median_time(lambda: write(simulated, Path(folder)), 1)
+        size = sum(path.stat().st_size for path in Path(folder).rglob("*.csv")) / 1e6
+    minutes, steps = simulated.body.time[-1] / 60, len(simulated.body.landings)
+    rows = [[f"simulated: {minutes:.0f} min, {steps} steps, five sensors at 100 Hz", f"{alone:.1f} s"]]
+    rows += [[f"written as Sensor Logger has it, {size:.0f} MB", f"{writing:.1f} s"]]
+    return table(["an hour's walk", "time"], rows)
+
+
 if __name__ == "__main__":
     packages = ", ".join(f"{name} {version(name)}" for name in ("gtsam", "numpy"))
     machine = f"{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
     publish("performance.md", "smoother", f"{smoother_rows()}\n\n{machine}")
     publish("performance.md", "textbook", textbook_ratio())
     publish("performance.md", "commands", command_rows())
+    publish("performance.md", "simulation", simulation_rows())
     publish("performance.md", "reading", table(["format", "MB", "MB/s"], reading_rows(median_time)))

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import realism
 import recorded
 from scipy.optimize import least_squares
 from tables import publish, table
@@ -175,6 +176,7 @@ def stride():
 if __name__ == "__main__":
     tables = {"microsoft": microsoft, "settings": settings, "stride": stride}
     tables |= {"ipin21": lambda: recorded.ipin21(DATA), "gnss": lambda: recorded.gnss(DATA)}
+    tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):
         raise SystemExit(f"usage: scripts/reproduce {' | '.join(tables)} [--write]")

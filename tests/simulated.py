@@ -15,11 +15,12 @@ GYRO_BIAS = np.array([0.003, -0.002, 0.002])  # [rad/s]
 
 @dataclass(frozen=True)
 class Walk:
-    """What the phone felt, and the truth: time [s], device axes, position [m], heading, landings [s]."""
+    """What the phone felt, and the truth: time [s], device axes, the vertical, position [m], heading, landings [s]."""
 
     time: np.ndarray
     acceleration: np.ndarray
     angular_rate: np.ndarray
+    up: np.ndarray
     position: np.ndarray
     heading: np.ndarray
     landings: np.ndarray
@@ -40,6 +41,7 @@ def walk_along(route, seed=0):
         time=walk.body.time[::every],
         acceleration=acceleration + random.normal(0, 0.05, acceleration.shape),
         angular_rate=angular_rate + GYRO_BIAS + random.normal(0, 0.003, angular_rate.shape),
+        up=walk.motion.R_world_device.inv().apply([0.0, 0.0, 1.0])[::every],
         position=walk.body.position[::every],
         heading=walk.body.heading[::every],
         landings=walk.body.landings,

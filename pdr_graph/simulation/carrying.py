@@ -25,10 +25,11 @@ USUAL_STEP = 0.72  # [m] at which the amplitudes below hold
 HIP = 0.53  # of the stature: the height of the body's middle
 # of the body's middle, [m]: harmonics of the stride (2, 4, … are of the step), axis, amplitude, phase [rad]
 BOUNCE = (
-    (2, "up", 0.0270, np.pi),
-    (4, "up", 0.0021, 2.6),
+    (2, "up", 0.0242, np.pi),
+    (4, "up", 0.0013, 2.6),
     (6, "up", 0.0004, 1.0),
     (8, "up", 0.0002, 0.0),
+    (1, "up", 0.0035, 1.2),  # nobody's legs are quite alike
     (2, "forward", 0.0085, 1.9),
     (4, "forward", 0.0012, 0.5),
     (1, "right", 0.0200, 0.0),
@@ -36,6 +37,7 @@ BOUNCE = (
 )
 AXES = {"right": 0, "forward": 1, "up": 2}
 VARIATION = 0.12  # of the amplitudes from stride to stride
+OWN = 0.45  # log-normal spread of the higher harmonics' and the shocks' sizes between people and shoes
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Hold:
     hinge: from the body's middle, as a share of the stature; lever: from there to the phone [m].
     swings: harmonic of the stride, axis, amplitude [rad], phase [rad].
     bounce: factor of the body's; shock: of a landing [m/s²], its frequency [Hz] and decay [s]; one_sided: share by
-    which the other leg's landing is weaker.
+    which the other leg's shock is weaker, and by how much it is later [s].
     tremor: fast [rad]; wander: slow, about the vertical and the horizontal axes [rad]; roughness: of the acceleration
     between 1 and 8 Hz [m/s²].
     """
@@ -58,7 +60,7 @@ class Hold:
     swings: tuple[tuple[int, str, float, float], ...] = ()
     bounce: float = 1.0
     shock: tuple[float, float, float] = (1.0, 9.0, 0.05)
-    one_sided: float = 0.0
+    one_sided: tuple[float, float] = (0.0, 0.0)
     tremor: float = 0.004
     wander: tuple[float, float] = (0.07, 0.04)
     roughness: float = 0.4
@@ -72,19 +74,20 @@ HOLDS = {
         axes=(RIGHT, (0.0, C, S), (0.0, -S, C)),  # the top raised by 0.6 rad
         spread=0.12,
         hinge=(0.0, 0.18, 0.17),
-        swings=((2, "right", 0.030, 0.4), (1, "forward", 0.055, 0.8), (1, "up", 0.050, 0.0), (3, "up", 0.010, 1.0)),
-        shock=(2.4, 8.5, 0.05),
-        tremor=0.009,
-        roughness=0.7,
+        swings=((2, "right", 0.034, 0.4), (1, "forward", 0.060, 0.8), (1, "up", 0.055, 0.0), (3, "up", 0.010, 1.0)),
+        shock=(4.0, 8.0, 0.05),
+        tremor=0.010,
+        wander=(0.15, 0.06),
+        roughness=0.65,
     ),
     "swinging arm": Hold(
         axes=(UP, FORWARD, LEFT),
         spread=0.25,
         hinge=(0.11, 0.0, 0.28),
         lever=(0.02, 0.06, -0.66),
-        swings=((1, "right", 0.24, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.05, 2.0)),
-        bounce=0.75,
-        shock=(1.2, 6.5, 0.06),
+        swings=((1, "right", 0.27, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
+        bounce=0.95,
+        shock=(2.2, 8.0, 0.05),
         wander=(0.10, 0.06),
     ),
     "trouser pocket": Hold(
@@ -92,10 +95,10 @@ HOLDS = {
         spread=0.30,
         hinge=(0.06, 0.03, -0.02),
         lever=(0.04, 0.10, -0.22),
-        swings=((1, "right", 0.30, 0.3), (2, "right", 0.07, 1.2), (3, "right", 0.03, 2.2), (1, "up", 0.10, 1.0)),
+        swings=((1, "right", 0.24, 0.3), (2, "right", 0.06, 1.2), (3, "right", 0.07, 2.2), (1, "up", 0.06, 1.0)),
         bounce=0.85,
-        shock=(13.0, 6.5, 0.06),
-        one_sided=0.6,
+        shock=(22.0, 7.0, 0.09),
+        one_sided=(0.4, 0.08),
         tremor=0.012,
         wander=(0.06, 0.05),
         roughness=1.2,
@@ -105,9 +108,9 @@ HOLDS = {
         spread=0.20,
         hinge=(-0.05, 0.07, 0.22),
         swings=((2, "right", 0.020, 0.0), (1, "forward", 0.030, 0.5), (1, "up", 0.070, 0.0)),
-        shock=(2.4, 8.5, 0.05),
+        shock=(5.0, 8.0, 0.05),
         tremor=0.006,
-        roughness=0.6,
+        roughness=0.8,
         wander=(0.03, 0.03),
     ),
     "bag": Hold(
@@ -117,10 +120,11 @@ HOLDS = {
         lever=(0.08, 0.0, -0.55),
         swings=((1, "right", 0.05, 0.9), (2, "right", 0.04, 2.0), (1, "forward", 0.05, 0.3), (1, "up", 0.06, 1.5)),
         bounce=1.12,
-        shock=(5.0, 6.0, 0.06),
+        shock=(9.0, 7.0, 0.07),
+        one_sided=(0.4, 0.03),
         tremor=0.006,
         wander=(0.06, 0.05),
-        roughness=1.0,
+        roughness=1.2,
     ),
     "cart": Hold(
         axes=(RIGHT, FORWARD, UP),
@@ -199,27 +203,32 @@ class _Stride:
     bob: float
     variation: Array
     shift: Array
+    own: Array
 
     @classmethod
     def of(cls, body: Body, walker: Walker, random: np.random.Generator) -> _Stride:
         vigour = body.step_length / USUAL_STEP
         variation = 1 + slow(random, len(vigour), 1.1 * body.rate, VARIATION)[:, 0]
-        return cls(body.phase, vigour, walker.bounce, variation, random.normal(0, 0.35, 12))
+        own = np.exp(random.normal(0, OWN, 12))
+        own[0] = 1.0  # how much they bob at all is the walker's bounce
+        return cls(body.phase, vigour, walker.bounce, variation, random.normal(0, 0.35, 12), own)
 
     @property
     def bounce(self) -> Array:
-        """Of the body's middle ``(n, 3)``, right, forward, up [m]: an inverted pendulum's, with the step squared."""
-        return self.bob * (self.vigour**2)[:, None] * self._sum(BOUNCE)
+        """Of the body's middle ``(n, 3)``, right, forward, up [m]. An inverted pendulum's goes with the step squared;
+        who takes short steps shuffles, and bobs more than that.
+        """
+        return self.bob * (self.vigour**1.5)[:, None] * self._sum(BOUNCE, self.own)
 
     def rotation(self, swings: tuple[tuple[int, str, float, float], ...]) -> Array:
         """Rotation vectors ``(n, 3)`` of a lever. [rad]"""
-        return self.vigour[:, None] * self._sum(swings)
+        return self.vigour[:, None] * self._sum(swings, self.own**0.5)
 
-    def _sum(self, harmonics: tuple[tuple[int, str, float, float], ...]) -> Array:
+    def _sum(self, harmonics: tuple[tuple[int, str, float, float], ...], own: Array) -> Array:
         total = np.zeros((len(self.phase), 3))
         for n, (harmonic, axis, amplitude, phase) in enumerate(harmonics):
             angle = 2 * np.pi * harmonic * self.phase + phase + (self.shift[n] if n else 0.0)
-            total[:, AXES[axis]] += amplitude * self.variation * np.cos(angle)
+            total[:, AXES[axis]] += own[n] * amplitude * self.variation * np.cos(angle)
         return total
 
 
@@ -274,13 +283,16 @@ def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random:
     """Acceleration ``(n, 3)`` in body axes that landings send through the body. [m/s²]"""
     n, total = len(body.time), np.zeros((len(body.time), 3))
     strength = np.minimum(body.lengths / USUAL_STEP, 1.5) ** 1.5 * np.exp(random.normal(0, 0.3, len(body.lengths)))
-    at = np.clip(np.round(body.landings * body.rate).astype(int), 0, n - 1)
+    strength = strength * np.exp(random.normal(0, OWN))
+    other = np.arange(len(body.landings)) % 2
     for hold, weight in zip(holds, weights, strict=True):
         size, frequency, decay = hold.shock
-        if size == 0 or not len(at):
+        if size == 0 or not len(other):
             continue
+        weaker, later = hold.one_sided
+        at = np.clip(np.round((body.landings + later * other) * body.rate).astype(int), 0, n - 1)
         train = np.zeros(n)
-        np.add.at(train, at, size * strength * np.where(np.arange(len(at)) % 2, 1 - hold.one_sided, 1.0))
+        np.add.at(train, at, size * strength * (1 - weaker * other))
         t = np.arange(round(5 * decay * body.rate)) / body.rate
         ring = np.exp(-t / decay) * np.sin(2 * np.pi * frequency * t + 0.3)
         along = np.array([0.25, -0.5, 1.0]) + random.normal(0, 0.15, 3)
@@ -293,7 +305,9 @@ def _roughness(
 ) -> Array:
     """What no harmonic explains ``(n, 3)``. [m/s²]"""
     size = sum((h.roughness * w for h, w in zip(holds, weights, strict=True)), np.zeros(len(body.time)))
-    return (size * vigour)[:, None] * slow(random, len(body.time), 0.10 * body.rate, 1.0, 3)
+    rough = slow(random, len(body.time), 0.05 * body.rate, 1.0, 3)
+    rough -= gaussian_filter1d(rough, 0.08 * body.rate, axis=0)
+    return (size * vigour)[:, None] * rough
 
 
 def _second_derivative(position: Array, rate: float) -> Array:

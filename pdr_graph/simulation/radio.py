@@ -18,6 +18,7 @@ ACCURACY_SPREAD = 0.25  # of a receiver's reported accuracy about the true one (
 SYSTEMATIC, SYSTEMATIC_TIME = 0.9, 50.0  # share of the error that stays, and for how long [s]: paths, atmosphere
 OUTLIER = 5.0  # of the usual accuracy
 FLOOR_LOSS = 15.0  # [dB] per ceiling
+WALLS = 3.0  # [dB] standard deviation of what walls and furniture add or take, a fixed pattern
 WEAKEST = -97.0  # [dBm] that is heard at all
 
 
@@ -93,15 +94,25 @@ BLUETOOTH = Air(exponent=2.2, shadow=7.0, fading=4.0, period=0.35, together=Fals
 WIFI = Air(exponent=2.8, shadow=4.0, fading=3.0, period=3.0, together=True)
 
 
-def heard(body: Body, transmitters: Sequence[Transmitter], air: Air, random: np.random.Generator) -> Sightings:
-    """Who was heard when and how loud: log-distance path loss, the body's shadow, walls as a fixed pattern, fading."""
+def heard(
+    body: Body,
+    transmitters: Sequence[Transmitter],
+    air: Air,
+    random: np.random.Generator,
+    place: np.random.Generator,
+) -> Sightings:
+    """Who was heard when and how loud: log-distance path loss, the body's shadow, walls as a fixed pattern, fading.
+
+    place: draws what is the same for all walks at a place, the walls' pattern.
+    """
     times, names, levels = [np.empty(0)], list[str](), [np.empty(0)]
     scans = np.arange(random.uniform(0, air.period), body.time[-1], air.period)
     for transmitter in transmitters:
         time = scans if air.together else scans + random.uniform(-0.4, 0.4, len(scans)) * air.period
         time = np.clip(time, 0, body.time[-1])
         at = np.clip(np.searchsorted(body.time, time), 0, len(body.time) - 1)
-        level = _level(body, at, transmitter, air, random)
+        level = _level(body, at, transmitter, air) + WALLS * Scatter.drawn(place, 4.0, 1).at(body.position[at])[:, 0]
+        level += random.normal(0, air.fading, len(at))
         there = level > WEAKEST
         times.append(time[there])
         levels.append(np.round(level[there]))
@@ -111,8 +122,8 @@ def heard(body: Body, transmitters: Sequence[Transmitter], air: Air, random: np.
     return Sightings(time[order], tuple(names[n] for n in order), level[order])
 
 
-def _level(body: Body, at: Index, transmitter: Transmitter, air: Air, random: np.random.Generator) -> Array:
-    """Received power ``(n,)`` [dBm] at some of the body's samples."""
+def _level(body: Body, at: Index, transmitter: Transmitter, air: Air) -> Array:
+    """Usual received power ``(n,)`` [dBm] at some of the body's samples."""
     way = transmitter.place - body.position[at]
     distance = np.maximum(np.hypot(*way.T), 0.5)
     level = transmitter.power - 10 * air.exponent * np.log10(distance)
@@ -121,5 +132,4 @@ def _level(body: Body, at: Index, transmitter: Transmitter, air: Air, random: np
     if transmitter.floor:
         ceilings = np.array([label != transmitter.floor for label in body.floors], float)
         level = level - FLOOR_LOSS * ceilings[body.floor[at]]
-    walls = 3.0 * Scatter.drawn(random, 4.0, 1).at(body.position[at])[:, 0]
-    return level + walls + random.normal(0, air.fading, len(at))
+    return level

@@ -19,7 +19,7 @@ STANDARD_GRAVITY = 9.80665  # [m/s²]
 
 
 def write(walk: Simulation, folder: Path) -> None:
-    """Write the recording, ``truth.csv``, ``steps.csv``, ``events.csv``, and ``fixes.csv`` where fixes are given.
+    """Write the recording, ``truth.csv``, ``steps.csv``, ``events.csv``, and ``gnss.csv``, ``fixes.csv`` if any.
 
     Times in all of them are the recorder's own.
     """
@@ -35,6 +35,10 @@ def write(walk: Simulation, folder: Path) -> None:
     _save(folder / "steps.csv", "time,length", [f"{start + t:.3f},{length:.4f}" for t, length in landed])
     events = [f"{start + e.start:.3f},{start + e.end:.3f},{e.kind},{e.what}" for e in body.events]
     _save(folder / "events.csv", "start,end,kind,what", events)
+    if walk.gnss is not None:
+        fixes = zip(walk.gnss.fixes.time, walk.gnss.fixes.position, walk.gnss.accuracy, walk.gnss.hdop, strict=True)
+        lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{accuracy:.2f},{hdop:.2f}" for t, (x, y), accuracy, hdop in fixes]
+        _save(folder / "gnss.csv", "time,x,y,accuracy,hdop", lines)
     if walk.given is not None:
         fixes = zip(walk.given.time, walk.given.position, walk.given.sigma, walk.given.floor, strict=True)
         lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{sigma:.3f},{floor}" for t, (x, y), sigma, floor in fixes]
@@ -120,7 +124,7 @@ RECORDERS: dict[str, Callable[[Simulation, Path], None]] = {
 
 
 def _gravity(walk: Simulation, time: Array) -> Array:
-    """Gravity ``(n, 3)`` as the phone's fusion has it, device axes: true but for a slow tilt. [m/s²]"""
+    """Gravity ``(n, 3)`` in device axes, as a perfect fusion would have it. [m/s²]"""
     up = walk.motion.R_world_device.inv().apply([0.0, 0.0, STANDARD_GRAVITY])
     return np.stack([np.interp(time, walk.motion.time, axis) for axis in up.T], axis=1)
 

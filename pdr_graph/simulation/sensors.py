@@ -77,17 +77,13 @@ def imu(motion: Motion, clock: Clock, random: np.random.Generator) -> dict[str, 
 
 
 def magnetometer(
-    motion: Motion, position: Array, field: Array, disturbance: float, clock: Clock, random: np.random.Generator
+    motion: Motion, position: Array, field: MagneticField, clock: Clock, random: np.random.Generator
 ) -> Signal:
-    """The field of the place [µT], east, north, up, and what steel and cables add: it changes over 3 m.
-
-    disturbance: standard deviation of that per axis [µT]. A case with a magnet (hard iron) is in the bias.
-    """
+    """The field where the phone was [µT]. A case with a magnet (hard iron) is in the bias."""
     time, written = clock.times(motion.time[0], motion.time[-1], random)
     some = slice(None, None, max(1, round(motion.rate / DISTURBANCE_RATE)))
-    steel = Scatter.drawn(random, 3.0, 3).at(position[some])
-    disturbed = [np.interp(motion.time, motion.time[some], axis) for axis in disturbance * steel.T]
-    world = field + np.stack(disturbed, axis=1)
+    there = field.at(position[some])
+    world = np.stack([np.interp(motion.time, motion.time[some], axis) for axis in there.T], axis=1)
     device = motion.R_world_device.inv().apply(world)
     at = np.stack([np.interp(time, motion.time, axis) for axis in device.T], axis=1)
     return _logged(time, _faulty(at, time, MAGNETOMETER, clock.rate, random), written)
@@ -128,6 +124,27 @@ class Scatter:
         for wave, phase, size in zip(self.waves, self.phases, self.sizes, strict=True):
             total += size * np.cos((position @ wave)[:, None] + phase)
         return total
+
+
+@dataclass(frozen=True)
+class MagneticField:
+    """Of a place: the earth's ``(3,)``, east, north, up [µT], and what steel and cables add to each axis.
+
+    disturbance: standard deviation of that [µT]; it changes over 3 m.
+    """
+
+    earth: Array
+    disturbance: float
+    steel: Scatter
+
+    @classmethod
+    def drawn(cls, random: np.random.Generator, earth: Array, disturbance: float) -> MagneticField:
+        """Some place's."""
+        return cls(earth, disturbance, Scatter.drawn(random, 3.0, 3))
+
+    def at(self, position: Array) -> Array:
+        """The field ``(n, 3)`` at positions ``(n, 2)``. [µT]"""
+        return self.earth + self.disturbance * self.steel.at(position)
 
 
 def _faulty(truth: Array, time: Array, faults: Faults, rate: float, random: np.random.Generator) -> Array:

@@ -51,9 +51,13 @@ class Simulation:
 
 
 def simulate(scenario: Scenario) -> Simulation:
-    """The same scenario is the same walk, sample by sample: each part draws from a stream of its own."""
-    streams = np.random.default_rng(scenario.seed).spawn(8)
+    """The same scenario is the same walk, sample by sample: each part draws from a stream of its own.
+
+    What steel and walls do to the magnetic field and to radio is the place's, and the same for every walk there.
+    """
+    streams = np.random.default_rng(scenario.seed).spawn(10)
     frame = next((plan.frame for plan in scenario.plans.values()), enu(*scenario.place[::-1]))
+    place = np.random.default_rng(np.round((frame.to_lonlat(np.zeros((1, 2)))[0] + 360) * 1e6).astype(int))
     phone = scenario.phone
 
     # Who walks, and how the body moves
@@ -68,10 +72,8 @@ def simulate(scenario: Scenario) -> Simulation:
     # What the phone feels, and what it logs
     motion = carry(body, walker, streams[2])
     signals = sensors.imu(motion, phone.clock, streams[3])
-    field = magnetic_field(frame, scenario.start)
-    signals["magnetometer"] = sensors.magnetometer(
-        motion, body.position, field, phone.disturbance, phone.clock, streams[4]
-    )
+    field = sensors.MagneticField.drawn(place, earths_field(frame, scenario.start), phone.disturbance)
+    signals["magnetometer"] = sensors.magnetometer(motion, body.position, field, phone.clock, streams[4])
     slow_clock = sensors.Clock(rate=phone.barometer_rate)
     signals["barometer"] = sensors.barometer(motion, phone.altitude, slow_clock, streams[5])
 
@@ -84,13 +86,13 @@ def simulate(scenario: Scenario) -> Simulation:
         motion=motion,
         signals={name: signals[name] for name in phone.sensors},
         gnss=satellites(body, scenario.gnss, streams[6]) if scenario.gnss else None,
-        bluetooth=heard(body, scenario.beacons, BLUETOOTH, streams[7]) if scenario.beacons else None,
-        wifi=heard(body, scenario.access_points, WIFI, streams[7]) if scenario.access_points else None,
+        bluetooth=heard(body, scenario.beacons, BLUETOOTH, streams[8], place) if scenario.beacons else None,
+        wifi=heard(body, scenario.access_points, WIFI, streams[9], place) if scenario.access_points else None,
         given=_known_positions(body, scenario.given, streams[7]) if scenario.given else None,
     )
 
 
-def magnetic_field(frame: Frame, epoch: float) -> Array:
+def earths_field(frame: Frame, epoch: float) -> Array:
     """The field ``(3,)`` of the World Magnetic Model at a frame's origin, east, north, up. [µT]"""
     from pygeomag import GeoMag  # here, since only simulations need it so far
 

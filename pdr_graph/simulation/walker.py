@@ -17,7 +17,7 @@ from pdr_graph.simulation.way import Way
 from pdr_graph.types import Array
 
 HEIGHT = {"f": (1.65, 0.065), "m": (1.78, 0.07)}  # [m] mean and standard deviation
-CADENCE = {"f": (1.93, 0.11), "m": (1.84, 0.11)}  # [Hz]
+CADENCE = {"f": (1.89, 0.13), "m": (1.80, 0.13)}  # [Hz]
 WALK_RATIO, WALK_RATIO_SPREAD = 0.39, 0.05  # [m·s] step length over cadence at 1.70 m, and between people
 REFERENCE = 1.70  # [m]
 WANDER, WANDER_STEPS = 0.025, 60  # of length and period, and over how many steps
@@ -70,7 +70,7 @@ class Walker:
         # taller people take fewer steps: a leg is a pendulum
         cadence = random.normal(*CADENCE[sex]) * np.sqrt(HEIGHT[sex][0] / height)
         ratio = WALK_RATIO * height / REFERENCE * np.exp(random.normal(0, WALK_RATIO_SPREAD))
-        bounce, asymmetry = np.exp(random.normal(0, 0.2)), random.normal(0, ASYMMETRY)
+        bounce, asymmetry = np.exp(random.normal(0, 0.22)), random.normal(0, ASYMMETRY)
         return cls(height, sex, float(cadence), float(ratio * cadence), float(bounce), float(asymmetry))
 
 
