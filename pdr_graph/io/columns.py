@@ -48,6 +48,8 @@ class Rows:
                 self.lines, delimiter=self.delimiter, usecols=columns, comments=None, quotechar='"', ndmin=2
             )
         except (ValueError, OverflowError):
+            table = None
+        if table is None or len(table) != len(self.lines):  # loadtxt takes an open quote's line and the next for one
             table = self._floats_one_by_one(columns, cut_off_allowed)
         with np.errstate(invalid="ignore"):
             return np.where(np.abs(table) < LARGEST, table, np.nan)
