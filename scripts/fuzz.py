@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from mutations import inputs, mutated
+from mutations import inputs, mutated, simulated_if_short
 
 from pdr_graph import FloorPlan, InputError, detect_steps, io, read_fixes, read_trajectory
 from pdr_graph.floor.check import problems
@@ -84,6 +84,7 @@ def main():
     recordings, tables, plans = inputs()
     cases = [(name, *given, record) for name, given in recordings.items()]
     cases += [(name, *given, plan) for name, given in plans.items()]
+    cases += [("scenario", *tables["scenario"], simulated_if_short)]
     cases += [("fixes", *tables["fixes"], fixes), ("trajectory", *tables["trajectory"], read_trajectory)]
     wanted = sys.argv[2:]
     with tempfile.TemporaryDirectory() as folder:

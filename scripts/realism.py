@@ -21,6 +21,7 @@ from pdr_graph.types import Recording, Signal
 BANDS = ((0.3, 1.4), (1.4, 2.4), (2.4, 4.5), (4.5, 8.0), (8.0, 15.0))  # [Hz] stride, step, its harmonics, shocks
 WINDOW = 5.0  # [s]
 RATE = 50.0  # [Hz] to which all recordings are brought
+CROWD = 40  # simulated walkers in each hold
 MS, IPIN = "Microsoft, hand", "IPIN, hand"
 NAMES = ("cadence [Hz]", "interval CV", "‖a‖ std [m/s²]", *(f"{lo}–{hi} Hz" for lo, hi in BANDS), "‖ω‖ [rad/s]")
 
@@ -125,7 +126,9 @@ def compare(data):
     theirs, holds = {}, {}
     for group, holds[group], walks in real(data):
         theirs[group] = _at_least_two([w for w in map(windows, walks) if len(w[0])])
-    ours = {hold: [windows(w) for _, w in simulated(hold, range(12))] for hold in set(holds.values())}
+    ours = {}
+    for hold in dict.fromkeys(holds.values()):
+        ours[hold] = [w for w in (windows(recording) for _, recording in simulated(hold, range(CROWD))) if len(w[0])]
 
     rows, shown = [], set()
     for group, hold in holds.items():
@@ -199,7 +202,7 @@ def front_end(data):
     )
     for hold, manner in [(hold, None) for hold in HOLDS if hold != "cart"] + [("hand", "browse")]:
         walks = []
-        for walk, recording in simulated(hold, range(15), manner):
+        for walk, recording in simulated(hold, range(CROWD), manner):
             at = np.arange(3.0, walk.body.time[-1] - 3.0, 6.0)
             place = np.stack([np.interp(at, walk.body.time, axis) for axis in walk.body.position.T], axis=1)
             tapped = place + np.random.default_rng(0).normal(0, 0.66 / np.sqrt(2), place.shape)

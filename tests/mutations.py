@@ -13,6 +13,9 @@ import shapely
 import simulated
 from recorders import get_sensor_data, gnss_logger, phyphox, sample, sensor_logger
 
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
 SAMPLES = 80
 NUMBERS = (
     b"nan",
@@ -98,6 +101,39 @@ def plan(ipin=False):
     return json.dumps({"type": "FeatureCollection", **about, "features": features})
 
 
+SCENARIO = """seed = 3
+start = 2026-05-01T10:00:00Z
+recorder = "phyphox"
+place = [11.08, 49.45]
+heading = 90
+route = [[0, 0], {stand = 1, turn = 20}, {to = [[3, 0], [3, 2]], manner = "slow", zigzag = 0.3, hold = "bag"}, [4, 4],
+    {stairs = "2", to = [5, 4], climb = 1}, {lift = "1"}, {shake = 1}, {hold = "cart"}, {roll = [5, 5], speed = 0.5}]
+[walker]
+height = 1.7
+sex = "f"
+[phone]
+rate = 50
+lost = 0.01
+sensors = ["accelerometer", "gyroscope", "barometer"]
+[gnss]
+latency = 1
+outages = [[2, 4]]
+[fixes]
+period = 2
+[beacons]
+a = [1, 2]
+[wifi]
+access_points = 3
+"""
+
+
+def simulated_if_short(path):
+    """A scenario, walked unless damage has made it long."""
+    scenario = Scenario.load(path)
+    if scenario.route.duration * scenario.phone.rate < 6000 and len(scenario.access_points) < 10:
+        simulate(scenario)
+
+
 def inputs():
     """Name to (file name, bytes or files of a folder) of a whole input of every kind."""
     s = small()
@@ -114,6 +150,7 @@ def inputs():
     }
     tables = {
         "fixes": ("fixes.csv", b"time,x,y,sigma,floor\n1700000000.5,1,2,0.5,F1\n1700000001,3,4,2,\n"),
+        "scenario": ("walk.toml", SCENARIO.encode()),
         "trajectory": ("t.csv", b"time,x,y,heading,floor\n1,0,0,0.1,F1\n2,1,0,,\n3,2,0,nan,F1\n"),
     }
     plans = {

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from mutations import inputs, mutated
+from mutations import inputs, mutated, simulated_if_short
 
 from pdr_graph import FloorPlan, InputError, io, read_fixes, read_trajectory
 from pdr_graph.floor.check import problems
@@ -49,4 +49,5 @@ def test_damaged_plans(name, tmp_path):
 
 def test_damaged_tables(tmp_path):
     survive("fixes", TABLES["fixes"], lambda path: read_fixes(path, WALK), tmp_path)
+    survive("scenario", TABLES["scenario"], simulated_if_short, tmp_path)
     survive("trajectory", TABLES["trajectory"], read_trajectory, tmp_path)

@@ -305,6 +305,8 @@ def _eased(share: Array) -> Array:
 
 def _trapezoid(distance: float, speed: float, acceleration: float, rate: float) -> Array:
     """Distance covered from rest to rest at a speed that is reached and left evenly. [m]"""
+    if distance == 0:
+        return np.zeros(2)
     speed = min(speed, np.sqrt(acceleration * distance))
     ramp, cruise = speed / acceleration, distance / speed - speed / acceleration
     t = np.arange(round((2 * ramp + cruise) * rate) + 1) / rate

@@ -37,6 +37,7 @@ BOUNCE = (
 )
 AXES = {"right": 0, "forward": 1, "up": 2}
 VARIATION = 0.12  # of the amplitudes from stride to stride
+RECOIL = 0.12  # [s] within which a shock's impulse is taken back
 OWN = 0.45  # log-normal spread of the higher harmonics' and the shocks' sizes between people and shoes
 
 
@@ -77,16 +78,16 @@ HOLDS = {
         swings=((2, "right", 0.034, 0.4), (1, "forward", 0.060, 0.8), (1, "up", 0.055, 0.0), (3, "up", 0.010, 1.0)),
         shock=(4.0, 8.0, 0.05),
         tremor=0.010,
-        wander=(0.15, 0.06),
+        wander=(0.17, 0.06),
         roughness=0.65,
     ),
     "swinging arm": Hold(
         axes=(UP, FORWARD, LEFT),
         spread=0.25,
         hinge=(0.11, 0.0, 0.28),
-        lever=(0.02, 0.06, -0.66),
-        swings=((1, "right", 0.27, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
-        bounce=0.95,
+        lever=(0.02, 0.13, -0.62),
+        swings=((1, "right", 0.24, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
+        bounce=0.85,
         shock=(2.2, 8.0, 0.05),
         wander=(0.10, 0.06),
     ),
@@ -95,9 +96,9 @@ HOLDS = {
         spread=0.30,
         hinge=(0.06, 0.03, -0.02),
         lever=(0.04, 0.10, -0.22),
-        swings=((1, "right", 0.24, 0.3), (2, "right", 0.06, 1.2), (3, "right", 0.07, 2.2), (1, "up", 0.06, 1.0)),
-        bounce=0.85,
-        shock=(22.0, 7.0, 0.09),
+        swings=((1, "right", 0.24, 0.3), (2, "right", 0.06, 1.2), (3, "right", 0.06, 2.2), (1, "up", 0.06, 1.0)),
+        bounce=1.10,
+        shock=(24.0, 7.0, 0.09),
         one_sided=(0.4, 0.08),
         tremor=0.012,
         wander=(0.06, 0.05),
@@ -297,7 +298,7 @@ def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random:
         ring = np.exp(-t / decay) * np.sin(2 * np.pi * frequency * t + 0.3)
         along = np.array([0.25, -0.5, 1.0]) + random.normal(0, 0.15, 3)
         total += (weight * np.convolve(train, ring)[:n])[:, None] * along
-    return total
+    return total - gaussian_filter1d(total, RECOIL * body.rate, axis=0)  # what is hit springs back: no shock lifts it
 
 
 def _roughness(

@@ -14,10 +14,13 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.simulation.body import Ride, Roll, Shake, Stand, Stretch, Take, Walk
 from pdr_graph.simulation.carrying import HOLDS
+from pdr_graph.simulation.checks import number, one_of, pair
 from pdr_graph.simulation.walker import MANNERS
 from pdr_graph.types import Array
 
 STOREY = 3.8  # [m] from one floor to the next
+HIGHEST = (-500.0, 500.0)  # [m] that stairs and lifts go
+SLOW = 0.5  # [m/s]
 SHORTEST_LEG = 0.2  # [m]
 FRONT = 0.7  # [m] before a shop front, where one looks
 KEYS = {
@@ -36,13 +39,16 @@ KEYS = {
 
 @dataclass(frozen=True)
 class Route:
-    """start: ``(2,)`` [m]; heading [rad] and floor there; stretches in order; corners: ``(c, 2)`` all places [m]."""
+    """start: ``(2,)`` [m]; heading [rad] and floor there; stretches in order; corners: ``(c, 2)`` all places [m];
+    duration: about [s].
+    """
 
     start: Array
     heading: float
     floor: str
     stretches: tuple[Stretch, ...]
     corners: Array
+    duration: float
 
 
 @dataclass
@@ -61,15 +67,20 @@ class _Draft:
 
     def go(self, place: str, to: Array, manner: str, zigzag: float) -> None:
         """One more leg; refused if it leads through a wall."""
+        begun = self.where
+        self.step(place, to)
+        if not self.legs:
+            self.begun = begun
+        self.legs.append((to, manner, zigzag))
+
+    def step(self, place: str, to: Array, walled: bool = True) -> None:
+        """Be somewhere else; refused if a wall is between."""
         plan = self.plans.get(self.floor)
         if np.hypot(*(to - self.where)) < SHORTEST_LEG:
             raise InputError(self.path, place, f"a leg of less than {SHORTEST_LEG} m", "places apart")
-        if plan is not None and plan.crosses_wall(self.where[None], to[None])[0]:
+        if walled and plan is not None and plan.crosses_wall(self.where[None], to[None])[0]:
             found = f"a way from ({self.where[0]:g}, {self.where[1]:g}) to ({to[0]:g}, {to[1]:g}) through a wall"
             raise InputError(self.path, place, found, "a way that one can walk")
-        if not self.legs:
-            self.begun = self.where
-        self.legs.append((to, manner, zigzag))
         self.where = to
         self.corners.append(to)
 
@@ -93,7 +104,7 @@ def route_of(path: Path, items: Any, plans: Mapping[str, FloorPlan], floor: str,
         raise InputError(path, "route", repr(items)[:40], "a list: where it starts, and what is done then")
     if plans and floor not in plans:
         raise InputError(path, "floor", repr(floor), "one of " + ", ".join(plans))
-    start = _point(path, "route, item 1", items[0])
+    start = pair(path, "route, item 1", items[0])
     draft = _Draft(path, plans, start, floor, corners=[start])
     for n, item in enumerate(items[1:], start=2):
         _item(draft, f"route, item {n}", {"to": item} if isinstance(item, list) else item)
@@ -103,8 +114,10 @@ def route_of(path: Path, items: Any, plans: Mapping[str, FloorPlan], floor: str,
         ahead = (corners - start)[np.hypot(*(corners - start).T) > 0]
         towards = float(np.arctan2(ahead[0, 1], ahead[0, 0])) if len(ahead) else 0.0
     else:
-        towards = np.radians(_number(path, "heading", heading))
-    return Route(start, towards, floor, tuple(draft.stretches), corners)
+        towards = np.radians(number(path, "heading", heading))
+    resting = sum(s.seconds for s in draft.stretches if isinstance(s, Stand | Shake))
+    duration = resting + float(np.hypot(*np.diff(corners, axis=0).T).sum()) / SLOW
+    return Route(start, towards, floor, tuple(draft.stretches), corners, duration)
 
 
 def _item(draft: _Draft, place: str, item: Any) -> None:
@@ -115,13 +128,13 @@ def _item(draft: _Draft, place: str, item: Any) -> None:
         raise InputError(path, place, repr(item), "[x, y] or one of " + ", ".join(KEYS))
     if extra := set(item) - KEYS[kind]:
         raise InputError(path, place, f"an unknown name {min(extra)!r}", ", ".join(sorted(KEYS[kind])))
-    manner = _one_of(path, place, item.get("manner", "normal"), MANNERS)
+    manner = one_of(path, place, item.get("manner", "normal"), MANNERS)
     if kind in ("to", "follow"):
         corners = _points(path, place, item["to"]) if kind == "to" else _link(draft, place, str(item["follow"]))
         for corner in corners:
-            draft.go(place, corner, manner, _number(path, place, item.get("zigzag", 0.0)))
+            draft.go(place, corner, manner, number(path, place, item.get("zigzag", 0.0), 0.0, 10.0))
         if "hold" in item:
-            draft.rehold = _one_of(path, place, item["hold"], HOLDS)
+            draft.rehold = one_of(path, place, item["hold"], HOLDS)
             draft.finish()
         return
     if kind == "visit":
@@ -136,36 +149,34 @@ def _item(draft: _Draft, place: str, item: Any) -> None:
 def _standing(draft: _Draft, place: str, kind: str, item: dict[str, Any]) -> Stretch:
     """What is done without walking."""
 
-    def number(name: str, default: float = 0.0) -> float:
-        return _number(draft.path, place, item.get(name, default))
+    def said(name: str, default: float = 0.0, low: float = -1e5, high: float = 1e5) -> float:
+        return number(draft.path, place, item.get(name, default), low, high)
 
     match kind:
         case "stand":
-            return Stand(number("stand"), np.radians(number("turn")), "stand")
+            return Stand(said("stand", low=0.0), np.radians(said("turn")), "stand")
         case "turn":
-            return Stand(0.0, np.radians(number("turn")))
+            return Stand(0.0, np.radians(said("turn")))
         case "visit":
-            return Stand(number("stay", 15.0), event=f"visit {item['visit']}")
+            return Stand(said("stay", 15.0, low=0.0), event=f"visit {item['visit']}")
         case "lift":
             draft.floor = _floor(draft, place, item["lift"])
-            return Ride(number("climb", STOREY), draft.floor)
+            return Ride(said("climb", STOREY, *HIGHEST), draft.floor)
         case "roll":
-            draft.where = _point(draft.path, place, item["roll"])
-            draft.corners.append(draft.where)
-            return Roll(draft.where, max(number("speed", 0.5), 0.05))
+            draft.step(place, pair(draft.path, place, item["roll"]))
+            return Roll(draft.where, said("speed", 0.5, 0.05, 10.0))
         case "shake":
-            return Shake(number("shake"))
+            return Shake(said("shake", low=0.0))
         case _:
-            return Take(_one_of(draft.path, place, item["hold"], HOLDS))
+            return Take(one_of(draft.path, place, item["hold"], HOLDS))
 
 
 def _climb_stairs(draft: _Draft, place: str, item: dict[str, Any]) -> None:
     draft.begun = draft.where
     for corner in _points(draft.path, place, item.get("to")):
         draft.legs.append((corner, "stairs", 0.0))
-        draft.where = corner
-        draft.corners.append(corner)
-    climb = _number(draft.path, place, item.get("climb", STOREY))
+        draft.step(place, corner, walled=False)  # through the hole in the floor
+    climb = number(draft.path, place, item.get("climb", STOREY), *HIGHEST)
     draft.finish(climb, _floor(draft, place, item["stairs"]))
 
 
@@ -199,23 +210,4 @@ def _floor(draft: _Draft, place: str, label: Any) -> str:
 def _points(path: Path, place: str, value: Any) -> list[Array]:
     """[x, y], or a list of them."""
     several = value if isinstance(value, list) and value and isinstance(value[0], list) else [value]
-    return [_point(path, place, v) for v in several]
-
-
-def _point(path: Path, place: str, value: Any) -> Array:
-    numbers = isinstance(value, list) and len(value) == 2 and all(type(v) in (int, float) for v in value)
-    if not numbers or not np.all(np.abs(value) < 1e5):
-        raise InputError(path, place, repr(value), "[x, y] in metres")
-    return np.array(value, dtype=float)
-
-
-def _number(path: Path, place: str, value: Any) -> float:
-    if type(value) not in (int, float) or not abs(value) < 1e5:
-        raise InputError(path, place, repr(value), "a number")
-    return float(value)
-
-
-def _one_of(path: Path, place: str, value: Any, names: Mapping[str, Any]) -> str:
-    if value not in names:
-        raise InputError(path, place, repr(value), "one of " + ", ".join(names))
-    return str(value)
+    return [pair(path, place, v) for v in several]

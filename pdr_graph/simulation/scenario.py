@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -15,11 +15,33 @@ import shapely
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.simulation.carrying import HOLDS
+from pdr_graph.simulation.checks import known, number, one_of, pair, typed
 from pdr_graph.simulation.itinerary import Route, route_of
 from pdr_graph.simulation.radio import Receiver, Transmitter
 from pdr_graph.simulation.recorders import RECORDERS
 from pdr_graph.simulation.sensors import Clock
 
+RANGES = {
+    "seed": (0, 1e15, ""),
+    "walker.height": (0.5, 2.5, "m"),
+    "phone.rate": (20, 1000, "Hz"),
+    "phone.barometer_rate": (0.1, 100, "Hz"),
+    "phone.jitter": (0, 1, "s"),
+    "phone.lost": (0, 0.9, "of all samples"),
+    "phone.repeated": (0, 0.9, "of all samples"),
+    "phone.disturbance": (0, 1000, "µT"),
+    "phone.altitude": (-500, 9000, "m"),
+    "gnss.accuracy": (0.01, 10_000, "m"),
+    "gnss.period": (0.01, 86_400, "s"),
+    "gnss.latency": (0, 3600, "s"),
+    "gnss.outliers": (0, 1, "of all fixes"),
+    "gnss.hdop": (0.1, 100, ""),
+    "wifi.access_points": (0, 1000, ""),
+    "fixes.period": (0.01, 86_400, "s"),
+    "fixes.sigma": (0.001, 10_000, "m"),
+    "fixes.wild": (0, 1, "of all fixes"),
+}
+MOST_SAMPLES = 5e6  # fourteen hours at 100 Hz; more is a slip of the pen, and would fill the memory
 SENSORS = ("accelerometer", "gyroscope", "magnetometer", "barometer")
 PLACE = (135.0, 35.0)  # [deg] longitude and latitude of (0, 0) where no plan says
 Section = TypeVar("Section")
@@ -105,31 +127,34 @@ class Scenario:
 
 def _scenario(path: Path, given: dict[str, Any]) -> Scenario:
     allowed = "seed start recorder platform place plan floor heading route walker phone gnss fixes beacons wifi"
-    _known(path, "", given, allowed.split())
+    known(path, "", given, allowed.split())
+    seed = typed(path, "seed", given.get("seed", 0), int)
+    _within(path, "seed", seed)
     plans = _plans(path, given)
     phone = _section(path, "phone", given, Phone)
-    _one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
+    one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
     for sensor in phone.sensors:
-        _one_of(path, "phone.sensors", sensor, SENSORS)
-    if not 20 <= phone.rate <= 1000 or not 0.1 <= phone.barometer_rate <= 100:
-        raise InputError(path, "phone.rate", f"{phone.rate}, {phone.barometer_rate}", "20–1000 Hz, barometer 0.1–100")
+        one_of(path, "phone.sensors", sensor, SENSORS)
     person = _section(path, "walker", given, Person)
-    _one_of(path, "walker.sex", person.sex, ("", "f", "m"))
+    one_of(path, "walker.sex", person.sex, ("", "f", "m"))
     route = route_of(
         path, given.get("route"), plans, str(given.get("floor", next(iter(plans), ""))), given.get("heading")
     )
+    samples = route.duration * phone.rate
+    if samples > MOST_SAMPLES:
+        raise InputError(path, "route", f"about {samples:.0f} samples", f"at most {MOST_SAMPLES:.0f}: a shorter walk")
     return Scenario(
         name=path.stem,
         route=route,
-        seed=_typed(path, "seed", given.get("seed", 0), int),
+        seed=seed,
         start=_unix(path, given.get("start", Scenario.start)),
-        recorder=_one_of(path, "recorder", given.get("recorder", Scenario.recorder), tuple(RECORDERS)),
-        platform=_one_of(path, "platform", given.get("platform", Scenario.platform), ("android", "ios")),
+        recorder=one_of(path, "recorder", given.get("recorder", Scenario.recorder), tuple(RECORDERS)),
+        platform=one_of(path, "platform", given.get("platform", Scenario.platform), ("android", "ios")),
         place=_place(path, given.get("place", PLACE)),
         plans=plans,
         walker=person,
         phone=phone,
-        gnss=_section(path, "gnss", given, Receiver) if "gnss" in given else None,
+        gnss=_receiver(path, given),
         given=_section(path, "fixes", given, GivenFixes) if "fixes" in given else None,
         beacons=_beacons(path, given.get("beacons", {}), plans),
         access_points=_access_points(path, given, plans, route),
@@ -139,22 +164,23 @@ def _scenario(path: Path, given: dict[str, Any]) -> Scenario:
 def _plans(path: Path, given: dict[str, Any]) -> dict[str, FloorPlan]:
     if "plan" not in given:
         return {}
-    plan = path.parent / _typed(path, "plan", given["plan"], str)
+    plan = path.parent / typed(path, "plan", given["plan"], str)
     return {floor.label: floor for floor in FloorPlan.load_all(plan)}
 
 
 def _section(path: Path, name: str, given: dict[str, Any], kind: type[Section]) -> Section:
     """A table as a dataclass of numbers, words and tuples of them."""
-    table = _typed(path, name, given.get(name, {}), dict)
+    table = typed(path, name, given.get(name, {}), dict)
     defaults = {f.name: f.default for f in fields(kind)}  # type: ignore[arg-type]
-    _known(path, name, table, list(defaults))
+    known(path, name, table, list(defaults))
     values = {}
     for key, value in table.items():
         default = defaults[key]
         if isinstance(default, tuple):
-            values[key] = _tuple(_typed(path, f"{name}.{key}", value, list))
+            values[key] = _tuple(typed(path, f"{name}.{key}", value, list))
         else:
-            values[key] = _typed(path, f"{name}.{key}", value, type(default))
+            values[key] = typed(path, f"{name}.{key}", value, type(default))
+            _within(path, f"{name}.{key}", values[key])
     return kind(**values)
 
 
@@ -162,26 +188,9 @@ def _tuple(value: list[Any]) -> tuple[Any, ...]:
     return tuple(tuple(v) if isinstance(v, list) else v for v in value)
 
 
-def _typed(path: Path, place: str, value: Any, kind: type) -> Any:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
-    if kind is float and is_number:
-        return float(value)
-    if isinstance(value, kind) and not isinstance(value, bool):
-        return value
-    names = {float: "a number", int: "a whole number", str: "a text", dict: "a table", list: "a list"}
-    raise InputError(path, place, repr(value), names[kind])
-
-
-def _known(path: Path, place: str, table: Mapping[str, Any], names: Sequence[str]) -> None:
-    for name in table:
-        if name not in names:
-            raise InputError(path, f"{place}.{name}".lstrip("."), "an unknown name", "one of " + ", ".join(names))
-
-
-def _one_of(path: Path, place: str, value: Any, names: tuple[str, ...]) -> str:
-    if value not in names:
-        raise InputError(path, place, repr(value), "one of " + ", ".join(n for n in names if n))
-    return str(value)
+def _within(path: Path, place: str, value: Any) -> None:
+    if place in RANGES:
+        number(path, place, value, *RANGES[place])
 
 
 def _unix(path: Path, value: Any) -> float:
@@ -189,32 +198,34 @@ def _unix(path: Path, value: Any) -> float:
         return (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
     if isinstance(value, date):
         return datetime(value.year, value.month, value.day, tzinfo=UTC).timestamp()
-    return float(_typed(path, "start", value, float))
+    return float(typed(path, "start", value, float))
 
 
 def _place(path: Path, value: Any) -> tuple[float, float]:
-    try:
-        lon, lat = (float(v) for v in value)
-    except (TypeError, ValueError):
-        lon, lat = np.nan, np.nan
-    if not (abs(lon) <= 180 and abs(lat) <= 85):
-        raise InputError(path, "place", repr(value), "[longitude, latitude] in degrees")
-    return lon, lat
+    lon, lat = pair(path, "place", value, "[longitude, latitude] in degrees", 180).tolist()
+    return lon, number(path, "place", lat, -85, 85, "degrees of latitude")
+
+
+def _receiver(path: Path, given: dict[str, Any]) -> Receiver | None:
+    if "gnss" not in given:
+        return None
+    receiver = _section(path, "gnss", given, Receiver)
+    for outage in receiver.outages:
+        pair(path, "gnss.outages", outage, "[from, to] in seconds from the start", 1e9)
+    return receiver
 
 
 def _beacons(path: Path, table: Any, plans: Mapping[str, FloorPlan]) -> tuple[Transmitter, ...]:
     """The plan's beacons and the scenario's own; the latter's place wins, as when somebody has moved one."""
-    _typed(path, "beacons", table, dict)
+    typed(path, "beacons", table, dict)
     found: dict[str, Transmitter] = {}
     for label, plan in plans.items():
         for area in plan.of_kind("beacon"):
             name = str(next((area.properties[k] for k in ("mac", "id", "uuid") if area.properties.get(k)), area.name))
             found[name] = Transmitter(name, shapely.get_coordinates(shapely.centroid(area.shape))[0], label)
     for name, place in table.items():
-        if not (isinstance(place, list) and len(place) == 2 and all(isinstance(v, int | float) for v in place)):
-            raise InputError(path, f"beacons.{name}", repr(place), "[x, y] in metres")
         floor = found[name].floor if name in found else next(iter(plans), "")
-        found[name] = Transmitter(name, np.array(place, dtype=float), floor)
+        found[name] = Transmitter(name, pair(path, f"beacons.{name}", place), floor)
     return tuple(found.values())
 
 
@@ -222,13 +233,14 @@ def _access_points(
     path: Path, given: dict[str, Any], plans: Mapping[str, FloorPlan], route: Route
 ) -> tuple[Transmitter, ...]:
     """Access points somewhere about the way: ``[wifi] access_points = 12``."""
-    table = _typed(path, "wifi", given.get("wifi", {}), dict)
-    _known(path, "wifi", table, ["access_points"])
-    count = _typed(path, "wifi.access_points", table.get("access_points", 0), int)
+    table = typed(path, "wifi", given.get("wifi", {}), dict)
+    known(path, "wifi", table, ["access_points"])
+    count = typed(path, "wifi.access_points", table.get("access_points", 0), int)
+    _within(path, "wifi.access_points", count)
     random = np.random.default_rng(given.get("seed", 0))
     low, high = route.corners.min(axis=0) - 10, route.corners.max(axis=0) + 10
     floors = list(plans) or [""]
-    places = random.uniform(low, high, (max(0, min(count, 1000)), 2))
+    places = random.uniform(low, high, (count, 2))
     return tuple(
         Transmitter(f"02:00:00:00:{n // 256:02x}:{n % 256:02x}", place, floors[n % len(floors)], -40.0)
         for n, place in enumerate(places)

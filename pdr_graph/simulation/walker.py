@@ -1,7 +1,7 @@
 """Who walks, and how: stature, stride and cadence with their real correlations, step by step.
 
 Speed is step length times cadence, and the two go together: their ratio is a person's constant over a wide range of
-speeds, the walk ratio, about 6.5 mm per step and minute (Sekiya et al. 1996). Both wander over minutes and vary from
+speeds, the walk ratio, about 6.3 mm per step and minute (Sekiya et al. 1996). Both wander over minutes and vary from
 step to step; left and right differ a little. Published spreads: step time 2–3 %, step length 3–5 % (Hausdorff 2005).
 """
 
@@ -18,7 +18,7 @@ from pdr_graph.types import Array
 
 HEIGHT = {"f": (1.65, 0.065), "m": (1.78, 0.07)}  # [m] mean and standard deviation
 CADENCE = {"f": (1.89, 0.13), "m": (1.80, 0.13)}  # [Hz]
-WALK_RATIO, WALK_RATIO_SPREAD = 0.39, 0.05  # [m·s] step length over cadence at 1.70 m, and between people
+WALK_RATIO, WALK_RATIO_SPREAD = 0.38, 0.05  # [m·s] step length over cadence at 1.70 m, and between people
 REFERENCE = 1.70  # [m]
 WANDER, WANDER_STEPS = 0.025, 60  # of length and period, and over how many steps
 STEP_LENGTH_SPREAD, STEP_TIME_SPREAD = 0.040, 0.028  # from one step to the next
@@ -67,9 +67,9 @@ class Walker:
         """Somebody, of whom a few things may be known."""
         sex = sex or str(random.choice(["f", "m"]))
         height = float(height or random.normal(*HEIGHT[sex]))
-        # taller people take fewer steps: a leg is a pendulum
+        # taller people take longer and fewer steps, as bodies of one shape do: length by stature, cadence by its root
         cadence = random.normal(*CADENCE[sex]) * np.sqrt(HEIGHT[sex][0] / height)
-        ratio = WALK_RATIO * height / REFERENCE * np.exp(random.normal(0, WALK_RATIO_SPREAD))
+        ratio = WALK_RATIO * (height / REFERENCE) ** 1.5 * np.exp(random.normal(0, WALK_RATIO_SPREAD))
         bounce, asymmetry = np.exp(random.normal(0, 0.22)), random.normal(0, ASYMMETRY)
         return cls(height, sex, float(cadence), float(ratio * cadence), float(bounce), float(asymmetry))
 

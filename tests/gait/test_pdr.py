@@ -50,7 +50,7 @@ def test_the_track_has_the_shape_of_the_route(walk, steps):
     truth = np.stack([np.interp(track.time, walk.time, axis) for axis in walk.position.T], axis=1)
     truth -= truth[0]
     scale = np.sum(truth * track.position) / np.sum(track.position**2)
-    assert np.hypot(*(scale * track.position - truth).T).max() < 3.0
+    assert np.hypot(*(scale * track.position - truth).T).max() < 4.0
 
 
 def test_a_gyroscopes_bias_is_learnt_at_rest(walk):

@@ -1,0 +1,113 @@
+"""The body's movement: continuous, where the route leads, with what happened on the way."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pdr_graph import FloorPlan
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
+
+
+def walked(*route, **more):
+    return simulate(Scenario.of({"seed": 1, "route": list(route), "phone": {"rate": 50}} | more)).body
+
+
+@pytest.fixture(scope="module")
+def mall():
+    return simulate(Scenario.load(ROOT / "scenarios" / "mall.toml"))
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_nobody_walks_through_a_wall(path):
+    walk = simulate(Scenario.load(path))
+    for label, plan in walk.scenario.plans.items():
+        there = np.array(walk.body.floors, dtype=object)[walk.body.floor] == label
+        at = walk.body.position[there]
+        assert not plan.crosses_wall(at[:-1], at[1:]).any()
+    assert np.all(np.isfinite(walk.motion.acceleration))
+
+
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_nobody_jumps(path):
+    body = simulate(Scenario.load(path)).body
+    speed = np.hypot(*np.diff(body.position, axis=0).T) * body.rate
+    assert speed.max() < 2.6
+    assert np.abs(np.diff(speed) * body.rate).max() < 12
+
+
+def test_steps_end_where_the_truth_is():
+    """Between two landings lies a step's length, along the way."""
+    body = walked([0, 0], {"stand": 2}, {"to": [[30, 0], [30, 20]]}, {"stand": 2})
+    at = np.stack([np.interp(body.landings, body.time, axis) for axis in body.position.T], axis=1)
+    chord = np.hypot(*np.diff(at, axis=0).T)
+    assert np.abs(chord - body.lengths[1:])[1:-3].max() < 0.08
+    assert body.lengths.sum() == pytest.approx(50, abs=1.0)
+    assert body.position[-1] == pytest.approx([30, 20], abs=0.02)
+
+
+def test_headings_are_those_of_the_movement():
+    body = walked([0, 0], {"to": [[30, 0], [30, 20]]})
+    moving = np.gradient(body.position, axis=0) * body.rate
+    fast = np.hypot(*moving.T) > 0.8
+    course = np.arctan2(moving[fast, 1], moving[fast, 0])
+    assert np.abs(np.angle(np.exp(1j * (course - body.heading[fast])))).max() < 0.12
+
+
+def test_zigzags_swing_from_side_to_side():
+    straight, swinging = (walked([0, 0], {"to": [60, 0], "zigzag": z}) for z in (0.0, 0.6))
+    assert np.abs(straight.position[:, 1]).max() < 0.45
+    assert 0.5 < np.abs(swinging.position[:, 1]).max() < 1.2
+    assert 12 < np.sum(np.diff(np.sign(swinging.position[:, 1] - 0.001)) != 0) < 40
+
+
+def test_who_visits_a_shop_stands_before_its_front(mall):
+    plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
+    visits = mall.body.during("visit")
+    assert [v.what for v in visits] == ["Books", "Coffee", "E0", "Music"]
+    for visit, stay in zip(visits, (20, 30, 15, 10), strict=True):
+        assert visit.end - visit.start == pytest.approx(stay, abs=0.1)
+        there = (mall.body.time > visit.start + 0.5) & (mall.body.time < visit.end - 0.5)
+        place = mall.body.position[there]
+        assert np.ptp(place, axis=0).max() < 0.05
+        shop = next(a for a in plan.areas if a.name == visit.what)
+        import shapely
+
+        assert shapely.distance(shop.shape, shapely.Point(place[0])) < 1.0
+
+
+def test_the_phone_is_held_as_the_route_says(mall):
+    holds = mall.body.during("hold")
+    assert [h.what for h in holds] == ["hand", "trouser pocket", "hand", "swinging arm"]
+    assert all(h.end - h.start == pytest.approx(1.4) for h in holds[1:])
+
+
+def test_a_lift_rides_at_a_lifts_speed():
+    body = walked([0, 0], {"to": [5, 0]}, {"lift": "2", "climb": 11.4}, {"to": [10, 0]})
+    speed = np.gradient(body.height) * body.rate
+    assert speed.max() == pytest.approx(1.6, abs=0.05)
+    assert np.abs(np.gradient(speed) * body.rate).max() < 1.1
+    assert body.height[-1] == pytest.approx(11.4, abs=0.01)
+    assert body.floors[body.floor[-1]] == "2"
+
+
+def test_stairs_are_climbed_step_by_step():
+    body = walked([0, 0], {"to": [3, 0]}, {"stairs": "2", "to": [8, 0], "climb": 3.8}, {"to": [12, 0]})
+    assert body.height[-1] == pytest.approx(3.8, abs=0.01)
+    climbing = (body.landings > 0) & (np.interp(body.landings, body.time, body.height) > 0.3)
+    climbing &= np.interp(body.landings, body.time, body.height) < 3.5
+    assert np.median(body.lengths[climbing]) < 0.45, "treads are short"
+
+
+def test_a_cart_goes_where_it_is_pushed_and_looks_ahead():
+    """[stationary-switch]: forth 0.95 m, back 1.05 m, without a turn or a step."""
+    body = simulate(Scenario.load(ROOT / "scenarios" / "cart.toml")).body
+    assert len(body.landings) == 0
+    assert np.ptp(body.heading) == 0
+    forth, back = np.diff(body.position[:, 0]).clip(0).sum(), np.diff(body.position[:, 0]).clip(None, 0).sum()
+    assert (forth, back) == (pytest.approx(0.95, abs=0.01), pytest.approx(-1.05, abs=0.01))
+    assert np.abs(np.gradient(body.position[:, 0]) * body.rate).max() == pytest.approx(0.452, abs=0.01)

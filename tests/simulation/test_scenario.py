@@ -1,0 +1,138 @@
+"""Scenarios: reproducible, refused with their place where they are wrong, and read back as they were simulated."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import run
+
+from pdr_graph import InputError, evaluate, io, read_fixes, read_trajectory
+from pdr_graph.simulation.recorders import write
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
+ROOT = Path(__file__).resolve().parents[2]
+SHORT = {"seed": 5, "route": [[0, 0], {"stand": 2}, {"to": [[12, 0], [12, 6]]}], "phone": {"rate": 50}}
+
+
+def test_the_same_seed_is_the_same_walk_and_another_is_not():
+    one, again, other = (simulate(Scenario.of(SHORT | {"seed": seed})) for seed in (5, 5, 6))
+    assert np.array_equal(one.signals["accelerometer"].values, again.signals["accelerometer"].values)
+    assert one.walker == again.walker != other.walker
+
+
+def test_what_is_added_leaves_the_rest_alone():
+    """Beacons and satellites draw from streams of their own: experiments differ in what they say they differ in."""
+    plain = simulate(Scenario.of(SHORT))
+    added = {"gnss": {}, "beacons": {"a": [1, 2]}, "fixes": {}, "wifi": {"access_points": 3}}
+    more = simulate(Scenario.of(SHORT | added))
+    for name, signal in plain.signals.items():
+        assert np.array_equal(signal.values, more.signals[name].values)
+
+
+@pytest.mark.parametrize(
+    ("recorder", "platform", "sensors"),
+    [
+        ("sensor_logger", "android", ("accelerometer", "gyroscope", "magnetometer", "barometer")),
+        ("sensor_logger", "ios", ("accelerometer", "gyroscope", "magnetometer", "barometer")),
+        ("phyphox", "android", ("accelerometer", "gyroscope", "magnetometer", "barometer")),
+        ("indoor_location", "android", ("accelerometer", "gyroscope", "magnetometer")),
+    ],
+)
+def test_an_export_is_read_back_as_it_was_felt(tmp_path, recorder, platform, sensors):
+    phone = {"rate": 50, "lost": 0, "repeated": 0}
+    walk = simulate(Scenario.of(SHORT | {"recorder": recorder, "platform": platform, "phone": phone}))
+    write(walk, tmp_path)
+    recording = io.load(tmp_path / "walk.txt" if recorder == "indoor_location" else tmp_path)
+    assert recording.epoch == pytest.approx(walk.scenario.start, abs=0.05)
+    for name in sensors:
+        felt, read = walk.signals[name], recording.signals[name]
+        offset = recording.epoch - walk.scenario.start
+        there = np.stack([np.interp(read.time + offset, felt.time, axis) for axis in felt.values.T], axis=1)
+        assert read.values[3:-3] == pytest.approx(there[3:-3], abs=0.25 if name == "accelerometer" else 0.2)
+        assert np.median(np.abs(read.values - there)) < 0.01
+
+
+def test_satellites_beacons_and_access_points_are_read_back(tmp_path):
+    more = {"gnss": {"accuracy": 3}, "beacons": {"a": [6, 2]}, "wifi": {"access_points": 4}}
+    walk = simulate(Scenario.of(SHORT | more))
+    write(walk, tmp_path)
+    recording = io.load(tmp_path)
+    assert len(recording.fixes) == len(walk.gnss.fixes)
+    assert len(recording.bluetooth.time) == len(walk.bluetooth.time)
+    assert len(recording.wifi.time) == len(walk.wifi.time)
+    said = np.loadtxt(tmp_path / "gnss.csv", delimiter=",", skiprows=1)
+    assert said[:, 3:] == pytest.approx(np.column_stack([walk.gnss.accuracy, walk.gnss.hdop]), abs=0.006)
+
+
+def test_what_is_written_beside_the_recording_is_the_truth(tmp_path):
+    walk = simulate(Scenario.of(SHORT | {"fixes": {"period": 3, "sigma": 0.5}}))
+    write(walk, tmp_path)
+    recording = io.load(tmp_path)
+    truth = read_trajectory(tmp_path / "truth.csv")
+    assert truth.position[-1] == pytest.approx(walk.body.position[-1], abs=0.1)
+    fixes = read_fixes(tmp_path / "fixes.csv", recording)
+    assert fixes.position == pytest.approx(walk.given.position, abs=0.001)
+    steps = np.loadtxt(tmp_path / "steps.csv", delimiter=",", skiprows=1)
+    assert steps == pytest.approx(
+        np.column_stack([walk.scenario.start + walk.body.landings, walk.body.lengths]), abs=0.001
+    )
+    assert (tmp_path / "events.csv").read_text().splitlines()[1:] == [
+        f"{walk.scenario.start:.3f},{walk.scenario.start:.3f},hold,hand",
+        f"{walk.scenario.start:.3f},{walk.scenario.start + 2.01:.3f},stand,",
+    ]
+
+
+def test_from_a_scenario_to_a_score(tmp_path):
+    """Every part through the front door: simulated, smoothed and scored by the command line."""
+    code, output, _ = run("simulate", ROOT / "scenarios" / "arcade.toml", "--out", tmp_path / "walk", "--seed", 7)
+    assert code == 0
+    assert "steps" in output
+    options = ("--map", ROOT / "maps" / "arcade.geojson", "--fixes", tmp_path / "walk" / "fixes.csv")
+    code, _, errors = run("smooth", tmp_path / "walk", *options, "--out", tmp_path / "out")
+    assert (code, errors) == (0, [])
+    score = evaluate(
+        read_trajectory(tmp_path / "out" / "trajectory.csv"), read_trajectory(tmp_path / "walk" / "truth.csv")
+    )
+    assert score["ce"]["p50"] < 1.5
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("route = [[0, 0], [9, 0]]\nspeed = 3", "speed: found an unknown name"),
+        ("route = 3", "route: found 3"),
+        ("seed = 1", "route: found None"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nhold = 'ear'", "phone.hold: found 'ear', needed one of hand"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nrate = 3", "phone.rate: found 3, needed 20 to 1000 Hz"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nrate = 'fast'", "phone.rate: found 'fast', needed a number"),
+        ("route = [[0, 0], [9, 0]]\n[walker]\nheight = 172", "walker.height: found 172, needed 0.5 to 2.5 m"),
+        ("route = [[0, 0], {go = 3}]", "route, item 2: found {'go': 3}"),
+        ("route = [[0, 0], {stand = 3, for = 4}]", "route, item 2: found an unknown name 'for'"),
+        ("route = [[0, 0], {stand = -1}]", "route, item 2: found -1"),
+        ("route = [[0, 0], [0.1, 0]]", "route, item 2: found a leg of less than 0.2 m"),
+        ("route = [[0, 0], [nan, 0]]", "route, item 2: found"),
+        ("route = [[0, 0], {stand = 90000}, {stand = 90000}]", "route: found about 18000000 samples"),
+        ("route = [[0, 0], {visit = 'Books'}]", "route, item 2: found a visit to 'Books'"),
+        ("route = [[0, 0], [9, 0]]\n[gnss]\nperiod = 0", "gnss.period: found 0"),
+        ("route = [[0, 0], [9, 0]]\n[gnss]\noutages = [[1]]", "gnss.outages: found"),
+        ("route = [[0, 0], [9, 0]]\nstart = 'noon'", "start: found 'noon'"),
+        ("route = [[0, 0], [9, 0]]\nplace = [200, 10]", "place: found"),
+        ("route = [[0, 0", "Unclosed array"),
+        ("plan = 'none.geojson'\nroute = [[0, 0], [9, 0]]", "none.geojson"),
+    ],
+)
+def test_a_wrong_scenario_is_refused_in_one_line(tmp_path, text, said):
+    path = tmp_path / "walk.toml"
+    path.write_text(text)
+    code, _, errors = run("simulate", path, "--out", tmp_path / "out")
+    assert code == 2
+    assert len(errors) == 1
+    assert said in errors[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_way_through_a_wall_is_refused():
+    given = {"plan": str(ROOT / "maps" / "arcade.geojson"), "route": [[2.5, 18.0], [2.5, 60.0]]}
+    with pytest.raises(InputError, match=r"route, item 2: found a way from \(2.5, 18\) to \(2.5, 60\) through a wall"):
+        Scenario.of(given)
