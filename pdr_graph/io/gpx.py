@@ -24,8 +24,9 @@ from pdr_graph.types import Array, Fixes, Recording, Trajectory
 NAME = "GPX (.gpx)"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 ACCURACY_PER_HDOP = 5.3  # [m] 68 % radius: a phone's range error of 5 m, times HDOP, is the root mean square distance
-PLAIN_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d+)?Z")
-ACCURACIES = ("accuracy", "horizontalAccuracy", "horizontalaccuracy")  # extensions that hold a radius [m]
+PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
+# an element of GPX, and extensions that hold a radius [m]
+ACCURACIES = frozenset(("hdop", "accuracy", "horizontalAccuracy", "horizontalaccuracy"))
 
 
 def recognizes(source: Source) -> bool:
@@ -88,7 +89,7 @@ def _points(root: etree._Element) -> _Points:
     track_point, time = prefix + "trkpt", prefix + "time"
     others = (prefix + "wpt", prefix + "rtept")
     points, inside = _Points(), False
-    for element in root.iter(track_point, time, *others, prefix + "hdop", *(f"{{*}}{name}" for name in ACCURACIES)):
+    for element in root.iter():  # all of them: lxml takes longer to choose
         tag = element.tag
         if tag == track_point:
             points.lat.append(element.get("lat"))
@@ -99,7 +100,7 @@ def _points(root: etree._Element) -> _Points:
             inside = False  # a waypoint's time is none of the track's
         elif inside and tag == time:
             points.time[-1] = points.time[-1] or (element.text or "").strip()
-        elif inside:
+        elif inside and tag.rpartition("}")[2] in ACCURACIES:
             said = points.said.setdefault(len(points.time) - 1, {})
             said.setdefault(tag.rpartition("}")[2].lower(), element.text or "")
     return points
@@ -148,7 +149,7 @@ def _accuracy(said: dict[str, str]) -> float:
 def _unix(where: str, times: list[str]) -> Array:
     """Unix seconds of ISO 8601 times; without a zone they are UTC, as the format demands."""
     try:
-        if all(PLAIN_TIME.fullmatch(t) for t in times):
+        if PLAIN_TIMES.fullmatch(" ".join([*times, ""])):
             return np.array([t[:-1] for t in times], dtype="datetime64[ms]").astype(float) / 1000
         parsed = [datetime.fromisoformat(t) for t in times]
         return np.array([(t if t.tzinfo else t.replace(tzinfo=UTC)).timestamp() for t in parsed])
