@@ -21,6 +21,7 @@ from pdr_graph.types import Recording, Signal
 BANDS = ((0.3, 1.4), (1.4, 2.4), (2.4, 4.5), (4.5, 8.0), (8.0, 15.0))  # [Hz] stride, step, its harmonics, shocks
 WINDOW = 5.0  # [s]
 RATE = 50.0  # [Hz] to which all recordings are brought
+WAYPOINTS, TAPPED = 4.0, 0.66  # [s] between simulated waypoints, [m] per axis: as the Microsoft surveyors'
 CROWD = 40  # simulated walkers in each hold
 MS, IPIN = "Microsoft, hand", "IPIN, hand"
 NAMES = ("cadence [Hz]", "interval CV", "‖a‖ std [m/s²]", *(f"{lo}–{hi} Hz" for lo, hi in BANDS), "‖ω‖ [rad/s]")
@@ -203,9 +204,9 @@ def front_end(data):
     for hold, manner in [(hold, None) for hold in HOLDS if hold != "cart"] + [("hand", "browse")]:
         walks = []
         for walk, recording in simulated(hold, range(CROWD), manner):
-            at = np.arange(3.0, walk.body.time[-1] - 3.0, 6.0)
+            at = np.arange(3.0, walk.body.time[-1] - 3.0, WAYPOINTS)
             place = np.stack([np.interp(at, walk.body.time, axis) for axis in walk.body.position.T], axis=1)
-            tapped = place + np.random.default_rng(0).normal(0, 0.66 / np.sqrt(2), place.shape)
+            tapped = place + np.random.default_rng(0).normal(0, TAPPED, place.shape)
             walks.append((recording, at, tapped))
         rows.append([", ".join(filter(None, ("simulated", hold, manner))), len(walks), *_errors(walks)])
     header = ["walks", "", "length / way", "course error median [deg]", "95 % [deg]", "turn noise per step [deg]"]
@@ -213,7 +214,7 @@ def front_end(data):
 
 
 def _errors(walks):
-    """Stride error per walk, course error between waypoints, turn noise. Waypoints 6 s apart, tapped within 0.66 m."""
+    """Stride error per walk, course error between waypoints, turn noise."""
     ratios, courses, noise = [], [], []
     for walk, at, place in walks:
         steps = detect_steps(walk)

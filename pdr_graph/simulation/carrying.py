@@ -78,7 +78,7 @@ HOLDS = {
         swings=((2, "right", 0.034, 0.4), (1, "forward", 0.060, 0.8), (1, "up", 0.055, 0.0), (3, "up", 0.010, 1.0)),
         shock=(4.0, 8.0, 0.05),
         tremor=0.010,
-        wander=(0.17, 0.06),
+        wander=(0.05, 0.05),
         roughness=0.65,
     ),
     "swinging arm": Hold(
@@ -89,7 +89,7 @@ HOLDS = {
         swings=((1, "right", 0.24, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
         bounce=0.85,
         shock=(2.2, 8.0, 0.05),
-        wander=(0.10, 0.06),
+        wander=(0.06, 0.06),
     ),
     "trouser pocket": Hold(
         axes=(RIGHT, DOWN, FORWARD),
