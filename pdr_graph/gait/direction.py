@@ -1,23 +1,62 @@
-"""Which way the walker went, step by step."""
+"""Which way the walker went: the walking direction since the first sample, by every method under one signature.
+
+A method takes an `Attitude` and the usual duration of a step and returns a `Direction`.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array
 
+TILTING = 0.25  # [rad/s] of the device's vertical, over a stride: faster than a carried phone tilts
+REHELD = 0.5  # [rad] by which the vertical then ends elsewhere in the device: it is held otherwise
+REHOLD_SIGMA = 0.35  # [rad] what is not known of the walker's turn meanwhile
 
-def accumulate_turn(attitude: Attitude) -> Array:
-    """Heading ``(n,)`` [rad] relative to the first sample, as the integral of the angular rate about gravity.
 
-    [heading] Sec. 4.3, Eq. (1): θ_i = θ_{i-1} + ω_{z,i} ΔT_i. It does not matter how the phone is held.
+@dataclass(frozen=True)
+class Direction:
+    """The walking direction over time.
+
+    heading: ``(n,)`` since the first sample, not wrapped [rad].
+    variance: ``(n,)`` of what the method itself knows to be unsure, never falling [rad²]; a difference of two is the
+        variance of the turn between them. It comes on top of what any gyroscope and walker add.
     """
-    assert attitude.angular_rate is not None, "there is a gyroscope"
-    rate_z = attitude.R_world_device.apply(attitude.angular_rate)[:, 2]
-    turned = np.cumsum(rate_z) * attitude.period
-    return turned - turned[0]
+
+    heading: Array
+    variance: Array
+
+
+def walking_direction(attitude: Attitude, step: float) -> Direction:
+    """The default: for a phone held anyhow, and taken otherwise in mid-walk.
+
+    The turn of the phone's attitude, averaged over a stride, is the walker's: gait moves the phone to and fro, and a
+    swing in an ellipse turns the integrated rate about gravity by its solid angle (coning), but not the attitude from
+    one stride to the next. Within a stride the rate about gravity tells more. Where the vertical comes to lie
+    elsewhere in the device, the phone was taken otherwise: that says nothing of the walker, who is supposed to have
+    gone straight on, give or take REHOLD_SIGMA.
+    """
+    samples = max(1, round(step / attitude.period))
+    steady = _mean_attitude(attitude.R_world_device, 2 * samples)
+    turned = np.concatenate([[0.0], np.cumsum((steady[1:] * steady[:-1].inv()).as_rotvec()[:, 2])])
+    rate_integral = _rate_integral(attitude)
+    coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
+    heading = without_gait(rate_integral, samples) - coning
+    return _without_reholds(heading - heading[0], steady, samples, attitude.period)
+
+
+def accumulate_turn(attitude: Attitude, step: float) -> Direction:
+    """The angular rate about gravity, added up: [heading] Sec. 4.3, Eq. (1): θ_i = θ_{i-1} + ω_{z,i} ΔT_i.
+
+    As in the paper it sways with the gait; `step` is not used.
+    """
+    heading = _rate_integral(attitude)
+    return Direction(heading, np.zeros(len(heading)))
 
 
 def without_gait(heading: Array, samples_per_step: int) -> Array:
@@ -27,3 +66,32 @@ def without_gait(heading: Array, samples_per_step: int) -> Array:
     over a whole stride would remove that too, but cuts the corners of real turns.
     """
     return uniform_filter1d(heading, max(1, samples_per_step), mode="nearest")
+
+
+def _rate_integral(attitude: Attitude) -> Array:
+    assert attitude.angular_rate is not None, "there is a gyroscope"
+    rate_z = attitude.R_world_device.apply(attitude.angular_rate)[:, 2]
+    turned = np.cumsum(rate_z) * attitude.period
+    return turned - turned[0]
+
+
+def _mean_attitude(attitude: Rotation, samples: int) -> Rotation:
+    """Attitudes averaged over so many samples: for swings of less than 90° the means of their quaternions."""
+    quaternion = attitude.as_quat()
+    turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
+    quaternion[1:] *= turned_round[:, None]
+    return Rotation.from_quat(uniform_filter1d(quaternion, samples, axis=0, mode="nearest"))
+
+
+def _without_reholds(heading: Array, steady: Rotation, samples: int, period: float) -> Direction:
+    """Straight on, and unsure, wherever the phone was taken otherwise."""
+    up = steady.inv().apply([0.0, 0.0, 1.0])
+    tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period
+    edges = np.diff(tilting.astype(int), prepend=0, append=0)
+    turn, doubt = np.diff(heading, prepend=heading[0]), np.zeros(len(heading))
+    for first, after in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
+        begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
+        if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > REHELD:
+            turn[begin + 1 : end + 1] = 0.0
+            doubt[begin + 1 : end + 1] = REHOLD_SIGMA**2 / (end - begin)
+    return Direction(np.cumsum(turn), np.cumsum(doubt))

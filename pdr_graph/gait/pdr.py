@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.gait.detection import peak_pairs
-from pdr_graph.gait.direction import accumulate_turn, without_gait
+from pdr_graph.gait.direction import Direction, walking_direction
 from pdr_graph.gait.gaps import join, uninterrupted
 from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
 from pdr_graph.inertial.attitude import Attitude, attitude_of
@@ -74,7 +74,8 @@ def _uninterrupted_steps(recording: Recording, walker: Walker) -> Steps:
 
     # Which way
     step = float(np.median(landings.period)) if len(landings.time) else 0.5
-    heading = _heading(attitude, step)
+    direction = _direction(attitude, step)
+    heading = direction.heading
     landed = np.interp(landings.time, attitude.time, heading)
     set_off = np.interp(landings.time - duration, attitude.time, heading)
     before = np.concatenate([heading[:1], landed[:-1]])
@@ -88,14 +89,21 @@ def _uninterrupted_steps(recording: Recording, walker: Walker) -> Steps:
         turn=landed - before,
         pause_turn=set_off - before,
         sigma_length=sigma_length,
-        sigma_turn=np.full(len(landings.time), walker.sigma_turn if attitude.angular_rate is not None else UNSEEN_TURN),
+        sigma_turn=_sigma_turn(attitude, direction, landings.time, walker),
         final_turn=float(heading[-1] - landed[-1]) if len(landed) else float(heading[-1] - heading[0]),
         unknown=attitude.unknown,
     )
 
 
-def _heading(attitude: Attitude, step: float) -> Array:
-    """Heading ``(n,)`` since the first sample [rad]; straight on where nothing tells. step: usual duration [s]."""
+def _direction(attitude: Attitude, step: float) -> Direction:
+    """The walking direction; straight on where nothing tells. step: usual duration [s]."""
     if attitude.angular_rate is None:
-        return np.zeros(len(attitude.time))
-    return without_gait(accumulate_turn(attitude), round(step / attitude.period))
+        return Direction(np.zeros(len(attitude.time)), np.zeros(len(attitude.time)))
+    return walking_direction(attitude, step)
+
+
+def _sigma_turn(attitude: Attitude, direction: Direction, landed: Array, walker: Walker) -> Array:
+    """Standard deviation ``(n,)`` of each step's turn. [rad]"""
+    usual = walker.sigma_turn if attitude.angular_rate is not None else UNSEEN_TURN
+    doubt = np.interp(landed, attitude.time, direction.variance)
+    return np.sqrt(usual**2 + np.diff(doubt, prepend=0.0))

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError
+from pdr_graph.inertial.stationary import at_rest, bias_from_rests
 from pdr_graph.types import Array, Recording, Signal
 
 STANDARD_GRAVITY = 9.80665  # [m/s²]
@@ -17,6 +18,9 @@ SHORTEST_WALK = 1.0  # [s]
 LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|; walking raises it a little, other units by far
 MOST_SAMPLES = 40_000_000  # a day at 400 Hz
 TILT_SMOOTHING = 0.5  # [s] of the Gaussian that leaves gravity of an acceleration
+# A phone has calibrated its gyroscope and warms up in minutes: VQF's own 0.5°/s that double within 100 s let a swinging
+# arm teach it a bias that is not there
+PHONE = {"biasSigmaInit": 0.2, "biasForgettingTime": 1000.0}  # [°/s], [s]
 NO_GYROSCOPE = "turns: there is no gyroscope"
 NO_GRAVITY = "the vertical: the recorder removed gravity, and the axis that shook most was taken for it"
 
@@ -64,7 +68,9 @@ def vqf_offline(recording: Recording) -> Attitude:
     time, period = _uniform_grid(recording, accelerometer, gyroscope)
     acceleration = _resample(accelerometer, time)
     angular_rate = _resample(gyroscope, time)
-    out = vqf.offlineVQF(angular_rate, acceleration, None, period)
+    rest = at_rest(angular_rate, acceleration, period)
+    angular_rate = angular_rate - bias_from_rests(angular_rate, rest, period)
+    out = vqf.offlineVQF(angular_rate, acceleration, None, period, PHONE)
     return Attitude(
         time=time,
         period=period,

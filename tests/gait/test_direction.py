@@ -1,0 +1,89 @@
+"""The walking direction of a phone held anyhow, on simulated walks and on movements that are known exactly."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pdr_graph import detect_steps
+from pdr_graph.gait.direction import REHOLD_SIGMA, accumulate_turn, walking_direction
+from pdr_graph.inertial.attitude import Attitude, attitude_of
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Recording
+
+PERIOD, STEP = 0.01, 0.5  # [s]
+TIME = np.arange(0.0, 40.0, PERIOD)
+HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+
+
+def attitude(rotations):
+    """Perfect sensors of a phone that turns so."""
+    rate = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / PERIOD
+    return Attitude(TIME, PERIOD, rotations, np.zeros((len(TIME), 3)), np.concatenate([rate[:1], rate]))
+
+
+def cone(width):
+    """A phone whose top goes round in a cone once a stride, at rest in every other way."""
+    angle = 2 * np.pi * TIME / (2 * STEP)
+    return Rotation.from_rotvec(width * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(TIME))]))
+
+
+def test_a_cone_turns_the_integrated_rate_but_not_the_walker():
+    """Goodman and Robinson 1958: the rate about the axis integrates to the solid angle, 2π(1 − cos w) per cycle."""
+    swinging = attitude(cone(0.3))
+    cycles = TIME[-1] / (2 * STEP)
+    drifted = accumulate_turn(swinging, STEP).heading[-1]
+    assert abs(drifted) == pytest.approx(cycles * 2 * np.pi * (1 - np.cos(0.3)), rel=0.02)
+    assert walking_direction(swinging, STEP).heading[200:-200] == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.parametrize("start", [Rotation.identity(), Rotation.from_euler("xyz", [2.0, -1.0, 0.5])])
+def test_turns_are_found_whatever_the_attitude(start):
+    """A turn of two radians within two seconds, in a phone that lies anyhow."""
+    turn = 2.0 * np.clip((TIME - 20) / 2, 0, 1)
+    direction = walking_direction(attitude(Rotation.from_euler("z", turn[:, None]) * cone(0.2) * start), STEP)
+    assert direction.heading - direction.heading[500] == pytest.approx(turn, abs=0.2)
+    assert direction.heading[3500] - direction.heading[500] == pytest.approx(2.0, abs=0.02)
+    assert direction.variance[-1] == 0
+
+
+def test_a_rehold_is_a_doubt_and_no_turn():
+    """From flat in the hand to upright in a pocket, turned by a quarter on the way: the walker went straight on."""
+    share = np.clip((TIME - 20) / 1.4, 0, 1)[:, None]
+    taken = Rotation.from_rotvec(share * Rotation.from_euler("xz", [1.6, 1.6]).as_rotvec())
+    direction = walking_direction(attitude(taken), STEP)
+    assert abs(direction.heading[-1]) < 0.05
+    assert direction.variance[-1] == pytest.approx(REHOLD_SIGMA**2)
+    assert direction.variance[1700] == 0, "no doubt before"
+
+
+@pytest.mark.parametrize("rate", [25, 100])
+@pytest.mark.parametrize("hold", HOLDS)
+def test_eight_degrees_in_every_holding_state(hold, rate):
+    """[heading] Eq. (2): root mean square error along an L, the initial direction given; the paper has 11.8 to 24.9."""
+    errors = []
+    for seed in range(8):
+        route = [[37.0, 1.2], {"stand": 3}, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
+        walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": rate}}))
+        signals = {name: walk.signals[name] for name in ("accelerometer", "gyroscope")}
+        found = attitude_of(Recording("simulated", 0.0, None, **signals))
+        step = 1 / walk.walker.cadence
+        heading = walking_direction(found, step).heading
+        truth = np.interp(found.time, walk.body.time, walk.body.heading)
+        walking = np.interp(found.time, walk.body.time, walk.body.step_length) > 0.3
+        first = np.flatnonzero(walking)[0]
+        error = (heading - heading[first] - truth + truth[first])[walking]
+        errors.append(np.degrees(np.sqrt(np.mean(error**2))))
+    assert np.mean(errors) < (8.0 if rate == 25 else 9.0)
+
+
+def test_steps_carry_the_doubt_of_a_rehold():
+    route = [[0, 0], {"stand": 3}, {"to": [[30, 0]], "hold": "trouser pocket"}, {"to": [[60, 0]]}, {"stand": 3}]
+    walk = simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}}))
+    signals = {name: walk.signals[name] for name in ("accelerometer", "gyroscope")}
+    steps = detect_steps(Recording("simulated", 0.0, None, **signals))
+    begun = walk.body.during("hold")[1].start
+    near = np.abs(steps.time - begun) < 4
+    assert np.sqrt(np.sum(steps.sigma_turn[near] ** 2 - 0.02**2)) == pytest.approx(REHOLD_SIGMA, rel=0.05)
+    assert np.all(steps.sigma_turn[~near] == 0.02)
+    assert abs(steps.turn[near].sum()) < 0.3, "straight on, while the phone turned by more than a radian"
