@@ -5,6 +5,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cart
+import heading
 import numpy as np
 import realism
 import recorded
@@ -176,6 +178,7 @@ def stride():
 if __name__ == "__main__":
     tables = {"microsoft": microsoft, "settings": settings, "stride": stride}
     tables |= {"ipin21": lambda: recorded.ipin21(DATA), "gnss": lambda: recorded.gnss(DATA)}
+    tables |= {"heading": heading.heading, "cart": cart.cart}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

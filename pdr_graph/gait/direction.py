@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array
 
+WINDOW = 2.6  # [s] of the principal components: N = 65 samples at 25 Hz
 TILTING = 0.25  # [rad/s] of the device's vertical, over a stride: faster than a carried phone tilts
 REHELD = 0.5  # [rad] by which the vertical then ends elsewhere in the device: it is held otherwise
 REHOLD_SIGMA = 0.35  # [rad] what is not known of the walker's turn meanwhile
@@ -26,10 +27,13 @@ class Direction:
     heading: ``(n,)`` since the first sample, not wrapped [rad].
     variance: ``(n,)`` of what the method itself knows to be unsure, never falling [rad²]; a difference of two is the
         variance of the turn between them. It comes on top of what any gyroscope and walker add.
+    axis: the first sample's heading in the attitude's world, give or take half a turn [rad]; None where a method tells
+        turns alone.
     """
 
     heading: Array
     variance: Array
+    axis: float | None = None
 
 
 def walking_direction(attitude: Attitude, step: float) -> Direction:
@@ -59,6 +63,26 @@ def accumulate_turn(attitude: Attitude, step: float) -> Direction:
     return Direction(heading, np.zeros(len(heading)))
 
 
+def acceleration_axis(attitude: Attitude, step: float, window: float = WINDOW, axes: int = 2) -> Direction:
+    """[heading] Sec. 4.1, [gps-dr] Sec. 2: the first principal component of the last seconds' acceleration.
+
+    The half turn that a component leaves open is taken nearer to the sample before. It lags by half the window, and
+    where it once comes out on the wrong side it stays there; `step` is not used.
+
+    window [s]; axes: 2 for level components, as [gps-dr] has it and the figure of [heading] draws it; 3 as the text of
+    [heading] says, where the first component of most walks is their bounce.
+    """
+    samples = attitude.R_world_device.apply(attitude.acceleration)
+    return _principal(samples[:, :axes], 0, round(window / attitude.period))
+
+
+def angular_rate_axis(attitude: Attitude, step: float, window: float = WINDOW, axes: int = 2) -> Direction:
+    """[heading] Sec. 4.2: the second principal component of the last seconds' angular rate; as `acceleration_axis`."""
+    assert attitude.angular_rate is not None, "there is a gyroscope"
+    samples = attitude.R_world_device.apply(attitude.angular_rate)
+    return _principal(samples[:, :axes], 1, round(window / attitude.period))
+
+
 def without_gait(heading: Array, samples_per_step: int) -> Array:
     """Heading without most of the sway of the gait, which the paper names as accumulation's defect.
 
@@ -66,6 +90,25 @@ def without_gait(heading: Array, samples_per_step: int) -> Array:
     over a whole stride would remove that too, but cuts the corners of real turns.
     """
     return uniform_filter1d(heading, max(1, samples_per_step), mode="nearest")
+
+
+def _principal(samples: Array, component: int, window: int) -> Direction:
+    """The course of a principal component of trailing windows of samples ``(n, 2 or 3)``, seen from above."""
+    axes = samples.shape[1]
+    products = np.einsum("ni,nj->nij", samples, samples).reshape(-1, axes**2)
+    mean, square = _trailing_mean(samples, window), _trailing_mean(products, window)
+    covariance = square.reshape(-1, axes, axes) - np.einsum("ni,nj->nij", mean, mean)
+    axis = np.linalg.eigh(covariance)[1][:, :, axes - 1 - component]
+    course = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]), period=np.pi)
+    return Direction(course - course[0], np.zeros(len(course)), float(course[0]))
+
+
+def _trailing_mean(values: Array, window: int) -> Array:
+    """Means ``(n, k)`` of the last ``window`` samples; before there are so many, of the first window."""
+    window = max(2, min(window, len(values)))
+    total = np.cumsum(values - values[0], axis=0)
+    full = (total[window - 1 :] - np.concatenate([np.zeros((1, values.shape[1])), total[:-window]])) / window
+    return values[0] + np.concatenate([np.repeat(full[:1], window - 1, axis=0), full])
 
 
 def _rate_integral(attitude: Attitude) -> Array:

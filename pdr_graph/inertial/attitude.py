@@ -62,12 +62,12 @@ def vqf_offline(recording: Recording) -> Attitude:
 
     Raises InputError if a sensor is missing or the log is shorter than a second.
     """
-    accelerometer = _required(recording, "accelerometer", recording.accelerometer)
-    gyroscope = _required(recording, "gyroscope", recording.gyroscope)
-    _check_gravity(recording, accelerometer)
-    time, period = _uniform_grid(recording, accelerometer, gyroscope)
-    acceleration = _resample(accelerometer, time)
-    angular_rate = _resample(gyroscope, time)
+    accelerometer = required(recording, "accelerometer", recording.accelerometer)
+    gyroscope = required(recording, "gyroscope", recording.gyroscope)
+    check_gravity(recording, accelerometer)
+    time, period = uniform_grid(recording, accelerometer, gyroscope)
+    acceleration = resample(accelerometer, time)
+    angular_rate = resample(gyroscope, time)
     rest = at_rest(angular_rate, acceleration, period)
     angular_rate = angular_rate - bias_from_rests(angular_rate, rest, period)
     out = vqf.offlineVQF(angular_rate, acceleration, None, period, PHONE)
@@ -85,10 +85,10 @@ def tilt(recording: Recording) -> Attitude:
 
     Raises InputError if there is no accelerometer or the log is shorter than a second.
     """
-    accelerometer = _required(recording, "accelerometer", recording.accelerometer)
-    _check_gravity(recording, accelerometer)
-    time, period = _uniform_grid(recording, accelerometer)
-    acceleration = _resample(accelerometer, time)
+    accelerometer = required(recording, "accelerometer", recording.accelerometer)
+    check_gravity(recording, accelerometer)
+    time, period = uniform_grid(recording, accelerometer)
+    acceleration = resample(accelerometer, time)
     up = gaussian_filter1d(acceleration, TILT_SMOOTHING / period, axis=0)
     up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
     half = up + np.array(
@@ -119,20 +119,22 @@ def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
     )
 
 
-def _required(recording: Recording, name: str, signal: Signal | None) -> Signal:
+def required(recording: Recording, name: str, signal: Signal | None) -> Signal:
+    """A signal that a method cannot do without."""
     if signal is None or len(signal) < 2:
         raise InputError(recording.source, name, "no samples", "its samples over the whole walk")
     return signal
 
 
-def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
+def check_gravity(recording: Recording, accelerometer: Signal) -> None:
+    """Refuse what cannot be an accelerometer with gravity in metres per second squared."""
     gravity = float(np.median(np.linalg.norm(accelerometer.values, axis=1)))
     if not LEAST_GRAVITY < gravity < MOST_GRAVITY:
         needed = "about 9.8 m/s²: metres per second squared, gravity not removed"
         raise InputError(recording.source, "accelerometer", f"a median magnitude of {gravity:.2f}", needed)
 
 
-def _uniform_grid(recording: Recording, *signals: Signal) -> tuple[Array, float]:
+def uniform_grid(recording: Recording, *signals: Signal) -> tuple[Array, float]:
     """The common span of the signals, at the rate of the first."""
     start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
     if end - start < SHORTEST_WALK:
@@ -146,5 +148,6 @@ def _uniform_grid(recording: Recording, *signals: Signal) -> tuple[Array, float]
     return np.linspace(start, end, samples), (end - start) / (samples - 1)
 
 
-def _resample(signal: Signal, time: Array) -> Array:
+def resample(signal: Signal, time: Array) -> Array:
+    """A signal ``(n, k)`` at other times."""
     return np.stack([np.interp(time, signal.time, axis) for axis in signal.values.T], axis=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_opening, gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import binary_opening, uniform_filter1d
 
 from pdr_graph.types import Array, Mask
 
@@ -34,20 +34,23 @@ def learnt_threshold(angular_rate: Array) -> float:
     return float(np.linalg.norm(angular_rate, axis=1).max())
 
 
-def below_threshold(angular_rate: Array, threshold: float) -> Mask:
-    """Rest ``(n,)`` as [stationary-switch] Sec. 2.5 has it: |ω| ≤ λ, sample by sample."""
-    return np.linalg.norm(angular_rate, axis=1) <= threshold
+def below_threshold(angular_rate: Array, threshold: float, samples: int = 1) -> Mask:
+    """Rest ``(n,)`` as [stationary-switch] Sec. 2.5 has it: |ω| ≤ λ, for at least so many samples in a row.
+
+    The paper has one; a rattling cart is below λ for single samples now and then.
+    """
+    below = np.linalg.norm(angular_rate, axis=1) <= threshold
+    return np.asarray(binary_opening(below, np.ones(max(1, samples), dtype=bool)), dtype=bool)
 
 
 def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
     """Bias ``(n, 3)`` of a gyroscope [rad/s]: what it says at rest, followed linearly between rests; 0 without one."""
     if not rest.any():
         return np.zeros_like(angular_rate)
-    width = DRIFT_TIME / 2 / period
-    weight = gaussian_filter1d(rest.astype(float), width, mode="constant")
-    weighted = gaussian_filter1d(angular_rate * rest[:, None], width, axis=0, mode="constant")
-    seen = np.flatnonzero(rest)
-    said = weighted[seen] / np.maximum(weight[seen], 1e-12)[:, None]
+    samples, seen = max(1, round(DRIFT_TIME / period)), np.flatnonzero(rest)
+    weight = uniform_filter1d(rest.astype(float), samples, mode="constant")
+    weighted = uniform_filter1d(angular_rate * rest[:, None], samples, axis=0, mode="constant")
+    said = weighted[seen] / weight[seen, None]
     return np.stack([np.interp(np.arange(len(rest)), seen, axis) for axis in said.T], axis=1)
 
 

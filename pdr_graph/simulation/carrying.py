@@ -138,7 +138,8 @@ HOLDS = {
         roughness=0.0,
     ),
 }
-CART_SHAKES, CART_ROCKS = 0.6, 0.02  # [m/s²], [rad/s] at 0.5 m/s: castors on a floor
+RATTLE = 8.0  # [Hz]
+CART_SHAKES, CART_ROCKS = 0.6, 0.05  # [m/s²], [rad/s] at 0.5 m/s: castors on a floor
 
 
 @dataclass(frozen=True)
@@ -189,9 +190,9 @@ def carry(body: Body, walker: Walker, random: np.random.Generator) -> Motion:
     )
     turned = (R_world_device[:-1].inv() * R_world_device[1:]).as_rotvec() * rate
     angular_rate = np.concatenate([turned[:1], (turned[:-1] + turned[1:]) / 2, turned[-1:]])
-    rolling = np.abs(body.rolling)[:, None] / 0.5
-    angular_rate += rolling * random.normal(0, CART_ROCKS, (n, 3))
-    acceleration = R_world_device.inv().apply(force) + rolling * random.normal(0, CART_SHAKES, (n, 3))
+    rolling = (np.abs(body.rolling)[:, None] / 0.5) ** 0.3  # it rattles as soon as it rolls
+    angular_rate += CART_ROCKS * rolling * _rattle(random, n, rate)
+    acceleration = R_world_device.inv().apply(force) + CART_SHAKES * rolling * _rattle(random, n, rate)
     return Motion(rate, body.time, R_world_device, acceleration, angular_rate, position[:, 2])
 
 
@@ -309,6 +310,13 @@ def _roughness(
     rough = slow(random, len(body.time), 0.05 * body.rate, 1.0, 3)
     rough -= gaussian_filter1d(rough, 0.08 * body.rate, axis=0)
     return (size * vigour)[:, None] * rough
+
+
+def _rattle(random: np.random.Generator, count: int, rate: float) -> Array:
+    """Noise ``(count, 3)`` of unit variance about RATTLE [Hz] that takes a cart nowhere: its integral stays small."""
+    place = gaussian_filter1d(random.normal(size=(count, 3)), rate / (2 * np.pi * RATTLE), axis=0)
+    speed = np.gradient(place, axis=0)
+    return speed / speed.std()
 
 
 def _second_derivative(position: Array, rate: float) -> Array:

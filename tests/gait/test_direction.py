@@ -5,7 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
-from pdr_graph.gait.direction import REHOLD_SIGMA, accumulate_turn, walking_direction
+from pdr_graph.gait.direction import (
+    REHOLD_SIGMA,
+    acceleration_axis,
+    accumulate_turn,
+    angular_rate_axis,
+    walking_direction,
+)
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -87,3 +93,40 @@ def test_steps_carry_the_doubt_of_a_rehold():
     assert np.sqrt(np.sum(steps.sigma_turn[near] ** 2 - 0.02**2)) == pytest.approx(REHOLD_SIGMA, rel=0.05)
     assert np.all(steps.sigma_turn[~near] == 0.02)
     assert abs(steps.turn[near].sum()) < 0.3, "straight on, while the phone turned by more than a radian"
+
+
+def swaying(direction, sway=2.0):
+    """A level phone that is pushed to and fro along a direction ``(n,)``, and less across it."""
+    along, across = sway * np.cos(4 * np.pi * TIME), 0.3 * np.cos(2 * np.pi * TIME + 1)
+    east = along * np.cos(direction) - across * np.sin(direction)
+    north = along * np.sin(direction) + across * np.cos(direction)
+    still = Rotation.concatenate([Rotation.identity()] * len(TIME))
+    return Attitude(
+        TIME, PERIOD, still, np.column_stack([east, north, np.full(len(TIME), 9.81)]), np.zeros((len(TIME), 3))
+    )
+
+
+def test_the_principal_component_is_where_one_is_pushed():
+    """[heading] Sec. 4.1: an axis, of which half a turn stays open."""
+    found = acceleration_axis(swaying(np.full(len(TIME), 2.3)), STEP)
+    assert np.mod(found.axis, np.pi) == pytest.approx(2.3, abs=0.02)
+    assert np.abs(found.heading).max() < 0.05
+
+
+def test_the_principal_component_lags_by_half_its_window():
+    """[heading] names it as the method's defect: a turn shows 1.3 s late, by half of 2.6 s."""
+    turn = 1.2 * (TIME > 20.0)
+    found = acceleration_axis(swaying(turn), STEP)
+    half_way = TIME[np.argmax(found.heading > 0.6)]
+    assert half_way == pytest.approx(20.0 + 1.3, abs=0.15)
+    assert found.heading[-1] == pytest.approx(1.2, abs=0.03)
+
+
+def test_the_second_component_of_the_rate_is_the_direction_of_a_swing():
+    """[heading] Sec. 4.2: an arm turns about the line across the way, and a little about the way itself."""
+    course = 0.7
+    rate = 1.5 * np.cos(2 * np.pi * TIME)[:, None] * [np.sin(course), -np.cos(course), 0.0]
+    rate += 0.2 * np.cos(4 * np.pi * TIME)[:, None] * [np.cos(course), np.sin(course), 0.0]
+    still = Rotation.concatenate([Rotation.identity()] * len(TIME))
+    found = angular_rate_axis(Attitude(TIME, PERIOD, still, np.zeros((len(TIME), 3)), rate), STEP)
+    assert np.mod(found.axis, np.pi) == pytest.approx(course, abs=0.02)

@@ -1,0 +1,71 @@
+"""[stationary-switch]'s experiment with the simulator: a phone on a cart, forth 95 cm and back 105 cm."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from tables import DOCS, publish, table
+
+from pdr_graph.inertial.published import switching
+from pdr_graph.inertial.stationary import below_threshold, learnt_threshold
+from pdr_graph.inertial.strapdown import strapdown
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Recording, Signal
+
+SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "cart.toml"
+LEARNT_FOR = 30.0  # [s] at rest
+SEEDS = range(20)
+SWITCHES = {"λ = 0": 0, "λ learnt, sample by sample": 1, "λ learnt, at rest for 0.8 s": 40}  # samples in a row
+
+
+def pushed(seed):
+    """The cart's walk, and the same phone before: λ and the bias are learnt from half a minute at rest."""
+    given = {"seed": seed, "heading": 0, "phone": {"hold": "cart", "rate": 50}}
+    route = [[0, 0], {"stand": LEARNT_FOR + 5.3}, {"roll": [0.95, 0], "speed": 0.452}, {"stand": 4}]
+    route += [{"roll": [-0.10, 0], "speed": 0.438}, {"stand": 5}]
+    return simulate(Scenario.of(given | {"route": route}))
+
+
+def tracked(walk, shortest):
+    """Times [s] and positions along the track [m]. shortest: rest, in samples; 0 for λ = 0."""
+    names = ("accelerometer", "gyroscope", "magnetometer")
+    signals = {name: walk.signals[name] for name in names}
+    gyroscope = signals["gyroscope"]
+    still = gyroscope.time < LEARNT_FOR
+    signals["gyroscope"] = gyroscope = Signal(gyroscope.time, gyroscope.values - gyroscope.values[still].mean(axis=0))
+    recording = Recording("cart", 0.0, None, **signals)
+    threshold = learnt_threshold(gyroscope.values[still]) if shortest else 0.0
+    shortest = max(shortest, 1)
+    attitude = switching(recording, threshold, shortest)
+    rest = below_threshold(attitude.angular_rate, threshold, shortest)
+    position = strapdown(attitude, rest).position
+    begun = np.searchsorted(attitude.time, LEARNT_FOR)
+    x, y = (position - position[begun])[:, :2].T
+    forth = np.searchsorted(attitude.time, LEARNT_FOR + 5.3 + 4.0)  # on the way the cart's own axis is found
+    axis = np.array([x[forth], y[forth]]) / max(np.hypot(x[forth], y[forth]), 1e-9)
+    return attitude.time, axis[0] * x + axis[1] * y
+
+
+def cart():
+    """The table and the figure."""
+    walks, rows = [pushed(seed) for seed in SEEDS], []
+    for name, shortest in SWITCHES.items():
+        ends = [100 * abs(tracked(walk, shortest)[1][-1] + 0.10) for walk in walks]
+        rows.append([name, f"{np.median(ends):.1f}", f"{np.percentile(ends, 90):.1f}", f"{max(ends):.1f}"])
+    publish("accuracy.md", "cart", table(["end error [cm]", "median of 20", "90 %", "largest"], rows))
+    draw(walks[0])
+
+
+def draw(walk):
+    """Position along the track over time."""
+    figure = Figure(figsize=(7, 3), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    axes.plot(walk.body.time, walk.body.position[:, 0], color="0.7", lw=4, label="truth")
+    for (name, shortest), colour in zip(SWITCHES.items(), ("tab:orange", "tab:green", "tab:blue"), strict=True):
+        axes.plot(*tracked(walk, shortest), color=colour, label=name)
+    axes.set(xlabel="time [s]", ylabel="x [m]", xlim=(LEARNT_FOR, None), ylim=(-1.5, 1.5))
+    axes.legend()
+    figure.savefig(DOCS / "cart.png", dpi=80)
