@@ -6,12 +6,16 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Slerp
 from tables import DOCS, publish, table
 
+from pdr_graph import detect_steps
+from pdr_graph.frames import enu
 from pdr_graph.gait.direction import acceleration_axis, accumulate_turn, angular_rate_axis, walking_direction
+from pdr_graph.gait.gaps import uninterrupted
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.inertial.published import imu_filter
+from pdr_graph.io import load
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Recording
+from pdr_graph.types import LONLAT, Recording
 
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
 PAPER = {
@@ -27,6 +31,7 @@ METHODS = {  # the paper's own use its choice of attitude
 }
 TRIALS, WALKERS = 62, 10
 CORNERS = [[1.2, 1.2], [1.2, 27.0]]  # of the L: west, then north
+SHORTEST_LEG = 3.0  # [m] between waypoints
 SHOWN = 11  # trial of the figure
 
 
@@ -67,8 +72,9 @@ def _world_to_true(walk, attitude, at):
     return np.arctan2(y, x)
 
 
-def heading():
-    """The table and the figure."""
+def heading(data):
+    """The tables and the figure."""
+    course(data)
     trials = [trial(n) for n in range(TRIALS)]
     found = {m: [[] for _ in HOLDS] for m in METHODS}
     for method in METHODS:
@@ -85,6 +91,36 @@ def heading():
         row.append(f"{np.mean([np.sqrt(np.mean(errors(walk, method)[1] ** 2)) for walk in again]):.1f}")
     publish("accuracy.md", "heading", table(["RMS [deg] (paper)", *HOLDS, "re-held in mid-walk"], rows))
     draw(trials[SHOWN])
+
+
+def course(data):
+    """Errors of the course between consecutive waypoints of real walks, about each walk's own median."""
+    paths = sorted((data / "ms_indoor20").glob("site*/*/*.txt"))
+    paths += sorted((data / "ipin2023_track3").glob("*Trial*.txt"))
+    walks = [uninterrupted(load(path))[0] for path in paths]
+    rows = []
+    for method, (attitude_by, direction_by) in METHODS.items():
+        found = np.degrees(np.concatenate([_course_errors(walk, attitude_by, direction_by) for walk in walks]))
+        rows.append([method, len(found), *(f"{v:.1f}" for v in np.percentile(found, [50, 75, 95]))])
+    publish("accuracy.md", "course", table(["method", "legs", "median [deg]", "75 %", "95 %"], rows))
+
+
+def _course_errors(walk, attitude_by, direction_by):
+    steps, attitude = detect_steps(walk), attitude_by(walk)
+    direction = direction_by(attitude, float(np.median(steps.duration)))
+    heading = np.interp(steps.time - steps.duration / 2, attitude.time, direction.heading)
+    way = np.cumsum(steps.length * np.exp(1j * heading))
+    truth = walk.truth
+    if truth.epsg == LONLAT:
+        truth = enu(*truth.position[0][::-1]).place(truth)
+    at, place = truth.time, truth.position @ [1, 1j]
+    ours, theirs = np.diff(np.interp(at, steps.time, way)), np.diff(place)
+    far = (np.abs(theirs) > SHORTEST_LEG) & (np.abs(ours) > SHORTEST_LEG / 3)
+    if not far.any():
+        return np.empty(0)
+    apart = np.angle(theirs[far] / ours[far])
+    apart = np.angle(np.exp(1j * (apart - np.angle(np.exp(1j * apart).mean()))))
+    return np.abs(apart - np.median(apart))
 
 
 def draw(walk):

@@ -178,7 +178,7 @@ def stride():
 if __name__ == "__main__":
     tables = {"microsoft": microsoft, "settings": settings, "stride": stride}
     tables |= {"ipin21": lambda: recorded.ipin21(DATA), "gnss": lambda: recorded.gnss(DATA)}
-    tables |= {"heading": heading.heading, "cart": cart.cart}
+    tables |= {"heading": lambda: heading.heading(DATA), "cart": cart.cart}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):
