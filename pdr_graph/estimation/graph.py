@@ -182,6 +182,12 @@ class WalkGraph:
         other.native = other._native_factors()
         return other
 
+    def without_walls(self) -> WalkGraph:
+        """The same measurements without the plan."""
+        other = copy(self)
+        other.walls = None
+        return other
+
     def without_grip(self, wild: Mask) -> WalkGraph:
         """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are."""
         other = copy(self)

@@ -26,7 +26,7 @@ def solutions(graph: WalkGraph) -> list[Optimum]:
 
     Where fixes leave the walk's direction open (one fix; two at the ends of a loop), it is started in several.
     """
-    return _distinct([_robustly(start) for start in _starts(graph)])
+    return _distinct([optimum for start in _starts(graph) for optimum in _robustly(start)])
 
 
 @dataclass(frozen=True)
@@ -90,11 +90,19 @@ def _capped(move: gtsam.VectorValues, longest: float) -> gtsam.VectorValues:
     return move
 
 
-def _robustly(graph: WalkGraph) -> Optimum:
-    """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off."""
-    first = optimize(graph, graph.start.to_values())
-    wild = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
-    return optimize(graph.without_grip(wild), first.values) if wild.any() else first
+def _robustly(graph: WalkGraph) -> list[Optimum]:
+    """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off.
+
+    Which fixes are wild is asked of the walk without walls: their pull is local, and a walk that they lead astray
+    would blame the fixes. They act on the walk as the fixes lay it and on its optimum in the open; neither start is
+    always the better.
+    """
+    start = graph.start.to_values()
+    in_the_open = optimize(graph.without_walls(), start)
+    wild = graph.fix_used & (graph.fix_distance(in_the_open.values) > WILD * graph.fix_sigma)
+    if graph.walls is None:
+        return [optimize(graph.without_grip(wild), in_the_open.values) if wild.any() else in_the_open]
+    return [optimize(graph.without_grip(wild), values) for values in (start, in_the_open.values)]
 
 
 def _starts(graph: WalkGraph) -> list[WalkGraph]:
