@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import gaussian_kde
 
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.types import Array, Mask, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it
@@ -68,7 +68,7 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
         position, heading = estimate.position[nearest], estimate.heading[nearest]
         within = np.abs(estimate.time[nearest] - t) <= TOLERANCE
     else:
-        position = np.stack([np.interp(t, estimate.time, axis) for axis in estimate.position.T], axis=1)
+        position = interpolate(t, estimate.time, estimate.position)
         sine, cosine = (np.interp(t, estimate.time, f(estimate.heading)) for f in (np.sin, np.cos))
         heading = np.arctan2(sine, cosine)
         within = (t >= estimate.time[0] - TOLERANCE) & (t <= estimate.time[-1] + TOLERANCE)

@@ -12,6 +12,11 @@ def wrap_angle(angle: Array | float) -> Array:
     return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
+def interpolate(at: Array, time: Array, values: Array) -> Array:
+    """Rows ``(m, k)`` at ``at (m,)`` of ``values (n, k)`` at ``time (n,)``: linear between, held beyond the ends."""
+    return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
+
+
 def unit(angle: Array) -> Array:
     """Unit vectors ``(…, 2)`` at the given angles ``(…,)`` [rad] from +x."""
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
@@ -65,8 +70,8 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     floor = tuple(trajectory.floor[i] for i in np.minimum(after, len(trajectory) - 1))
 
     def between(values: Array) -> Array:
-        flat = values.reshape(len(values), -1).T
-        return np.stack([np.interp(time, trajectory.time, v) for v in flat], axis=1).reshape(-1, *values.shape[1:])
+        flat = values.reshape(len(values), -1)
+        return interpolate(time, trajectory.time, flat).reshape(-1, *values.shape[1:])
 
     covariance = None if trajectory.covariance is None else between(trajectory.covariance)
     heading = wrap_angle(between(np.unwrap(trajectory.heading)))

@@ -23,7 +23,7 @@ from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.gait.pdr import Walker, detect_steps
-from pdr_graph.geometry import resample
+from pdr_graph.geometry import interpolate, resample
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Recording, Steps, Trajectory
@@ -171,7 +171,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     first = int(np.argmax(graph.fix_used)) if graph.fix_used.any() else 0
     alone = smooth(WalkGraph(graph.steps, graph.fixes[first : first + 1]))
     track, fixes = alone.trajectory, graph.fixes
-    at = np.stack([np.interp(fixes.time, track.time, axis) for axis in track.position.T], axis=1)
+    at = interpolate(fixes.time, track.time, track.position)
     distance = np.hypot(*(fixes.position - at).T)
     reports = [
         FixReport(t, x, y, sigma, d, 0.0, "not used: dead reckoning takes the first fix only")

@@ -15,7 +15,7 @@ from matplotlib.path import Path
 
 from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, SOLID
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import unit
+from pdr_graph.geometry import interpolate, unit
 from pdr_graph.types import Array, Estimate, Trajectory
 
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
@@ -134,7 +134,7 @@ def _draw_fixes(axes: Axes, estimate: Estimate) -> None:
     place = np.array([(f.x, f.y) for f in estimate.fixes])
     weight = np.array([f.weight for f in estimate.fixes])
     track = estimate.trajectory
-    at = np.stack([np.interp([f.time for f in estimate.fixes], track.time, axis) for axis in track.position.T], axis=1)
+    at = interpolate(np.array([f.time for f in estimate.fixes]), track.time, track.position)
     for p, q in zip(place, at, strict=True):
         axes.plot(*np.stack([p, q]).T, color=FIX, lw=0.8, alpha=0.6, zorder=4.5)
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]

@@ -1,5 +1,6 @@
 """[stationary-switch]'s experiment with the simulator: a phone on a cart, forth 95 cm and back 105 cm."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from pdr_graph.inertial.stationary import below_threshold, learnt_threshold
 from pdr_graph.inertial.strapdown import strapdown
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Recording, Signal
+from pdr_graph.types import Signal
 
 SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "cart.toml"
 LEARNT_FOR = 30.0  # [s] at rest
@@ -30,13 +31,12 @@ def pushed(seed):
 
 def tracked(walk, shortest):
     """Times [s] and positions along the track [m]. shortest: rest, in samples; 0 for λ = 0."""
-    names = ("accelerometer", "gyroscope", "magnetometer")
-    signals = {name: walk.signals[name] for name in names}
-    gyroscope = signals["gyroscope"]
-    still = gyroscope.time < LEARNT_FOR
-    signals["gyroscope"] = gyroscope = Signal(gyroscope.time, gyroscope.values - gyroscope.values[still].mean(axis=0))
-    recording = Recording("cart", 0.0, None, **signals)
-    threshold = learnt_threshold(gyroscope.values[still]) if shortest else 0.0
+    recording = walk.recording("accelerometer", "gyroscope", "magnetometer")
+    time, rate = recording.gyroscope.time, recording.gyroscope.values
+    still = time < LEARNT_FOR
+    rate = rate - rate[still].mean(axis=0)
+    recording = replace(recording, gyroscope=Signal(time, rate))
+    threshold = learnt_threshold(rate[still]) if shortest else 0.0
     shortest = max(shortest, 1)
     attitude = switching(recording, threshold, shortest)
     rest = below_threshold(attitude.angular_rate, threshold, shortest)

@@ -15,7 +15,7 @@ from pdr_graph.inertial.published import imu_filter
 from pdr_graph.io import load
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import LONLAT, Recording
+from pdr_graph.types import LONLAT
 
 HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
 PAPER = {
@@ -52,8 +52,7 @@ def walked(hold, seed, rehold=None):
 def errors(walk, method):
     """Times [s] and errors [deg], not wrapped, while walking; the initial walking direction is given."""
     attitude_by, direction_by = METHODS[method]
-    names = ("accelerometer", "gyroscope")
-    attitude = attitude_by(Recording("simulated", 0.0, None, **{name: walk.signals[name] for name in names}))
+    attitude = attitude_by(walk.recording("accelerometer", "gyroscope"))
     direction = direction_by(attitude, 1 / walk.walker.cadence)
     truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
     walking = np.interp(attitude.time, walk.body.time, walk.body.step_length) > 0.3

@@ -12,7 +12,7 @@ from tables import DOCS, publish, table
 
 from pdr_graph import dead_reckon, detect_steps, io
 from pdr_graph.gait.gaps import uninterrupted
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -53,8 +53,7 @@ def simulated(hold, seeds, manner=None):
             if manner and "to" in leg:
                 leg["manner"] = manner
         walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": RATE}}))
-        signals = {name: walk.signals[name] for name in ("accelerometer", "gyroscope")}
-        yield walk, Recording("simulated", 0.0, None, **signals)
+        yield walk, walk.recording("accelerometer", "gyroscope")
 
 
 def _after(walk, start):
@@ -76,17 +75,16 @@ def windows(walk):
         if len(landed) < 6 or interval.max() > 1.0:
             continue
         grid = begin + np.arange(round(WINDOW * RATE)) / RATE
-        size = np.linalg.norm(_resampled(walk.accelerometer, grid), axis=1)
+        size = np.linalg.norm(interpolate(grid, walk.accelerometer.time, walk.accelerometer.values), axis=1)
         frequency, power = welch(size - size.mean(), RATE, nperseg=len(grid))
         shares = [power[(frequency >= lo) & (frequency < hi)].sum() / power.sum() for lo, hi in BANDS]
-        turn = np.nan if walk.gyroscope is None else np.linalg.norm(_resampled(walk.gyroscope, grid), axis=1).mean()
+        turn = np.nan
+        if walk.gyroscope is not None:
+            rate = interpolate(grid, walk.gyroscope.time, walk.gyroscope.values)
+            turn = np.linalg.norm(rate, axis=1).mean()
         rows.append([1 / np.median(interval), interval.std() / interval.mean(), size.std(), *shares, turn])
         pieces.append(size)
     return np.array(rows).reshape(-1, len(NAMES)), pieces
-
-
-def _resampled(signal, grid):
-    return np.stack([np.interp(grid, signal.time, axis) for axis in signal.values.T], axis=1)
 
 
 def area_under_curve(real_windows, simulated_windows):
@@ -205,7 +203,7 @@ def front_end(data):
         walks = []
         for walk, recording in simulated(hold, range(CROWD), manner):
             at = np.arange(3.0, walk.body.time[-1] - 3.0, WAYPOINTS)
-            place = np.stack([np.interp(at, walk.body.time, axis) for axis in walk.body.position.T], axis=1)
+            place = interpolate(at, walk.body.time, walk.body.position)
             tapped = place + np.random.default_rng(0).normal(0, TAPPED, place.shape)
             walks.append((recording, at, tapped))
         rows.append([", ".join(filter(None, ("simulated", hold, manner))), len(walks), *_errors(walks)])
@@ -219,7 +217,7 @@ def _errors(walks):
     for walk, at, place in walks:
         steps = detect_steps(walk)
         track = dead_reckon(steps)
-        there = np.stack([np.interp(at, track.time, axis) for axis in track.position.T], axis=1)
+        there = interpolate(at, track.time, track.position)
         leg, ours = np.diff(place, axis=0), np.diff(there, axis=0)
         far = (np.hypot(*leg.T) > 3.0) & (np.hypot(*ours.T) > 1.0)
         between = (steps.time > at[0]) & (steps.time <= at[-1])

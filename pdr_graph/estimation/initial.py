@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
-from pdr_graph.geometry import dead_reckon, rotation, wrap_angle
+from pdr_graph.geometry import dead_reckon, interpolate, rotation, wrap_angle
 from pdr_graph.types import Array, Fixes, Index, Steps, Trajectory
 
 Complex = NDArray[np.complex128]
@@ -118,7 +118,7 @@ def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
     track = dead_reckon(steps)
     if not len(fixes):
         return track
-    at_fixes = np.stack([np.interp(fixes.time, track.time, axis) for axis in track.position.T], axis=1)
+    at_fixes = interpolate(fixes.time, track.time, track.position)
     turn = 0.0
     if len(fixes) > 1:
         rows = as_complex(np.concatenate([track.position, at_fixes]))

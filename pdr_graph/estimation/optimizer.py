@@ -100,9 +100,11 @@ def _robustly(graph: WalkGraph) -> list[Optimum]:
     start = graph.start.to_values()
     in_the_open = optimize(graph.without_walls(), start)
     wild = graph.fix_used & (graph.fix_distance(in_the_open.values) > WILD * graph.fix_sigma)
-    if graph.walls is None:
-        return [optimize(graph.without_grip(wild), in_the_open.values) if wild.any() else in_the_open]
-    return [optimize(graph.without_grip(wild), values) for values in (start, in_the_open.values)]
+    if graph.walls is None and not wild.any():
+        return [in_the_open]
+    robust = graph.without_grip(wild) if wild.any() else graph
+    starts = [in_the_open.values] if graph.walls is None else [start, in_the_open.values]
+    return [optimize(robust, values) for values in starts]
 
 
 def _starts(graph: WalkGraph) -> list[WalkGraph]:

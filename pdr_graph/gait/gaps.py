@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.inertial.attitude import SHORTEST_WALK
+from pdr_graph.inertial.samples import SHORTEST_WALK
 from pdr_graph.types import Array, Recording, Signal, Steps
 
 LONGEST_BRIDGED = 1.0  # [s] of missing samples that are interpolated: a step or two

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from pdr_graph.gait.direction import Direction, walking_direction
 from pdr_graph.gait.gaps import join, uninterrupted
 from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
 from pdr_graph.inertial.attitude import Attitude, attitude_of
+from pdr_graph.settings import read_toml
 from pdr_graph.types import Array, Recording, Steps
 
 UNSEEN_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps
@@ -33,10 +33,7 @@ class Walker:
     @classmethod
     def load(cls, path: str | Path) -> Walker:
         """Read ``walker.toml``: the fields of this class as ``name = number``, all optional."""
-        try:
-            given = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise InputError(path, "", str(error), "a TOML file") from None
+        given = read_toml(path)
         known = {f.name for f in fields(cls)}
         for name, value in given.items():
             if name not in known:

@@ -9,14 +9,10 @@ import vqf
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.errors import InputError
+from pdr_graph.inertial.samples import on_one_grid
 from pdr_graph.inertial.stationary import at_rest, bias_from_rests
-from pdr_graph.types import Array, Recording, Signal
+from pdr_graph.types import STANDARD_GRAVITY, Array, Recording
 
-STANDARD_GRAVITY = 9.80665  # [m/s²]
-SHORTEST_WALK = 1.0  # [s]
-LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|; walking raises it a little, other units by far
-MOST_SAMPLES = 40_000_000  # a day at 400 Hz
 TILT_SMOOTHING = 0.5  # [s] of the Gaussian that leaves gravity of an acceleration
 # A phone has calibrated its gyroscope and warms up in minutes: VQF's own 0.5°/s that double within 100 s let a swinging
 # arm teach it a bias that is not there
@@ -62,12 +58,7 @@ def vqf_offline(recording: Recording) -> Attitude:
 
     Raises InputError if a sensor is missing or the log is shorter than a second.
     """
-    accelerometer = required(recording, "accelerometer", recording.accelerometer)
-    gyroscope = required(recording, "gyroscope", recording.gyroscope)
-    check_gravity(recording, accelerometer)
-    time, period = uniform_grid(recording, accelerometer, gyroscope)
-    acceleration = resample(accelerometer, time)
-    angular_rate = resample(gyroscope, time)
+    time, period, (acceleration, angular_rate) = on_one_grid(recording, "accelerometer", "gyroscope")
     rest = at_rest(angular_rate, acceleration, period)
     angular_rate = angular_rate - bias_from_rests(angular_rate, rest, period)
     out = vqf.offlineVQF(angular_rate, acceleration, None, period, PHONE)
@@ -85,20 +76,18 @@ def tilt(recording: Recording) -> Attitude:
 
     Raises InputError if there is no accelerometer or the log is shorter than a second.
     """
-    accelerometer = required(recording, "accelerometer", recording.accelerometer)
-    check_gravity(recording, accelerometer)
-    time, period = uniform_grid(recording, accelerometer)
-    acceleration = resample(accelerometer, time)
-    up = gaussian_filter1d(acceleration, TILT_SMOOTHING / period, axis=0)
-    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
-    half = up + np.array(
-        [0.0, 0.0, 1.0]
-    )  # the shortest rotation of `up` onto z turns by π about the line halfway between
+    time, period, (acceleration,) = on_one_grid(recording, "accelerometer")
+    level = upright(gaussian_filter1d(acceleration, TILT_SMOOTHING / period, axis=0))
+    return Attitude(time, period, level, acceleration, None, (NO_GYROSCOPE,))
+
+
+def upright(up: Array) -> Rotation:
+    """The shortest rotations of vectors ``(n, 3)`` onto z: by π about the line halfway between, and by π about z."""
+    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
+    half = up + np.array([0.0, 0.0, 1.0])
     half[np.linalg.norm(half, axis=1) < 1e-6] = (1.0, 0.0, 0.0)
     half /= np.linalg.norm(half, axis=1, keepdims=True)
-    half_turns = Rotation.from_rotvec(np.pi * half)
-    level = Rotation.from_rotvec([0.0, 0.0, np.pi]) * half_turns
-    return Attitude(time, period, level, acceleration, None, (NO_GYROSCOPE,))
+    return Rotation.from_rotvec([0.0, 0.0, np.pi]) * Rotation.from_rotvec(np.pi * half)
 
 
 def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
@@ -117,37 +106,3 @@ def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
     return replace(recording, accelerometer=replace(linear, values=linear.values + STANDARD_GRAVITY * up)), (
         NO_GRAVITY,
     )
-
-
-def required(recording: Recording, name: str, signal: Signal | None) -> Signal:
-    """A signal that a method cannot do without."""
-    if signal is None or len(signal) < 2:
-        raise InputError(recording.source, name, "no samples", "its samples over the whole walk")
-    return signal
-
-
-def check_gravity(recording: Recording, accelerometer: Signal) -> None:
-    """Refuse what cannot be an accelerometer with gravity in metres per second squared."""
-    gravity = float(np.median(np.linalg.norm(accelerometer.values, axis=1)))
-    if not LEAST_GRAVITY < gravity < MOST_GRAVITY:
-        needed = "about 9.8 m/s²: metres per second squared, gravity not removed"
-        raise InputError(recording.source, "accelerometer", f"a median magnitude of {gravity:.2f}", needed)
-
-
-def uniform_grid(recording: Recording, *signals: Signal) -> tuple[Array, float]:
-    """The common span of the signals, at the rate of the first."""
-    start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
-    if end - start < SHORTEST_WALK:
-        found = f"{max(end - start, 0):.2f} s that its sensors have in common"
-        raise InputError(recording.source, "", found, f"at least {SHORTEST_WALK:.0f} s")
-    intervals = np.diff(signals[0].time)
-    samples = round((end - start) / float(np.median(intervals[intervals > 0]))) + 1
-    if samples > MOST_SAMPLES:
-        found = f"{end - start:.0f} s, {samples} samples at their usual interval"
-        raise InputError(recording.source, "accelerometer", found, f"up to {MOST_SAMPLES}: are its times in seconds?")
-    return np.linspace(start, end, samples), (end - start) / (samples - 1)
-
-
-def resample(signal: Signal, time: Array) -> Array:
-    """A signal ``(n, k)`` at other times."""
-    return np.stack([np.interp(time, signal.time, axis) for axis in signal.values.T], axis=1)

@@ -16,9 +16,10 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError
-from pdr_graph.inertial.attitude import Attitude, check_gravity, required, resample, uniform_grid
+from pdr_graph.inertial.attitude import Attitude, upright
+from pdr_graph.inertial.samples import on_one_grid
 from pdr_graph.inertial.stationary import below_threshold
-from pdr_graph.types import Array, Recording
+from pdr_graph.types import STANDARD_GRAVITY, Array, Recording
 
 GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0  # [m/s²] per root second; of one walking sample: gravity_filter's sigmas
 FIRST = 0.5  # [s] of samples that the first attitude is taken from
@@ -73,7 +74,7 @@ def gravity_filter(recording: Recording) -> Attitude:
     gain = (np.sqrt(process**2 + 4 * process * noise) - process) / (2 * noise)  # of the settled filter
     begun = measured[: max(1, round(FIRST / samples.period))].mean(axis=0)
     gravity = lfilter([gain], [1, gain - 1], measured, axis=0, zi=(1 - gain) * begun[None])[0]
-    return samples.attitude(_upright(gravity) * drifting)
+    return samples.attitude(upright(gravity) * drifting)
 
 
 def imu_filter(recording: Recording, gain: float = 0.05) -> Attitude:
@@ -135,27 +136,14 @@ METHODS: dict[str, Callable[[Recording], Attitude]] = {
 
 def _samples(recording: Recording, magnetometer: bool = False) -> _Samples:
     names = ["accelerometer", "gyroscope", *(["magnetometer"] if magnetometer else [])]
-    signals = [required(recording, name, recording.signals.get(name)) for name in names]
-    check_gravity(recording, signals[0])
-    time, period = uniform_grid(recording, *signals)
-    values = [resample(signal, time) for signal in signals]
+    time, period, values = on_one_grid(recording, *names)
     return _Samples(time, period, values[0], values[1], values[2] if magnetometer else np.empty((0, 3)))
 
 
 def _first(samples: _Samples) -> Rotation:
     """Level by the first samples; its heading is the device's own."""
     begun = samples.acceleration[: max(1, round(FIRST / samples.period))].mean(axis=0)
-    return _upright(begun[None])[0]
-
-
-def _upright(up: Array) -> Rotation:
-    """The shortest rotations of vectors ``(n, 3)`` onto z."""
-    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    sine = np.linalg.norm(axis, axis=1, keepdims=True)
-    angle = np.arctan2(sine, up[:, 2:])
-    axis = np.where(sine > 1e-9, axis / np.maximum(sine, 1e-9), [1.0, 0.0, 0.0])
-    return Rotation.from_rotvec(axis * angle)
+    return upright(begun[None])[0]
 
 
 def _level_north(acceleration: Array, field: Array) -> Rotation:
@@ -193,7 +181,7 @@ def _madgwick(samples: _Samples, gain: float, field: Array | None = None) -> Rot
     filter_, settings = imufusion.Ahrs(), imufusion.AhrsSettings()
     settings.convention, settings.gain, settings.sample_rate = imufusion.CONVENTION_ENU, gain, 1 / samples.period
     filter_.set_settings(settings)
-    rate, force = np.degrees(samples.angular_rate), samples.acceleration / 9.80665
+    rate, force = np.degrees(samples.angular_rate), samples.acceleration / STANDARD_GRAVITY
     quaternion = np.empty((len(rate), 4))
     for k in range(len(rate)):
         if field is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_opening, uniform_filter1d
 
+from pdr_graph.geometry import interpolate
 from pdr_graph.types import Array, Mask
 
 WINDOW = 0.5  # [s] over which the spread of the samples is taken
@@ -51,7 +52,7 @@ def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
     weight = uniform_filter1d(rest.astype(float), samples, mode="constant")
     weighted = uniform_filter1d(angular_rate * rest[:, None], samples, axis=0, mode="constant")
     said = weighted[seen] / weight[seen, None]
-    return np.stack([np.interp(np.arange(len(rest)), seen, axis) for axis in said.T], axis=1)
+    return interpolate(np.arange(float(len(rest))), seen.astype(float), said)
 
 
 def _spread(values: Array, samples: int) -> Array:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.inertial.attitude import STANDARD_GRAVITY, Attitude
-from pdr_graph.types import Array, Mask
+from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.types import STANDARD_GRAVITY, Array, Mask
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,8 @@ from typing import TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal, Trajectory
+from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Recording, Sightings, Signal, Trajectory
 
-STANDARD_GRAVITY = 9.80665  # [m/s²]
 MOST_MISSING = 0.2  # of a sensor's rows without a value: beyond, the file is damaged
 MOST_UNORDERED, FARTHEST_BACK = 0.01, 1.0  # share of rows, and [s]: a recorder's threads, not a shuffled file
 ABSURD = 1e12  # of a time [s] or a value in any unit: no measurement is as large, nor is what is not finite smaller

@@ -12,6 +12,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
+from pdr_graph.geometry import interpolate
 from pdr_graph.io import columns
 from pdr_graph.io.columns import Table
 from pdr_graph.io.door import admit
@@ -70,7 +71,7 @@ def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
         return {"accelerometer": total}
     there = np.empty((0, 4)) if gravity is None else gravity[np.isfinite(gravity).all(axis=1)]
     if linear is not None and len(linear) and len(there):
-        down = np.column_stack([np.interp(linear[:, 0], there[:, 0], axis) for axis in there[:, 1:].T])
+        down = interpolate(linear[:, 0], there[:, 0], there[:, 1:])
         return {"accelerometer": np.column_stack([linear[:, 0], sign * (linear[:, 1:] + down)])}
     if raw is not None:
         return {"accelerometer": raw * (1, sign, sign, sign)}

@@ -30,7 +30,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) ->
         covariance[:, 0, 1],
         strict=True,
     ):
-        lines.append(f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{_cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}")
+        lines.append(f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -75,7 +75,8 @@ def write_summary(path: Path, summary: dict[str, Any]) -> None:
     path.write_text(json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _cell(text: str) -> str:
+def cell(text: str) -> str:
+    """A text as a cell of a CSV."""
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.simulation.walker import MANNERS, Manner, Walker, footfalls
 from pdr_graph.simulation.way import Clearance, Way, way_along
 from pdr_graph.types import Array, Index
@@ -193,7 +193,7 @@ class _Mover:
         under_way = np.minimum(np.searchsorted(falls.time, t, side="right"), len(falls.time) - 1)
         self._add(
             len(t),
-            position=np.stack([np.interp(along, way.along, axis) for axis in way.position.T], axis=1),
+            position=interpolate(along, way.along, way.position),
             height=np.interp(along, way.along, way.height),
             heading=np.interp(along, way.along, way.heading) + self.heading - way.heading[0],
             phase=self.strides + np.interp(t, knots, np.arange(len(knots)) / 2),

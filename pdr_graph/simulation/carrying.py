@@ -18,9 +18,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from pdr_graph.simulation.body import REHOLD, Body
 from pdr_graph.simulation.noise import slow
 from pdr_graph.simulation.walker import Walker
-from pdr_graph.types import Array
+from pdr_graph.types import STANDARD_GRAVITY, Array
 
-GRAVITY = 9.80665  # [m/s²]
 USUAL_STEP = 0.72  # [m] at which the amplitudes below hold
 HIP = 0.53  # of the stature: the height of the body's middle
 # of the body's middle, [m]: harmonics of the stride (2, 4, … are of the step), axis, amplitude, phase [rad]
@@ -184,7 +183,7 @@ def carry(body: Body, walker: Walker, random: np.random.Generator) -> Motion:
 
     # What it feels
     force = _second_derivative(position, rate)
-    force[:, 2] += GRAVITY
+    force[:, 2] += STANDARD_GRAVITY
     force += to_world.apply(
         _shocks(body, holds, weights, random) + _roughness(body, holds, weights, stride.vigour, random)
     )

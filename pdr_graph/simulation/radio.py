@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.simulation.body import Body
 from pdr_graph.simulation.noise import autoregressive
 from pdr_graph.simulation.sensors import Scatter
@@ -50,7 +50,7 @@ class SatelliteFixes:
 def satellites(body: Body, receiver: Receiver, random: np.random.Generator) -> SatelliteFixes:
     """Positions with an accuracy-dependent error, of which most stays the same for a while."""
     measured = np.arange(body.time[0], body.time[-1], receiver.period)
-    at = np.stack([np.interp(measured, body.time, axis) for axis in body.position.T], axis=1)
+    at = interpolate(measured, body.time, body.position)
     n = len(measured)
     reported = receiver.accuracy * np.exp(autoregressive(random, n, 0.98, ACCURACY_SPREAD)[:, 0])
     keep = np.exp(-receiver.period / SYSTEMATIC_TIME)

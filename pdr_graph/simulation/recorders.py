@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pdr_graph.types import Array
+from pdr_graph.geometry import interpolate
+from pdr_graph.io.writers import cell
+from pdr_graph.types import STANDARD_GRAVITY, Array
 
 if TYPE_CHECKING:
     from pdr_graph.simulation.simulate import Simulation
 
 TRUTH_RATE = 10.0  # [Hz]
 ROWS_AT_ONCE = 50_000
-STANDARD_GRAVITY = 9.80665  # [m/s²]
 
 
 def write(walk: Simulation, folder: Path) -> None:
@@ -29,11 +30,11 @@ def write(walk: Simulation, folder: Path) -> None:
     every = max(1, round(body.rate / TRUTH_RATE))
     truth = walk.truth
     rows = zip(truth.time[::every], truth.position[::every], truth.heading[::every], truth.floor[::every], strict=True)
-    lines = [f"{start + t:.3f},{x:.4f},{y:.4f},{heading:.5f},{floor}" for t, (x, y), heading, floor in rows]
+    lines = [f"{start + t:.3f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)}" for t, (x, y), heading, floor in rows]
     _save(folder / "truth.csv", "time,x,y,heading,floor", lines)
     landed = zip(body.landings, body.lengths, strict=True)
     _save(folder / "steps.csv", "time,length", [f"{start + t:.3f},{length:.4f}" for t, length in landed])
-    events = [f"{start + e.start:.3f},{start + e.end:.3f},{e.kind},{e.what}" for e in body.events]
+    events = [f"{start + e.start:.3f},{start + e.end:.3f},{e.kind},{cell(e.what)}" for e in body.events]
     _save(folder / "events.csv", "start,end,kind,what", events)
     if walk.gnss is not None:
         fixes = zip(walk.gnss.fixes.time, walk.gnss.fixes.position, walk.gnss.accuracy, walk.gnss.hdop, strict=True)
@@ -41,7 +42,7 @@ def write(walk: Simulation, folder: Path) -> None:
         _save(folder / "gnss.csv", "time,x,y,accuracy,hdop", lines)
     if walk.given is not None:
         fixes = zip(walk.given.time, walk.given.position, walk.given.sigma, walk.given.floor, strict=True)
-        lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{sigma:.3f},{floor}" for t, (x, y), sigma, floor in fixes]
+        lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{sigma:.3f},{cell(floor)}" for t, (x, y), sigma, floor in fixes]
         _save(folder / "fixes.csv", "time,x,y,sigma,floor", lines)
 
 
@@ -126,7 +127,7 @@ RECORDERS: dict[str, Callable[[Simulation, Path], None]] = {
 def _gravity(walk: Simulation, time: Array) -> Array:
     """Gravity ``(n, 3)`` in device axes, as a perfect fusion would have it. [m/s²]"""
     up = walk.motion.R_world_device.inv().apply([0.0, 0.0, STANDARD_GRAVITY])
-    return np.stack([np.interp(time, walk.motion.time, axis) for axis in up.T], axis=1)
+    return interpolate(time, walk.motion.time, up)
 
 
 def _location(walk: Simulation, folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import UTC, date, datetime
@@ -14,6 +13,7 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.settings import read_toml
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.checks import known, number, one_of, pair, typed
 from pdr_graph.simulation.itinerary import Route, route_of
@@ -113,11 +113,7 @@ class Scenario:
     def load(cls, path: str | Path) -> Scenario:
         """Read a scenario. Raises InputError naming the place in the file."""
         path = Path(path)
-        try:
-            given = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-            raise InputError(path, "", str(error), "a TOML file") from None
-        return cls.of(given, path)
+        return cls.of(read_toml(path), path)
 
     @classmethod
     def of(cls, given: dict[str, Any], path: Path = Path("scenario")) -> Scenario:

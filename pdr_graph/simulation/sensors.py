@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.geometry import interpolate
 from pdr_graph.simulation.carrying import Motion
 from pdr_graph.simulation.noise import slow
 from pdr_graph.types import Array, Index, Signal
@@ -71,7 +72,7 @@ def imu(motion: Motion, clock: Clock, random: np.random.Generator) -> dict[str, 
     felt = {"accelerometer": (motion.acceleration, ACCELEROMETER), "gyroscope": (motion.angular_rate, GYROSCOPE)}
     signals = {}
     for name, (truth, faults) in felt.items():
-        at = np.stack([np.interp(time, motion.time, axis) for axis in truth.T], axis=1)
+        at = interpolate(time, motion.time, truth)
         signals[name] = _logged(time, _faulty(at, time, faults, clock.rate, random), written)
     return signals
 
@@ -83,9 +84,9 @@ def magnetometer(
     time, written = clock.times(motion.time[0], motion.time[-1], random)
     some = slice(None, None, max(1, round(motion.rate / DISTURBANCE_RATE)))
     there = field.at(position[some])
-    world = np.stack([np.interp(motion.time, motion.time[some], axis) for axis in there.T], axis=1)
+    world = interpolate(motion.time, motion.time[some], there)
     device = motion.R_world_device.inv().apply(world)
-    at = np.stack([np.interp(time, motion.time, axis) for axis in device.T], axis=1)
+    at = interpolate(time, motion.time, device)
     return _logged(time, _faulty(at, time, MAGNETOMETER, clock.rate, random), written)
 
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.frames import Frame, enu
-from pdr_graph.geometry import unit, wrap_angle
+from pdr_graph.geometry import interpolate, unit, wrap_angle
 from pdr_graph.simulation import sensors
 from pdr_graph.simulation.body import Body, move
 from pdr_graph.simulation.carrying import Motion, carry
 from pdr_graph.simulation.radio import BLUETOOTH, WIFI, SatelliteFixes, heard, satellites
 from pdr_graph.simulation.scenario import GivenFixes, Scenario
 from pdr_graph.simulation.walker import Walker
-from pdr_graph.types import Array, Fixes, Sightings, Signal, Trajectory
+from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal, Trajectory
 
 WILD = 8.0  # [σ] by which a wild position is off
 SLOWEST = 100.0  # [Hz] at which the movement is made, however slowly the phone samples it
@@ -47,6 +47,19 @@ class Simulation:
             position=body.position,
             heading=np.asarray(wrap_angle(body.heading)),
             floor=tuple(np.array(body.floors, dtype=object)[body.floor]),
+        )
+
+    def recording(self, *sensors: str) -> Recording:
+        """What some of its sensors logged, as if read from a file; without a name all of them."""
+        signals = {name: self.signals[name] for name in sensors or self.signals}
+        return Recording(
+            source="simulated",
+            clock_origin=0.0,
+            epoch=None,
+            accelerometer=signals.get("accelerometer"),
+            gyroscope=signals.get("gyroscope"),
+            magnetometer=signals.get("magnetometer"),
+            barometer=signals.get("barometer"),
         )
 
 
@@ -104,7 +117,7 @@ def earths_field(frame: Frame, epoch: float) -> Array:
 
 def _known_positions(body: Body, given: GivenFixes, random: np.random.Generator) -> Fixes:
     time = np.arange(0.0, body.time[-1], given.period)
-    at = np.stack([np.interp(time, body.time, axis) for axis in body.position.T], axis=1)
+    at = interpolate(time, body.time, body.position)
     place = at + random.normal(0, given.sigma, at.shape)
     wild = random.random(len(time)) < given.wild
     place[wild] += WILD * given.sigma * unit(random.uniform(-np.pi, np.pi, int(wild.sum())))

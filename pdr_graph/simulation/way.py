@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from pdr_graph.geometry import interpolate
 from pdr_graph.simulation.noise import slow
 from pdr_graph.types import Array
 
@@ -57,7 +58,7 @@ def way_along(
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     count = max(3, round(length[-1] / SPACING) + 1)
     s = np.linspace(0.0, length[-1], count)
-    straight = np.stack([np.interp(s, length, axis) for axis in corners.T], axis=1)
+    straight = interpolate(s, length, corners)
     rounded = gaussian_filter1d(straight, min(ROUNDING, length[-1] / 8) / SPACING, axis=0, mode="nearest")
     rounded = rounded + _ends(s, straight[0] - rounded[0], straight[-1] - rounded[-1])
     offset = slow(random, count, WEAVE_LENGTH / SPACING, WEAVE)[:, 0]

@@ -15,7 +15,6 @@ from pdr_graph.gait.direction import (
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Recording
 
 PERIOD, STEP = 0.01, 0.5  # [s]
 TIME = np.arange(0.0, 40.0, PERIOD)
@@ -71,8 +70,7 @@ def test_eight_degrees_in_every_holding_state(hold, rate):
     for seed in range(8):
         route = [[37.0, 1.2], {"stand": 3}, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
         walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": rate}}))
-        signals = {name: walk.signals[name] for name in ("accelerometer", "gyroscope")}
-        found = attitude_of(Recording("simulated", 0.0, None, **signals))
+        found = attitude_of(walk.recording("accelerometer", "gyroscope"))
         step = 1 / walk.walker.cadence
         heading = walking_direction(found, step).heading
         truth = np.interp(found.time, walk.body.time, walk.body.heading)
@@ -86,8 +84,7 @@ def test_eight_degrees_in_every_holding_state(hold, rate):
 def test_steps_carry_the_doubt_of_a_rehold():
     route = [[0, 0], {"stand": 3}, {"to": [[30, 0]], "hold": "trouser pocket"}, {"to": [[60, 0]]}, {"stand": 3}]
     walk = simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}}))
-    signals = {name: walk.signals[name] for name in ("accelerometer", "gyroscope")}
-    steps = detect_steps(Recording("simulated", 0.0, None, **signals))
+    steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
     begun = walk.body.during("hold")[1].start
     near = np.abs(steps.time - begun) < 4
     assert np.sqrt(np.sum(steps.sigma_turn[near] ** 2 - 0.02**2)) == pytest.approx(REHOLD_SIGMA, rel=0.05)

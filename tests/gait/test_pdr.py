@@ -6,7 +6,7 @@ from simulated import GYRO_BIAS, walk_along
 
 from pdr_graph import InputError, Walker, WalkGraph, detect_steps, smooth
 from pdr_graph.gait.direction import without_gait
-from pdr_graph.geometry import dead_reckon
+from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.types import Fixes, Recording, Signal
 
 ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 12.0), (2.0, 12.0)])
@@ -47,7 +47,7 @@ def test_turns_add_up_to_the_turns_of_the_route(walk, steps):
 
 def test_the_track_has_the_shape_of_the_route(walk, steps):
     track = dead_reckon(steps, heading=0.0)
-    truth = np.stack([np.interp(track.time, walk.time, axis) for axis in walk.position.T], axis=1)
+    truth = interpolate(track.time, walk.time, walk.position)
     truth -= truth[0]
     scale = np.sum(truth * track.position) / np.sum(track.position**2)
     assert np.hypot(*(scale * track.position - truth).T).max() < 4.0
@@ -170,10 +170,10 @@ def test_a_recording_that_is_all_gaps_is_refused(walk):
 def test_across_a_gap_the_fixes_say_where_the_walk_went_on(walk):
     """A walker unrecorded for ten seconds round a corner, a fix every five: found again behind it, honestly."""
     at = np.arange(0.0, walk.time[-1], 5.0)
-    truth = np.stack([np.interp(at, walk.time, axis) for axis in walk.position.T], axis=1)
+    truth = interpolate(at, walk.time, walk.position)
     fixes = Fixes(at, truth, np.full(len(at), 0.5), ("",) * len(at))[(at < 16.0) | (at > 26.0)]
     track = smooth(WalkGraph(detect_steps(holed(walk, 16.0, 26.0)), fixes)).trajectory
-    there = np.stack([np.interp(track.time, walk.time, axis) for axis in walk.position.T], axis=1)
+    there = interpolate(track.time, walk.time, walk.position)
     error = np.hypot(*(track.position - there).T)
     recorded_rows = (track.time < 16.0) | (track.time > 26.0)
     assert error[recorded_rows].max() < 1.5

@@ -28,7 +28,7 @@ def walk():
 
 @pytest.fixture(scope="module")
 def recording(walk):
-    return Recording("simulated", 0.0, None, **{name: walk.signals[name] for name in NAMES})
+    return walk.recording(*NAMES)
 
 
 def against_truth(walk, attitude):

@@ -9,6 +9,7 @@ import pytest
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu, projected
+from pdr_graph.geometry import interpolate
 from pdr_graph.io.positions import RADIUS_68
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.types import LONLAT
@@ -43,7 +44,7 @@ def test_ipin_2023(data, trial):
     assert 1_686_700_000 < walk.epoch < 1_686_900_000, "14 and 15 June 2023"
     frame = enu(49.461, 11.111)
     fixes, truth = frame.place(walk.fixes), frame.place(walk.truth)
-    at = np.stack([np.interp(truth.time, fixes.time, axis) for axis in fixes.position.T], axis=1)
+    at = interpolate(truth.time, fixes.time, fixes.position)
     # a median of a dozen landmarks; the data page does not say how it paired them
     assert np.median(np.hypot(*(at - truth.position).T)) == pytest.approx(error, rel=0.5)
 
@@ -158,5 +159,5 @@ def test_nju_walks_on_through_a_minute_without_gps(data):
     fixes = enu(*walk.fixes.position[0, ::-1].tolist()).place(walk.fixes)
     withheld = (fixes.time > 300) & (fixes.time < 360)
     track = smooth(WalkGraph(detect_steps(walk), fixes[~withheld])).trajectory
-    at = np.stack([np.interp(fixes.time[withheld], track.time, axis) for axis in track.position.T], axis=1)
+    at = interpolate(fixes.time[withheld], track.time, track.position)
     assert np.median(np.hypot(*(at - fixes.position[withheld]).T)) < 3.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan
+from pdr_graph.geometry import interpolate
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -43,7 +44,7 @@ def test_nobody_jumps(path):
 def test_steps_end_where_the_truth_is():
     """Between two landings lies a step's length, along the way."""
     body = walked([0, 0], {"stand": 2}, {"to": [[30, 0], [30, 20]]}, {"stand": 2})
-    at = np.stack([np.interp(body.landings, body.time, axis) for axis in body.position.T], axis=1)
+    at = interpolate(body.landings, body.time, body.position)
     chord = np.hypot(*np.diff(at, axis=0).T)
     assert np.abs(chord - body.lengths[1:])[1:-3].max() < 0.08
     assert body.lengths.sum() == pytest.approx(50, abs=1.0)

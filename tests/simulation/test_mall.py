@@ -8,7 +8,6 @@ import pytest
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, evaluate, smooth
 from pdr_graph.simulation.scenario import GivenFixes, Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,8 +18,7 @@ def test_the_plan_does_not_talk_a_walk_out_of_its_fixes(seed):
     scenario = Scenario.load(ROOT / "scenarios" / "mall.toml")
     walk = simulate(replace(scenario, seed=seed, given=GivenFixes(period=40, sigma=2.0)))
     floor = FloorPlan.load(ROOT / "maps" / "mall.geojson")
-    signals = {name: walk.signals[name] for name in ("accelerometer", "gyroscope")}
-    steps = detect_steps(Recording("simulated", 0.0, None, **signals))
+    steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
     alone, mapped = (smooth(WalkGraph(steps, walk.given, floor=plan)) for plan in (None, floor))
     assert all(fix.weight > 0.3 for fix in mapped.fixes)
     error = [evaluate(found.trajectory, walk.truth)["ce"]["p50"] for found in (alone, mapped)]

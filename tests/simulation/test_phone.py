@@ -11,7 +11,6 @@ from pdr_graph.simulation import sensors
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import earths_field, simulate
-from pdr_graph.types import Recording
 
 ROUTE = [[0, 0], {"stand": 4}, {"to": [[25, 0], [25, 15]]}, {"stand": 4}]
 CARRIED = [hold for hold in HOLDS if hold != "cart"]
@@ -54,8 +53,7 @@ def test_a_step_detector_finds_the_steps(hold):
     ratios = []
     for seed in range(5):
         walk = walked(hold=hold, seed=seed)
-        recording = Recording("simulated", 0.0, None, **{s: walk.signals[s] for s in ("accelerometer", "gyroscope")})
-        ratios.append(len(detect_steps(recording)) / len(walk.body.landings))
+        ratios.append(len(detect_steps(walk.recording("accelerometer", "gyroscope"))) / len(walk.body.landings))
     assert np.median(ratios) == pytest.approx(1, abs=0.06)
 
 

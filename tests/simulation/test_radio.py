@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pdr_graph.geometry import interpolate
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -18,8 +19,7 @@ def walked(seed=0, route=ROUTE, **more):
 
 def error(walk, late=0.0):
     fixes = walk.gnss.fixes
-    at = [np.interp(fixes.time - late, walk.body.time, axis) for axis in walk.body.position.T]
-    return fixes.position - np.stack(at, axis=1)
+    return fixes.position - interpolate(fixes.time - late, walk.body.time, walk.body.position)
 
 
 def test_two_thirds_of_satellite_fixes_are_within_their_accuracy():
@@ -60,8 +60,7 @@ def test_hdop_goes_with_the_accuracy():
 def loudness(walk, name):
     heard = walk.bluetooth
     mine = np.array(heard.transmitter) == name
-    at = [np.interp(heard.time[mine], walk.body.time, axis) for axis in walk.body.position.T]
-    return np.stack(at, axis=1), heard.rssi[mine]
+    return interpolate(heard.time[mine], walk.body.time, walk.body.position), heard.rssi[mine]
 
 
 def test_a_beacon_fades_with_distance_and_behind_the_body():
