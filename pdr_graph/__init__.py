@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.smoothers import smooth as smooth
     from pdr_graph.evaluation import evaluate as evaluate
     from pdr_graph.floor.plan import FloorPlan as FloorPlan
+    from pdr_graph.gait.heading import magnetic_headings as magnetic_headings
     from pdr_graph.gait.pdr import Walker as Walker
     from pdr_graph.gait.pdr import detect_steps as detect_steps
     from pdr_graph.geometry import dead_reckon as dead_reckon
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from pdr_graph.types import Calibration as Calibration
     from pdr_graph.types import Estimate as Estimate
     from pdr_graph.types import Fixes as Fixes
+    from pdr_graph.types import Headings as Headings
     from pdr_graph.types import Recording as Recording
     from pdr_graph.types import Steps as Steps
     from pdr_graph.types import Trajectory as Trajectory
@@ -38,6 +40,7 @@ _HOME = {
     "smooth": "estimation.smoothers",
     "evaluate": "evaluation",
     "FloorPlan": "floor.plan",
+    "magnetic_headings": "gait.heading",
     "Walker": "gait.pdr",
     "detect_steps": "gait.pdr",
     "dead_reckon": "geometry",
@@ -48,6 +51,7 @@ _HOME = {
     "Calibration": "types",
     "Estimate": "types",
     "Fixes": "types",
+    "Headings": "types",
     "Recording": "types",
     "Steps": "types",
     "Trajectory": "types",
@@ -57,6 +61,7 @@ __all__ = [
     "Estimate",
     "Fixes",
     "FloorPlan",
+    "Headings",
     "InputError",
     "Prior",
     "Recording",
@@ -69,6 +74,7 @@ __all__ = [
     "evaluate",
     "kalman_filter",
     "load",
+    "magnetic_headings",
     "plot",
     "read_fixes",
     "read_trajectory",

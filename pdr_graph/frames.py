@@ -13,6 +13,7 @@ from pdr_graph.types import LONLAT, Array, Fixes, Trajectory
 if TYPE_CHECKING:
     from pyproj import Transformer
 
+EAST = 1e-4  # [deg] of longitude: some metres
 Placed = TypeVar("Placed", Fixes, Trajectory)
 
 
@@ -58,6 +59,12 @@ class Frame:
             lonlat = position if what.epsg == LONLAT else projected(what.epsg).to_lonlat(position)
             position = self.from_lonlat(lonlat)
         return replace(what, position=position, epsg=None)
+
+    def bearing_of_east(self, position: Array) -> float:
+        """Where true east lies at a position ``(2,)``, counter-clockwise from +x: a projection's convergence. [rad]"""
+        lon, lat = self.to_lonlat(position[None])[0]
+        x, y = np.diff(self.from_lonlat(np.array([[lon, lat], [lon + EAST, lat]])), axis=0)[0]
+        return float(np.arctan2(y, x))
 
     def describe(self) -> dict[str, Any]:
         """As ``summary.json`` has it."""

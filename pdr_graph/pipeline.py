@@ -22,11 +22,12 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.gait.heading import magnetic_headings
 from pdr_graph.gait.pdr import Walker, detect_steps
-from pdr_graph.geometry import interpolate, resample
+from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_fixes
-from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Recording, Steps, Trajectory
+from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
 
 FASTEST_RATE = 1000.0  # [Hz]
 
@@ -82,15 +83,16 @@ def smooth_recording(
         frame, located = _locate(floor, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
     with stage("steps"):
         steps = _steps(walk, known, located)
+        headings = magnetic_headings(walk, frame, located.position[0] if len(located) else np.zeros(2))
     with stage("estimate"):
-        estimate, missing = _estimate(steps, located, floor, method)
+        estimate, missing = _estimate(steps, located, headings, floor, method)
     with stage("write"):
         missing += _write(out, walk, floor, frame, estimate, rate)
 
     settings = {"method": method, "walker": asdict(known), "recorded_fixes": use_recorded_fixes, "rate": rate}
     settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
     settings |= {name: str(path) if path else None for name, path in (("map", plan), ("fixes", fixes))}
-    summary = summarize(walk, steps, floor, frame, estimate)
+    summary = summarize(walk, steps, headings, floor, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
     summary["warnings"] = [*notes, *estimate.warnings]
     writers.write_summary(out / "summary.json", summary)
@@ -145,12 +147,12 @@ def _steps(walk: Recording, walker: Walker, fixes: Fixes) -> Steps | None:
 
 
 def _estimate(
-    steps: Steps | None, fixes: Fixes, floor: FloorPlan | None, method: str
+    steps: Steps | None, fixes: Fixes, headings: Headings, floor: FloorPlan | None, method: str
 ) -> tuple[Estimate, tuple[str, ...]]:
     """The walk by one method, and what of it could not be had."""
     if steps is None:
         return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
-    estimate, missing = _smoothed(WalkGraph(steps, fixes, floor=floor), method)
+    estimate, missing = _smoothed(WalkGraph(steps, fixes, headings=headings, floor=floor), method)
     return estimate, (*steps.unknown, *missing)
 
 
@@ -217,7 +219,12 @@ def _truth_beside(truth: Trajectory | None, frame: Frame, estimate: Estimate) ->
 
 
 def summarize(
-    walk: Recording, steps: Steps | None, floor: FloorPlan | None, frame: Frame, estimate: Estimate
+    walk: Recording,
+    steps: Steps | None,
+    headings: Headings,
+    floor: FloorPlan | None,
+    frame: Frame,
+    estimate: Estimate,
 ) -> dict[str, Any]:
     """What ``summary.json`` says of the walk itself."""
     position = estimate.trajectory.position
@@ -232,10 +239,26 @@ def summarize(
         "floor": floor.label if floor else None,
         "calibration": _calibration(estimate, walk.clock_origin),
         "fixes": [_finite(asdict(replace(f, time=f.time + walk.clock_origin))) for f in estimate.fixes],
+        "headings": _heading_reports(headings, estimate, walk.clock_origin),
         "wall_crossings": crossings,
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
         "versions": packages | {"python": platform.python_version()},
     }
+
+
+def _heading_reports(headings: Headings, estimate: Estimate, clock_origin: float) -> list[dict[str, float]]:
+    track = estimate.trajectory
+    at = np.interp(headings.time, track.time, np.unwrap(track.heading))
+    return [
+        {"time": t + clock_origin, "heading": h, "sigma": s, "residual": r}
+        for t, h, s, r in zip(
+            headings.time.tolist(),
+            headings.heading.tolist(),
+            headings.sigma.tolist(),
+            wrap_angle(headings.heading - at).tolist(),
+            strict=True,
+        )
+    ]
 
 
 def _calibration(estimate: Estimate, clock_origin: float) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
+Complex = NDArray[np.complex128]  # points or moves of the plane
 INSTANT = 1e-6  # [s]: times closer than this are the same
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
@@ -103,6 +104,33 @@ class Fixes:
             sigma=self.sigma[index],
             floor=tuple(self.floor[i] for i in index),
         )
+
+
+@dataclass(frozen=True)
+class Headings:
+    """Walking directions measured now and then: by a compass, or given by the user.
+
+    time: ``(n,)`` [s], in order.
+    heading: ``(n,)`` counter-clockwise from +x of the output frame [rad].
+    sigma: ``(n,)`` [rad]. Errors of different headings are independent.
+    """
+
+    time: Array
+    heading: Array
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what would make an estimate NaN or silently wrong."""
+        _check_finite(self, len(self.time), "time", "heading", "sigma")
+        _check("sigma", self.sigma > 0, self.sigma, "standard deviations above 0 rad")
+
+    @classmethod
+    def none(cls) -> Headings:
+        """No heading at all."""
+        return cls(np.empty(0), np.empty(0), np.empty(0))
+
+    def __len__(self) -> int:
+        return len(self.time)
 
 
 @dataclass(frozen=True)

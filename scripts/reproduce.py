@@ -3,6 +3,7 @@
 import os
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cart
@@ -13,7 +14,7 @@ import recorded
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, magnetic_headings, smooth
 from pdr_graph.estimation import preintegration
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.evaluation import circular_error, pair
@@ -32,6 +33,7 @@ HELP = {
 }
 
 
+@cache
 def recordings():
     """The fifteen Microsoft walks with their floors."""
     paths = sorted((DATA / "ms_indoor20").glob("site*/*/*.txt"))
@@ -39,6 +41,11 @@ def recordings():
         raise SystemExit(f"no recordings under {DATA} (set PDR_GRAPH_DATA)")
     floors = {folder: FloorPlan.load(folder) for folder in {p.parent for p in paths}}
     return [(walk := io.load(p), detect_steps(walk), floors[p.parent]) for p in paths]
+
+
+def compass(walk, floor):
+    """What the walk's magnetometer says of its direction."""
+    return magnetic_headings(walk, floor.frame, np.zeros(2))
 
 
 def some(truth, which):
@@ -53,7 +60,7 @@ def withheld_errors(walk, steps, floor, which, method):
     if not len(rest):
         return np.empty(0), np.empty(0, dtype=bool), np.nan
     fixes = Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
-    track = method(steps, fixes, floor)
+    track = method(steps, fixes, compass(walk, floor), floor)
     pairs = pair(track, some(truth, rest))
     inside = np.empty(0, dtype=bool)
     if track.covariance is not None:
@@ -67,13 +74,17 @@ def withheld_errors(walk, steps, floor, which, method):
 
 
 METHODS = {
-    "straight lines": lambda steps, fixes, floor: some(
+    "straight lines": lambda steps, fixes, headings, floor: some(
         Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor), np.arange(len(fixes))
     ),
-    "dead reckoning": lambda steps, fixes, floor: smooth(WalkGraph(steps, fixes)).dead_reckoning,
-    "filter (causal)": lambda steps, fixes, floor: kalman_filter(WalkGraph(steps, fixes)).trajectory,
-    "graph": lambda steps, fixes, floor: smooth(WalkGraph(steps, fixes)).trajectory,
-    "graph with map": lambda steps, fixes, floor: smooth(WalkGraph(steps, fixes, floor=floor)).trajectory,
+    "dead reckoning": lambda steps, fixes, headings, floor: smooth(WalkGraph(steps, fixes)).dead_reckoning,
+    "filter (causal)": lambda steps, fixes, headings, floor: (
+        kalman_filter(WalkGraph(steps, fixes, headings=headings)).trajectory
+    ),
+    "graph": lambda steps, fixes, headings, floor: smooth(WalkGraph(steps, fixes, headings=headings)).trajectory,
+    "graph with map": lambda steps, fixes, headings, floor: (
+        smooth(WalkGraph(steps, fixes, headings=headings, floor=floor)).trajectory
+    ),
 }
 
 
@@ -137,7 +148,7 @@ def settings():
         row(f"turn {turn} rad", METHODS["graph"], changed)
     for margin, sigma in ((0.8, 1.0), (0.8, 0.5), (0.8, 2.0), (0.2, 1.0), (1.2, 1.0)):
         prior = Prior(wall_margin=margin, wall_sigma=sigma)
-        method = lambda s, x, f, p=prior: smooth(WalkGraph(s, x, floor=f, prior=p)).trajectory  # noqa: E731
+        method = lambda s, x, h, f, p=prior: smooth(WalkGraph(s, x, headings=h, floor=f, prior=p)).trajectory  # noqa: E731
         row(f"with map: margin {margin} m, sigma {sigma} m", method)
     header = ["setting", "every second: CE50/75/95 [m]", "in 90 %", "first and last: CE50/75/95 [m]", "in 90 %"]
     publish("accuracy.md", "settings", table(header, rows))

@@ -88,13 +88,16 @@ def _run(graph: WalkGraph) -> tuple[Array, Array, Bank, dict[int, Surprise]]:
     used = np.flatnonzero(graph.fix_used)
     used = used[np.argsort(graph.fix_keyframe[used], kind="stable")]
     fixes_at = np.split(used, np.searchsorted(graph.fix_keyframe[used], np.arange(1, len(pieces.last) + 1)))
+    headings_at = np.searchsorted(graph.heading_keyframe, np.arange(len(pieces.last) + 2))
     turns, times = 2 * (pieces.to_end - pieces.to_middle)
     bank = _update(_start(graph), graph, fixes_at[0], surprises)
+    bank = _point(bank, graph, *headings_at[:2])
     known = [bank.summary()]
     for m, interval in enumerate(pieces.interval):
         bank = _predict(bank, pieces.length[m], turns[m], times[m], pieces.variance[m], graph.prior)
         if m == pieces.last[interval]:
             bank = _update(bank, graph, fixes_at[interval + 1], surprises)
+            bank = _point(bank, graph, *headings_at[interval + 1 : interval + 3])
         known.append(bank.summary())
     poses, covariances = (np.array(column) for column in zip(*known, strict=True))
     return poses, covariances, bank, surprises
@@ -146,16 +149,35 @@ def _update(bank: Bank, graph: WalkGraph, fixes: Index, surprises: dict[int, Sur
         surprises[n] = Surprise(float(np.hypot(*gap[best])), float(sigmas[best]), float(weight[best]))
 
         S = P[:, :2, :2] + R / weight[:, None, None]
-        K = P[:, :, :2] @ np.linalg.inv(S)
-        inner, outer = np.minimum(sigmas, HUBER_WIDTH), np.maximum(sigmas - HUBER_WIDTH, 0.0)
-        log_likelihood = -0.5 * (inner**2 + np.log(np.linalg.det(S))) - HUBER_WIDTH * outer
-        log_weight = bank.log_weight + log_likelihood
-        log_weight -= np.logaddexp.reduce(log_weight)
-        covariance = P - K @ P[:, :2, :]
-        keep = log_weight > np.log(HOPELESS)
-        bank = Bank(
-            (bank.mean + np.einsum("hij,hj->hi", K, gap))[keep],
-            ((covariance + covariance.transpose(0, 2, 1)) / 2)[keep],
-            log_weight[keep],
-        )
+        bank = _corrected(bank, P[:, :, :2] @ np.linalg.inv(S), P[:, :2, :], gap, sigmas, S)
     return bank
+
+
+def _point(bank: Bank, graph: WalkGraph, first: int, after: int) -> Bank:
+    """Take in some headings, each with Huber's weight."""
+    for heading, sigma in zip(graph.headings.heading[first:after], graph.headings.sigma[first:after], strict=True):
+        gap = wrap_angle(heading - bank.mean[:, 2])[:, None]
+        P, R = bank.covariance, sigma**2
+        sigmas = np.abs(gap[:, 0]) / np.sqrt(P[:, 2, 2] + R)
+        weight = np.minimum(1.0, HUBER_WIDTH / np.maximum(sigmas, 1e-9))
+        S = (P[:, 2, 2] + R / weight)[:, None, None]
+        bank = _corrected(bank, P[:, :, 2:3] / S, P[:, 2:3, :], gap, sigmas, S)
+    return bank
+
+
+def _corrected(bank: Bank, K: Array, seen: Array, gap: Array, sigmas: Array, S: Array) -> Bank:
+    """The bank after a measurement, without the hypotheses that it makes hopeless.
+
+    K: gains ``(h, 6, d)``; seen: rows ``(h, d, 6)`` of the covariance that were measured; gap ``(h, d)``, of variance S
+    ``(h, d, d)`` and ``sigmas (h,)`` large.
+    """
+    inner, outer = np.minimum(sigmas, HUBER_WIDTH), np.maximum(sigmas - HUBER_WIDTH, 0.0)
+    log_weight = bank.log_weight - 0.5 * (inner**2 + np.log(np.linalg.det(S))) - HUBER_WIDTH * outer
+    log_weight -= np.logaddexp.reduce(log_weight)
+    covariance = bank.covariance - K @ seen
+    keep = log_weight > np.log(HOPELESS)
+    return Bank(
+        (bank.mean + np.einsum("hij,hj->hi", K, gap))[keep],
+        ((covariance + covariance.transpose(0, 2, 1)) / 2)[keep],
+        log_weight[keep],
+    )

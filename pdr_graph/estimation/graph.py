@@ -8,7 +8,7 @@ fix          wall       fix
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -18,8 +18,8 @@ from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.preintegration import DECIMALS, Increments, Pieces, bridge, cut, preintegrate
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import rotation
-from pdr_graph.types import Array, Fixes, Index, Mask, Steps
+from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.types import Array, Fixes, Headings, Index, Mask, Steps
 
 STEPS_PER_SEGMENT = 100
 LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
@@ -78,7 +78,7 @@ class WalkGraph:
     """Every measurement of one walk as a factor.
 
     steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
-    floor: whose walls are factors, optional; prior: see ``Prior``.
+    headings: walking directions in that frame; floor: whose walls are factors, optional; prior: see ``Prior``.
 
     The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
     as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
@@ -89,6 +89,7 @@ class WalkGraph:
         steps: Steps,
         fixes: Fixes | None = None,
         *,
+        headings: Headings | None = None,
         floor: FloorPlan | None = None,
         prior: Prior | None = None,
     ):
@@ -101,8 +102,10 @@ class WalkGraph:
         self.fix_used, self.fix_sigma = _freshness(self.fixes, steps)
         lost = steps.length == 0
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
-        self.pieces = cut(steps, np.append(self.fixes.time[self.fix_used], gap_ends))
+        self.headings = _within(Headings.none() if headings is None else headings, steps)
+        self.pieces = cut(steps, np.concatenate([self.fixes.time[self.fix_used], self.headings.time, gap_ends]))
         self.fix_keyframe = _nearest(self.pieces.keyframe_time, self.fixes.time)
+        self.heading_keyframe = _nearest(self.pieces.keyframe_time, self.headings.time)
         self.segment = _segments(self.pieces, steps)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
 
@@ -115,8 +118,7 @@ class WalkGraph:
         c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
         increments = preintegrate(self.pieces, c[self.segment])
         self.bridge = bridge(self.pieces, increments)
-        self.start, self.sigma_direction = self._lay_on_fixes(increments)
-        self.sigma_heading = ANY_HEADING
+        self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(increments))
         self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
         self.native = self._native_factors()
 
@@ -173,19 +175,28 @@ class WalkGraph:
                 graph.add(guarded("wall", gtsam.noiseModel.Unit.Create(len(pieces.length)), keys, wall))
         return graph
 
-    def turned(self, angle: float, sigma_heading: float) -> WalkGraph:
+    def turned(self, angle: float) -> WalkGraph:
         """The same measurements, started ``angle`` [rad] further round the fixes and loosely held there."""
         other = copy(self)
-        pivot = self.start.poses[self.fix_keyframe[self.fix_used], :2].mean(axis=0)
-        other.start = self.start.turned(angle, pivot)
-        other.sigma_heading = sigma_heading
+        other.start = self.turned_start(angle)
         other.native = other._native_factors()
         return other
+
+    def turned_start(self, angle: float) -> State:
+        """The start, ``angle`` [rad] further round the fixes."""
+        return self.start.turned(angle, self._pivot(self.start))
 
     def without_walls(self) -> WalkGraph:
         """The same measurements without the plan."""
         other = copy(self)
         other.walls = None
+        return other
+
+    def with_loose_walls(self, times: float) -> WalkGraph:
+        """The same measurements, walls ``times`` as loose."""
+        assert self.walls is not None, "there is a plan"
+        other = copy(self)
+        other.walls = replace(self.walls, sigma=times * self.walls.sigma)
         return other
 
     def without_grip(self, wild: Mask) -> WalkGraph:
@@ -227,6 +238,23 @@ class WalkGraph:
         poses = np.stack([laid.position.real, laid.position.imag, heading + laid.turned], axis=1)
         return State(poses, c), uncertain
 
+    def _pointed(self, start: State, uncertain: float) -> tuple[State, float]:
+        """The start turned as the headings say, if they know the direction better than the fixes; how well then."""
+        if not len(self.headings):
+            return start, uncertain
+        weight = self.headings.sigma**-2.0
+        sigma = float(weight.sum() ** -0.5)
+        if sigma > uncertain:
+            return start, uncertain
+        apart = wrap_angle(self.headings.heading - start.poses[self.heading_keyframe, 2])
+        turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
+        return start.turned(turn, self._pivot(start)), sigma
+
+    def _pivot(self, start: State) -> Array:
+        """The point ``(2,)`` about which the fixes let a start be turned. [m]"""
+        held = self.fix_keyframe[self.fix_used] if self.fix_used.any() else [0]
+        return start.poses[held, :2].mean(axis=0)
+
     def _gaps(self) -> Array:
         """How far the walker may have gone unrecorded from each segment to the next ``(s - 1,)`` [m]."""
         lost = np.flatnonzero(self.steps.length == 0)
@@ -237,7 +265,7 @@ class WalkGraph:
         return gap
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
-        """Fixes, calibration, and a loose hold on the first heading for when nothing else determines it."""
+        """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
         graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
         gripping = noise.mEstimator.Huber.Create(HUBER_WIDTH)
         slipping = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
@@ -252,13 +280,19 @@ class WalkGraph:
         for s in range(self.segment[-1]):
             graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
 
+        for n, (heading, sigma) in enumerate(zip(self.headings.heading, self.headings.sigma, strict=True)):
+            compass = noise.Robust.Create(gripping, noise.Isotropic.Sigma(1, sigma))
+            at = X(int(self.heading_keyframe[n]))
+            graph.add(gtsam.PoseRotationPrior2D(at, gtsam.Pose2(0.0, 0.0, heading), compass))
+
         if self.fix_used.any():
             heading = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
-            graph.add(gtsam.PoseRotationPrior2D(X(0), heading, noise.Isotropic.Sigma(1, self.sigma_heading)))
+            graph.add(gtsam.PoseRotationPrior2D(X(0), heading, noise.Isotropic.Sigma(1, ANY_HEADING)))
         else:
             size = FRAME_SIGMA if self.floor is None else self.floor.size
-            sigma = np.array([size, size, FRAME_SIGMA if self.floor is None else ANY_HEADING])
-            graph.add(gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), noise.Diagonal.Sigmas(sigma)))
+            turn = FRAME_SIGMA if self.floor is None and not len(self.headings) else ANY_HEADING
+            origin = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
+            graph.add(gtsam.PriorFactorPose2(X(0), origin, noise.Diagonal.Sigmas(np.array([size, size, turn]))))
         return graph
 
 
@@ -266,6 +300,12 @@ def _freshness(fixes: Fixes, steps: Steps) -> tuple[Mask, Array]:
     """Which fixes are used, and their sigma: one shortly outside the recording holds at its end, less exactly."""
     overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
     return overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
+
+
+def _within(headings: Headings, steps: Steps) -> Headings:
+    """The headings that were measured while the recording ran."""
+    inside = (headings.time >= steps.start) & (headings.time <= steps.end)
+    return Headings(headings.time[inside], headings.heading[inside], headings.sigma[inside])
 
 
 def _nearest(sorted_times: Array, time: Array) -> Index:

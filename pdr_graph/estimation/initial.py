@@ -15,13 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, wrap_angle
-from pdr_graph.types import Array, Fixes, Index, Steps, Trajectory
-
-Complex = NDArray[np.complex128]
+from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
 
 SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
 SIGMA_CHANGE = 0.2  # [rad, ratio] by which direction and scale change between segments

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from pdr_graph.estimation.directions import directions
 from pdr_graph.estimation.factors import Evaluation
-from pdr_graph.estimation.graph import AMBIGUOUS, WalkGraph
+from pdr_graph.estimation.graph import WalkGraph
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
 SETTLED = 3e-5  # the cost has settled when an iteration takes less than this share, or this much, off it
 LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, whose pull is local
+LOOSE = 3.0  # times as loosely walls hold at first: hard walls keep a walk that starts 3° off in the wrong aisle
 WILD = 5.0  # [σ] beyond which a fix loses its grip in the second pass
-STARTS = 8
-SIGMA_START = 0.6  # [rad] of each start's share of the circle: the shares overlap
 UNLIKELY = 12.0  # cost above the best at which another solution is not worth mentioning
 DIFFERENT = 0.5  # [m] apart at some step: another solution
 
@@ -24,9 +24,11 @@ DIFFERENT = 0.5  # [m] apart at some step: another solution
 def solutions(graph: WalkGraph) -> list[Optimum]:
     """The most probable walk first, then different ones that are not hopeless.
 
-    Where fixes leave the walk's direction open (one fix; two at the ends of a loop), it is started in several.
+    Where the measurements leave the walk's direction open (one fix; two at the ends of a loop), it is started in
+    several.
     """
-    return _distinct([optimum for start in _starts(graph) for optimum in _robustly(start)])
+    starts = [graph.turned(angle) if angle else graph for angle in directions(graph)]
+    return _distinct([optimum for start in starts for optimum in _robustly(start)])
 
 
 @dataclass(frozen=True)
@@ -103,15 +105,10 @@ def _robustly(graph: WalkGraph) -> list[Optimum]:
     if graph.walls is None and not wild.any():
         return [in_the_open]
     robust = graph.without_grip(wild) if wild.any() else graph
-    starts = [in_the_open.values] if graph.walls is None else [start, in_the_open.values]
-    return [optimize(robust, values) for values in starts]
-
-
-def _starts(graph: WalkGraph) -> list[WalkGraph]:
-    """The graph started where its fixes lay it; where they leave its direction open, in every direction."""
-    if graph.sigma_direction < AMBIGUOUS or not graph.fix_used.any():
-        return [graph]
-    return [graph.turned(turn, SIGMA_START) for turn in np.arange(STARTS) * 2 * np.pi / STARTS]
+    if graph.walls is None:
+        return [optimize(robust, in_the_open.values)]
+    loosely = [optimize(robust.with_loose_walls(LOOSE), values) for values in (start, in_the_open.values)]
+    return [optimize(robust, first.values) for first in loosely]
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:

@@ -28,7 +28,9 @@ def warnings(graph: WalkGraph, explanations: int, converged: bool, calibration: 
     used, given = int(graph.fix_used.sum()), len(graph.fixes)
     warned = {
         "no position fix: the track starts at (0, 0) with heading 0": used == 0,
-        "one position fix: the direction of the walk is unknown, heading 0 was assumed": used == 1 and not graph.walls,
+        "one position fix: the direction of the walk is unknown, heading 0 was assumed": used == 1
+        and not graph.walls
+        and not len(graph.headings),
         "no fix lies near the floor plan: its walls were not used": bool(used and graph.floor and not graph.walls),
         f"{given - used} fixes lie outside the recording and were not used": used < given,
         f"{explanations} different walks explain the measurements; the covariance spans them": explanations > 1,

@@ -29,7 +29,7 @@ BOUNCE = (
     (6, "up", 0.0004, 1.0),
     (8, "up", 0.0002, 0.0),
     (1, "up", 0.0035, 1.2),  # nobody's legs are quite alike
-    (2, "forward", 0.0085, 1.9),
+    (2, "forward", 0.0055, -2.1),  # braked from the landing on, pushed before the next
     (4, "forward", 0.0012, 0.5),
     (1, "right", 0.0200, 0.0),
     (3, "right", 0.0015, 0.6),
@@ -85,7 +85,7 @@ HOLDS = {
         spread=0.25,
         hinge=(0.11, 0.0, 0.28),
         lever=(0.02, 0.13, -0.62),
-        swings=((1, "right", 0.24, 0.0), (2, "right", 0.02, 1.0), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
+        swings=((1, "right", 0.24, 0.0), (2, "right", 0.002, -2.2), (1, "up", 0.08, 0.7), (1, "forward", 0.04, 0.2)),
         bounce=0.85,
         shock=(2.2, 8.0, 0.05),
         wander=(0.06, 0.06),
@@ -95,7 +95,7 @@ HOLDS = {
         spread=0.30,
         hinge=(0.06, 0.03, -0.02),
         lever=(0.04, 0.10, -0.22),
-        swings=((1, "right", 0.24, 0.3), (2, "right", 0.06, 1.2), (3, "right", 0.06, 2.2), (1, "up", 0.06, 1.0)),
+        swings=((1, "right", 0.24, 0.3), (2, "right", 0.06, -1.7), (3, "right", 0.06, 2.2), (1, "up", 0.06, 1.0)),
         bounce=1.10,
         shock=(24.0, 7.0, 0.09),
         one_sided=(0.4, 0.08),
@@ -118,7 +118,7 @@ HOLDS = {
         spread=1.5,  # anyhow
         hinge=(0.10, -0.03, 0.25),
         lever=(0.08, 0.0, -0.55),
-        swings=((1, "right", 0.05, 0.9), (2, "right", 0.04, 2.0), (1, "forward", 0.05, 0.3), (1, "up", 0.06, 1.5)),
+        swings=((1, "right", 0.05, 0.9), (2, "right", 0.02, -2.2), (1, "forward", 0.05, 0.3), (1, "up", 0.06, 1.5)),
         bounce=1.12,
         shock=(9.0, 7.0, 0.07),
         one_sided=(0.4, 0.03),

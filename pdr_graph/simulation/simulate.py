@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.earth import earth_field
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate, unit, wrap_angle
 from pdr_graph.simulation import sensors
@@ -14,7 +15,7 @@ from pdr_graph.simulation.carrying import Motion, carry
 from pdr_graph.simulation.radio import BLUETOOTH, WIFI, SatelliteFixes, heard, satellites
 from pdr_graph.simulation.scenario import GivenFixes, Scenario
 from pdr_graph.simulation.walker import Walker
-from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal, Trajectory
+from pdr_graph.types import Fixes, Recording, Sightings, Signal, Trajectory
 
 WILD = 8.0  # [σ] by which a wild position is off
 SLOWEST = 100.0  # [Hz] at which the movement is made, however slowly the phone samples it
@@ -85,7 +86,8 @@ def simulate(scenario: Scenario) -> Simulation:
     # What the phone feels, and what it logs
     motion = carry(body, walker, streams[2])
     signals = sensors.imu(motion, phone.clock, streams[3])
-    field = sensors.MagneticField.drawn(place, earths_field(frame, scenario.start), phone.disturbance)
+    lon, lat = frame.to_lonlat(np.zeros((1, 2)))[0]
+    field = sensors.MagneticField.drawn(place, earth_field(lat, lon, scenario.start).vector, phone.disturbance)
     signals["magnetometer"] = sensors.magnetometer(motion, body.position, field, phone.clock, streams[4])
     slow_clock = sensors.Clock(rate=phone.barometer_rate)
     signals["barometer"] = sensors.barometer(motion, phone.altitude, slow_clock, streams[5])
@@ -103,16 +105,6 @@ def simulate(scenario: Scenario) -> Simulation:
         wifi=heard(body, scenario.access_points, WIFI, streams[9], place) if scenario.access_points else None,
         given=_known_positions(body, scenario.given, streams[7]) if scenario.given else None,
     )
-
-
-def earths_field(frame: Frame, epoch: float) -> Array:
-    """The field ``(3,)`` of the World Magnetic Model at a frame's origin, east, north, up. [µT]"""
-    from pygeomag import GeoMag  # here, since only simulations need it so far
-
-    lon, lat = frame.to_lonlat(np.zeros((1, 2)))[0]
-    year = 1970 + epoch / (365.25 * 86400)
-    model = GeoMag().calculate(glat=lat, glon=lon, alt=0.0, time=year, allow_date_outside_lifespan=True)
-    return np.array([model.y, model.x, -model.z]) / 1000
 
 
 def _known_positions(body: Body, given: GivenFixes, random: np.random.Generator) -> Fixes:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.types import Fixes, Trajectory
 
@@ -84,6 +84,19 @@ def test_smoothing_beats_straight_lines_between_the_waypoints_given(walks, with_
     assert np.median(straight) > 1.5
     assert np.median(errors) < 1.2
     assert np.percentile(errors, 95) < 2.6
+
+
+def test_one_waypoint_a_compass_and_the_plan_find_the_walk(walks):
+    """The first waypoint alone: half of the others within 2.5 m and nearly all in the right aisle."""
+    errors = []
+    for path, walk in walks.items():
+        plan, truth = FloorPlan.load(path.parent), walk.truth
+        headings = magnetic_headings(walk, plan.frame, np.zeros(2))
+        graph = WalkGraph(detect_steps(walk), given(walk, np.array([0])), headings=headings, floor=plan)
+        asked = Trajectory(truth.time[1:], truth.position[1:], truth.heading[1:], ("",) * (len(truth) - 1))
+        errors += circular_error(pair(smooth(graph).trajectory, asked)).tolist()
+    assert np.median(errors) < 2.5
+    assert np.percentile(errors, 90) < 7.0
 
 
 def test_damaged_copies_are_refused_in_one_line(walks, tmp_path):

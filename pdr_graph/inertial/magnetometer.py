@@ -1,0 +1,108 @@
+"""The magnetometer: its calibration, and two tests of whether it tells north."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import least_squares
+
+from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.types import Array
+
+SMOOTHING = 0.5  # [s] of the Gaussian over the field's noise and the gait
+PREDICTED_OVER = 1.0  # [s] over which the gyroscope predicts the field
+MOST_SAMPLES = 3000  # of a fit
+USUAL_HARD, USUAL_SOFT = 300.0, 0.1  # [µT], [-] standard deviations of a phone's own, before any calibration
+WELL_KNOWN = 3.0  # [µT] standard deviation of a hard iron that is worth taking away
+INDEPENDENT = 100  # of the samples in a building
+UPPER = np.triu_indices(3)
+USUAL_SPREAD = 3.0  # [µT] of the field's size about the ellipsoid, in a building: the width of the fit's robust loss
+
+
+@dataclass(frozen=True)
+class Iron:
+    """What the phone itself does to the field.
+
+    hard: ``(3,)`` added by magnets [µT]; soft: ``(3, 3)`` symmetric, takes away what iron bends; sigma: ``(3,)``
+    standard deviations of ``hard``. field = soft (measured − hard).
+    """
+
+    hard: Array
+    soft: Array
+    sigma: Array
+
+    @property
+    def known(self) -> bool:
+        """True if the phone was turned enough ways to tell."""
+        return bool(np.all(self.sigma < WELL_KNOWN))
+
+    def corrected(self, measured: Array) -> Array:
+        """The field ``(n, 3)`` around the phone of the measured ``(n, 3)``. [µT]"""
+        return (measured - self.hard) @ self.soft
+
+
+def fit_iron(measured: Array, magnitude: float) -> Iron:
+    """Hard and soft iron of samples ``(n, 3)`` that were taken while the phone was turned all ways. [µT]
+
+    In one place the field has one size, so that the samples lie on an ellipsoid; a robust least squares finds the one
+    that the sphere of ``magnitude`` [µT] becomes. Its covariance says what the turns did not tell.
+    """
+    some = measured[:: max(1, len(measured) // MOST_SAMPLES)]
+    spread = np.concatenate([np.full(3, USUAL_HARD), np.full(6, USUAL_SOFT)])
+    usual = np.concatenate([np.zeros(3), np.eye(3)[UPPER]])
+    # a building's field is the same over many samples in a row: they do not count as so many
+    share = np.sqrt(min(1.0, INDEPENDENT / len(some)))
+
+    def residuals(x: Array) -> Array:
+        length = np.linalg.norm((some - x[:3]) @ _symmetric(x[3:]), axis=1)
+        return np.concatenate([share * (length - magnitude) / USUAL_SPREAD, (x - usual) / spread])
+
+    start = np.concatenate([np.median(some, axis=0), usual[3:]])
+    fit = least_squares(residuals, start, loss="cauchy", f_scale=share)
+    sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))[:3])
+    return Iron(fit.x[:3], _symmetric(fit.x[3:]), sigma)
+
+
+def predicted(field: Array, angular_rate: Array, period: float) -> Array:
+    """[gps-dr] Eqs. (1)–(3): the field ``(n, 3)`` that the gyroscope expects next, m' = m − (ω × m) Δt. [µT]
+
+    field ``(n, 3)`` [µT] and angular_rate ``(n, 3)`` [rad/s] in device axes; row k is expected at sample k + 1.
+    """
+    return field - np.cross(angular_rate, field) * period
+
+
+def dip_error(field: Array, dip: float) -> Array:
+    """[gps-dr] Sec. 3, first test: by how much ``(n,)`` the field dips otherwise than the earth's. [rad]
+
+    field: ``(n, 3)`` in the attitude's world, z up; dip: below the horizon [rad]. The angle between the field and
+    gravity, which points down, is 90° − dip.
+    """
+    return np.abs(np.arctan2(-field[:, 2], np.hypot(field[:, 0], field[:, 1])) - dip)
+
+
+def prediction_error(field: Array, period: float, over: float = PREDICTED_OVER) -> Array:
+    """[gps-dr] Sec. 3, second test: the angle ``(n,)`` between the field and the one that the gyroscope predicts. [rad]
+
+    field: ``(n, 3)`` in the attitude's world. The paper predicts one sample by `predicted`; there the sensor's noise
+    is larger than any disturbance, so that we let the attitude predict a second: in the world, the field of a second
+    before.
+    """
+    lag = min(max(1, round(over / period)), len(field) - 1)
+    one, other = field[lag:], field[:-lag]
+    angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.sum(one * other, axis=1))
+    return np.concatenate([np.repeat(angle[:1], lag), angle])
+
+
+def field_in_world(attitude: Attitude, device: Array) -> Array:
+    """The field ``(n, 3)`` in the attitude's world, without the sensor's noise, of device axes ``(n, 3)``. [µT]"""
+    world = attitude.R_world_device.apply(device)
+    return gaussian_filter1d(world, SMOOTHING / attitude.period, axis=0, mode="nearest")
+
+
+def _symmetric(upper: Array) -> Array:
+    """The symmetric matrix ``(3, 3)`` of its upper triangle ``(6,)``."""
+    matrix = np.zeros((3, 3))
+    matrix[UPPER] = upper
+    return matrix + np.triu(matrix, 1).T

@@ -1,0 +1,103 @@
+"""Directions from outside the fixes: a compass, and the corridors of a plan."""
+
+import gtsam
+import numpy as np
+import pytest
+import shapely
+from walks import dead_reckon, fixes_at, square_walk, steps_of, wandering_walk
+
+from pdr_graph import Headings, kalman_filter, smooth
+from pdr_graph.estimation.directions import directions
+from pdr_graph.estimation.graph import State, WalkGraph
+from pdr_graph.floor.areas import Area
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import wrap_angle
+
+
+def told(time, heading, sigma=0.2):
+    time = np.atleast_1d(np.asarray(time, dtype=float))
+    return Headings(time, np.resize(heading, len(time)).astype(float), np.full(len(time), sigma))
+
+
+@pytest.mark.parametrize(("estimate_by", "within"), [(smooth, 0.2), (kalman_filter, 1.2)])
+def test_a_fix_and_a_heading_make_a_walk(estimate_by, within):
+    """Where neither alone can: the track starts at the fix and goes where the heading says, the filter's from there."""
+    steps = wandering_walk(40)
+    heading = dead_reckon(steps, heading=2.0).heading
+    headings = told(steps.time[20], heading[21])
+    truth = dead_reckon(steps, fixes_at([0.0], [[5.0, 5.0]]), heading=2.0)
+    track = estimate_by(WalkGraph(steps, fixes_at([0.0], [[5.0, 5.0]], 0.5), headings=headings)).trajectory
+    assert track.position[-1] == pytest.approx(truth.position[-1], abs=within)
+    assert np.sqrt(track.covariance[-1, 2, 2]) == pytest.approx(0.24, abs=0.05)
+
+
+def test_headings_are_weighed_by_their_sigmas():
+    """Of two, 0.1 and 0.2 rad, the first has four fifths: the direction of a straight walk is their mean."""
+    steps = steps_of(np.full(30, 0.7), np.zeros(30), sigma_turn=1e-4)
+    headings = Headings(np.array([2.0, 12.0]), np.array([1.0, 1.5]), np.array([0.1, 0.2]))
+    track = smooth(WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]]), headings=headings)).trajectory
+    assert np.mean(track.heading) == pytest.approx(1.1, abs=0.03)
+
+
+def test_good_fixes_outvote_a_compass_that_is_wrong_all_the_way():
+    steps = wandering_walk(80)
+    truth = dead_reckon(steps)
+    fixes = fixes_at(truth.time[::10], truth.position[::10], 0.5)
+    estimate = smooth(WalkGraph(steps, fixes, headings=told(steps.time[40], truth.heading[41] + np.pi)))
+    assert np.hypot(*(estimate.trajectory.position - truth.position).T).max() < 0.5
+
+
+def test_gtsam_and_our_loop_agree_on_headings():
+    steps = wandering_walk(25)
+    graph = WalkGraph(steps, fixes_at([0.0], [[1.0, 2.0]]), headings=told(steps.time[12], 1.0))
+    optimum = gtsam.LevenbergMarquardtOptimizer(graph.to_gtsam(), graph.start.to_values()).optimize()
+    ours = smooth(graph).trajectory
+    assert State.of(optimum).poses[-1, :2] == pytest.approx(ours.position[-1], abs=1e-3)
+
+
+def test_headings_outside_the_recording_are_left_out():
+    steps = wandering_walk(10)
+    graph = WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]]), headings=told([-3.0, 1e4], 1.0))
+    assert len(graph.headings) == 0
+
+
+def test_headings_that_are_no_numbers_are_refused():
+    with pytest.raises(ValueError, match=r"Headings\.heading: found row 0"):
+        told(1.0, np.nan)
+    with pytest.raises(ValueError, match="above 0 rad"):
+        told(1.0, 1.0, sigma=0.0)
+
+
+def crossing():
+    """Two corridors, 3 m wide, that meet at the origin: along +x and along +y."""
+    shape = shapely.union(shapely.box(-1.5, -1.5, 60, 1.5), shapely.box(-1.5, -1.5, 1.5, 25))
+    return FloorPlan("", (Area("corridor", "", shape),), Frame())
+
+
+def test_a_walk_sets_off_along_a_corridor():
+    """40 m straight on from the corner: only one of the two corridors is long enough."""
+    steps = steps_of(np.full(57, 0.7), np.zeros(57))
+    graph = WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), floor=crossing())
+    turned = wrap_angle(directions(graph) + graph.start.poses[0, 2])
+    assert abs(turned[0]) < 0.1
+    track = smooth(graph).trajectory
+    assert track.position[-1] == pytest.approx([39.9, 0.0], abs=3.0)
+
+
+def test_a_compass_tells_two_corridors_apart():
+    """A walk of 15 m fits into both."""
+    steps = steps_of(np.full(21, 0.7), np.zeros(21))
+    for heading, end in ((0.2, [14.7, 0.0]), (1.4, [0.0, 14.7])):
+        graph = WalkGraph(
+            steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), headings=told(steps.time[10], heading, 0.25), floor=crossing()
+        )
+        assert smooth(graph).trajectory.position[-1] == pytest.approx(end, abs=1.5)
+
+
+def test_any_direction_is_tried_where_nothing_tells_and_one_where_fixes_do():
+    steps = square_walk()
+    assert len(directions(WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]])))) == 8
+    track = dead_reckon(steps)
+    assert len(directions(WalkGraph(steps, fixes_at(track.time[::10], track.position[::10])))) == 1
+    assert len(directions(WalkGraph(steps))) == 1

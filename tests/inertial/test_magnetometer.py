@@ -1,0 +1,132 @@
+"""The magnetometer against fields that are known exactly."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pdr_graph.earth import EarthField, earth_field
+from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.inertial.magnetometer import dip_error, field_in_world, fit_iron, predicted, prediction_error
+from pdr_graph.inertial.north import magnetic_north
+
+PERIOD = 0.02
+EARTH = EarthField(magnitude=48.0, declination=0.1, dip=1.0)
+SOFT = np.eye(3) + 0.05 * np.array([[1.0, 0.5, 0.2], [0.5, -1.0, 0.3], [0.2, 0.3, 0.4]])
+HARD = np.array([30.0, -120.0, 60.0])
+
+
+def measured(turned, noise=0.5):
+    """What a phone with iron of its own says of a constant field."""
+    field = turned.inv().apply(EARTH.vector) @ np.linalg.inv(SOFT) + HARD
+    return field + np.random.default_rng(0).normal(0, noise, field.shape)
+
+
+def walk_with(yaw, disturbance=0.0):
+    """A level phone that turns so, its attitude by a gyroscope alone (its world is 0.7 rad off), and the field."""
+    truth = Rotation.from_euler("z", np.asarray(yaw)[:, None])
+    attitude = Attitude(
+        PERIOD * np.arange(len(yaw)), PERIOD, Rotation.from_euler("z", 0.7) * truth, np.zeros((len(yaw), 3)), None
+    )
+    return attitude, truth.inv().apply(EARTH.vector + disturbance)
+
+
+def test_the_models_field_is_noaas():
+    """Nuremberg at the end of 2026, by NOAA's calculator: 48.9 µT, 65.3° down, 4.2° east."""
+    field = earth_field(49.45, 11.08, 1.797e9)
+    assert field.magnitude == pytest.approx(48.9, abs=0.3)
+    assert np.degrees(field.dip) == pytest.approx(65.3, abs=0.4)
+    assert np.degrees(field.declination) == pytest.approx(4.2, abs=0.4)
+    assert np.linalg.norm(field.vector) == pytest.approx(field.magnitude)
+
+
+@pytest.mark.parametrize("epoch", [None, 0.0, 1.2e9, 1.9e9, 4e9])
+def test_any_date_has_a_field(epoch):
+    assert 20 < earth_field(35.0, 135.0, epoch).magnitude < 70
+
+
+def test_iron_is_found_when_the_phone_is_turned_all_ways():
+    iron = fit_iron(measured(Rotation.random(3000, random_state=1)), EARTH.magnitude)
+    assert iron.known
+    assert iron.hard == pytest.approx(HARD, abs=4 * iron.sigma.max())
+    assert iron.hard == pytest.approx(HARD, abs=0.5)
+    assert iron.soft == pytest.approx(SOFT, abs=0.01)
+    assert np.linalg.norm(iron.corrected(measured(Rotation.random(50))), axis=1) == pytest.approx(48.0, abs=3.0)
+
+
+def test_iron_survives_a_magnet_in_passing():
+    field = measured(Rotation.random(3000, random_state=1))
+    field[:300] += [90.0, 0.0, 0.0]
+    assert fit_iron(field, EARTH.magnitude).hard == pytest.approx(HARD, abs=3.0)
+
+
+def test_iron_stays_unknown_to_a_phone_that_turns_about_one_axis():
+    """What lies along that axis is anybody's guess (the field may point up or down), and the fit says so."""
+    iron = fit_iron(measured(Rotation.from_euler("z", np.linspace(0, 20, 2000)[:, None])), EARTH.magnitude)
+    assert not iron.known
+    assert iron.hard[:2] == pytest.approx(HARD[:2], abs=3.0)
+
+
+def test_the_gyroscope_predicts_the_field():
+    """[gps-dr] Eqs. (1)–(3) against the exact rotation: the error is of second order."""
+    random = np.random.default_rng(0)
+    rate, field = random.normal(0, 1.0, (50, 3)), random.normal(0, 30.0, (50, 3))
+    exact = Rotation.from_rotvec(-rate * 0.01).apply(field)
+    assert np.abs(predicted(field, rate, 0.01) - exact).max() < np.linalg.norm(field, axis=1).max() * 5e-4
+    assert np.abs(predicted(field, rate, 0.01) - field).max() > 0.5
+
+
+def test_an_undisturbed_field_passes_both_tests_however_the_phone_turns():
+    attitude, device = walk_with(np.linspace(0, 9, 800))
+    world = field_in_world(attitude, device)
+    assert dip_error(world, EARTH.dip).max() < 1e-6
+    assert prediction_error(world, PERIOD).max() < 1e-6
+
+
+def test_the_dip_is_counted_from_the_horizon_not_from_gravity():
+    """A field that dips by 1.0 rad and is taken for one of 0.4."""
+    world = np.tile(EARTH.vector, (5, 1))
+    assert dip_error(world, 0.4) == pytest.approx(0.6)
+
+
+def test_a_field_that_turns_by_itself_fails_the_prediction():
+    attitude, device = walk_with(np.zeros(1000))
+    passing = Rotation.from_euler("z", np.clip(np.arange(1000) - 500, 0, 50)[:, None] * 0.02)  # a radian in a second
+    error = prediction_error(field_in_world(attitude, passing.apply(device)), PERIOD)
+    assert error[:440].max() < 0.01
+    assert error[540:550].min() > 0.3
+
+
+def test_north_is_true_north():
+    """The declination is taken off: magnetic north lies 0.1 rad to the right of true north."""
+    attitude, device = walk_with(np.linspace(0, 6, 3000))
+    north = magnetic_north(attitude, device, EARTH)
+    assert north.direction == pytest.approx(np.pi / 2 + 0.7, abs=1e-6)
+    assert np.all(north.sigma < 0.2)
+
+
+def test_the_gyroscope_carries_north_past_steel():
+    """A third of the walk in a field that dips too much: left out, and less sure there."""
+    yaw = np.linspace(0, 6, 6000)
+    attitude, device = walk_with(yaw)
+    _, bent = walk_with(yaw, np.array([25.0, 0.0, -60.0]))
+    device[2000:4000] = bent[2000:4000]
+    north = magnetic_north(attitude, device, EARTH)
+    assert north.direction == pytest.approx(np.pi / 2 + 0.7, abs=0.05)
+    assert north.sigma[60] > north.sigma[30]
+
+
+def test_a_compass_that_is_never_right_says_nothing():
+    attitude, device = walk_with(np.linspace(0, 6, 3000), np.array([0.0, 0.0, 60.0]))
+    assert len(magnetic_north(attitude, device, EARTH)) == 0
+
+
+def test_north_is_as_sure_as_it_says():
+    """Two hundred walks past steel that changes every few metres: errors in sigmas have a spread of about one."""
+    errors = []
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        steel = np.repeat(random.normal(0, 4.0, (24, 3)), 125, axis=0)  # of 2.5 s each
+        attitude, device = walk_with(np.linspace(0, 6, 3000), steel)
+        north = magnetic_north(attitude, device, EARTH)
+        errors.append((north.direction[30] - np.pi / 2 - 0.7) / north.sigma[30])
+    assert 0.5 < np.std(errors) < 1.2
