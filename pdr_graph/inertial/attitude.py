@@ -82,12 +82,12 @@ def tilt(recording: Recording) -> Attitude:
 
 
 def upright(up: Array) -> Rotation:
-    """The shortest rotations of vectors ``(n, 3)`` onto z: by π about the line halfway between, and by π about z."""
-    up = up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
-    half = up + np.array([0.0, 0.0, 1.0])
-    half[np.linalg.norm(half, axis=1) < 1e-6] = (1.0, 0.0, 0.0)
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
-    return Rotation.from_rotvec([0.0, 0.0, np.pi]) * Rotation.from_rotvec(np.pi * half)
+    """The shortest rotations of vectors ``(n, 3)`` onto z; of one that points straight down, about x."""
+    length = np.linalg.norm(up, axis=1)
+    w = length + up[:, 2]
+    down = w < 1e-9 * (length + 1e-9)
+    x, y = np.where(down, 1.0, up[:, 1]), np.where(down, 0.0, -up[:, 0])
+    return Rotation.from_quat(np.stack([x, y, np.zeros(len(up)), np.where(down, 0.0, w)], axis=1))
 
 
 def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:

@@ -13,7 +13,7 @@ from pdr_graph.types import Array
 
 SMOOTHING = 0.5  # [s] of the Gaussian over the field's noise and the gait
 PREDICTED_OVER = 1.0  # [s] over which the gyroscope predicts the field
-MOST_SAMPLES = 3000  # of a fit
+MOST_SAMPLES, MOST_EVALUATIONS = 600, 60  # of a fit; where the turns tell little it would go on and on
 USUAL_HARD, USUAL_SOFT = 300.0, 0.1  # [µT], [-] standard deviations of a phone's own, before any calibration
 WELL_KNOWN = 3.0  # [µT] standard deviation of a hard iron that is worth taking away
 INDEPENDENT = 100  # of the samples in a building
@@ -49,7 +49,7 @@ def fit_iron(measured: Array, magnitude: float) -> Iron:
     In one place the field has one size, so that the samples lie on an ellipsoid; a robust least squares finds the one
     that the sphere of ``magnitude`` [µT] becomes. Its covariance says what the turns did not tell.
     """
-    some = measured[:: max(1, len(measured) // MOST_SAMPLES)]
+    some = measured[:: max(1, -(-len(measured) // MOST_SAMPLES))]
     spread = np.concatenate([np.full(3, USUAL_HARD), np.full(6, USUAL_SOFT)])
     usual = np.concatenate([np.zeros(3), np.eye(3)[UPPER]])
     # a building's field is the same over many samples in a row: they do not count as so many
@@ -60,8 +60,8 @@ def fit_iron(measured: Array, magnitude: float) -> Iron:
         return np.concatenate([share * (length - magnitude) / USUAL_SPREAD, (x - usual) / spread])
 
     start = np.concatenate([np.median(some, axis=0), usual[3:]])
-    fit = least_squares(residuals, start, loss="cauchy", f_scale=share)
-    sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))[:3])
+    fit = least_squares(residuals, start, loss="cauchy", f_scale=share, max_nfev=MOST_EVALUATIONS)
+    sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))[:3]) if fit.success else np.full(3, np.inf)
     return Iron(fit.x[:3], _symmetric(fit.x[3:]), sigma)
 
 

@@ -1,126 +1,257 @@
 """Attitude by the methods of the papers, each a function from a recording to an `Attitude`, to be compared or chosen.
 
-They are causal, and like a live system they know nothing of the walk to come. Those with a magnetometer give attitudes
-whose world x axis is magnetic east; without one it points anywhere level. The default is `attitude.vqf_offline`.
+They are causal: behind each function stands a filter that takes the samples as they come, one by one or all at once,
+with the same result. Those with a magnetometer give attitudes whose world x axis is magnetic east; without one it
+points anywhere level. The default is `attitude.vqf_offline`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import vqf
-from scipy.ndimage import minimum_filter1d, uniform_filter1d
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import InputError
+from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude, upright
 from pdr_graph.inertial.samples import on_one_grid
-from pdr_graph.inertial.stationary import below_threshold
-from pdr_graph.types import STANDARD_GRAVITY, Array, Recording
+from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Recording
 
-GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0  # [m/s²] per root second; of one walking sample: gravity_filter's sigmas
-FIRST = 0.5  # [s] of samples that the first attitude is taken from
-LONGEST_BLOCK = 512  # samples of the integration that are multiplied one after the other
+GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0  # [m/s²] per root second; of one walking sample: GravityFilter's sigmas
+SETTLED = 1e-6  # relative: a gain that changes by less has settled
+ONLY_GYROSCOPE = {"motionBiasEstEnabled": False, "restBiasEstEnabled": False, "magDistRejectionEnabled": False}
 
 
 @dataclass(frozen=True)
-class _Samples:
-    """Sensors on one uniform grid; arrays ``(n, 3)`` in device axes."""
+class Samples:
+    """Sensors on one uniform grid, in device axes: acceleration with gravity [m/s²], angular_rate [rad/s] and
+    magnetic_field [µT], arrays ``(n, 3)``.
+    """
 
-    time: Array
-    period: float
     acceleration: Array
     angular_rate: Array
     magnetic_field: Array
 
-    def attitude(self, R_world_device: Rotation) -> Attitude:
-        """These samples with their attitude."""
-        return Attitude(self.time, self.period, R_world_device, self.acceleration, self.angular_rate)
+
+class AttitudeFilter(Protocol):
+    """An attitude method as it runs on a phone."""
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples, one or many."""
+        ...
 
 
-def accelerometer_magnetometer(recording: Recording) -> Attitude:
-    """[heading] Sec. 3.1: z along the acceleration, x = m × a, y = z × x, sample by sample; a walker's own acceleration
-    is taken for gravity. Raises InputError if a sensor is missing.
+class AccelerometerMagnetometer:
+    """[heading] Sec. 3.1: z along the acceleration, x = m × a, y = z × x, sample by sample.
+
+    A walker's own acceleration is taken for gravity.
     """
-    samples = _samples(recording, magnetometer=True)
-    return samples.attitude(_level_north(samples.acceleration, samples.magnetic_field))
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples."""
+        return _level_north(samples.acceleration, samples.magnetic_field)
 
 
-def gyro_integration(recording: Recording, start: Rotation | None = None) -> Attitude:
+class GyroIntegration:
     """[heading] Sec. 3.2: the angular rate integrated from a start attitude, [stationary-switch] Sec. 2.3 with
-    ΔR = Exp(+[ω]× ΔT) (the print has its transpose).
+    ΔR = Exp(+[ω]× ΔT) (the print has its transpose), ω the mean of two samples. By VQF's strapdown integration.
 
-    start: R_world_device of the first sample; by default level by the first half second. Raises InputError if a sensor
-    is missing.
+    start: R_world_device of the first sample; by default level by its acceleration.
     """
-    samples = _samples(recording)
-    return samples.attitude(_integrated(samples.angular_rate, samples.period, start or _first(samples)))
+
+    def __init__(self, period: float, start: Rotation | None = None):
+        self._start = start
+        self._last: Array | None = None
+        self._vqf = vqf.VQF(period, **ONLY_GYROSCOPE)
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples."""
+        if self._start is None:
+            self._start = upright(samples.acceleration[:1])[0]
+        rate = samples.angular_rate
+        before = np.concatenate([-rate[:1] if self._last is None else self._last, rate[:-1]])
+        self._last = rate[-1:]
+        mean = np.ascontiguousarray((before + rate) / 2)
+        turned = self._vqf.updateBatch(mean, np.zeros_like(mean))["quat6D"]  # it leaves out accelerations of 0
+        return compose(self._start, Rotation.from_quat(turned, scalar_first=True))
 
 
-def gravity_filter(recording: Recording) -> Attitude:
+class GravityFilter:
     """[gps-dr] Sec. 2.1: gravity by a Kalman filter that the gyroscope drives and the accelerometer corrects.
 
     In the frame that the integrated gyroscope spans gravity stands still but for the gyroscope's drift, so that the
-    filter is one of a constant vector with the same gain on all axes: a first-order low pass once it has settled. The
-    turn about gravity is the gyroscope's. Raises InputError if a sensor is missing.
+    filter is one of a constant vector with the same gain on all axes, from 1 at the first sample to that of a first-
+    order low pass once it has settled. The turn about gravity is the gyroscope's.
     """
-    samples = _samples(recording)
-    drifting = _integrated(samples.angular_rate, samples.period, _first(samples))
-    measured = drifting.apply(samples.acceleration)
-    process, noise = GRAVITY_PROCESS**2 * samples.period, GRAVITY_NOISE**2 * max(samples.period * 50, 1.0)
-    gain = (np.sqrt(process**2 + 4 * process * noise) - process) / (2 * noise)  # of the settled filter
-    begun = measured[: max(1, round(FIRST / samples.period))].mean(axis=0)
-    gravity = lfilter([gain], [1, gain - 1], measured, axis=0, zi=(1 - gain) * begun[None])[0]
-    return samples.attitude(upright(gravity) * drifting)
+
+    def __init__(self, period: float):
+        self._gyroscope = GyroIntegration(period)
+        self._process = GRAVITY_PROCESS**2 * period / (GRAVITY_NOISE**2 * max(period * 50, 1.0))  # in units of noise
+        self._variance = np.inf
+        self._gravity = np.zeros(3)
+        settled = (self._process + np.sqrt(self._process**2 + 4 * self._process)) / 2
+        self._gain = settled / (settled + 1)
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples."""
+        drifting = self._gyroscope.update(samples)
+        measured = drifting.apply(samples.acceleration)
+        gravity = np.empty_like(measured)
+        k = 0
+        while k < len(measured) and (gain := self._next_gain()) is not None:
+            self._gravity = self._gravity + gain * (measured[k] - self._gravity)
+            gravity[k] = self._gravity
+            k += 1
+        if k < len(measured):
+            initial = (1 - self._gain) * self._gravity[None]
+            gravity[k:] = lfilter([self._gain], [1, self._gain - 1], measured[k:], axis=0, zi=initial)[0]
+            self._gravity = gravity[-1]
+        return compose(upright(gravity), drifting)
+
+    def _next_gain(self) -> float | None:
+        """Of the next sample; None once it has settled."""
+        gain = 1.0 if np.isinf(self._variance) else self._variance / (self._variance + 1)
+        if gain - self._gain < SETTLED * self._gain:
+            return None
+        self._variance = gain + self._process
+        return gain
 
 
-def imu_filter(recording: Recording, gain: float = 0.05) -> Attitude:
-    """[heading] Sec. 3.3: Madgwick's filter of gyroscope and accelerometer, by imufusion (extra ``attitude``).
+class Madgwick:
+    """[heading] Sec. 3.3, the IMU filter, and 3.4, the MARG filter: Madgwick's, by imufusion (extra ``attitude``).
 
-    gain: how fast the accelerometer levels. Raises InputError if a sensor is missing.
+    gain: how fast the accelerometer levels. Raises InputError where imufusion is not installed.
     """
-    samples = _samples(recording)
-    return samples.attitude(_madgwick(samples, gain))
+
+    def __init__(self, period: float, magnetometer: bool, gain: float = 0.05):
+        try:
+            import imufusion
+        except ImportError:
+            needed = "pip install 'pdr_graph[attitude]'"
+            raise InputError("imufusion", "", "it is not installed", needed) from None
+        settings = imufusion.AhrsSettings()
+        settings.convention, settings.gain, settings.sample_rate = imufusion.CONVENTION_ENU, gain, 1 / period
+        self._ahrs, self._magnetometer = imufusion.Ahrs(), magnetometer
+        self._ahrs.set_settings(settings)
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples."""
+        ahrs, rate, force = self._ahrs, np.degrees(samples.angular_rate), samples.acceleration / STANDARD_GRAVITY
+        quaternion = np.empty((len(rate), 4))
+        if self._magnetometer:
+            for now, *sensors in zip(quaternion, rate, force, samples.magnetic_field, strict=True):
+                ahrs.update(*sensors)
+                now[:] = ahrs.get_quaternion()
+        else:
+            for now, *sensors in zip(quaternion, rate, force, strict=True):
+                ahrs.update_no_magnetometer(*sensors)
+                now[:] = ahrs.get_quaternion()
+        return Rotation.from_quat(quaternion, scalar_first=True)
 
 
-def marg_filter(recording: Recording, gain: float = 0.05) -> Attitude:
-    """[heading] Sec. 3.4: the same with a magnetometer. Raises InputError if a sensor is missing."""
-    samples = _samples(recording, magnetometer=True)
-    return samples.attitude(_madgwick(samples, gain, samples.magnetic_field))
+class Vqf:
+    """Laidig and Seel 2023, causal. magnetometer: 9-D, which rejects disturbances of the field, or else 6-D."""
+
+    def __init__(self, period: float, magnetometer: bool):
+        self._vqf, self._magnetometer = vqf.VQF(period), magnetometer
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples."""
+        rate, force = samples.angular_rate, samples.acceleration
+        if self._magnetometer:
+            quaternion = self._vqf.updateBatch(rate, force, samples.magnetic_field)["quat9D"]
+        else:
+            quaternion = self._vqf.updateBatch(rate, force)["quat6D"]
+        return Rotation.from_quat(quaternion, scalar_first=True)
+
+
+class Switching:
+    """[stationary-switch] Sec. 2.5: accelerometer and magnetometer where |ω| ≤ λ, else the gyroscope from there on.
+
+    threshold: λ [rad/s], from `stationary.learnt_threshold`; 0 never switches. shortest: rest in samples, over which
+    the two sensors are then averaged; the paper's is 1.
+    """
+
+    def __init__(self, period: float, threshold: float, shortest: int = 1):
+        self._gyroscope = GyroIntegration(period)
+        self._threshold, self._shortest = threshold, shortest
+        nothing = np.zeros((shortest - 1, 3))
+        self._recent = Samples(nothing, nothing + np.inf, nothing)
+        self._correction: Rotation | None = None
+
+    def update(self, samples: Samples) -> Rotation:
+        """R_world_device of the next samples."""
+        drifting = self._gyroscope.update(samples)
+        if self._correction is None:
+            begun = _level_north(samples.acceleration[:1], samples.magnetic_field[:1])[0]
+            self._correction = begun * drifting[0].inv()
+        rest, up, field = self._calm(samples)
+        seen = np.flatnonzero(rest)
+        begun = Rotation.from_quat(drifting.as_quat()[seen].reshape(-1, 4))
+        absolute = compose(_level_north(up[seen], field[seen]), begun.inv())
+        corrections = np.concatenate([self._correction.as_quat()[None], absolute.as_quat().reshape(-1, 4)])
+        self._correction = Rotation.from_quat(corrections[-1])
+        return compose(Rotation.from_quat(corrections[np.cumsum(rest)]), drifting)
+
+    def _calm(self, samples: Samples) -> tuple[Mask, Array, Array]:
+        """Whether the last samples up to each were all at rest, and their means of acceleration and field."""
+        pairs = zip(_fields(self._recent), _fields(samples), strict=True)
+        window = Samples(*(np.concatenate(pair) for pair in pairs))
+        self._recent = Samples(*(values[len(samples.acceleration) :] for values in _fields(window)))
+        below = np.linalg.norm(window.angular_rate, axis=1, keepdims=True) <= self._threshold
+        share, up, field = (self._mean(v) for v in (below.astype(float), window.acceleration, window.magnetic_field))
+        return share[:, 0] == 1, up, field
+
+    def _mean(self, values: Array) -> Array:
+        """Of the last rows up to each, without those of the window's beginning."""
+        total = np.cumsum(values, axis=0)
+        total[self._shortest :] -= total[: -self._shortest].copy()
+        return total[self._shortest - 1 :] / self._shortest
+
+
+def accelerometer_magnetometer(recording: Recording) -> Attitude:
+    """See `AccelerometerMagnetometer`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: AccelerometerMagnetometer(), magnetometer=True)
+
+
+def gyro_integration(recording: Recording, start: Rotation | None = None) -> Attitude:
+    """See `GyroIntegration`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: GyroIntegration(period, start))
+
+
+def gravity_filter(recording: Recording) -> Attitude:
+    """See `GravityFilter`. Raises InputError if a sensor is missing."""
+    return _run(recording, GravityFilter)
+
+
+def imu_filter(recording: Recording) -> Attitude:
+    """See `Madgwick`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: Madgwick(period, magnetometer=False))
+
+
+def marg_filter(recording: Recording) -> Attitude:
+    """See `Madgwick`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: Madgwick(period, magnetometer=True), magnetometer=True)
 
 
 def vqf_6d(recording: Recording) -> Attitude:
-    """Laidig and Seel 2023, causal, without a magnetometer. Raises InputError if a sensor is missing."""
-    samples = _samples(recording)
-    out = vqf.VQF(samples.period).updateBatch(samples.angular_rate, samples.acceleration)
-    return samples.attitude(Rotation.from_quat(out["quat6D"], scalar_first=True))
+    """See `Vqf`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: Vqf(period, magnetometer=False))
 
 
 def vqf_9d(recording: Recording) -> Attitude:
-    """The same with a magnetometer, whose disturbances it rejects. Raises InputError if a sensor is missing."""
-    samples = _samples(recording, magnetometer=True)
-    out = vqf.VQF(samples.period).updateBatch(samples.angular_rate, samples.acceleration, samples.magnetic_field)
-    return samples.attitude(Rotation.from_quat(out["quat9D"], scalar_first=True))
+    """See `Vqf`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: Vqf(period, magnetometer=True), magnetometer=True)
 
 
 def switching(recording: Recording, threshold: float, shortest: int = 1) -> Attitude:
-    """[stationary-switch] Sec. 2.5: accelerometer and magnetometer where |ω| ≤ λ, else the gyroscope from there on.
-
-    threshold: λ [rad/s], from `learnt_threshold`; 0 never switches. shortest: rest in samples, over which the two
-    sensors are then averaged. Raises InputError if a sensor is missing.
-    """
-    samples = _samples(recording, magnetometer=True)
-    rest = below_threshold(samples.angular_rate, threshold, shortest)
-    calm = [uniform_filter1d(v, shortest, axis=0) for v in (samples.acceleration, samples.magnetic_field)]
-    absolute = _level_north(*calm)
-    drifting = _integrated(samples.angular_rate, samples.period, absolute[0])
-    settled = minimum_filter1d(rest, shortest)  # what was averaged was all at rest
-    last = np.maximum.accumulate(np.where(settled, np.arange(len(rest)), 0))  # the sample that each starts from
-    corrected = (absolute * drifting.inv()).as_quat()[last]
-    return samples.attitude(Rotation.from_quat(corrected) * drifting)
+    """See `Switching`. Raises InputError if a sensor is missing."""
+    return _run(recording, lambda period: Switching(period, threshold, shortest), magnetometer=True)
 
 
 METHODS: dict[str, Callable[[Recording], Attitude]] = {
@@ -134,16 +265,12 @@ METHODS: dict[str, Callable[[Recording], Attitude]] = {
 }
 
 
-def _samples(recording: Recording, magnetometer: bool = False) -> _Samples:
+def _run(recording: Recording, make: Callable[[float], AttitudeFilter], magnetometer: bool = False) -> Attitude:
+    """A whole recording through a filter. make: the filter, of the period between samples."""
     names = ["accelerometer", "gyroscope", *(["magnetometer"] if magnetometer else [])]
     time, period, values = on_one_grid(recording, *names)
-    return _Samples(time, period, values[0], values[1], values[2] if magnetometer else np.empty((0, 3)))
-
-
-def _first(samples: _Samples) -> Rotation:
-    """Level by the first samples; its heading is the device's own."""
-    begun = samples.acceleration[: max(1, round(FIRST / samples.period))].mean(axis=0)
-    return upright(begun[None])[0]
+    samples = Samples(values[0], values[1], values[2] if magnetometer else np.empty((0, 3)))
+    return Attitude(time, period, make(period).update(samples), samples.acceleration, samples.angular_rate)
 
 
 def _level_north(acceleration: Array, field: Array) -> Rotation:
@@ -154,39 +281,5 @@ def _level_north(acceleration: Array, field: Array) -> Rotation:
     return Rotation.from_matrix(np.stack([x, np.cross(z, x), z], axis=1))
 
 
-def _integrated(angular_rate: Array, period: float, start: Rotation) -> Rotation:
-    """Rotations one after the other, many blocks at a time: as exact as a loop, and a hundred times as fast."""
-    mean = (angular_rate[:-1] + angular_rate[1:]) / 2 * period
-    size = max(1, min(LONGEST_BLOCK, round(np.sqrt(len(mean) or 1))))
-    blocks = -(-len(mean) // size)
-    padded = np.zeros((blocks * size, 3))
-    padded[: len(mean)] = mean
-    within = [Rotation.from_rotvec(padded[0::size])]
-    for k in range(1, size):
-        within.append(within[-1] * Rotation.from_rotvec(padded[k::size]))
-    begun = [start]
-    for turn in within[-1]:
-        begun.append(begun[-1] * turn)
-    before = Rotation.concatenate(begun[:-1])
-    after = np.stack([(before * turn).as_quat() for turn in within], axis=1).reshape(-1, 4)[: len(mean)]
-    return Rotation.from_quat(np.concatenate([start.as_quat()[None], after]))
-
-
-def _madgwick(samples: _Samples, gain: float, field: Array | None = None) -> Rotation:
-    try:
-        import imufusion
-    except ImportError:
-        needed = "pip install 'pdr_graph[attitude]'"
-        raise InputError("imufusion", "", "it is not installed", needed) from None
-    filter_, settings = imufusion.Ahrs(), imufusion.AhrsSettings()
-    settings.convention, settings.gain, settings.sample_rate = imufusion.CONVENTION_ENU, gain, 1 / samples.period
-    filter_.set_settings(settings)
-    rate, force = np.degrees(samples.angular_rate), samples.acceleration / STANDARD_GRAVITY
-    quaternion = np.empty((len(rate), 4))
-    for k in range(len(rate)):
-        if field is None:
-            filter_.update_no_magnetometer(rate[k], force[k])
-        else:
-            filter_.update(rate[k], force[k], field[k])
-        quaternion[k] = filter_.get_quaternion()
-    return Rotation.from_quat(quaternion, scalar_first=True)
+def _fields(samples: Samples) -> tuple[Array, Array, Array]:
+    return samples.acceleration, samples.angular_rate, samples.magnetic_field

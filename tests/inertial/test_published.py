@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from pdr_graph import InputError
 from pdr_graph.inertial import published
 from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.inertial.samples import on_one_grid
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Recording, Signal
@@ -60,14 +61,55 @@ def test_without_one_the_world_stays_where_it_began(walk, recording, name):
     assert np.abs(np.diff(turned)).max() < 2.0
 
 
-def test_integration_in_blocks_is_integration(recording):
-    """Against the product of all turns one after the other."""
-    attitude = published.gyro_integration(recording, Rotation.from_euler("xyz", [2.0, 1.0, 0.5]))
-    rate = attitude.angular_rate
-    turned = Rotation.from_euler("xyz", [2.0, 1.0, 0.5])
+def test_integration_is_the_product_of_all_turns(recording):
+    """One after the other, from any start attitude."""
+    start = Rotation.from_euler("xyz", [2.0, 1.0, 0.5])
+    attitude = published.gyro_integration(recording, start)
+    rate, turned = attitude.angular_rate, start
     for step in Rotation.from_rotvec((rate[:-1] + rate[1:]) / 2 * attitude.period):
         turned = turned * step
-    assert (turned.inv() * attitude.R_world_device[-1]).magnitude() < 1e-9
+    assert (attitude.R_world_device[0].inv() * start).magnitude() < 1e-9
+    assert (turned.inv() * attitude.R_world_device[-1]).magnitude() < 1e-7
+
+
+FILTERS = {
+    "accelerometer + magnetometer": lambda period: published.AccelerometerMagnetometer(),
+    "gyro integration": published.GyroIntegration,
+    "gravity filter": published.GravityFilter,
+    "IMU filter": lambda period: published.Madgwick(period, magnetometer=False),
+    "MARG filter": lambda period: published.Madgwick(period, magnetometer=True),
+    "VQF, 6-D": lambda period: published.Vqf(period, magnetometer=False),
+    "VQF, 9-D": lambda period: published.Vqf(period, magnetometer=True),
+    "switching": lambda period: published.Switching(period, 0.1),
+    "switching after a rest": lambda period: published.Switching(period, 0.3, 20),
+}
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_sample_by_sample_is_all_at_once(recording, name):
+    """The first 20 s, in ones, and in pieces of any size."""
+    _, period, values = on_one_grid(recording, *NAMES)
+    values = [v[:2000] for v in values]
+    whole = FILTERS[name](period).update(published.Samples(*values))
+    for cuts in (np.arange(1, 2000), np.array([1, 3, 7, 500, 519, 1990])):
+        live = FILTERS[name](period)
+        parts = zip(*(np.split(v, cuts) for v in values), strict=True)
+        pieces = Rotation.concatenate([live.update(published.Samples(*part)) for part in parts])
+        assert (pieces.inv() * whole).magnitude().max() < 1e-6
+
+
+def test_a_gravity_filter_is_a_kalman_filter(recording):
+    """Against the textbook's, sample by sample: a constant vector of unknown beginning."""
+    _, period, values = on_one_grid(recording, *NAMES)
+    samples = published.Samples(*(v[:1500] for v in values))
+    drifting = published.GyroIntegration(period).update(samples)
+    Q, R = published.GRAVITY_PROCESS**2 * period, published.GRAVITY_NOISE**2 * max(period * 50, 1.0)
+    g, P = np.zeros(3), 1e12
+    for z in drifting.apply(samples.acceleration):
+        P = P + Q
+        g, P = g + P / (P + R) * (z - g), P * R / (P + R)
+    up = published.GravityFilter(period).update(samples)[-1].inv().apply([0.0, 0.0, 1.0])
+    assert drifting[-1].inv().apply(g / np.linalg.norm(g)) == pytest.approx(up, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -34,3 +34,17 @@ def test_a_bias_runs_away_without_rests():
     free, held = strapdown(attitude, np.zeros_like(rest)), strapdown(attitude, rest)
     assert free.position[-1, 0] - 0.5 == pytest.approx(0.05 * 8**2 / 2, rel=0.02)
     assert held.position[-1, 0] == pytest.approx(0.5 + 0.05 * 2**2 / 2, abs=0.02)
+
+
+def test_looking_ahead_takes_a_constant_error_back():
+    """A bias is what a tilt makes of gravity: the way is exact, for every movement between two rests."""
+    attitude, rest = pushed(bias=0.05)
+    assert strapdown(attitude, rest, look_ahead=True).position[-1, 0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_looking_ahead_needs_a_rest_on_both_sides():
+    """Before the first and after the last there is nothing to look at: as without."""
+    attitude, _ = pushed(bias=0.05)
+    for rest in (TIME < 2, TIME >= 4, TIME < 0):
+        here, ahead = strapdown(attitude, rest), strapdown(attitude, rest, look_ahead=True)
+        assert ahead.position == pytest.approx(here.position)
