@@ -3,7 +3,7 @@
 import numpy as np
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, read_fixes, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, read_fixes, smooth
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
 from pdr_graph.types import Trajectory
@@ -36,7 +36,8 @@ def ipin21(data):
         fixes = read_fixes(path, walk, floor.frame)
         cells = [path.stem, percentiles(circular_error(pair(truth, fixes_as_track(fixes))))]
         for plan in (None, floor):
-            track = smooth(WalkGraph(steps, fixes, floor=plan)).trajectory
+            headings = magnetic_headings(walk, floor.frame, fixes.position[0])
+            track = smooth(WalkGraph(steps, fixes, headings=headings, floor=plan)).trajectory
             crossing = 100 * floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
             cells += [percentiles(circular_error(pair(track, truth))), coverage(track, truth), f"{crossing:.0f} %"]
         rows.append(cells)
@@ -52,19 +53,21 @@ def gnss(data):
         lon, lat = walk.fixes.position[0]
         frame = enu(lat, lon)
         truth, fixes = frame.place(walk.truth), frame.place(walk.fixes)
-        track = smooth(WalkGraph(detect_steps(walk), fixes)).trajectory
+        headings = magnetic_headings(walk, frame, fixes.position[0])
+        track = smooth(WalkGraph(detect_steps(walk), fixes, headings=headings)).trajectory
         own = percentiles(circular_error(pair(fixes_as_track(fixes), truth)))
         rows.append([path.stem, "all of the phone's", own, percentiles(circular_error(pair(track, truth)))])
         rows[-1].append(coverage(track, truth))
     walk = io.load(data / "nju_phyphox_outdoor")
     lon, lat = walk.fixes.position[0]
-    fixes = enu(lat, lon).place(walk.fixes)
-    steps = detect_steps(walk)
+    frame = enu(lat, lon)
+    fixes = frame.place(walk.fixes)
+    steps, headings = detect_steps(walk), magnetic_headings(walk, frame, fixes.position[0])
     for every in (10, 30, 60, 120):
         given = np.arange(0, len(fixes), every)
         rest = fixes_as_track(fixes[np.setdiff1d(np.arange(len(fixes)), given)])
         between = percentiles(circular_error(pair(fixes_as_track(fixes[given]), rest)))
-        track = smooth(WalkGraph(steps, fixes[given])).trajectory
+        track = smooth(WalkGraph(steps, fixes[given], headings=headings)).trajectory
         errors = percentiles(circular_error(pair(track, rest)))
         rows.append(["NJU campus", f"one in {every} s", between, errors, coverage(track, rest)])
     header = ["walk", "positions given", "straight lines between them [m]", "graph [m]", "in 90 %"]

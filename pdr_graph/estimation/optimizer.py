@@ -96,8 +96,8 @@ def _robustly(graph: WalkGraph) -> list[Optimum]:
     """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off.
 
     Which fixes are wild is asked of the walk without walls: their pull is local, and a walk that they lead astray
-    would blame the fixes. They act on the walk as the fixes lay it and on its optimum in the open; neither start is
-    always the better.
+    would blame the fixes. They act on the walk as the fixes lay it, and, loosely at first, on that and on its optimum
+    in the open; none of these is always the best.
     """
     start = graph.start.to_values()
     in_the_open = optimize(graph.without_walls(), start)
@@ -107,8 +107,9 @@ def _robustly(graph: WalkGraph) -> list[Optimum]:
     robust = graph.without_grip(wild) if wild.any() else graph
     if graph.walls is None:
         return [optimize(robust, in_the_open.values)]
-    loosely = [optimize(robust.with_loose_walls(LOOSE), values) for values in (start, in_the_open.values)]
-    return [optimize(robust, first.values) for first in loosely]
+    loose = robust.with_loose_walls(LOOSE)
+    loosely = [optimize(loose, values).values for values in (start, in_the_open.values)]
+    return [optimize(robust, values) for values in (start, *loosely)]
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:
