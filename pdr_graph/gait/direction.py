@@ -11,12 +11,11 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from pdr_graph.gait.reholds import reholds
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array
 
 WINDOW = 2.6  # [s] of the principal components: N = 65 samples at 25 Hz
-TILTING = 0.25  # [rad/s] of the device's vertical, over a stride: faster than a carried phone tilts
-REHELD = 0.5  # [rad] by which the vertical then ends elsewhere in the device: it is held otherwise
 REHOLD_SIGMA = 0.35  # [rad] what is not known of the walker's turn meanwhile
 
 
@@ -41,9 +40,9 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
 
     The turn of the phone's attitude, averaged over a stride, is the walker's: gait moves the phone to and fro, and a
     swing in an ellipse turns the integrated rate about gravity by its solid angle (coning), but not the attitude from
-    one stride to the next. Within a stride the rate about gravity tells more. Where the vertical comes to lie
-    elsewhere in the device, the phone was taken otherwise: that says nothing of the walker, who is supposed to have
-    gone straight on, give or take REHOLD_SIGMA.
+    one stride to the next. Within a stride the rate about gravity tells more. Where the phone was taken otherwise
+    (`reholds`) it says nothing of the walker, who turned as gait has it, or else went straight on, give or take
+    REHOLD_SIGMA.
     """
     samples = max(1, round(step / attitude.period))
     steady = _mean_attitude(attitude.R_world_device, 2 * samples)
@@ -51,7 +50,7 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     rate_integral = _rate_integral(attitude)
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
     heading = without_gait(rate_integral, samples) - coning
-    return _without_reholds(heading - heading[0], steady, samples, attitude.period)
+    return _without_reholds(heading - heading[0], attitude, steady, step)
 
 
 def accumulate_turn(attitude: Attitude, step: float) -> Direction:
@@ -126,15 +125,12 @@ def _mean_attitude(attitude: Rotation, samples: int) -> Rotation:
     return Rotation.from_quat(uniform_filter1d(quaternion, samples, axis=0, mode="nearest"))
 
 
-def _without_reholds(heading: Array, steady: Rotation, samples: int, period: float) -> Direction:
-    """Straight on, and unsure, wherever the phone was taken otherwise."""
-    up = steady.inv().apply([0.0, 0.0, 1.0])
-    tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period
-    edges = np.diff(tilting.astype(int), prepend=0, append=0)
+def _without_reholds(heading: Array, attitude: Attitude, steady: Rotation, step: float) -> Direction:
+    """As the walker turned, and unsure, wherever the phone was taken otherwise."""
     turn, doubt = np.diff(heading, prepend=heading[0]), np.zeros(len(heading))
-    for first, after in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
-        begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
-        if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > REHELD:
-            turn[begin + 1 : end + 1] = 0.0
-            doubt[begin + 1 : end + 1] = REHOLD_SIGMA**2 / (end - begin)
+    for rehold in reholds(attitude, steady, heading, step):
+        during = slice(rehold.first + 1, rehold.last + 1)
+        count = rehold.last - rehold.first
+        turn[during] = rehold.turn / count
+        doubt[during] = REHOLD_SIGMA**2 / count
     return Direction(np.cumsum(turn), np.cumsum(doubt))

@@ -78,14 +78,14 @@ def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     It needs no principal component: people sway to the side once in two steps, so that at the step's frequency hardly
     anything moves but forward, and the lead tells ahead from back.
     """
-    level, vertical = _at_step_frequency(attitude, heading, step)
+    level, vertical = at_step_frequency(attitude, heading, step)
     size = max(1, round(STEPS_PER_WINDOW * step / attitude.period))
     windows = [
         slice(k, k + size) for k in range(0, len(level) - size + 1, size) if np.mean(walking[k : k + size]) > 0.9
     ]
     if len(windows) < LEAST_WINDOWS:
         return UNKNOWN
-    pushes = np.array([_push(level[w], vertical[w]) for w in windows])
+    pushes = np.array([push(level[w], vertical[w]) for w in windows])
     mean = pushes.mean()
     if abs(mean) < LEAST_COHERENCE:
         return UNKNOWN
@@ -106,19 +106,19 @@ def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: floa
     doubled = np.mean(level**2)  # the axis of the largest variance, at twice its angle
     round_ = 1 - np.abs(doubled) / np.mean(np.abs(level) ** 2)  # 1 where no direction has more than another
     axis = np.exp(0.5j * np.angle(doubled))
-    harmonic, vertical = (signal[walking] for signal in _at_step_frequency(attitude, heading, step))
-    ahead = np.real(_push(harmonic, vertical) / axis)
+    harmonic, vertical = (signal[walking] for signal in at_step_frequency(attitude, heading, step))
+    ahead = np.real(push(harmonic, vertical) / axis)
     angle = np.angle(axis * (1 if ahead > 0 else -1))
     return Forward(float(angle), float(np.hypot(GAIT_SIGMA, round_ * np.pi / 4)))
 
 
-def _push(level: Complex, vertical: Complex) -> complex:
+def push(level: Complex, vertical: Complex) -> complex:
     """What of a level acceleration leads the vertical one: towards ahead, 1 if all of both."""
     ahead = np.real(vertical.conj() * np.exp(-1j * LEAD))
     return complex(np.mean(level * ahead) / np.sqrt(np.mean(np.abs(level) ** 2) * np.mean(ahead**2) + 1e-12))
 
 
-def _at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
+def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level acceleration (complex, ahead real) and the analytic vertical one, both ``(n,)``. [m/s²]"""
     nyquist = 0.5 / attitude.period
     band = np.minimum(np.array(BAND) / step, 0.95 * nyquist)
