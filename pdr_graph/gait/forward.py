@@ -11,14 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, hilbert, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array, Complex, Mask
 
-BAND = (0.7, 1.4)  # of the step's frequency
+BAND = 0.5  # of the step's frequency to either side: a stride's, half of it, and the next, one and a half, stay out
 # The forward acceleration leads the vertical by this: 33–119° in sixteen of eighteen real walks with the phone in hand,
 # 51–106° or half a turn from it with the phone in hand, pocket, bag and swinging arm (docs/accuracy.md)
 LEAD = 1.1  # [rad]
@@ -120,13 +119,17 @@ def push(level: Complex, vertical: Complex) -> complex:
 
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level acceleration (complex, ahead real) and the analytic vertical one, both ``(n,)``. [m/s²]"""
-    nyquist = 0.5 / attitude.period
-    band = np.minimum(np.array(BAND) / step, 0.95 * nyquist)
-    sections = butter(2, band / nyquist, "band", output="sos")
     level = _level_acceleration(attitude, heading)
     up = attitude.R_world_device.apply(attitude.acceleration)[:, 2]
-    filtered = [sosfiltfilt(sections, part) for part in (level.real, level.imag, up)]
-    return filtered[0] + 1j * filtered[1], np.asarray(hilbert(filtered[2]))
+    ahead, left, vertical = (_analytic(part, attitude.period / step) for part in (level.real, level.imag, up))
+    return ahead.real + 1j * left.real, vertical
+
+
+def _analytic(signal: Array, frequency: float) -> Complex:
+    """The analytic signal ``(n,)`` of what lies in BAND about a frequency, in cycles per sample."""
+    ratio = np.fft.fftfreq(len(signal)) / frequency
+    window = np.cos(np.pi / 2 * np.clip((ratio - 1) / BAND, -1, 1)) ** 2
+    return np.fft.ifft(2 * window * np.fft.fft(signal - signal.mean()))
 
 
 def _level_acceleration(attitude: Attitude, heading: Array) -> Complex:

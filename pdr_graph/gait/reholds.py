@@ -15,8 +15,8 @@ TILTING = 0.25  # [rad/s] of the device's vertical, over a stride: faster than a
 REHELD = 0.5  # [rad] by which the vertical then ends elsewhere in the device: it is held otherwise
 FAST, WITHIN = 0.7, 1.0  # [rad] of turn within [s]: a corner, or a wrist
 STEPS_BESIDE = 8  # before and after a turn that are asked which way they went
-TOLD_APART = 0.9  # [rad] between ahead before and after; on real walks without a re-hold up to 0.63
-COHERENT = 0.6  # of forward and vertical; less says nothing
+TOLD_APART = 1.1  # [rad] between ahead before and after; on real walks without a re-hold up to 1.0
+COHERENT = 0.65  # of forward and vertical; less says nothing
 
 
 @dataclass(frozen=True)

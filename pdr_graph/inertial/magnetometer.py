@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import least_squares
 
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array
@@ -49,6 +48,8 @@ def fit_iron(measured: Array, magnitude: float) -> Iron:
     In one place the field has one size, so that the samples lie on an ellipsoid; a robust least squares finds the one
     that the sphere of ``magnitude`` [µT] becomes. Its covariance says what the turns did not tell.
     """
+    from scipy.optimize import least_squares  # here, since few walks need it and it takes time to load
+
     some = measured[:: max(1, -(-len(measured) // MOST_SAMPLES))]
     spread = np.concatenate([np.full(3, USUAL_HARD), np.full(6, USUAL_SOFT)])
     usual = np.concatenate([np.zeros(3), np.eye(3)[UPPER]])
