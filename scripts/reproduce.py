@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import cart
+import compass
 import heading
 import numpy as np
 import realism
@@ -43,7 +44,7 @@ def recordings():
     return [(walk := io.load(p), detect_steps(walk), floors[p.parent]) for p in paths]
 
 
-def compass(walk, floor):
+def headings_of(walk, floor):
     """What the walk's magnetometer says of its direction."""
     return magnetic_headings(walk, floor.frame, np.zeros(2))
 
@@ -60,7 +61,7 @@ def withheld_errors(walk, steps, floor, which, method):
     if not len(rest):
         return np.empty(0), np.empty(0, dtype=bool), np.nan
     fixes = Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
-    track = method(steps, fixes, compass(walk, floor), floor)
+    track = method(steps, fixes, headings_of(walk, floor), floor)
     pairs = pair(track, some(truth, rest))
     inside = np.empty(0, dtype=bool)
     if track.covariance is not None:
@@ -190,6 +191,7 @@ if __name__ == "__main__":
     tables = {"microsoft": microsoft, "settings": settings, "stride": stride}
     tables |= {"ipin21": lambda: recorded.ipin21(DATA), "gnss": lambda: recorded.gnss(DATA)}
     tables |= {"heading": lambda: heading.heading(DATA), "cart": cart.cart}
+    tables |= {"compass": lambda: compass.compass(DATA)}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

@@ -28,6 +28,7 @@ GAIT_SIGMA = 0.3  # [rad] between what brakes and where people go: hands sway wi
 EYES_SIGMA = 0.17  # [rad] between where people go and look, and where the phone that they read points
 UNCONFIRMED = 0.35  # [rad] where gait does not say that the phone is held so
 FACING_UP = 0.4  # of the screen's normal: held to be read
+STEADY = 0.95  # length of the mean of its directions, against the walker's; a phone that is waved about has none
 OPPOSED = 0.6  # [rad] between gait and the phone's y axis: it is held otherwise
 
 
@@ -61,13 +62,15 @@ def forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
 
 
 def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
-    """The phone's y axis, where its screen faces up: people hold a phone so to look at it. `step` is not used."""
+    """The phone's y axis, where its screen faces up and it is held still: so people look at it. `step` is not used."""
     if not walking.any():
         return UNKNOWN
     held = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
     if held.apply([0.0, 0.0, 1.0])[:, 2].mean() < FACING_UP:
         return UNKNOWN
     along = held.apply([0.0, 1.0, 0.0])[:, :2] @ [1, 1j] * np.exp(-1j * heading[walking])
+    if abs(along.mean()) < STEADY * np.abs(along).mean():
+        return UNKNOWN
     return Forward(float(np.angle(along.mean())), UNCONFIRMED)
 
 

@@ -17,7 +17,7 @@ from pdr_graph.inertial.north import North, magnetic_north
 from pdr_graph.types import Array, Headings, Mask, Recording
 
 STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
-LEAST_STEPS = 8  # in a stretch
+LEAST_STEPS = 24  # in a stretch; a few may be none
 COMPASS_SIGMA = 0.2  # [rad] that stays for a whole walk: the phone's own iron, a building's axis, a plan's
 LEAST_CERTAIN = 0.7  # [rad] of north or of what is ahead; beyond it a heading tells nothing
 

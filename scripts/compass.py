@@ -1,0 +1,156 @@
+"""Absolute directions: what the compass says of real walks, where gait says ahead is, and re-holds put into walks."""
+
+from dataclasses import replace
+
+import numpy as np
+from heading import HOLDS, walked
+from scipy.spatial.transform import Rotation, Slerp
+from tables import publish, table
+
+from pdr_graph import detect_steps, magnetic_headings
+from pdr_graph.frames import enu
+from pdr_graph.gait.direction import walking_direction
+from pdr_graph.gait.forward import braking_axis, forward_axis, principal_axis, reading_axis
+from pdr_graph.gait.gaps import uninterrupted
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.io import load
+from pdr_graph.types import Signal
+
+HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
+NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
+AXES = {
+    "principal component, signed by the step pattern": principal_axis,
+    "what brakes the walker": braking_axis,
+    "the y axis of a phone that is read": reading_axis,
+    "**both, our default**": forward_axis,
+}
+SHARES, TURN, WITHIN = (0.3, 0.4, 0.5, 0.6, 0.7), np.pi / 2, 0.7  # of the walk; [rad] in [s]
+
+
+def recordings(data):
+    """Groups of hand-held walks, by name."""
+    return {
+        "Microsoft": sorted((data / "ms_indoor20").glob("site*/*/*.txt")),
+        "IPIN 2023": sorted((data / "ipin2023_track3").glob("*Trial*.txt")),
+        "NJU campus": [data / "nju_phyphox_outdoor"],
+    }
+
+
+def compass(data):
+    """The three tables."""
+    groups = recordings(data)
+    rows = []
+    for name, paths in groups.items():
+        errors, sigmas = np.concatenate([heading_errors(path) for path in paths], axis=1)
+        size = np.degrees(np.abs(errors))
+        stated = f"{np.degrees(sigmas.min()):.0f}–{np.degrees(sigmas.max()):.0f}"
+        cells = [f"{np.median(size):.0f}", f"{size.max():.0f}", stated]
+        rows.append([name, len(paths), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
+    header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
+    publish("accuracy.md", "compass", table(header, rows))
+    ahead([path for paths in groups.values() for path in paths])
+    reheld([path for paths in groups.values() for path in paths])
+
+
+def heading_errors(path):
+    """Errors and sigmas of a walk's headings [rad]: the walked way, turned as they say, against the truth."""
+    walk = load(path)
+    truth = walk.truth if walk.truth is not None else walk.fixes[::12]
+    frame = enu(*(truth.position[0][::-1] if truth.epsg else HANGZHOU))
+    truth, headings, steps = frame.place(truth), magnetic_headings(walk, frame, np.zeros(2)), detect_steps(walk)
+    heading = np.cumsum(steps.turn)
+    way, errors = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2))), []
+    for time, said in zip(headings.time, headings.heading, strict=True):
+        near = np.abs(truth.time - time) < NEAR
+        walked_, true = np.diff(np.interp(truth.time[near], steps.time, way)), np.diff(truth.position[near] @ [1, 1j])
+        turned = np.angle(np.sum(true * walked_.conj()))
+        errors.append(wrap_angle(said - np.interp(time, steps.time, heading) - turned))
+    return np.array([errors, headings.sigma])
+
+
+def ahead(paths):
+    """Where each method says is ahead: simulated walks in five holds, and real ones against the phone's y axis."""
+    found = {name: [[] for _ in (*HOLDS, "real")] for name in AXES}
+    for column, hold in enumerate(HOLDS):
+        for seed in range(10):
+            walk = walked(hold, seed)
+            gait = seen(walk.recording("accelerometer", "gyroscope"))
+            wanted = true_ahead(walk, *gait[:3])
+            for name, method in AXES.items():
+                found[name][column].append(difference(method(*gait), wanted))
+    for path in paths:
+        gait = seen(uninterrupted(load(path))[0])
+        wanted = reading_axis(*gait).angle
+        for name, method in AXES.items():
+            found[name][-1].append(difference(method(*gait), wanted))
+    rows = [[name, *(cell(np.array(errors)) for errors in columns)] for name, columns in found.items()]
+    publish("accuracy.md", "ahead", table(["median error [deg] (silent)", *HOLDS, "real hands, to y"], rows))
+
+
+def seen(recording):
+    """Attitude, heading, when they walk, and the duration of a step."""
+    attitude, steps = attitude_of(recording), detect_steps(recording)
+    step = float(np.median(steps.duration))
+    heading = walking_direction(attitude, step).heading
+    return attitude, heading, np.interp(attitude.time, steps.time, steps.length, left=0, right=0) > 0.3, step
+
+
+def true_ahead(walk, attitude, heading, walking):
+    """The angle that is to be found, from the simulation's truth."""
+    truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
+    at = np.clip(attitude.time, 0, walk.motion.time[-1])
+    world = attitude.R_world_device * Slerp(walk.motion.time, walk.motion.R_world_device)(at).inv()
+    east = world.apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
+    return float(np.angle(np.mean((east * np.exp(1j * (truth - heading)))[walking])))
+
+
+def difference(forward, wanted):
+    """[deg], NaN where nothing was said."""
+    return np.degrees(np.abs(wrap_angle(forward.angle - wanted))) if forward.known else np.nan
+
+
+def cell(errors):
+    silent = int(np.isnan(errors).sum())
+    if silent == len(errors):
+        return "—"
+    return f"{np.nanmedian(errors):.0f}" + (f" ({silent} of {len(errors)})" if silent else "")
+
+
+def reheld(paths):
+    """Real walks in which the phone is turned by a quarter in the hand: is that a turn of the walker?"""
+    told, tried, errors = 0, 0, []
+    for path in paths:
+        recording = uninterrupted(load(path))[0]
+        attitude, heading, _, step = seen(recording)
+        landed = detect_steps(recording).time
+        if len(landed) < 60:
+            continue
+        for share in SHARES:
+            for angle in (TURN, -TURN):
+                turned = turned_in_hand(recording, attitude, float(landed[int(len(landed) * share)]), angle)
+                direction = walking_direction(attitude_of(turned), step)
+                gained = (direction.heading[-1] - direction.heading[0]) - (heading[-1] - heading[0])
+                error = np.degrees(abs(gained))
+                tried += 1
+                if error < 60:
+                    told += 1
+                    errors.append(error)
+    rows = [[tried, told, f"{np.median(errors):.0f}", f"{max(errors):.0f}"]]
+    header = ["re-holds put in", "told from corners", "error [deg]: median", "largest"]
+    publish("accuracy.md", "reheld", table(header, rows))
+
+
+def turned_in_hand(recording, attitude, begin, angle):
+    """What the phone would have logged, had it been turned about the vertical meanwhile."""
+    up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])[np.searchsorted(attitude.time, begin)]
+
+    def felt(signal, own_rate):
+        share = (signal.time - begin) / WITHIN
+        values = Rotation.from_rotvec(-angle * np.clip(share, 0, 1)[:, None] * up).apply(signal.values)
+        turning = own_rate * angle / WITHIN * ((share > 0) & (share < 1))
+        return Signal(signal.time, values + turning[:, None] * up)
+
+    return replace(
+        recording, accelerometer=felt(recording.accelerometer, 0.0), gyroscope=felt(recording.gyroscope, 1.0)
+    )
