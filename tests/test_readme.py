@@ -30,6 +30,8 @@ def test_the_readme_and_the_accuracy_page_agree():
         ("every second waypoint", "graph", "every second waypoint: **graph**"),
         ("first and last", "graph", "first and last waypoint: **graph**"),
         ("first and last", "graph with map", "first and last waypoint: **graph with the floor plan**"),
+        ("first only", "graph", "first waypoint alone: **graph**, the direction by the magnetometer"),
+        ("first only", "graph with map", "first waypoint alone: **graph with the floor plan**"),
     ):
         row = next(line for line in accuracy.splitlines() if line.startswith(f"| {given} | {method} |"))
         reproduced = [cell.split()[0] for cell in row.split("|")[3:6]]

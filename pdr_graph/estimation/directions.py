@@ -12,7 +12,7 @@ from pdr_graph.estimation.graph import AMBIGUOUS, WalkGraph
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Mask
 
-CERTAIN = 0.1  # [rad] of the start's direction: walls can do the rest
+CERTAIN = 0.2  # [rad] of the start's direction: walls can do the rest. A few fixes of metres along a walk know it
 ANY_WAY = 8  # directions without a plan
 ALONG_CORRIDORS = 12  # directions with one
 TRIED, APART = 144, 0.2  # directions that are looked at, and how far those that are followed lie apart [rad]

@@ -19,6 +19,7 @@ from pdr_graph.types import Array, Headings, Mask, Recording
 STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
 LEAST_STEPS = 24  # in a stretch; a few may be none
 COMPASS_SIGMA = 0.2  # [rad] that stays for a whole walk: the phone's own iron, a building's axis, a plan's
+TILTED = 0.8  # length of the mean of the vertical in the device; a phone that was hardly tilted knows not its iron
 LEAST_CERTAIN = 0.7  # [rad] of north or of what is ahead; beyond it a heading tells nothing
 
 
@@ -68,9 +69,12 @@ def _uninterrupted_headings(recording: Recording, earth: EarthField) -> list[tup
 
 def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North:
     assert recording.magnetometer is not None, "asked for by magnetic_headings"
-    measured = interpolate(attitude.time, recording.magnetometer.time, recording.magnetometer.values)
-    iron = fit_iron(measured, earth.magnitude)
-    return magnetic_north(attitude, iron.corrected(measured) if iron.known else measured, earth)
+    field = interpolate(attitude.time, recording.magnetometer.time, recording.magnetometer.values)
+    up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])
+    if np.linalg.norm(up.mean(axis=0)) < TILTED:
+        iron = fit_iron(field, earth.magnitude)
+        field = iron.corrected(field) if iron.known else field
+    return magnetic_north(attitude, field, earth)
 
 
 def _walking(time: Array, landed: Array, period: Array) -> Mask:
