@@ -24,13 +24,16 @@ from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.preintegration import SIGMA_LATERAL
 from pdr_graph.geometry import wrap_angle
+from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.inertial.published import METHODS, switching
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Steps
+from pdr_graph.types import Fixes, Recording, Signal, Steps
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 0.53  # [s] per step
+HOUR = 360_000  # samples at 100 Hz
 
 
 def walk(n, every):
@@ -196,11 +199,25 @@ def simulation_rows():
     return table(["an hour's walk", "time"], rows)
 
 
+def attitude_rows():
+    """An hour at 100 Hz, walked once about a loop and repeated, by every method of attitude."""
+    walk = simulate(Scenario.of({"route": [[0, 0], {"to": [[40, 0], [40, 30], [0, 30], [0, 0]]}]}))
+    signals = {}
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
+        values = walk.signals[name].values
+        signals[name] = Signal(np.arange(HOUR) / 100, np.resize(values, (HOUR, 3)))
+    recording = Recording("an hour", 0.0, None, **signals)
+    methods = {**METHODS, "switching at rest": lambda r: switching(r, 0.05), "**VQF, offline (default)**": vqf_offline}
+    times = {name: median_time(lambda m=method: m(recording), 3) for name, method in methods.items()}
+    return table(["attitude of an hour at 100 Hz", "time"], [[name, f"{t:.2f} s"] for name, t in times.items()])
+
+
 if __name__ == "__main__":
     packages = ", ".join(f"{name} {version(name)}" for name in ("gtsam", "numpy"))
     machine = f"{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
     publish("performance.md", "smoother", f"{smoother_rows()}\n\n{machine}")
     publish("performance.md", "textbook", textbook_ratio())
     publish("performance.md", "commands", command_rows())
+    publish("performance.md", "attitude", attitude_rows())
     publish("performance.md", "simulation", simulation_rows())
     publish("performance.md", "reading", table(["format", "MB", "MB/s"], reading_rows(median_time)))

@@ -32,7 +32,7 @@ METHODS = {  # the paper's own use its choice of attitude
 TRIALS, WALKERS = 62, 10
 CORNERS = [[1.2, 1.2], [1.2, 27.0]]  # of the L: west, then north
 SHORTEST_LEG = 3.0  # [m] between waypoints
-SHOWN = 11  # trial of the figure
+SHOWN = (11, 10)  # trials of the figure: lag and drift; a flip
 
 
 def trial(number):
@@ -89,7 +89,7 @@ def heading(data):
     for row, method in zip(rows, METHODS, strict=True):
         row.append(f"{np.mean([np.sqrt(np.mean(errors(walk, method)[1] ** 2)) for walk in again]):.1f}")
     publish("accuracy.md", "heading", table(["RMS [deg] (paper)", *HOLDS, "re-held in mid-walk"], rows))
-    draw(trials[SHOWN])
+    draw([trials[n] for n in SHOWN])
 
 
 def course(data):
@@ -122,16 +122,17 @@ def _course_errors(walk, attitude_by, direction_by):
     return np.abs(apart - np.median(apart))
 
 
-def draw(walk):
-    """Directions of one walk over time."""
-    figure = Figure(figsize=(9, 4), layout="constrained")
+def draw(walks):
+    """Directions of some walks over time."""
+    figure = Figure(figsize=(9, 3.3 * len(walks)), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    axes.plot(walk.body.time, np.degrees(walk.body.heading), color="0.7", lw=4, label="truth")
-    for method, colour in zip(METHODS, ("tab:green", "tab:orange", "tab:purple", "tab:blue"), strict=True):
-        time, error = errors(walk, method)
-        truth = np.degrees(np.interp(time, walk.body.time, walk.body.heading))
-        axes.plot(time, truth + error, color=colour, lw=2 if "ours" in method else 1, label=method.strip("*"))
-    axes.set(xlabel="time [s]", ylabel="walking direction [deg]", title=walk.scenario.phone.hold)
-    axes.legend(loc="best")
+    for axes, walk in zip(figure.subplots(len(walks), sharex=True), walks, strict=True):
+        axes.plot(walk.body.time, np.degrees(walk.body.heading), color="0.7", lw=4, label="truth")
+        for method, colour in zip(METHODS, ("tab:green", "tab:orange", "tab:purple", "tab:blue"), strict=True):
+            time, error = errors(walk, method)
+            truth = np.degrees(np.interp(time, walk.body.time, walk.body.heading))
+            axes.plot(time, truth + error, color=colour, lw=2 if "ours" in method else 1, label=method.strip("*"))
+        axes.set(ylabel="walking direction [deg]", title=walk.scenario.phone.hold)
+    axes.set(xlabel="time [s]")
+    figure.axes[0].legend(loc="best")
     figure.savefig(DOCS / "heading.png", dpi=80)
