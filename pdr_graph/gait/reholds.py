@@ -8,15 +8,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.forward import at_step_frequency, push
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.types import Array, Mask
+from pdr_graph.types import Array, Complex, Mask
 
 TILTING = 0.25  # [rad/s] of the device's vertical, over a stride: faster than a carried phone tilts
 REHELD = 0.5  # [rad] by which the vertical then ends elsewhere in the device: it is held otherwise
 FAST, WITHIN = 0.7, 1.0  # [rad] of turn within [s]: a corner, or a wrist
 STEPS_BESIDE = 8  # before and after a turn that are asked which way they went
 TOLD_APART = 1.1  # [rad] between ahead before and after; on real walks without a re-hold up to 1.0
-COHERENT = 0.65  # of forward and vertical; less says nothing
+TURNED = 0.6  # [rad] by gait, during a re-hold; less is taken for straight on
+COHERENT = 0.65  # of forward and vertical; less says nothing of whether the phone was turned at all
+LESS_COHERENT = 0.45  # nor of how far the walker turned when it was
 
 
 @dataclass(frozen=True)
@@ -31,45 +34,66 @@ class Rehold:
 def reholds(attitude: Attitude, steady: Rotation, heading: Array, step: float) -> list[Rehold]:
     """Every re-hold of a walk. steady: the attitude without gait; heading: ``(n,)`` as if there were none [rad]."""
     tilted = _to_another_tilt(steady, step, attitude.period)
-    return tilted + [r for r in _about_the_vertical(attitude, heading, step) if not _meets(r, tilted)]
+    fast = [span for span in _fast_turns(heading, attitude.period) if not _meets(span, tilted)]
+    if not tilted and not fast:
+        return []
+    gait = _Gait(*at_step_frequency(attitude, heading, step), round(step / attitude.period))
+    found = [Rehold(*span, _of_walker(gait, heading, span)) for span in tilted]
+    return found + [Rehold(*span, _of_walker(gait, heading, span)) for span in fast if _in_hand(gait, heading, span)]
 
 
-def _to_another_tilt(steady: Rotation, step: float, period: float) -> list[Rehold]:
-    """The vertical comes to lie elsewhere in the device; the walker is supposed to have gone straight on."""
+@dataclass(frozen=True)
+class _Gait:
+    """level, vertical: accelerations ``(n,)`` as of `at_step_frequency`; step: in samples."""
+
+    level: Complex
+    vertical: Complex
+    step: int
+
+    def moved(self, first: int, last: int, steps: int, coherent: float) -> float:
+        """By how much ahead came to lie elsewhere in the device, so many steps before and after; NaN if unclear."""
+        before, after = slice(max(0, first - steps * self.step), first), slice(last, last + steps * self.step)
+        if first < STEPS_BESIDE * self.step or last + STEPS_BESIDE * self.step > len(self.level):
+            return np.nan
+        ahead = [push(self.level[s], self.vertical[s]) for s in (before, after)]
+        if np.min(np.abs(ahead)) < coherent:
+            return np.nan
+        return float(np.angle(ahead[1] * np.conj(ahead[0])))
+
+
+def _to_another_tilt(steady: Rotation, step: float, period: float) -> list[tuple[int, int]]:
+    """Where the vertical comes to lie elsewhere in the device: first and last samples."""
     samples = max(1, round(step / period))
     up = steady.inv().apply([0.0, 0.0, 1.0])
     found = []
     for first, after in _runs(np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period):
         begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
         if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > REHELD:
-            found.append(Rehold(begin, end, 0.0))
+            found.append((begin, end))
     return found
 
 
-def _about_the_vertical(attitude: Attitude, heading: Array, step: float) -> list[Rehold]:
-    """A fast turn after which what brakes and drives the walker comes from elsewhere in the device.
-
-    By as much as that did, it was the phone that was turned; the rest is the walker's.
-    """
-    samples, beside = max(1, round(WITHIN / attitude.period)), round(STEPS_BESIDE * step / attitude.period)
-    turned = np.abs(heading[samples:] - heading[:-samples]) > FAST
-    if not turned.any():
-        return []
-    level, vertical = at_step_frequency(attitude, heading, step)
-    found = []
-    for first, after in _runs(turned):
-        last = after - 1 + samples
-        if first < beside or last + beside > len(heading):
-            continue
-        ahead = [push(level[s], vertical[s]) for s in (slice(first - beside, first), slice(last, last + beside))]
-        turn, in_hand = float(heading[last] - heading[first]), -float(np.angle(ahead[1] * np.conj(ahead[0])))
-        if np.min(np.abs(ahead)) > COHERENT and in_hand * np.sign(turn) > TOLD_APART:
-            found.append(Rehold(first, last, turn - in_hand))
-    return found
+def _of_walker(gait: _Gait, heading: Array, span: tuple[int, int]) -> float:
+    """What the walker turned in a re-hold, by where gait comes from; straight on where it does not say otherwise."""
+    turn = float(wrap_angle(heading[span[1]] - heading[span[0]] + gait.moved(*span, 2 * STEPS_BESIDE, LESS_COHERENT)))
+    return turn if abs(turn) > TURNED else 0.0
 
 
-def _meets(one: Rehold, others: list[Rehold]) -> bool:
-    return any(one.first < other.last and other.first < one.last for other in others)
+def _fast_turns(heading: Array, period: float) -> list[tuple[int, int]]:
+    """Turns that a wrist could have made: first and last samples."""
+    samples = max(1, round(WITHIN / period))
+    runs = _runs(np.abs(heading[samples:] - heading[:-samples]) > FAST)
+    return [(first, after - 1 + samples) for first, after in runs]
+
+
+def _in_hand(gait: _Gait, heading: Array, span: tuple[int, int]) -> bool:
+    """True of a turn after which what brakes and drives the walker comes from elsewhere in the device."""
+    turned = heading[span[1]] - heading[span[0]]
+    return -gait.moved(*span, STEPS_BESIDE, COHERENT) * np.sign(turned) > TOLD_APART
+
+
+def _meets(one: tuple[int, int], others: list[tuple[int, int]]) -> bool:
+    return any(one[0] < other[1] and other[0] < one[1] for other in others)
 
 
 def _runs(mask: Mask) -> zip[tuple[int, int]]:

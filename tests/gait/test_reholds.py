@@ -60,3 +60,18 @@ def test_corners_are_corners(hold):
         assert direction.variance[-1] == 0
         turned, true = direction.heading[-1] - direction.heading[0], truth[-1] - truth[0]
         assert turned == pytest.approx(true, abs=0.7)  # a bias of 0.005 rad/s; a corner is 1.6
+
+
+@pytest.mark.parametrize("angle", [0, 90, 180])
+def test_a_turn_made_while_the_phone_is_put_away_is_the_walkers(angle):
+    """On the spot, standing, from the hand into a pocket: gait before and after tells which way they went on."""
+    onwards = {0: [50, 0], 90: [25, 25], 180: [0, 0]}[angle]
+    turning = {"stand": 1, "turn": angle} if angle else {"stand": 1}
+    route = [[0, 0], {"stand": 2}, {"to": [[25, 0]]}, turning, {"hold": "trouser pocket"}, {"to": [onwards]}]
+    walk = simulate(Scenario.of({"seed": 1, "route": route, "phone": {"rate": 50}}))
+    attitude = attitude_of(walk.recording("accelerometer", "gyroscope"))
+    direction = walking_direction(attitude, 1 / walk.walker.cadence)
+    truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
+    turned = direction.heading[-1] - direction.heading[0] - (truth[-1] - truth[0])
+    assert direction.variance[-1] > 0
+    assert abs(np.angle(np.exp(1j * turned))) < 2 * REHOLD_SIGMA
