@@ -9,7 +9,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.detection import peak_pairs
 from pdr_graph.gait.direction import Direction, walking_direction
 from pdr_graph.gait.forward import forward_axis
-from pdr_graph.gait.gaps import uninterrupted
+from pdr_graph.gait.gaps import LONGEST_BRIDGED, uninterrupted
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.inertial.magnetometer import fit_iron
@@ -68,13 +68,22 @@ def _uninterrupted_headings(recording: Recording, earth: EarthField) -> list[tup
 
 
 def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North:
-    assert recording.magnetometer is not None, "asked for by magnetic_headings"
-    field = interpolate(attitude.time, recording.magnetometer.time, recording.magnetometer.values)
+    magnetometer = recording.magnetometer
+    assert magnetometer is not None, "asked for by magnetic_headings"
+    field = interpolate(attitude.time, magnetometer.time, magnetometer.values)
     up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])
     if np.linalg.norm(up.mean(axis=0)) < TILTED:
         iron = fit_iron(field, earth.magnitude)
         field = iron.corrected(field) if iron.known else field
+    field[_apart(attitude.time, magnetometer.time) > LONGEST_BRIDGED] = 0.0  # no field tells no north
     return magnetic_north(attitude, field, earth)
+
+
+def _apart(time: Array, samples: Array) -> Array:
+    """How far each time ``(n,)`` is from the nearest sample [s]."""
+    after = np.searchsorted(samples, time)
+    padded = np.concatenate([[-np.inf], samples, [np.inf]])
+    return np.minimum(time - padded[after], padded[after + 1] - time)
 
 
 def _walking(time: Array, landed: Array, period: Array) -> Mask:

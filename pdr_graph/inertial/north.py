@@ -17,6 +17,7 @@ GYRO_WANDER = 0.004  # [rad] per root second: of the attitude's heading, bias re
 UNDISTURBED = 0.12  # [rad] by which a field that passes both tests may still point elsewhere
 ALIKE_FOR = 2.5  # [s] a walker sees the same disturbance: about three metres
 DISTURBED = 0.35  # [rad] of an error in either test: such an observation is left out
+WEAKEST = 0.3  # of the earth's level field: less points anywhere, and a dead sensor's nowhere
 HUBER = 2.0  # [σ] beyond which an observation is held to be no further off
 HONEST_SHARE = 0.3  # of the observations that must pass; otherwise nothing is believed of the others either
 
@@ -52,7 +53,8 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
     world = field_in_world(attitude, field)
     scores = np.stack([dip_error(world, earth.dip), prediction_error(world, attitude.period)])[:, ::every]
     world, time = world[::every], attitude.time[::every]
-    valid = np.all(scores < DISTURBED, axis=0)
+    level = np.hypot(world[:, 0], world[:, 1])
+    valid = np.all(scores < DISTURBED, axis=0) & (level > WEAKEST * earth.magnitude * np.cos(earth.dip))
     if np.mean(valid) < HONEST_SHARE:
         return North(np.empty(0), np.empty(0), np.empty(0))
     seen = np.arctan2(world[:, 1], world[:, 0]) + earth.declination

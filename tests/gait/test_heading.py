@@ -63,6 +63,16 @@ def test_nothing_is_said_without_a_place_or_a_sensor():
     assert len(magnetic_headings(without, walk.frame, HERE)) == 0
 
 
+@pytest.mark.parametrize("samples", [1, 500])
+def test_a_magnetometer_that_stopped_says_nothing_of_the_rest(samples):
+    """One sample, or ten seconds of a walk of four minutes."""
+    walk = walked(minutes=3)
+    recording = walk.recording()
+    field = recording.magnetometer
+    stopped = replace(recording, magnetometer=Signal(field.time[:samples], field.values[:samples]))
+    assert len(magnetic_headings(stopped, walk.frame, HERE)) == 0
+
+
 def test_nothing_is_said_of_who_stands():
     given = {"route": [[0, 0], {"stand": 30}], "phone": {"rate": 50}}
     standing = simulate(Scenario.of(given))

@@ -120,6 +120,13 @@ def test_a_compass_that_is_never_right_says_nothing():
     assert len(magnetic_north(attitude, device, EARTH)) == 0
 
 
+def test_a_dead_magnetometer_says_nothing():
+    """All zeros, on the magnetic equator too, where no dip gives it away."""
+    attitude, device = walk_with(np.linspace(0, 6, 3000))
+    for dip in (0.0, 1.0):
+        assert len(magnetic_north(attitude, np.zeros_like(device), EarthField(40.0, 0.0, dip))) == 0
+
+
 def test_north_is_as_sure_as_it_says():
     """Two hundred walks past steel that changes every few metres: errors in sigmas have a spread of about one."""
     errors = []
