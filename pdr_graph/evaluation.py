@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from scipy.stats import gaussian_kde
 
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, rotation, wrap_angle
+from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
 from pdr_graph.types import Array, Mask, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it
@@ -59,20 +59,16 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
         its ends: the end's row); ``nearest`` takes the row nearest in time, the earlier of two, as the tools do.
     """
     t = truth.time
-    after = np.clip(np.searchsorted(estimate.time, t), 1, max(len(estimate) - 1, 1))
-    if len(estimate) == 1:
-        after = np.zeros(len(t), dtype=int)
-    before = np.maximum(after - 1, 0)
-    nearest = np.where(t - estimate.time[before] <= np.abs(estimate.time[after] - t), before, after)
+    row = nearest(estimate.time, t)
     if pairing == "nearest":
-        position, heading = estimate.position[nearest], estimate.heading[nearest]
-        within = np.abs(estimate.time[nearest] - t) <= TOLERANCE
+        position, heading = estimate.position[row], estimate.heading[row]
+        within = np.abs(estimate.time[row] - t) <= TOLERANCE
     else:
         position = interpolate(t, estimate.time, estimate.position)
         sine, cosine = (np.interp(t, estimate.time, f(estimate.heading)) for f in (np.sin, np.cos))
         heading = np.arctan2(sine, cosine)
         within = (t >= estimate.time[0] - TOLERANCE) & (t <= estimate.time[-1] + TOLERANCE)
-    floors = np.array(estimate.floor, dtype=object)[nearest]
+    floors = np.array(estimate.floor, dtype=object)[row]
     everything = Pairs(
         t,
         truth.position,

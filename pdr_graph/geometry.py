@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.types import Array, Fixes, Steps, Trajectory
+from pdr_graph.types import Array, Fixes, Index, Steps, Trajectory
 
 
 def wrap_angle(angle: Array | float) -> Array:
@@ -16,6 +16,14 @@ def wrap_angle(angle: Array | float) -> Array:
 def interpolate(at: Array, time: Array, values: Array) -> Array:
     """Rows ``(m, k)`` at ``at (m,)`` of ``values (n, k)`` at ``time (n,)``: linear between, held beyond the ends."""
     return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
+
+
+def nearest(sorted_times: Array, time: Array) -> Index:
+    """Which of the sorted times is nearest to each of ``time (m,)``; the earlier of two that are as near."""
+    last = len(sorted_times) - 1
+    after = np.clip(np.searchsorted(sorted_times, time), min(1, last), last)
+    before = np.maximum(after - 1, 0)
+    return np.where(time - sorted_times[before] <= np.abs(sorted_times[after] - time), before, after)
 
 
 def unit(angle: Array) -> Array:

@@ -22,6 +22,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.heading import magnetic_headings
 from pdr_graph.gait.pdr import Walker, detect_steps
 from pdr_graph.geometry import interpolate, resample, wrap_angle
@@ -82,8 +83,7 @@ def smooth_recording(
         floor = FloorPlan.load(plan, floor_label or _floor_of(given)) if plan else None
         frame, located = _locate(floor, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
     with stage("steps"):
-        steps = _steps(walk, known, located)
-        headings = magnetic_headings(walk, frame, located.position[0] if len(located) else np.zeros(2))
+        steps, headings = _observe(walk, known, frame, located, floor)
     with stage("estimate"):
         estimate, missing = _estimate(steps, located, headings, floor, method)
     with stage("write"):
@@ -139,11 +139,15 @@ def _merge(one: Fixes, other: Fixes) -> Fixes:
     return joined[np.argsort(joined.time, kind="stable")]
 
 
-def _steps(walk: Recording, walker: Walker, fixes: Fixes) -> Steps | None:
-    """The steps, None where nothing recorded them and the fixes are all there is."""
+def _observe(
+    walk: Recording, walker: Walker, frame: Frame, fixes: Fixes, floor: FloorPlan | None
+) -> tuple[Steps | None, Headings]:
+    """Steps and headings; no steps where nothing recorded them and the fixes are all there is."""
     if len(fixes) and walk.accelerometer is None and walk.linear_acceleration is None:
-        return None
-    return detect_steps(walk, walker)
+        return None, Headings.none()
+    gaits = gait_of(walk)
+    near = fixes.position[0] if len(fixes) else np.zeros(2) if floor is None else floor.corners.mean(axis=0)
+    return detect_steps(gaits, walker), magnetic_headings(gaits, frame, near)
 
 
 def _estimate(

@@ -1,11 +1,9 @@
 """Absolute directions: what the compass says of real walks, where gait says ahead is, and re-holds put into walks."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from heading import HOLDS, walked
-from scipy.spatial.transform import Rotation, Slerp
 from tables import publish, table
 
 from pdr_graph import detect_steps, magnetic_headings
@@ -18,7 +16,7 @@ from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io import load
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Signal
+from pdr_graph.simulation.turned import turned_in_hand
 
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
@@ -29,7 +27,7 @@ AXES = {
     "**both, our default**": forward_axis,
 }
 ROUGHLY = 40  # [deg]
-SHARES, TURN, WITHIN = (0.3, 0.4, 0.5, 0.6, 0.7), np.pi / 2, 0.7  # of the walk; [rad] in [s]
+SHARES, TURN = (0.3, 0.4, 0.5, 0.6, 0.7), np.pi / 2  # of the walk; [rad]
 
 
 def recordings(data):
@@ -104,9 +102,7 @@ def seen(recording):
 def true_ahead(walk, attitude, heading, walking):
     """The angle that is to be found, from the simulation's truth."""
     truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
-    at = np.clip(attitude.time, 0, walk.motion.time[-1])
-    world = attitude.R_world_device * Slerp(walk.motion.time, walk.motion.R_world_device)(at).inv()
-    east = world.apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
+    east = walk.world_of(attitude).apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
     return float(np.angle(np.mean((east * np.exp(1j * (truth - heading)))[walking])))
 
 
@@ -133,7 +129,9 @@ def reheld(paths):
             continue
         for share in SHARES:
             for angle in (TURN, -TURN):
-                turned = turned_in_hand(recording, attitude, float(landed[int(len(landed) * share)]), angle)
+                begin = float(landed[int(len(landed) * share)])
+                up = attitude.R_world_device[int(np.searchsorted(attitude.time, begin))].inv().apply([0.0, 0.0, 1.0])
+                turned = turned_in_hand(recording, up, begin, angle)
                 direction = walking_direction(attitude_of(turned), step)
                 gained = (direction.heading[-1] - direction.heading[0]) - (heading[-1] - heading[0])
                 error = np.degrees(abs(gained))
@@ -144,21 +142,6 @@ def reheld(paths):
     rows = [[tried, told, f"{np.median(errors):.0f}", f"{max(errors):.0f}"]]
     header = ["re-holds put in", "told from corners", "error [deg]: median", "largest"]
     publish("accuracy.md", "reheld", table(header, rows))
-
-
-def turned_in_hand(recording, attitude, begin, angle):
-    """What the phone would have logged, had it been turned about the vertical meanwhile."""
-    up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])[np.searchsorted(attitude.time, begin)]
-
-    def felt(signal, own_rate):
-        share = (signal.time - begin) / WITHIN
-        values = Rotation.from_rotvec(-angle * np.clip(share, 0, 1)[:, None] * up).apply(signal.values)
-        turning = own_rate * angle / WITHIN * ((share > 0) & (share < 1))
-        return Signal(signal.time, values + turning[:, None] * up)
-
-    return replace(
-        recording, accelerometer=felt(recording.accelerometer, 0.0), gyroscope=felt(recording.gyroscope, 1.0)
-    )
 
 
 def put_away():

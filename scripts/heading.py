@@ -3,7 +3,6 @@
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from scipy.spatial.transform import Slerp
 from tables import DOCS, publish, table
 
 from pdr_graph import detect_steps
@@ -59,16 +58,10 @@ def errors(walk, method):
     first = int(np.flatnonzero(walking)[0])
     heading = direction.heading - direction.heading[first] + truth[first]
     if direction.axis is not None:
-        there = direction.axis + direction.heading[first] + _world_to_true(walk, attitude, first) - truth[first]
+        x, y, _ = walk.world_of(attitude)[first].inv().apply([1.0, 0.0, 0.0])  # the paper starts with both worlds alike
+        there = direction.axis + direction.heading[first] + np.arctan2(y, x) - truth[first]
         heading += np.angle(np.exp(2j * there)) / 2  # of the two ways the one nearer to the given direction
     return attitude.time[walking], np.degrees(heading - truth)[walking]
-
-
-def _world_to_true(walk, attitude, at):
-    """By how much the attitude's world is turned against the true one: the paper starts with both alike [rad]."""
-    truth = Slerp(walk.motion.time, walk.motion.R_world_device)(attitude.time[at])
-    x, y, _ = (truth * attitude.R_world_device[at].inv()).apply([1.0, 0.0, 0.0])
-    return np.arctan2(y, x)
 
 
 def heading(data):

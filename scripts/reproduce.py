@@ -20,6 +20,7 @@ from pdr_graph.estimation import preintegration
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.detection import peak_pairs
+from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.length import inverted_pendulum
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.types import Fixes, Trajectory
@@ -36,17 +37,17 @@ HELP = {
 
 @cache
 def recordings():
-    """The fifteen Microsoft walks with their floors."""
+    """The fifteen Microsoft walks: each with its steps, what its magnetometer says of its direction, and its floor."""
     paths = sorted((DATA / "ms_indoor20").glob("site*/*/*.txt"))
     if not paths:
         raise SystemExit(f"no recordings under {DATA} (set PDR_GRAPH_DATA)")
     floors = {folder: FloorPlan.load(folder) for folder in {p.parent for p in paths}}
-    return [(walk := io.load(p), detect_steps(walk), floors[p.parent]) for p in paths]
-
-
-def headings_of(walk, floor):
-    """What the walk's magnetometer says of its direction."""
-    return magnetic_headings(walk, floor.frame, np.zeros(2))
+    walks = []
+    for path in paths:
+        walk, floor = io.load(path), floors[path.parent]
+        gaits = gait_of(walk)
+        walks.append((walk, detect_steps(gaits), magnetic_headings(gaits, floor.frame, np.zeros(2)), floor))
+    return walks
 
 
 def some(truth, which):
@@ -54,14 +55,14 @@ def some(truth, which):
     return Trajectory(truth.time[which], truth.position[which], truth.heading[which], ("",) * len(which))
 
 
-def withheld_errors(walk, steps, floor, which, method):
+def withheld_errors(walk, steps, headings, floor, which, method):
     """Errors [m] at the waypoints that were not given, whether each is inside its 90 % region, and wall crossings."""
     truth = walk.truth
     rest = np.setdiff1d(np.arange(len(truth)), which)
     if not len(rest):
         return np.empty(0), np.empty(0, dtype=bool), np.nan
     fixes = Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
-    track = method(steps, fixes, headings_of(walk, floor), floor)
+    track = method(steps, fixes, headings, floor)
     pairs = pair(track, some(truth, rest))
     inside = np.empty(0, dtype=bool)
     if track.covariance is not None:
@@ -110,7 +111,7 @@ def microsoft():
         for name, method in METHODS.items():
             if given == "first only" and name == "straight lines":
                 continue
-            results = [withheld_errors(w, s, f, choose(len(w.truth)), method) for w, s, f in walks]
+            results = [withheld_errors(w, s, h, f, choose(len(w.truth)), method) for w, s, h, f in walks]
             errors, inside = [r[0] for r in results], np.concatenate([r[1] for r in results])
             crossing = np.nanmean([r[2] for r in results])
             coverage = f"{100 * inside.mean():.0f} %" if len(inside) else "—"
@@ -126,7 +127,7 @@ def settings():
     def row(name, method, change=lambda steps: steps):
         cells = []
         for given in ("every second waypoint", "first and last"):
-            results = [withheld_errors(w, change(s), f, HELP[given](len(w.truth)), method) for w, s, f in walks]
+            results = [withheld_errors(w, change(s), h, f, HELP[given](len(w.truth)), method) for w, s, h, f in walks]
             errors, inside = (np.concatenate([r[k] for r in results]) for k in (0, 1))
             cells += [
                 " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95])),
@@ -158,7 +159,7 @@ def settings():
 def stride():
     """Dead-reckoned length against the way between waypoints, and the fit of the stride model's constants."""
     legs, rows = [], []
-    for walk, steps, _ in recordings():
+    for walk, steps, _, _ in recordings():
         attitude = vqf_offline(walk)
         landings = peak_pairs(attitude.time, attitude.acceleration)
         truth = walk.truth

@@ -11,9 +11,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pdr_graph.estimation.graph import FRAME_SIGMA, HUBER_WIDTH, STEPS_PER_SEGMENT, Prior, WalkGraph
+from pdr_graph.estimation.graph import FRAME_SIGMA, STEPS_PER_SEGMENT, Prior, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
 from pdr_graph.estimation.reports import fix_reports, warnings
+from pdr_graph.estimation.robust import HUBER_WIDTH, gripping
 from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Calibration, Estimate, Index, Trajectory
 
@@ -144,7 +145,7 @@ def _update(bank: Bank, graph: WalkGraph, fixes: Index, surprises: dict[int, Sur
         P = bank.covariance
         R = graph.fix_sigma[n] ** 2 * np.eye(2)
         sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(P[:, :2, :2] + R), gap))
-        weight = np.minimum(1.0, HUBER_WIDTH / np.maximum(sigmas, 1e-9))
+        weight = gripping(sigmas)
         best = int(np.argmax(bank.log_weight))
         surprises[n] = Surprise(float(np.hypot(*gap[best])), float(sigmas[best]), float(weight[best]))
 
@@ -159,7 +160,7 @@ def _point(bank: Bank, graph: WalkGraph, first: int, after: int) -> Bank:
         gap = wrap_angle(heading - bank.mean[:, 2])[:, None]
         P, R = bank.covariance, sigma**2
         sigmas = np.abs(gap[:, 0]) / np.sqrt(P[:, 2, 2] + R)
-        weight = np.minimum(1.0, HUBER_WIDTH / np.maximum(sigmas, 1e-9))
+        weight = gripping(sigmas)
         S = (P[:, 2, 2] + R / weight)[:, None, None]
         bank = _corrected(bank, P[:, :, 2:3] / S, P[:, 2:3, :], gap, sigmas, S)
     return bank

@@ -17,15 +17,14 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.preintegration import DECIMALS, Increments, Pieces, bridge, cut, preintegrate
+from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.geometry import nearest, rotation, wrap_angle
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask, Steps
 
 STEPS_PER_SEGMENT = 100
 LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
 WALKING_SPEED = 1.4  # [m/s] at which an overhanging fix grows stale
-HUBER_WIDTH = 2.45  # [σ] 95 % of honest fixes lie within, at full weight
-WILD_WIDTH = 2.45  # [σ] Geman–McClure: a wild fix has a quarter of its weight there, and next to none far off
 AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is not believed, and more starts are tried
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
@@ -104,8 +103,8 @@ class WalkGraph:
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
         self.pieces = cut(steps, np.concatenate([self.fixes.time[self.fix_used], self.headings.time, gap_ends]))
-        self.fix_keyframe = _nearest(self.pieces.keyframe_time, self.fixes.time)
-        self.heading_keyframe = _nearest(self.pieces.keyframe_time, self.headings.time)
+        self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
+        self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
         self.segment = _segments(self.pieces, steps)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
 
@@ -213,9 +212,8 @@ class WalkGraph:
     def fix_weight(self, distance: Array) -> Array:
         """The share ``(f,)`` of each fix's information that is used when it lies ``distance (f,)`` [m] off."""
         sigmas = distance / self.fix_sigma
-        gripping = np.minimum(1.0, HUBER_WIDTH / np.maximum(sigmas, 1e-9))
-        slipping = (WILD_WIDTH**2 / (WILD_WIDTH**2 + sigmas**2)) ** 2
-        return np.where(self.fix_used, np.where(self.fix_wild, slipping, gripping), 0.0)
+        weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas))
+        return np.where(self.fix_used, weight, 0.0)
 
     def _lay_on_fixes(self, increments: Increments) -> tuple[State, float]:
         """The start: the dead-reckoned track laid on the fixes; and how well these determine its direction [rad]."""
@@ -267,10 +265,10 @@ class WalkGraph:
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
         graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
-        gripping = noise.mEstimator.Huber.Create(HUBER_WIDTH)
-        slipping = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
+        huber = noise.mEstimator.Huber.Create(HUBER_WIDTH)
+        geman_mcclure = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
         for n in np.flatnonzero(self.fix_used):
-            loss = slipping if self.fix_wild[n] else gripping
+            loss = geman_mcclure if self.fix_wild[n] else huber
             robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, self.fix_sigma[n]))
             graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], robust))
 
@@ -281,7 +279,7 @@ class WalkGraph:
             graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
 
         for n, (heading, sigma) in enumerate(zip(self.headings.heading, self.headings.sigma, strict=True)):
-            compass = noise.Robust.Create(gripping, noise.Isotropic.Sigma(1, sigma))
+            compass = noise.Robust.Create(huber, noise.Isotropic.Sigma(1, sigma))
             at = X(int(self.heading_keyframe[n]))
             graph.add(gtsam.PoseRotationPrior2D(at, gtsam.Pose2(0.0, 0.0, heading), compass))
 
@@ -306,11 +304,6 @@ def _within(headings: Headings, steps: Steps) -> Headings:
     """The headings that were measured while the recording ran."""
     inside = (headings.time >= steps.start) & (headings.time <= steps.end)
     return Headings(headings.time[inside], headings.heading[inside], headings.sigma[inside])
-
-
-def _nearest(sorted_times: Array, time: Array) -> Index:
-    after = np.clip(np.searchsorted(sorted_times, time), 1, len(sorted_times) - 1)
-    return after - (time - sorted_times[after - 1] < sorted_times[after] - time)
 
 
 def _segments(pieces: Pieces, steps: Steps) -> Index:

@@ -12,7 +12,9 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.reholds import reholds
+from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.inertial.windows import running_mean
 from pdr_graph.types import Array
 
 WINDOW = 2.6  # [s] of the principal components: N = 65 samples at 25 Hz
@@ -46,7 +48,7 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     """
     samples = max(1, round(step / attitude.period))
     steady = _mean_attitude(attitude.R_world_device, 2 * samples)
-    turned = np.concatenate([[0.0], np.cumsum((steady[1:] * steady[:-1].inv()).as_rotvec()[:, 2])])
+    turned = np.concatenate([[0.0], np.cumsum(compose(steady[1:], steady[:-1].inv()).as_rotvec()[:, 2])])
     rate_integral = _rate_integral(attitude)
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
     heading = without_gait(rate_integral, samples) - coning
@@ -93,7 +95,7 @@ def without_gait(heading: Array, samples_per_step: int) -> Array:
 
 def _principal(samples: Array, component: int, window: int) -> Direction:
     """The course of a principal component of trailing windows of samples ``(n, 2 or 3)``, seen from above."""
-    axes = samples.shape[1]
+    axes, window = samples.shape[1], max(2, min(window, len(samples)))
     products = np.einsum("ni,nj->nij", samples, samples).reshape(-1, axes**2)
     mean, square = _trailing_mean(samples, window), _trailing_mean(products, window)
     covariance = square.reshape(-1, axes, axes) - np.einsum("ni,nj->nij", mean, mean)
@@ -104,10 +106,8 @@ def _principal(samples: Array, component: int, window: int) -> Direction:
 
 def _trailing_mean(values: Array, window: int) -> Array:
     """Means ``(n, k)`` of the last ``window`` samples; before there are so many, of the first window."""
-    window = max(2, min(window, len(values)))
-    total = np.cumsum(values - values[0], axis=0)
-    full = (total[window - 1 :] - np.concatenate([np.zeros((1, values.shape[1])), total[:-window]])) / window
-    return values[0] + np.concatenate([np.repeat(full[:1], window - 1, axis=0), full])
+    full = running_mean(values, window)
+    return np.concatenate([np.repeat(full[:1], window - 1, axis=0), full])
 
 
 def _rate_integral(attitude: Attitude) -> Array:

@@ -103,7 +103,7 @@ def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: floa
     """
     if not walking.any():
         return UNKNOWN
-    level = _level_acceleration(attitude, heading)[walking]
+    level = _acceleration(attitude, heading)[0][walking]
     level = level - level.mean()
     doubled = np.mean(level**2)  # the axis of the largest variance, at twice its angle
     round_ = 1 - np.abs(doubled) / np.mean(np.abs(level) ** 2)  # 1 where no direction has more than another
@@ -122,8 +122,7 @@ def push(level: Complex, vertical: Complex) -> complex:
 
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level acceleration (complex, ahead real) and the analytic vertical one, both ``(n,)``. [m/s²]"""
-    level = _level_acceleration(attitude, heading)
-    up = attitude.R_world_device.apply(attitude.acceleration)[:, 2]
+    level, up = _acceleration(attitude, heading)
     ahead, left, vertical = (_analytic(part, attitude.period / step) for part in (level.real, level.imag, up))
     return ahead.real + 1j * left.real, vertical
 
@@ -135,6 +134,7 @@ def _analytic(signal: Array, frequency: float) -> Complex:
     return np.fft.ifft(2 * window * np.fft.fft(signal - signal.mean()))
 
 
-def _level_acceleration(attitude: Attitude, heading: Array) -> Complex:
+def _acceleration(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
+    """Level (complex, ahead real) and vertical, both ``(n,)``. [m/s²]"""
     world = attitude.R_world_device.apply(attitude.acceleration)
-    return world[:, :2] @ [1, 1j] * np.exp(-1j * heading)
+    return world[:, :2] @ [1, 1j] * np.exp(-1j * heading), world[:, 2]

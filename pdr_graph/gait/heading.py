@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from pdr_graph.earth import EarthField, earth_field
 from pdr_graph.frames import Frame
-from pdr_graph.gait.detection import peak_pairs
-from pdr_graph.gait.direction import Direction, walking_direction
+from pdr_graph.gait.direction import Direction
 from pdr_graph.gait.forward import forward_axis
-from pdr_graph.gait.gaps import LONGEST_BRIDGED, uninterrupted
-from pdr_graph.geometry import interpolate, wrap_angle
-from pdr_graph.inertial.attitude import Attitude, attitude_of
+from pdr_graph.gait.gait import Gait, gait_of
+from pdr_graph.gait.gaps import LONGEST_BRIDGED
+from pdr_graph.geometry import interpolate, nearest, wrap_angle
+from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.magnetometer import fit_iron
 from pdr_graph.inertial.north import North, magnetic_north
+from pdr_graph.inertial.windows import runs
 from pdr_graph.types import Array, Headings, Mask, Recording
 
 STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
@@ -23,45 +26,47 @@ TILTED = 0.8  # length of the mean of the vertical in the device; a phone that w
 LEAST_CERTAIN = 0.7  # [rad] of north or of what is ahead; beyond it a heading tells nothing
 
 
-def magnetic_headings(recording: Recording, frame: Frame, near: Array) -> Headings:
+def magnetic_headings(recording: Recording | list[Gait], frame: Frame, near: Array) -> Headings:
     """Walking directions where the magnetometer can be believed, and gait or grip tell what is ahead.
 
     Headings of one walk share most of their error. So that many do not pretend to know it better than one, the shared
     variance is counted as often as there are headings: all together weigh what one would.
 
-    frame: that of the headings; near: ``(2,)`` where in it the walk was [m], for the World Magnetic Model. Returns none
+    recording: or what `gait_of` made of it. frame: that of the headings; near: ``(2,)`` where in it the walk was [m], for the World Magnetic Model. Returns none
     in a frame that is nowhere on earth, or without an accelerometer, gyroscope and magnetometer.
     """
-    if not frame.georeferenced or None in (recording.accelerometer, recording.gyroscope, recording.magnetometer):
+    gaits = gait_of(recording) if isinstance(recording, Recording) else recording
+    if not frame.georeferenced or not all(_can_tell(gait.recording) for gait in gaits):
         return Headings.none()
     lon, lat = frame.to_lonlat(near[None])[0].tolist()
-    earth = earth_field(lat, lon, recording.epoch)
-    found = [row for part in uninterrupted(recording) for row in _uninterrupted_headings(part, earth)]
+    earth = earth_field(lat, lon, gaits[0].recording.epoch)
+    found = [row for gait in gaits for row in _uninterrupted_headings(gait, earth)]
     time, from_east, own, ahead = np.array(found).reshape(-1, 4).T
     heading = wrap_angle(from_east + frame.bearing_of_east(near))
     return Headings(time, heading, np.sqrt(own**2 + len(time) * (ahead**2 + COMPASS_SIGMA**2)))
 
 
-def _uninterrupted_headings(recording: Recording, earth: EarthField) -> list[tuple[float, float, float, float]]:
+def _can_tell(recording: Recording) -> bool:
+    return None not in (recording.accelerometer, recording.gyroscope, recording.magnetometer)
+
+
+def _uninterrupted_headings(gait: Gait, earth: EarthField) -> list[tuple[float, float, float, float]]:
     """Rows of time, heading from true east, and the sigmas of north and of what is ahead."""
-    attitude = attitude_of(recording)
-    north = _north(attitude, recording, earth)
-    landings = peak_pairs(attitude.time, attitude.acceleration)
+    attitude, landings, step = gait.attitude, gait.landings, gait.step
+    north = _north(attitude, gait.recording, earth)
     if not len(north) or len(landings.time) < LEAST_STEPS:
         return []
-    step = float(np.median(landings.period))
-    direction = walking_direction(attitude, step)
     walking = _walking(attitude.time, landings.time, landings.period)
     rows = []
-    for stretch in _stretches(direction, attitude.time):
-        here = walking & stretch
+    for stretch in _stretches(gait.direction, attitude.time):
+        held, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]
         if np.sum(here) * attitude.period < LEAST_STEPS * step:
             continue
-        ahead = forward_axis(attitude, direction.heading, here, step)
-        middle = float(np.median(attitude.time[here]))
+        ahead = forward_axis(held, heading, here, step)
+        middle = float(np.median(held.time[here]))
         sigma = float(np.interp(middle, north.time, north.sigma))
         if max(ahead.sigma, sigma) < LEAST_CERTAIN:
-            course = np.interp(middle, attitude.time, direction.heading) + ahead.angle
+            course = np.interp(middle, held.time, heading) + ahead.angle
             east = np.interp(middle, north.time, north.direction) - np.pi / 2
             rows.append((middle, float(wrap_angle(course - east)), sigma, ahead.sigma))
     return rows
@@ -75,15 +80,9 @@ def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North
     if np.linalg.norm(up.mean(axis=0)) < TILTED:
         iron = fit_iron(field, earth.magnitude)
         field = iron.corrected(field) if iron.known else field
-    field[_apart(attitude.time, magnetometer.time) > LONGEST_BRIDGED] = 0.0  # no field tells no north
+    apart = np.abs(magnetometer.time[nearest(magnetometer.time, attitude.time)] - attitude.time)
+    field[apart > LONGEST_BRIDGED] = 0.0  # no field tells no north
     return magnetic_north(attitude, field, earth)
-
-
-def _apart(time: Array, samples: Array) -> Array:
-    """How far each time ``(n,)`` is from the nearest sample [s]."""
-    after = np.searchsorted(samples, time)
-    padded = np.concatenate([[-np.inf], samples, [np.inf]])
-    return np.minimum(time - padded[after], padded[after + 1] - time)
 
 
 def _walking(time: Array, landed: Array, period: Array) -> Mask:
@@ -93,15 +92,12 @@ def _walking(time: Array, landed: Array, period: Array) -> Mask:
     return (begun < len(landed)) & (time >= landed[within] - period[within])
 
 
-def _stretches(direction: Direction, time: Array) -> list[Mask]:
-    """Parts ``(n,)`` of a walk, of equal duration up to STRETCH, in which the phone was not held otherwise."""
+def _stretches(direction: Direction, time: Array) -> list[slice]:
+    """Parts of a walk, of equal duration up to STRETCH, in which the phone was not held otherwise."""
     reheld = np.diff(direction.variance, prepend=direction.variance[0]) > 0
-    hold = np.cumsum(np.diff(reheld.astype(int), prepend=0) > 0)
-    masks = []
-    for n in np.unique(hold):
-        held = (hold == n) & ~reheld
-        begin, end = time[held][[0, -1]] if held.any() else (0.0, 0.0)
-        count = max(1, int(np.ceil((end - begin) / STRETCH)))
-        share = np.minimum((time - begin) * count // max(end - begin, 1e-9), count - 1)
-        masks += [held & (share == k) for k in range(count)]
-    return masks
+    stretches = []
+    for first, after in zip(*runs(~reheld), strict=True):
+        count = max(1, int(np.ceil((time[after - 1] - time[first]) / STRETCH)))
+        cuts = np.linspace(first, after, count + 1).round().astype(int).tolist()
+        stretches += [slice(*span) for span in pairwise(cuts)]
+    return stretches

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.gait.detection import peak_pairs
-from pdr_graph.gait.direction import Direction, walking_direction
-from pdr_graph.gait.gaps import join, uninterrupted
+from pdr_graph.gait.gait import Gait, gait_of
+from pdr_graph.gait.gaps import join
 from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
-from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.settings import read_toml
 from pdr_graph.types import Array, Recording, Steps
 
@@ -43,8 +41,10 @@ class Walker:
         return cls(**given)
 
 
-def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
+def detect_steps(recording: Recording | list[Gait], walker: Walker | None = None) -> Steps:
     """The steps in a recording: when each foot landed, how far it went, and how the heading changed.
+
+    recording: or what `gait_of` made of it, where that is wanted for other things too.
 
     Where the recording has a gap, a row of length 0 says that the walker went nobody knows where.
 
@@ -52,16 +52,13 @@ def detect_steps(recording: Recording, walker: Walker | None = None) -> Steps:
 
     Raises InputError if there is no accelerometer.
     """
-    walker = walker or Walker()
-    return join([_uninterrupted_steps(part, walker) for part in uninterrupted(recording)])
+    walker, gaits = walker or Walker(), gait_of(recording) if isinstance(recording, Recording) else recording
+    return join([_uninterrupted_steps(part, walker) for part in gaits])
 
 
-def _uninterrupted_steps(recording: Recording, walker: Walker) -> Steps:
-    # Attitude of the phone
-    attitude = attitude_of(recording)
-
+def _uninterrupted_steps(gait: Gait, walker: Walker) -> Steps:
     # When the feet landed
-    landings = peak_pairs(attitude.time, attitude.acceleration)
+    attitude, landings = gait.attitude, gait.landings
     since_last = np.diff(landings.time, prepend=attitude.time[0])
     duration = np.minimum(landings.period, since_last)
 
@@ -70,9 +67,7 @@ def _uninterrupted_steps(recording: Recording, walker: Walker) -> Steps:
     share = duration / landings.period  # below 1 only where the recording starts in mid-step
 
     # Which way
-    step = float(np.median(landings.period)) if len(landings.time) else 0.5
-    direction = _direction(attitude, step)
-    heading = direction.heading
+    heading = gait.direction.heading
     landed = np.interp(landings.time, attitude.time, heading)
     set_off = np.interp(landings.time - duration, attitude.time, heading)
     before = np.concatenate([heading[:1], landed[:-1]])
@@ -86,21 +81,14 @@ def _uninterrupted_steps(recording: Recording, walker: Walker) -> Steps:
         turn=landed - before,
         pause_turn=set_off - before,
         sigma_length=sigma_length,
-        sigma_turn=_sigma_turn(attitude, direction, landings.time, walker),
+        sigma_turn=_sigma_turn(gait, walker),
         final_turn=float(heading[-1] - landed[-1]) if len(landed) else float(heading[-1] - heading[0]),
         unknown=attitude.unknown,
     )
 
 
-def _direction(attitude: Attitude, step: float) -> Direction:
-    """The walking direction; straight on where nothing tells. step: usual duration [s]."""
-    if attitude.angular_rate is None:
-        return Direction(np.zeros(len(attitude.time)), np.zeros(len(attitude.time)))
-    return walking_direction(attitude, step)
-
-
-def _sigma_turn(attitude: Attitude, direction: Direction, landed: Array, walker: Walker) -> Array:
+def _sigma_turn(gait: Gait, walker: Walker) -> Array:
     """Standard deviation ``(n,)`` of each step's turn. [rad]"""
-    usual = walker.sigma_turn if attitude.angular_rate is not None else UNSEEN_TURN
-    doubt = np.interp(landed, attitude.time, direction.variance)
+    usual = walker.sigma_turn if gait.attitude.angular_rate is not None else UNSEEN_TURN
+    doubt = np.interp(gait.landings.time, gait.attitude.time, gait.direction.variance)
     return np.sqrt(usual**2 + np.diff(doubt, prepend=0.0))

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.gait.forward import at_step_frequency, push
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.types import Array, Complex, Mask
+from pdr_graph.inertial.windows import runs
+from pdr_graph.types import Array, Complex
 
 TILTING = 0.25  # [rad/s] of the device's vertical, over a stride: faster than a carried phone tilts
 REHELD = 0.5  # [rad] by which the vertical then ends elsewhere in the device: it is held otherwise
@@ -66,7 +67,7 @@ def _to_another_tilt(steady: Rotation, step: float, period: float) -> list[tuple
     samples = max(1, round(step / period))
     up = steady.inv().apply([0.0, 0.0, 1.0])
     found = []
-    for first, after in _runs(np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period):
+    for first, after in np.transpose(runs(np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period)).tolist():
         begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
         if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > REHELD:
             found.append((begin, end))
@@ -82,8 +83,8 @@ def _of_walker(gait: _Gait, heading: Array, span: tuple[int, int]) -> float:
 def _fast_turns(heading: Array, period: float) -> list[tuple[int, int]]:
     """Turns that a wrist could have made: first and last samples."""
     samples = max(1, round(WITHIN / period))
-    runs = _runs(np.abs(heading[samples:] - heading[:-samples]) > FAST)
-    return [(first, after - 1 + samples) for first, after in runs]
+    fast = runs(np.abs(heading[samples:] - heading[:-samples]) > FAST)
+    return [(first, after - 1 + samples) for first, after in np.transpose(fast).tolist()]
 
 
 def _in_hand(gait: _Gait, heading: Array, span: tuple[int, int]) -> bool:
@@ -94,9 +95,3 @@ def _in_hand(gait: _Gait, heading: Array, span: tuple[int, int]) -> bool:
 
 def _meets(one: tuple[int, int], others: list[tuple[int, int]]) -> bool:
     return any(one[0] < other[1] and other[0] < one[1] for other in others)
-
-
-def _runs(mask: Mask) -> zip[tuple[int, int]]:
-    """First sample and the one after the last of each run of True."""
-    edges = np.diff(mask.astype(int), prepend=0, append=0)
-    return zip(np.flatnonzero(edges > 0).tolist(), np.flatnonzero(edges < 0).tolist(), strict=True)

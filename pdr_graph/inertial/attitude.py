@@ -39,6 +39,14 @@ class Attitude:
     angular_rate: Array | None
     unknown: tuple[str, ...] = ()
 
+    def __getitem__(self, part: slice) -> Attitude:
+        """A stretch of it."""
+        rate = None if self.angular_rate is None else self.angular_rate[part]
+        attitude, acceleration = self.R_world_device[part], self.acceleration[part]
+        return replace(
+            self, time=self.time[part], R_world_device=attitude, acceleration=acceleration, angular_rate=rate
+        )
+
 
 def attitude_of(recording: Recording) -> Attitude:
     """Attitude by the best method that the recording's sensors allow.

@@ -20,6 +20,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude, upright
 from pdr_graph.inertial.samples import on_one_grid
+from pdr_graph.inertial.windows import running_mean
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Recording
 
 GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0  # [m/s²] per root second; of one walking sample: GravityFilter's sigmas
@@ -204,14 +205,9 @@ class Switching:
         window = Samples(*(np.concatenate(pair) for pair in pairs))
         self._recent = Samples(*(values[len(samples.acceleration) :] for values in _fields(window)))
         below = np.linalg.norm(window.angular_rate, axis=1, keepdims=True) <= self._threshold
-        share, up, field = (self._mean(v) for v in (below.astype(float), window.acceleration, window.magnetic_field))
+        means = (below.astype(float), window.acceleration, window.magnetic_field)
+        share, up, field = (running_mean(values, self._shortest) for values in means)
         return share[:, 0] == 1, up, field
-
-    def _mean(self, values: Array) -> Array:
-        """Of the last rows up to each, without those of the window's beginning."""
-        total = np.cumsum(values, axis=0)
-        total[self._shortest :] -= total[: -self._shortest].copy()
-        return total[self._shortest - 1 :] / self._shortest
 
 
 def accelerometer_magnetometer(recording: Recording) -> Attitude:

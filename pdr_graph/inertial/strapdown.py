@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.inertial.windows import runs
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask
 
 
@@ -40,8 +41,8 @@ def strapdown(attitude: Attitude, rest: Mask, look_ahead: bool = False) -> Navig
 
 def _coming_to_rest(acceleration: Array, rest: Mask) -> Array:
     """Acceleration ``(n, 3)`` whose mean over every movement between two rests is 0."""
-    corrected, edges = acceleration.copy(), np.diff(rest.astype(int))
-    left, arrived = np.flatnonzero(edges < 0) + 1, np.flatnonzero(edges > 0) + 1
-    for first, after in zip(left, arrived[arrived > left.min(initial=len(rest))], strict=False):
-        corrected[first:after] -= acceleration[first:after].mean(axis=0)
+    corrected = acceleration.copy()
+    for first, after in zip(*runs(~rest), strict=True):
+        if first > 0 and after < len(rest):
+            corrected[first:after] -= acceleration[first:after].mean(axis=0)
     return corrected

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from pdr_graph.geometry import compose
 from pdr_graph.simulation.body import REHOLD, Body
 from pdr_graph.simulation.noise import slow
 from pdr_graph.simulation.walker import Walker
@@ -187,7 +188,7 @@ def carry(body: Body, walker: Walker, random: np.random.Generator) -> Motion:
     force += to_world.apply(
         _shocks(body, holds, weights, random) + _roughness(body, holds, weights, stride.vigour, random)
     )
-    turned = (R_world_device[:-1].inv() * R_world_device[1:]).as_rotvec() * rate
+    turned = compose(R_world_device[:-1].inv(), R_world_device[1:]).as_rotvec() * rate
     angular_rate = np.concatenate([turned[:1], (turned[:-1] + turned[1:]) / 2, turned[-1:]])
     rolling = (np.abs(body.rolling)[:, None] / 0.5) ** 0.3  # it rattles as soon as it rolls
     angular_rate += CART_ROCKS * rolling * _rattle(random, n, rate)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
 
 from pdr_graph.earth import earth_field
 from pdr_graph.frames import Frame, enu
-from pdr_graph.geometry import interpolate, unit, wrap_angle
+from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
+from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.simulation import sensors
 from pdr_graph.simulation.body import Body, move
 from pdr_graph.simulation.carrying import Motion, carry
@@ -49,6 +51,12 @@ class Simulation:
             heading=np.asarray(wrap_angle(body.heading)),
             floor=tuple(np.array(body.floors, dtype=object)[body.floor]),
         )
+
+    def world_of(self, attitude: Attitude) -> Rotation:
+        """From the true world to the attitude's: n rotations, about the vertical where the attitude is level."""
+        time = np.clip(attitude.time, 0, self.motion.time[-1])
+        truth = Slerp(self.motion.time, self.motion.R_world_device)(time)
+        return compose(attitude.R_world_device, truth.inv())
 
     def recording(self, *sensors: str) -> Recording:
         """What some of its sensors logged, as if read from a file; without a name all of them."""

@@ -7,6 +7,7 @@ from walks import drawn_from_the_model
 
 from pdr_graph import smooth
 from pdr_graph.estimation import graph as walk_graph
+from pdr_graph.estimation import robust
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
 
@@ -28,7 +29,8 @@ def normalised_errors(wrong: float) -> np.ndarray:
 @pytest.fixture
 def gaussian(monkeypatch):
     """Without robust loss, which is not Gaussian."""
-    monkeypatch.setattr(walk_graph, "HUBER_WIDTH", 1e6)
+    for module in (walk_graph, robust):
+        monkeypatch.setattr(module, "HUBER_WIDTH", 1e6)
 
 
 def interval():

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
 from pdr_graph.gait.direction import walking_direction
@@ -39,9 +39,7 @@ def simulated(hold, seed):
     heading = walking_direction(attitude, step).heading
     walking = np.interp(attitude.time, walk.body.time, walk.body.step_length) > 0.3
     truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
-    at = np.clip(attitude.time, 0, walk.motion.time[-1])
-    world = attitude.R_world_device * Slerp(walk.motion.time, walk.motion.R_world_device)(at).inv()
-    east = world.apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
+    east = walk.world_of(attitude).apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
     wanted = np.angle(np.mean((east * np.exp(1j * (truth - heading)))[walking]))
     return attitude, heading, walking, step, wanted
 

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from pdr_graph import InputError
 from pdr_graph.inertial import published
@@ -34,8 +34,7 @@ def recording(walk):
 
 def against_truth(walk, attitude):
     """Tilt error ``(n,)`` and how the attitude's world is turned against the true one ``(n,)``, both [deg]."""
-    time_ = np.clip(attitude.time, 0, walk.motion.time[-1])
-    world = attitude.R_world_device * Slerp(walk.motion.time, walk.motion.R_world_device)(time_).inv()
+    world = walk.world_of(attitude)
     up, east = world.apply([0.0, 0.0, 1.0]), world.apply([1.0, 0.0, 0.0])
     tilt = np.degrees(np.arccos(np.clip(up[:, 2], -1, 1)))
     return tilt, np.degrees(np.unwrap(np.arctan2(east[:, 1], east[:, 0])))
