@@ -32,8 +32,9 @@ def magnetic_headings(recording: Recording | list[Gait], frame: Frame, near: Arr
     Headings of one walk share most of their error. So that many do not pretend to know it better than one, the shared
     variance is counted as often as there are headings: all together weigh what one would.
 
-    recording: or what `gait_of` made of it. frame: that of the headings; near: ``(2,)`` where in it the walk was [m], for the World Magnetic Model. Returns none
-    in a frame that is nowhere on earth, or without an accelerometer, gyroscope and magnetometer.
+    recording: or what `gait_of` made of it; frame: that of the headings; near: ``(2,)`` where in it the walk was [m],
+    for the World Magnetic Model. Returns none in a frame that is nowhere on earth, or without an accelerometer,
+    gyroscope and magnetometer.
     """
     gaits = gait_of(recording) if isinstance(recording, Recording) else recording
     if not frame.georeferenced or not all(_can_tell(gait.recording) for gait in gaits):
