@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pdr_graph.evaluation import evaluate as evaluate
     from pdr_graph.floor.plan import FloorPlan as FloorPlan
     from pdr_graph.gait.heading import magnetic_headings as magnetic_headings
-    from pdr_graph.gait.pdr import Walker as Walker
     from pdr_graph.gait.pdr import detect_steps as detect_steps
+    from pdr_graph.gait.walker import Walker as Walker
     from pdr_graph.geometry import dead_reckon as dead_reckon
     from pdr_graph.io import load as load
     from pdr_graph.io.tables import read_fixes as read_fixes
@@ -41,7 +41,7 @@ _HOME = {
     "evaluate": "evaluation",
     "FloorPlan": "floor.plan",
     "magnetic_headings": "gait.heading",
-    "Walker": "gait.pdr",
+    "Walker": "gait.walker",
     "detect_steps": "gait.pdr",
     "dead_reckon": "geometry",
     "load": "io",

@@ -96,13 +96,37 @@ def steps(
 ) -> None:
     """Detect the steps of a recording, for other back ends: time,length,turn,sigma_length,sigma_turn."""
     from pdr_graph import io
-    from pdr_graph.gait.pdr import Walker, detect_steps
+    from pdr_graph.gait.pdr import detect_steps
+    from pdr_graph.gait.walker import Walker
     from pdr_graph.io.writers import write_steps
 
     walk = io.load(recording)
     found = detect_steps(walk, Walker.load(walker) if walker else None)
     write_steps(out, found, walk.clock_origin)
     typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {out}")
+
+
+@app.command()
+def calibrate(
+    recording: RecordingPath,
+    route: Annotated[
+        Path,
+        typer.Option("--route", metavar="GEOJSON", help="The line that was walked: the one feature of kind link."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="Where the walker's profile goes.")],
+    walker: WalkerPath = None,
+) -> None:
+    """Learn a walker's own stride and turn errors from a walk along a known line.
+
+    pdr-graph calibrate walk.csv --route maps/figure_eight.geojson --out walker.toml
+    """
+    from pdr_graph.pipeline import calibrate_walker
+
+    profile, laps = calibrate_walker(recording, route, out, walker)
+    sigma = profile.covariance.diagonal() ** 0.5
+    named = zip(("E_length", "E_straight", "E_corner"), ("", " rad/m", ""), sigma, strict=True)
+    said = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in named)
+    typer.echo(f"{laps} x the route, {profile.residual:.2f} m from it (rms): {said} -> {out}")
 
 
 @app.command()

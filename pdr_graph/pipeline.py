@@ -16,15 +16,19 @@ import numpy as np
 
 from pdr_graph import io
 from pdr_graph.errors import InputError
+from pdr_graph.estimation.calibration import calibrate, posterior_profile, prior_of
 from pdr_graph.estimation.filters import kalman_filter
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.route import read_route
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.heading import magnetic_headings
-from pdr_graph.gait.pdr import Walker, detect_steps
+from pdr_graph.gait.pdr import detect_steps
+from pdr_graph.gait.profile import Profile
+from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_fixes
@@ -85,11 +89,14 @@ def smooth_recording(
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, floor)
     with stage("estimate"):
-        estimate, missing = _estimate(steps, located, headings, floor, method)
+        estimate, missing = _estimate(steps, located, headings, floor, known, method)
     with stage("write"):
         missing += _write(out, walk, floor, frame, estimate, rate)
+        if steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
+            learnt = replace(known, profile=posterior_profile(estimate, steps, known.profile))
+            learnt.save(out / "walker.toml", f"what {walk.source} taught of its walker, for --walker of the next walk")
 
-    settings = {"method": method, "walker": asdict(known), "recorded_fixes": use_recorded_fixes, "rate": rate}
+    settings = {"method": method, "walker": known.describe(), "recorded_fixes": use_recorded_fixes, "rate": rate}
     settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
     settings |= {name: str(path) if path else None for name, path in (("map", plan), ("fixes", fixes))}
     summary = summarize(walk, steps, headings, floor, frame, estimate)
@@ -97,6 +104,20 @@ def smooth_recording(
     summary["warnings"] = [*notes, *estimate.warnings]
     writers.write_summary(out / "summary.json", summary)
     return missing
+
+
+def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | None = None) -> tuple[Profile, int]:
+    """The profile of a walker who followed a known line, written to ``out``; and how often round they went.
+
+    Raises InputError if an input cannot be used.
+    """
+    walk, known = io.load(recording), Walker.load(walker) if walker else Walker()
+    if walk.gyroscope is None:
+        raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
+    steps = detect_steps(walk, replace(known, profile=None))
+    profile, _, laps = calibrate(steps, read_route(route), walk.source)
+    replace(known, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
+    return profile, laps
 
 
 def _floor_of(fixes: Fixes) -> str | None:
@@ -151,12 +172,13 @@ def _observe(
 
 
 def _estimate(
-    steps: Steps | None, fixes: Fixes, headings: Headings, floor: FloorPlan | None, method: str
+    steps: Steps | None, fixes: Fixes, headings: Headings, floor: FloorPlan | None, walker: Walker, method: str
 ) -> tuple[Estimate, tuple[str, ...]]:
     """The walk by one method, and what of it could not be had."""
     if steps is None:
         return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
-    estimate, missing = _smoothed(WalkGraph(steps, fixes, headings=headings, floor=floor), method)
+    prior = prior_of(walker.profile)
+    estimate, missing = _smoothed(WalkGraph(steps, fixes, headings=headings, floor=floor, prior=prior), method)
     return estimate, (*steps.unknown, *missing)
 
 
@@ -175,7 +197,7 @@ def _smoothed(graph: WalkGraph, method: str) -> tuple[Estimate, tuple[str, ...]]
 def _dead_reckoned(graph: WalkGraph) -> Estimate:
     """Dead reckoning through the first fix, turned and scaled by nothing: the graph of that fix alone."""
     first = int(np.argmax(graph.fix_used)) if graph.fix_used.any() else 0
-    alone = smooth(WalkGraph(graph.steps, graph.fixes[first : first + 1]))
+    alone = smooth(WalkGraph(graph.steps, graph.fixes[first : first + 1], prior=graph.prior))
     track, fixes = alone.trajectory, graph.fixes
     at = interpolate(fixes.time, track.time, track.position)
     distance = np.hypot(*(fixes.position - at).T)

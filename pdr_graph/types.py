@@ -246,16 +246,21 @@ class Calibration:
 
     start: ``(s,)`` first instant of each segment [s].
     value: ``(s, 3)`` R_s [-], R_d [-], b [rad/s].
-    sigma: ``(s, 3)`` standard deviations.
+    covariance: ``(s, 3, 3)``.
     prior_sigma: ``(s, 3)`` standard deviations before any measurement.
     """
 
     start: Array
     value: Array
-    sigma: Array
+    covariance: Array
     prior_sigma: Array
 
     names = ("R_s", "R_d", "b")
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations ``(s, 3)``."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     @property
     def learnt(self) -> Mask:

@@ -6,23 +6,21 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import calibration_walk
 import cart
 import compass
 import heading
 import numpy as np
 import realism
 import recorded
-from scipy.optimize import least_squares
+import steps
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, magnetic_headings, smooth
 from pdr_graph.estimation import preintegration
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.evaluation import circular_error, pair
-from pdr_graph.gait.detection import peak_pairs
 from pdr_graph.gait.gait import gait_of
-from pdr_graph.gait.length import inverted_pendulum
-from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.types import Fixes, Trajectory
 
 DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
@@ -156,42 +154,11 @@ def settings():
     publish("accuracy.md", "settings", table(header, rows))
 
 
-def stride():
-    """Dead-reckoned length against the way between waypoints, and the fit of the stride model's constants."""
-    legs, rows = [], []
-    for walk, steps, _, _ in recordings():
-        attitude = vqf_offline(walk)
-        landings = peak_pairs(attitude.time, attitude.acceleration)
-        truth = walk.truth
-        way = np.hypot(*np.diff(truth.position, axis=0).T)
-        begin = landings.time - steps.duration
-        for a, b, distance in zip(truth.time[:-1], truth.time[1:], way, strict=True):
-            share = np.clip(np.minimum(landings.time, b) - np.maximum(begin, a), 0, None) / steps.duration
-            on = share > 0
-            if share.sum() > 2:
-                legs.append((distance, share[on], np.sqrt(landings.amplitude[on]) * landings.period[on]))
-        within = (steps.time > truth.time[0]) & (steps.time <= truth.time[-1])
-        model, _ = inverted_pendulum(landings.amplitude, landings.period)
-        rows.append([walk.source[:8], f"{way.sum():.0f}", within.sum(), f"{model[within].sum() / way.sum():.2f}"])
-
-    def residuals(k):
-        sigma = [np.sqrt(2 * WAYPOINT_NOISE**2 + 0.15**2 * share.sum()) for _, share, _ in legs]
-        walked = [np.sum(share * (k[0] + k[1] * z)) - distance for distance, share, z in legs]
-        return np.divide(walked, sigma)
-
-    free = least_squares(residuals, [0.2, 0.3], loss="soft_l1").x
-    half = least_squares(lambda k: residuals([0.34, k[0]]), [0.3], loss="soft_l1").x
-    ratios = np.array([float(row[-1]) for row in rows])
-    text = table(["walk", "way [m]", "steps", "model / way"], rows)
-    text += f"\n\nMean ratio {ratios.mean():.3f}, standard deviation {ratios.std():.3f}. Fit of both constants: "
-    text += f"k₀ = {free[0]:.2f}, k₁ = {free[1]:.2f}; of k₁ with k₀ = 0.34: {half[0]:.3f}."
-    publish("accuracy.md", "stride", text)
-
-
 if __name__ == "__main__":
-    tables = {"microsoft": microsoft, "settings": settings, "stride": stride}
+    tables = {"microsoft": microsoft, "settings": settings}
     tables |= {"ipin21": lambda: recorded.ipin21(DATA), "gnss": lambda: recorded.gnss(DATA)}
     tables |= {"heading": lambda: heading.heading(DATA), "cart": cart.cart}
+    tables |= {"steps": lambda: steps.steps(DATA), "calibration-walk": calibration_walk.calibration_walk}
     tables |= {"compass": lambda: compass.compass(DATA)}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]

@@ -11,7 +11,8 @@ import pytest
 import simulated
 
 ROOT = Path(__file__).parent.parent
-ARCADE = ROOT / "maps" / "arcade.geojson"
+MAPS, SCENARIOS = ROOT / "maps", ROOT / "scenarios"
+ARCADE, EIGHT = MAPS / "arcade.geojson", MAPS / "figure_eight.geojson"
 ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])
 
 
@@ -50,6 +51,7 @@ def test_smooth_writes_what_the_contract_names(result):
         "trajectory.tum",
         "figure.png",
         "summary.json",
+        "walker.toml",
     }
     table = rows(result / "trajectory.csv")
     assert list(table[0]) == [
@@ -136,6 +138,37 @@ def test_steps(folder):
     assert all(0.2 <= float(row["length"]) <= 1.2 for row in table[1:])
 
 
+def test_calibrate_and_walk_again(tmp_path):
+    """A walk round the eight tells the walker's stride; the next walk's steps are as long as they were."""
+    assert run("simulate", SCENARIOS / "figure_eight.toml", "--out", tmp_path / "eight")[0] == 0
+    profile = tmp_path / "walker.toml"
+    arguments = ("--route", MAPS / "figure_eight.geojson", "--out", profile)
+    code, printed, errors = run("calibrate", tmp_path / "eight", *arguments)
+    assert (code, errors) == (0, [])
+    assert printed.startswith("2 x the route")
+    assert "E_length" in profile.read_text()
+    walked = {}
+    for name, known in (("unknown", ()), ("known", ("--walker", profile))):
+        assert run("steps", tmp_path / "eight", *known, "--out", tmp_path / f"{name}.csv")[0] == 0
+        walked[name] = sum(float(row["length"]) for row in rows(tmp_path / f"{name}.csv"))
+    true = sum(np.hypot(*np.diff(truth_of(tmp_path / "eight"), axis=0).T))
+    assert abs(walked["known"] - true) < 0.04 * true < abs(walked["unknown"] - true)
+
+
+def truth_of(folder):
+    return np.array([(float(row["x"]), float(row["y"])) for row in rows(folder / "truth.csv")])
+
+
+def test_what_a_walk_taught_serves_the_next(result, folder):
+    """``smooth`` writes the walker's profile; given back, it is the summary's too, and no less was learnt."""
+    out = folder / "again"
+    arguments = ("--map", ARCADE, "--fixes", folder / "fixes.csv", "--walker", result / "walker.toml", "--out", out)
+    assert run("smooth", folder / "walk.txt", *arguments)[0] == 0
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["settings"]["walker"]["profile"]["E_length"] != 0
+    assert summary["calibration"][-1]["R_s"]["value"] == pytest.approx(1.0, abs=0.05)
+
+
 def test_map_show(tmp_path):
     code, printed, _ = run("map", "show", ARCADE, "--out", tmp_path / "plan.png")
     assert code == 0
@@ -165,6 +198,9 @@ def test_help_names_the_verbs():
         (("evaluate", "walk.txt", "truth.csv"), "header"),
         (("evaluate", "truth.csv", "nowhere.csv"), "nowhere.csv"),
         (("map", "show", "truth.csv"), "truth.csv"),
+        (("calibrate", "walk.txt", "--route", "nowhere.geojson", "--out", "o.toml"), "nowhere.geojson"),
+        (("calibrate", "walk.txt", "--route", str(ARCADE), "--out", "o.toml"), "'link'"),
+        (("calibrate", "walk.txt", "--route", str(EIGHT), "--out", "o.toml"), "leave the route"),
     ],
 )
 def test_refusals_are_one_line_and_exit_2(folder, arguments, complaint):

@@ -26,7 +26,7 @@ from pdr_graph.types import Array, Index
 
 
 def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBayesNet) -> tuple[Array, Array]:
-    """Covariance ``(n + 2, 3, 3)`` of (x, y, heading) of each row in the output axes, and sigma ``(s, 3)`` of c.
+    """Covariance ``(n + 2, 3, 3)`` of (x, y, heading) of each row in the output axes, and ``(s, 3, 3)`` of c.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of ``steps_between``, plus the spread that
     a step keeps when both ends are known. own, net: the own factors at the optimum, and the graph factorised there.
@@ -41,7 +41,7 @@ def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBay
     R_0 = pose_rotation(own.pose_i[:1, 2])
     of_start = R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
     of_c = blocks.joint([(C(s),) for s in range(len(graph.start.c))])
-    return np.concatenate([of_start, of_steps]), np.sqrt(np.diagonal(of_c, axis1=1, axis2=2))
+    return np.concatenate([of_start, of_steps]), of_c
 
 
 class CovarianceBlocks:

@@ -66,7 +66,7 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     calibration = Calibration(
         start=np.array([graph.steps.start]),
         value=bank.mean[final, None, 3:],
-        sigma=np.sqrt(np.diag(bank.covariance[final])[None, 3:]),
+        covariance=bank.covariance[final][None, 3:, 3:],
         prior_sigma=np.array([graph.prior.sigma]),
     )
     seen = [surprises.get(n, Surprise(np.nan, np.nan, 0.0)) for n in range(len(graph.fixes))]
@@ -112,8 +112,10 @@ def _start(graph: WalkGraph) -> Bank:
     mean[:, :2] = 0.0 if known else graph.fixes.position[graph.fix_used][0]
     mean[:, 2] = np.arange(count) * 2 * np.pi / count
     mean[:, 3:] = graph.prior.mean
-    sigma = np.array([*([FRAME_SIGMA] * 3 if known else [FAR, FAR, np.pi / count]), *graph.prior.sigma])
-    return Bank(mean, np.tile(np.diag(sigma**2), (count, 1, 1)), np.full(count, -np.log(count)))
+    covariance = np.zeros((6, 6))
+    covariance[range(3), range(3)] = np.square([FRAME_SIGMA] * 3 if known else [FAR, FAR, np.pi / count])
+    covariance[3:, 3:] = graph.prior.covariance
+    return Bank(mean, np.tile(covariance, (count, 1, 1)), np.full(count, -np.log(count)))
 
 
 def _predict(bank: Bank, length: float, turn: float, time: float, variance: Array, prior: Prior) -> Bank:

@@ -35,6 +35,7 @@ class Prior:
     """What is believed of walker, gyro and walls before the walk.
 
     mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
+    correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m].
     """
@@ -42,8 +43,16 @@ class Prior:
     mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
     sigma: tuple[float, float, float] = (0.15, 0.03, 0.002)
     change: tuple[float, float, float] = (0.03, 0.005, 0.0005)
+    correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wall_margin: float = 0.8
     wall_sigma: float = 1.0
+
+    @property
+    def covariance(self) -> Array:
+        """Of (R_s, R_d, b) ``(3, 3)``."""
+        correlation = np.eye(3)
+        correlation[np.triu_indices(3, 1)] = correlation.T[np.triu_indices(3, 1)] = self.correlation
+        return correlation * np.outer(self.sigma, self.sigma)
 
 
 @dataclass(frozen=True)
@@ -273,7 +282,7 @@ class WalkGraph:
             graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], robust))
 
         prior = self.prior
-        graph.add(gtsam.PriorFactorVector(C(0), np.array(prior.mean), noise.Diagonal.Sigmas(np.array(prior.sigma))))
+        graph.add(gtsam.PriorFactorVector(C(0), np.array(prior.mean), noise.Gaussian.Covariance(prior.covariance)))
         change = noise.Diagonal.Sigmas(np.array(prior.change))
         for s in range(self.segment[-1]):
             graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))

@@ -24,12 +24,12 @@ def smooth(graph: WalkGraph) -> Estimate:
 
     # Every step, with its covariance
     rows = _rows(best)
-    covariance, sigma_c = _mixed_covariance(found)
+    covariance, of_c = _mixed_covariance(found)
     floor = (graph.floor.label if graph.floor else "",) * len(rows)
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), floor, covariance)
 
     # What was learnt, what was trusted, and what to beware of
-    calibration = _calibration(best, sigma_c)
+    calibration = _calibration(best, of_c)
     distance = best.graph.fix_distance(best.values)
     weight = best.graph.fix_weight(distance)
     return Estimate(
@@ -51,23 +51,23 @@ def _rows(optimum: Optimum) -> Array:
 
 
 def _mixed_covariance(found: list[Optimum]) -> tuple[Array, Array]:
-    """Covariance of each row about the best solution, the others counted by their probability; sigma of c."""
+    """Covariance of each row about the best solution, the others counted by their probability; that of c."""
     weight = np.exp(found[0].cost - np.array([s.cost for s in found]))
     weight /= weight.sum()
     rows = _rows(found[0])
-    covariance, sigma_c = covariance_of_rows(found[0].graph, found[0].own, found[0].net)
+    covariance, of_c = covariance_of_rows(found[0].graph, found[0].own, found[0].net)
     total = weight[0] * covariance
     for w, other in zip(weight[1:], found[1:], strict=True):
         covariance, _ = covariance_of_rows(other.graph, other.own, other.net)
         apart = _rows(other) - rows
         apart[:, 2] = wrap_angle(apart[:, 2])
         total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
-    return total, sigma_c
+    return total, of_c
 
 
-def _calibration(best: Optimum, sigma: Array) -> Calibration:
+def _calibration(best: Optimum, covariance: Array) -> Calibration:
     graph, c = best.graph, State.of(best.values).c
     segments = np.arange(len(c))[:, None]
     prior = np.sqrt(np.square(graph.prior.sigma) + segments * np.square(graph.prior.change))
     first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
-    return Calibration(graph.pieces.keyframe_time[first], c, sigma, prior)
+    return Calibration(graph.pieces.keyframe_time[first], c, covariance, prior)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import wrap_angle
@@ -123,18 +124,23 @@ def push(level: Complex, vertical: Complex) -> complex:
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level acceleration (complex, ahead real) and the analytic vertical one, both ``(n,)``. [m/s²]"""
     level, up = _acceleration(attitude, heading)
-    ahead, left, vertical = (_analytic(part, attitude.period / step) for part in (level.real, level.imag, up))
-    return ahead.real + 1j * left.real, vertical
+    count = fft.next_fast_len(len(up)) or len(up)
+    ratio = np.fft.fftfreq(count, attitude.period) * step
+    window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / BAND, -1, 1)) ** 2
 
+    def filtered(signal: Complex | Array, response: Array) -> Complex:
+        spectrum = np.asarray(fft.fft(signal - signal.mean(), count))
+        return np.asarray(fft.ifft(response * spectrum))[: len(signal)]
 
-def _analytic(signal: Array, frequency: float) -> Complex:
-    """The analytic signal ``(n,)`` of what lies in BAND about a frequency, in cycles per sample."""
-    ratio = np.fft.fftfreq(len(signal)) / frequency
-    window = np.cos(np.pi / 2 * np.clip((ratio - 1) / BAND, -1, 1)) ** 2
-    return np.fft.ifft(2 * window * np.fft.fft(signal - signal.mean()))
+    return filtered(level, window), filtered(up, 2 * window * (ratio > 0))
 
 
 def _acceleration(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
     """Level (complex, ahead real) and vertical, both ``(n,)``. [m/s²]"""
     world = attitude.R_world_device.apply(attitude.acceleration)
     return world[:, :2] @ [1, 1j] * np.exp(-1j * heading), world[:, 2]
+
+
+def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -> Array:
+    """Acceleration along the walking direction ``(n,)``. [m/s²]"""
+    return (_acceleration(attitude, heading)[0] * np.exp(-1j * forward.angle)).real

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.gait.detection import Landings, peak_pairs
+from pdr_graph.gait.detection import walking_steps
 from pdr_graph.gait.direction import Direction, walking_direction
 from pdr_graph.gait.gaps import uninterrupted
+from pdr_graph.gait.landings import Landings
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.types import Recording
-
-USUAL_STEP = 0.5  # [s] where nobody walked
 
 
 @dataclass(frozen=True)
@@ -33,8 +32,8 @@ def gait_of(recording: Recording) -> list[Gait]:
 
 def _of_part(recording: Recording) -> Gait:
     attitude = attitude_of(recording)
-    landings = peak_pairs(attitude.time, attitude.acceleration)
-    step = float(np.median(landings.period)) if len(landings.time) else USUAL_STEP
+    landings = walking_steps(attitude.time, attitude.acceleration)
+    step = landings.usual_step
     if attitude.angular_rate is None:
         nothing = np.zeros(len(attitude.time))
         return Gait(recording, attitude, landings, step, Direction(nothing, nothing))

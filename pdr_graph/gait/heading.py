@@ -17,7 +17,7 @@ from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.magnetometer import fit_iron
 from pdr_graph.inertial.north import North, magnetic_north
 from pdr_graph.inertial.windows import runs
-from pdr_graph.types import Array, Headings, Mask, Recording
+from pdr_graph.types import Array, Headings, Recording
 
 STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
 LEAST_STEPS = 24  # in a stretch; a few may be none
@@ -55,9 +55,9 @@ def _uninterrupted_headings(gait: Gait, earth: EarthField) -> list[tuple[float, 
     """Rows of time, heading from true east, and the sigmas of north and of what is ahead."""
     attitude, landings, step = gait.attitude, gait.landings, gait.step
     north = _north(attitude, gait.recording, earth)
-    if not len(north) or len(landings.time) < LEAST_STEPS:
+    if not len(north) or len(landings) < LEAST_STEPS:
         return []
-    walking = _walking(attitude.time, landings.time, landings.period)
+    walking = landings.under_way(attitude.time)
     rows = []
     for stretch in _stretches(gait.direction, attitude.time):
         held, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]
@@ -84,13 +84,6 @@ def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North
     apart = np.abs(magnetometer.time[nearest(magnetometer.time, attitude.time)] - attitude.time)
     field[apart > LONGEST_BRIDGED] = 0.0  # no field tells no north
     return magnetic_north(attitude, field, earth)
-
-
-def _walking(time: Array, landed: Array, period: Array) -> Mask:
-    """When the walker was under way ``(n,)``."""
-    begun = np.searchsorted(landed, time)  # the landing that each sample leads to
-    within = np.minimum(begun, len(landed) - 1)
-    return (begun < len(landed)) & (time >= landed[within] - period[within])
 
 
 def _stretches(direction: Direction, time: Array) -> list[slice]:

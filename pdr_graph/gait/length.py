@@ -1,25 +1,128 @@
-"""How long a step was. One published model, one function, each returning length and its standard deviation."""
+"""How long a step was: one published model, one function; each returns length and standard deviation ``(n,)`` [m].
+
+The standard deviation is of one step about the model, beyond the walker's own scale R_s. Where a source gives none it
+is a share of the length.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+from importlib import resources
+
 import numpy as np
 
+from pdr_graph.gait.features import StepFeatures
 from pdr_graph.types import Array
 
 REFERENCE_HEIGHT = 1.70  # [m] stature at which a model without it was fitted
+SHORTEST, LONGEST = 0.2, 1.2  # [m]
+SPREAD = 0.3  # of a step's length; the settings table of docs/accuracy.md
+TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
+NORMAL_STEP, NORMAL_CADENCE = 0.70, 111.0  # [m], [steps/min] of people who say nothing of themselves
+WEINBERG = 0.455  # [m^¾ s^½] of Microsoft's walks, scripts/reproduce steps
+
+Lengths = tuple[Array, Array]
 
 
-def inverted_pendulum(amplitude: Array, period: Array, height: float = REFERENCE_HEIGHT) -> tuple[Array, Array]:
-    """Step length from the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum).
+def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """The default: from the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum).
 
     A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and
     the pendulum's chord grows with √h: L = k₀ + k₁ √A T. k₁ is fitted between the surveyed waypoints of 15 walks in
-    two malls (``scripts/reproduce stride``). k₀ is half a step, more than the fit's own 0.22: how hard a foot lands
+    two malls (``scripts/reproduce steps``). k₀ is half a step, which the free fit agrees with: how hard a foot lands
     depends on shoes, floor and pocket too, and is trusted by half. Both scale with stature.
-
-    amplitude: ``(n,)`` of ``peak_pairs`` [m/s²]; period: ``(n,)`` [s]; height: stature [m].
-    Returns length ``(n,)`` and its standard deviation ``(n,)`` [m], beyond the walker's own scale R_s.
     """
-    length = (0.34 + 0.27 * np.sqrt(amplitude) * period) * height / REFERENCE_HEIGHT
-    length = np.clip(length, 0.2, 1.2)
-    return length, 0.3 * length
+    return _plausible((0.34 + 0.26 * np.sqrt(steps.amplitude) * steps.period) * height / REFERENCE_HEIGHT)
+
+
+def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """[calibration-walk] Eq. (6): L = 0.26 h + 0.31, the same for every step."""
+    return _plausible(np.full(len(steps.period), 0.26 * height + 0.31))
+
+
+def by_cadence(
+    steps: StepFeatures,
+    height: float = REFERENCE_HEIGHT,
+    normal_step: float = NORMAL_STEP,
+    normal_cadence: float = NORMAL_CADENCE,
+) -> Lengths:
+    """[map-matching] Eqs. (1) to (3): L = R/100 · C r_c, with cadence C, r_c = L₀ / C₀, and R = 100 − a |θ| percent
+    in turns, θ the heading change of the step in degrees, here up to 89°.
+
+    normal_step: L₀ [m]; normal_cadence: C₀ [steps/min]; height is not used.
+    """
+    share = 1 - TURN_SHORTENS / 100 * np.minimum(np.degrees(np.abs(steps.turn)), LARGEST_TURN)
+    return _plausible(share * 60 / steps.period * normal_step / normal_cadence)
+
+
+def by_amplitude(
+    steps: StepFeatures,
+    height: float = REFERENCE_HEIGHT,
+    intercept: float = 0.46,
+    slope: float = 0.035,
+    variance: float = 0.01,
+) -> Lengths:
+    """[gps-dr] Sec. 2.3: linear in the amplitude of the vertical acceleration, L = intercept + slope A.
+
+    intercept [m], slope [s²] and variance [m²] are one person's, of `regression`; height is not used.
+    """
+    length, _ = _plausible(intercept + slope * steps.vertical)
+    return length, np.full(len(length), np.sqrt(variance))
+
+
+def regression(amplitude: Array, length: Array) -> dict[str, float]:
+    """One person's constants of `by_amplitude`, from steps ``(n,)`` whose lengths ``(n,)`` [m] are known.
+
+    Raises ValueError for fewer than three steps, or amplitudes that are all the same.
+    """
+    if len(amplitude) < 3 or np.ptp(amplitude) == 0:
+        raise ValueError(f"found {len(amplitude)} steps, needed three or more of different amplitudes")
+    slope, intercept = np.polyfit(amplitude, length, 1)
+    left = length - intercept - slope * amplitude
+    return {"intercept": float(intercept), "slope": float(slope), "variance": float(left @ left / (len(left) - 2))}
+
+
+def weinberg(steps: StepFeatures, height: float = REFERENCE_HEIGHT, k: float = WEINBERG) -> Lengths:
+    """Weinberg 2002 (Analog Devices AN-602): L = k · (a_max − a_min)^¼ of the vertical acceleration.
+
+    height is not used.
+    """
+    return _plausible(k * steps.vertical**0.25)
+
+
+def lasso(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """[calibration-walk] Eq. (7): L = K₀ h/T + K₁ P₀ + K₂ P₁ + K₃ P₂ + K₄ P₃; T from lift to landing, P the power of
+    |a| in four bands of 0–5 Hz.
+
+    The weights are not published; ours are of ``scripts/train_lasso``, which also shows what a Lasso chooses.
+    """
+    return _plausible(lasso_features(steps, height) @ lasso_weights())
+
+
+def lasso_features(steps: StepFeatures, height: float) -> Array:
+    """The five terms of Eq. (7), ``(n, 5)``."""
+    return np.column_stack([height / steps.lift, steps.power])
+
+
+@cache
+def lasso_weights() -> Array:
+    """K₀ … K₄."""
+    text = resources.files("pdr_graph.gait").joinpath("lasso.csv").read_text()
+    return np.array([float(line.split(",")[1]) for line in text.strip().split("\n")[1:]])
+
+
+MODELS: dict[str, Callable[..., Lengths]] = {
+    "inverted pendulum": inverted_pendulum,
+    "height": by_height,
+    "cadence": by_cadence,
+    "amplitude": by_amplitude,
+    "weinberg": weinberg,
+    "lasso": lasso,
+}
+
+
+def _plausible(length: Array) -> Lengths:
+    """Within what legs can do, and its standard deviation."""
+    length = np.clip(length, SHORTEST, LONGEST)
+    return length, SPREAD * length

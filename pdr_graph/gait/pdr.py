@@ -2,43 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from pathlib import Path
-
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.gait.features import StepFeatures
 from pdr_graph.gait.gait import Gait, gait_of
 from pdr_graph.gait.gaps import join
-from pdr_graph.gait.length import REFERENCE_HEIGHT, inverted_pendulum
-from pdr_graph.settings import read_toml
+from pdr_graph.gait.length import MODELS
+from pdr_graph.gait.walker import Walker
 from pdr_graph.types import Array, Recording, Steps
 
 UNSEEN_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps
-
-
-@dataclass(frozen=True)
-class Walker:
-    """What is known of the walker.
-
-    height: stature [m].
-    sigma_turn: heading error that one step adds [rad]; the walking direction wanders about the phone's.
-    """
-
-    height: float = REFERENCE_HEIGHT
-    sigma_turn: float = 0.02
-
-    @classmethod
-    def load(cls, path: str | Path) -> Walker:
-        """Read ``walker.toml``: the fields of this class as ``name = number``, all optional."""
-        given = read_toml(path)
-        known = {f.name for f in fields(cls)}
-        for name, value in given.items():
-            if name not in known:
-                raise InputError(path, name, "an unknown name", "one of " + ", ".join(sorted(known)))
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 3:
-                raise InputError(path, name, repr(value), "a number between 0 and 3 (metres, radians)")
-        return cls(**given)
 
 
 def detect_steps(recording: Recording | list[Gait], walker: Walker | None = None) -> Steps:
@@ -53,7 +26,8 @@ def detect_steps(recording: Recording | list[Gait], walker: Walker | None = None
     Raises InputError if there is no accelerometer.
     """
     walker, gaits = walker or Walker(), gait_of(recording) if isinstance(recording, Recording) else recording
-    return join([_uninterrupted_steps(part, walker) for part in gaits])
+    steps = join([_uninterrupted_steps(part, walker) for part in gaits])
+    return walker.profile.corrected(steps) if walker.profile else steps
 
 
 def _uninterrupted_steps(gait: Gait, walker: Walker) -> Steps:
@@ -63,7 +37,7 @@ def _uninterrupted_steps(gait: Gait, walker: Walker) -> Steps:
     duration = np.minimum(landings.period, since_last)
 
     # How far
-    length, sigma_length = inverted_pendulum(landings.amplitude, landings.period, walker.height)
+    length, sigma_length = MODELS[walker.stride](StepFeatures(gait), height=walker.height, **walker.constants)
     share = duration / landings.period  # below 1 only where the recording starts in mid-step
 
     # Which way

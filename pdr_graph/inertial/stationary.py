@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_opening, uniform_filter1d
+from scipy.ndimage import uniform_filter1d
 
 from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.windows import runs
 from pdr_graph.types import Array, Mask
 
 WINDOW = 0.5  # [s] over which the spread of the samples is taken
@@ -27,7 +28,7 @@ def at_rest(angular_rate: Array, acceleration: Array, period: float) -> Mask:
     still = _spread(angular_rate, samples) < STILL_RATE
     still &= _spread(acceleration, samples) < STILL_ACCELERATION
     still &= np.linalg.norm(uniform_filter1d(angular_rate, samples, axis=0), axis=1) < LARGEST_BIAS
-    return np.asarray(binary_opening(still, np.ones(max(1, round(SHORTEST_REST / period)), dtype=bool)), dtype=bool)
+    return _lasting(still, max(1, round(SHORTEST_REST / period)))
 
 
 def learnt_threshold(angular_rate: Array) -> float:
@@ -41,7 +42,7 @@ def below_threshold(angular_rate: Array, threshold: float, samples: int = 1) -> 
     The paper has one; a rattling cart is below λ for single samples now and then.
     """
     below = np.linalg.norm(angular_rate, axis=1) <= threshold
-    return np.asarray(binary_opening(below, np.ones(max(1, samples), dtype=bool)), dtype=bool)
+    return _lasting(below, max(1, samples))
 
 
 def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
@@ -53,6 +54,14 @@ def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
     weighted = uniform_filter1d(angular_rate * rest[:, None], samples, axis=0, mode="constant")
     said = weighted[seen] / weight[seen, None]
     return interpolate(np.arange(float(len(rest))), seen.astype(float), said)
+
+
+def _lasting(mask: Mask, samples: int) -> Mask:
+    """The runs of True that are at least so long."""
+    lasting = np.zeros(len(mask), dtype=bool)
+    for first, after in zip(*runs(mask), strict=True):
+        lasting[first:after] = after - first >= samples
+    return lasting
 
 
 def _spread(values: Array, samples: int) -> Array:

@@ -188,7 +188,8 @@ class _Mover:
         falls = footfalls(self.walker, way, _manners(stretch, way), self.random)
         begun, t = self.now, self._times(falls.time[-1])
         knots = np.concatenate([[0.0], falls.time])
-        along = PchipInterpolator(knots, np.concatenate([[0.0], falls.along]))(np.minimum(t, knots[-1]))
+        still = np.concatenate([[-1.0], knots, [knots[-1] + 1.0]])  # they stand before and after: speed begins at 0
+        along = PchipInterpolator(still, np.concatenate([[0.0, 0.0], falls.along, falls.along[-1:]]))(t)
         lengths = np.diff(falls.along, prepend=0.0)
         under_way = np.minimum(np.searchsorted(falls.time, t, side="right"), len(falls.time) - 1)
         self._add(

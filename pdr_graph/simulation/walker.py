@@ -43,6 +43,8 @@ MANNERS = {
     "fast": Manner(1.12, 1.10),
     "slow": Manner(0.88, 0.87),
     "browse": Manner(0.80, 0.58, 2.0),
+    "narrow": Manner(0.97, 0.75),  # told to take short steps, or long ones: [calibration-walk] Sec. 4.1
+    "wide": Manner(0.97, 1.25),
     "stairs": Manner(0.90, 0.45, 0.7),
 }
 

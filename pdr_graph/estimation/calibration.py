@@ -1,0 +1,173 @@
+"""A walker's own calibration, from a walk along a known line or from any walk with enough fixes.
+
+[calibration-walk] Sec. 3.3 fits three coefficients by gradient descent to the way that was walked, and names what goes
+wrong: they stand in for each other, and the direction in which the walk began is not known. Here the direction is a
+variable like the others, and what the walk does not tell stays what was believed before: the answer is the graph's
+posterior with its covariance, not three numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy.optimize import least_squares
+
+from pdr_graph.errors import InputError
+from pdr_graph.estimation.graph import Prior, WalkGraph
+from pdr_graph.estimation.smoothers import smooth
+from pdr_graph.gait.profile import Profile
+from pdr_graph.geometry import dead_reckon, unit
+from pdr_graph.types import Array, Estimate, Fixes, Steps
+
+MOST_LAPS = 5
+PLAUSIBLE = 1.5  # of the true length that steps may be said to be, or its inverse: 0.86 to 1.4 on real walks
+FARTHEST = 0.8  # [m] rms from the line; simulated walkers who follow it are within 0.4
+STRAYS = 2.0  # [m] along the line by which a step may be elsewhere than the steps before it say
+SWAY = 0.3  # [m] by which people leave a line that they follow
+SPACING = 3.0  # [m] along the line between the places where the walk is held to it
+ROUNDS = 12
+USUAL = (
+    0.4,
+    0.05,
+    0.01,
+)  # of E_length, E_corner, E_straight [rad/m]; a fit stays within three times these
+BETWEEN_WALKS = (0.05, 0.01, 0.001)  # of R_s, R_d, b [rad/s]: how they differ from one walk of somebody to the next
+
+
+@dataclass(frozen=True)
+class Followed:
+    """A walk along a line: where along it ``(n + 1,)`` [m] each step began and ended, and how often round.
+
+    apart: root mean square distance of the fitted walk from the line [m].
+    """
+
+    along: Array
+    laps: int
+    apart: float
+
+
+def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Estimate, int]:
+    """The profile of a walker who followed a line, their walk in its frame, and how often round they went.
+
+    route: corners ``(m, 2)`` [m] of a line that was walked from its first to its last; one that ends where it begins
+    may have been walked several times over. Raises InputError if the steps do not follow it.
+    """
+    if len(steps) < 20:
+        raise InputError(source, "", f"{len(steps)} steps", "a walk of at least twenty along the route")
+    likely = _possible_laps(steps, route)
+    if not likely:
+        needed = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
+        raise InputError(source, "", f"steps of {steps.length.sum():.0f} m", needed)
+    found = min((_follow(steps, route, laps) for laps in likely), key=lambda f: f.apart)
+    if found.apart > FARTHEST:
+        needed = f"a walk from its first to its last point, within {FARTHEST} m"
+        raise InputError(source, "", f"steps that leave the route by {found.apart:.1f} m (rms)", needed)
+    line = _line(route, found.laps)
+    held = np.linspace(0, line.length, max(4, round(line.length / SPACING)))
+    time = np.interp(held, found.along, np.append(steps.time[0] - steps.duration[0], steps.time))
+    fixes = Fixes(time, _at(line, held), np.full(len(held), SWAY), ("",) * len(held))
+    estimate = smooth(WalkGraph(steps, fixes))
+    profile = posterior_profile(estimate, steps)
+    return replace(profile, residual=found.apart), estimate, found.laps
+
+
+def posterior_profile(estimate: Estimate, steps: Steps, known: Profile | None = None) -> Profile:
+    """What a walk taught of its walker, for the next one: the calibration at its end.
+
+    steps: of this walk, as the graph had them; known: the profile by which they were already corrected.
+    """
+    calibration, graph = estimate.calibration, np.zeros(3)
+    assert calibration is not None, "a graph's or a filter's estimate has one"
+    graph = calibration.value[-1] - (1, 1, 0)
+    speed = float(steps.length.sum() / steps.duration[steps.length > 0].sum())
+    before = known or Profile(0.0, 0.0, 0.0, np.zeros((3, 3)), 0.0, speed)
+    to_paper = np.array([[1, 0, 0], [0, 0, 1 / speed], [0, 1, 0]])  # (R_s, R_d, b) to (length, straight, corner)
+    length, straight, corner = to_paper @ graph
+    used = np.array([fix.residual for fix in estimate.fixes if fix.weight > 0])
+    return Profile(
+        E_length=float((1 + before.E_length) * (1 + length) - 1),
+        E_straight=float((1 + before.E_length) * straight + (1 + corner) * before.E_straight),
+        E_corner=float((1 + before.E_corner) * (1 + corner) - 1),
+        covariance=to_paper @ calibration.covariance[-1] @ to_paper.T,
+        residual=float(np.sqrt(np.mean(used**2))) if len(used) else 0.0,
+        speed=speed / (1 + before.E_length),
+    )
+
+
+def prior_of(profile: Profile | None) -> Prior:
+    """The graph's prior for a walk whose steps the profile has already corrected."""
+    if profile is None:
+        return Prior()
+    usual = Prior()
+    to_graph = np.array([[1, 0, 0], [0, 0, 1], [0, profile.speed, 0]])
+    covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(BETWEEN_WALKS))
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = (covariance / np.outer(sigma, sigma))[np.triu_indices(3, 1)]
+    return replace(usual, sigma=tuple(np.minimum(sigma, usual.sigma).tolist()), correlation=tuple(correlation.tolist()))
+
+
+def _possible_laps(steps: Steps, route: Array) -> list[int]:
+    """How often round, as far as the steps reach: up to MOST_LAPS times where the line closes, else once or never."""
+    closes = np.hypot(*(route[-1] - route[0])) < STRAYS
+    reached = steps.length.sum() / _line(route, 1).length
+    return [n for n in range(1, MOST_LAPS + 1 if closes else 2) if reached / PLAUSIBLE < n < reached * PLAUSIBLE]
+
+
+def _follow(steps: Steps, route: Array, laps: int) -> Followed:
+    """Fit the walk's shape to the line: its start, direction, and the three coefficients."""
+    line = _line(route, laps)
+    walked = np.append(0.0, np.cumsum(steps.length))
+    along = walked * line.length / walked[-1]
+    first = _at(line, np.array([0.0, min(SPACING, line.length)]))
+    scale = np.clip(line.length / walked[-1] - 1, -0.5, 0.5)
+    fit = np.array([*first[0], np.arctan2(*(first[1] - first[0])[::-1]), scale, 0.0, 0.0])
+    widest = np.array([np.inf, np.inf, np.inf, 0.6, 3 * USUAL[1], 3 * USUAL[2]])
+    for _ in range(ROUNDS):
+        place, across = _at(line, along), _normals(line, along)
+        found = least_squares(
+            _misfit, fit, bounds=(-widest, widest), args=(steps, place, across), loss="soft_l1", f_scale=2 * SWAY
+        )
+        fit = found.x
+        along = _nearest_along(line, _track(fit, steps), along)
+    apart = np.sum((_track(fit, steps) - _at(line, along)) ** 2, axis=1)
+    return Followed(np.maximum.accumulate(along), laps, float(np.sqrt(np.mean(apart))))
+
+
+def _misfit(fit: Array, steps: Steps, place: Array, across: Array) -> Array:
+    """Distances across the line, of both ends from its ends, and a hold on what no walk tells."""
+    gap = _track(fit, steps) - place
+    usual = fit[3:] / USUAL * SWAY
+    return np.concatenate([np.sum(gap * across, axis=1), gap[0], gap[-1], usual])
+
+
+def _track(fit: Array, steps: Steps) -> Array:
+    """Where each step began and ended ``(n + 1, 2)``. fit: x, y, direction, E_length, E_corner, E_straight."""
+    x, y, direction, length, corner, straight = fit
+    profile = Profile(length, straight, corner, np.zeros((3, 3)), 0.0, 1.0)
+    return dead_reckon(profile.corrected(steps), heading=direction).position[:-1] + np.array([x, y])
+
+
+def _line(route: Array, laps: int) -> shapely.LineString:
+    again = route[1:] if laps > 1 else route[:0]
+    return shapely.LineString(np.concatenate([route, *[again] * (laps - 1)]))
+
+
+def _at(line: shapely.LineString, along: Array) -> Array:
+    return shapely.get_coordinates(shapely.line_interpolate_point(line, along))
+
+
+def _normals(line: shapely.LineString, along: Array) -> Array:
+    """Unit vectors ``(n, 2)`` across the line."""
+    ahead = _at(line, np.minimum(along + 0.2, line.length)) - _at(line, np.maximum(along - 0.2, 0.0))
+    return unit(np.arctan2(ahead[:, 1], ahead[:, 0]) + np.pi / 2)
+
+
+def _nearest_along(line: shapely.LineString, track: Array, along: Array) -> Array:
+    """Where along the line each place ``(n, 2)`` is nearest to it, within STRAYS of ``along (n,)``."""
+    tried = np.linspace(-STRAYS, STRAYS, 41)
+    candidates = np.clip(along[:, None] + tried, 0, line.length)
+    apart = _at(line, candidates.ravel()).reshape(len(along), len(tried), 2) - track[:, None]
+    best = np.argmin(np.sum(apart**2, axis=2) + 1e-3 * tried**2, axis=1)
+    return candidates[np.arange(len(along)), best]

@@ -1,0 +1,152 @@
+"""A walker's own calibration: what a known line or enough fixes teach, and what the next walk gains."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pdr_graph import InputError, WalkGraph, detect_steps, smooth
+from pdr_graph.estimation.calibration import BETWEEN_WALKS, calibrate, posterior_profile, prior_of
+from pdr_graph.estimation.graph import Prior
+from pdr_graph.floor.route import read_route
+from pdr_graph.gait.profile import Profile
+from pdr_graph.geometry import dead_reckon, interpolate
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Fixes, Steps
+
+MAPS = Path(__file__).parents[2] / "maps"
+EIGHT = MAPS / "figure_eight.geojson"
+
+
+def along(route, error=(0.0, 0.0, 0.0), laps=1, step=0.7, noise=0.0, seed=0):
+    """Steps of somebody who follows a line exactly, as models see them that err by E_length, E_straight, E_corner."""
+    random = np.random.default_rng(seed)
+    corners = np.concatenate([route, *[route[1:]] * (laps - 1)])
+    way = np.append(0.0, np.cumsum(np.hypot(*np.diff(corners, axis=0).T)))
+    place = interpolate(np.linspace(0, way[-1], round(way[-1] / step) + 1), way, corners)
+    move = np.diff(place, axis=0)
+    heading = np.unwrap(np.arctan2(move[:, 1], move[:, 0]))
+    E_length, E_straight, E_corner = error
+    length = np.hypot(*move.T) / (1 + E_length) * (1 + noise * random.normal(size=len(move)))
+    # a step goes where its middle heads: turn half before and half after
+    ends = np.concatenate([heading[:1], (heading[:-1] + heading[1:]) / 2, heading[-1:]])
+    turn = (np.diff(ends) - E_straight * length) / (1 + E_corner)
+    n = len(move)
+    time = 0.5 * np.arange(1, n + 1)
+    columns = (np.full(n, 0.5), length, turn, np.zeros(n), 0.1 * length, np.full(n, 0.003))
+    return Steps(0.0, float(time[-1]) + 0.1, time, *columns)
+
+
+def test_the_three_coefficients_are_told_apart():
+    """Left and right loops tell a drift from a turn error; the size of the eight tells the length."""
+    route = read_route(EIGHT)
+    profile, estimate, laps = calibrate(along(route, (0.08, 0.0015, 0.03), laps=4), route)
+    assert laps == 4
+    assert profile.E_length == pytest.approx(0.08, abs=0.01)
+    assert profile.E_straight == pytest.approx(0.0015, abs=0.0007), "drawn to 0 by the prior"
+    assert profile.E_corner == pytest.approx(0.03, abs=0.015)
+    assert profile.residual < 0.15
+    assert estimate.converged
+
+
+@pytest.mark.parametrize("turned", [0.0, 2.0])
+def test_the_direction_at_the_start_does_not_matter(turned):
+    """The paper names it as a cause of its errors: hips turn before the first step."""
+    route, steps = read_route(EIGHT), along(read_route(EIGHT), (0.05, 0.0, 0.0))
+    turn = steps.turn.copy()
+    turn[0] += turned
+    profile, _, _ = calibrate(replace(steps, turn=turn, pause_turn=np.eye(1, len(turn))[0] * turned), route)
+    assert profile.E_length == pytest.approx(0.05, abs=0.01)
+
+
+def test_what_a_straight_line_does_not_tell_stays_unknown():
+    """Length and drift are told by 60 m straight on; a turn error is not, and its sigma is the prior's."""
+    route = np.array([[0.0, 0.0], [60.0, 0.0]])
+    profile, _, _ = calibrate(along(route, (0.1, 0.002, 0.0)), route)
+    assert profile.E_length == pytest.approx(0.1, abs=0.02)
+    assert np.sqrt(profile.covariance[2, 2]) == pytest.approx(Prior().sigma[1], rel=0.05)
+
+
+def test_sigmas_are_honest():
+    """Over twenty simulated walkers the true stride error lies within two sigmas in at least 17."""
+    route, within = read_route(EIGHT), 0
+    for seed in range(20):
+        given = {"seed": seed, "plan": str(EIGHT), "phone": {"rate": 50}}
+        given["route"] = [[13.0, 7.0], {"stand": 3}, {"follow": "eight"}, {"stand": 3}]
+        walk = simulate(Scenario.of(given))
+        steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
+        profile, _, _ = calibrate(steps, route)
+        true = walk.body.lengths.sum() / steps.length.sum() - 1
+        within += abs(profile.E_length - true) < 2 * np.sqrt(profile.covariance[0, 0])
+    assert within >= 17
+
+
+def test_another_way_is_refused():
+    wrong = along(np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 30.0]]))
+    with pytest.raises(InputError, match="leave the route"):
+        calibrate(wrong, read_route(EIGHT), "walk.csv")
+    with pytest.raises(InputError, match="steps of 20 m"):
+        calibrate(along(np.array([[0.0, 0.0], [20.0, 0.0]])), read_route(EIGHT), "walk.csv")
+    with pytest.raises(InputError, match="at least twenty"):
+        calibrate(along(np.array([[0.0, 0.0], [5.0, 0.0]])), read_route(EIGHT), "walk.csv")
+
+
+def test_a_plan_without_a_line_is_no_route():
+    with pytest.raises(InputError, match="'link'"):
+        read_route(MAPS / "arcade.geojson")
+
+
+def walked_twice(scale, drift):
+    """Two walks of somebody whose steps are said too short, and the fixes of the first."""
+    route = np.array([[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0], [0.0, 0.0]])
+    steps = along(route, (scale, drift, 0.0), laps=2, noise=0.05)
+    track = dead_reckon(Profile(scale, drift, 0.0, np.eye(3), 0, 1).corrected(steps))
+    at = np.arange(0, len(track), 10)
+    return steps, Fixes(track.time[at], track.position[at], np.full(len(at), 0.3), ("",) * len(at))
+
+
+def test_a_walk_with_fixes_is_a_calibration_walk_too():
+    """Its posterior is the next walk's prior: with one fix that walk is then as long as it was."""
+    steps, fixes = walked_twice(0.15, 0.0015)
+    profile = posterior_profile(smooth(WalkGraph(steps, fixes)), steps)
+    assert profile.E_length == pytest.approx(0.15, abs=0.03)
+    assert profile.E_straight == pytest.approx(0.0015, abs=0.0009)
+
+    corrected = profile.corrected(steps)
+    known = smooth(WalkGraph(corrected, fixes[:1], prior=prior_of(profile))).trajectory
+    unknown = smooth(WalkGraph(steps, fixes[:1])).trajectory
+    way = [np.hypot(*np.diff(track.position, axis=0).T).sum() for track in (known, unknown)]
+    assert way[0] == pytest.approx(200, rel=0.03)
+    assert way[1] < 0.9 * 200
+    assert known.covariance[-1, 0, 0] < unknown.covariance[-1, 0, 0]
+
+
+def test_profiles_add_up():
+    """What a second walk teaches comes on top of the profile by which its steps were corrected."""
+    steps, fixes = walked_twice(0.15, 0.0015)
+    whole = posterior_profile(smooth(WalkGraph(steps, fixes)), steps)
+    half = Profile(0.08, 0.001, 0.0, np.diag([1e-3, 1e-6, 1e-4]), 0.3, 1.3)
+    corrected = half.corrected(steps)
+    again = posterior_profile(smooth(WalkGraph(corrected, fixes)), corrected, half)
+    assert again.E_length == pytest.approx(whole.E_length, abs=0.01)
+    assert again.E_straight == pytest.approx(whole.E_straight, abs=6e-4)
+    assert again.E_corner == pytest.approx(whole.E_corner, abs=0.01)
+
+
+def test_the_next_walk_is_not_the_last():
+    """However well one walk was known, the next differs by BETWEEN_WALKS; nor does a profile know less than nobody."""
+    exact = Profile(0.1, 0.0, 0.0, 1e-12 * np.eye(3), 0.1, 1.3)
+    assert prior_of(exact).sigma == pytest.approx(BETWEEN_WALKS, rel=1e-3)
+    vague = Profile(0.1, 0.0, 0.0, np.eye(3), 0.1, 1.3)
+    assert prior_of(vague).sigma == Prior().sigma
+    assert prior_of(None) == Prior()
+
+
+def test_a_correlated_prior_is_what_it_says():
+    prior = Prior(correlation=(0.5, -0.2, 0.1))
+    sigma = np.array(prior.sigma)
+    assert np.sqrt(np.diag(prior.covariance)) == pytest.approx(sigma)
+    assert prior.covariance[0, 1] == pytest.approx(0.5 * sigma[0] * sigma[1])
+    assert prior.covariance == pytest.approx(prior.covariance.T)
