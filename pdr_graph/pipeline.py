@@ -16,10 +16,10 @@ import numpy as np
 
 from pdr_graph import io
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.calibration import calibrate, posterior_profile, prior_of
 from pdr_graph.estimation.filters import kalman_filter
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.route import read_route
@@ -111,6 +111,10 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | Non
 
     Raises InputError if an input cannot be used.
     """
+    from pdr_graph.estimation.calibration import (
+        calibrate,  # scipy.optimize takes half as long as all the rest to import
+    )
+
     walk, known = io.load(recording), Walker.load(walker) if walker else Walker()
     if walk.gyroscope is None:
         raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")

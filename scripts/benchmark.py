@@ -19,10 +19,11 @@ from read_speed import reading_rows
 from scipy.linalg import solveh_banded
 from tables import publish, table
 
-from pdr_graph import WalkGraph, dead_reckon, io, smooth
+from pdr_graph import WalkGraph, dead_reckon, detect_steps, io, smooth
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.preintegration import SIGMA_LATERAL
+from pdr_graph.gait.detection import StepDetector, walking_steps
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.inertial.published import METHODS, switching
@@ -209,7 +210,24 @@ def attitude_rows():
     recording = Recording("an hour", 0.0, None, **signals)
     methods = {**METHODS, "switching at rest": lambda r: switching(r, 0.05), "**VQF, offline (default)**": vqf_offline}
     times = {name: median_time(lambda m=method: m(recording), 3) for name, method in methods.items()}
-    return table(["attitude of an hour at 100 Hz", "time"], [[name, f"{t:.2f} s"] for name, t in times.items()])
+    attitude = table(["attitude of an hour at 100 Hz", "time"], [[name, f"{t:.2f} s"] for name, t in times.items()])
+    time_, samples = recording.accelerometer.time, recording.accelerometer.values
+    stages = {
+        "steps alone, `walking_steps`": lambda: walking_steps(time_, samples),
+        "steps, live, packets of 0.2 s, `StepDetector`": lambda: live_steps(samples),
+        "**recording to `Steps`, all stages**": lambda: detect_steps(recording),
+    }
+    times = {name: median_time(stage, 3) for name, stage in stages.items()}
+    rows = [[name, f"{t:.2f} s"] for name, t in times.items()]
+    return f"{attitude}\n\n{table(['gait of an hour at 100 Hz', 'time'], rows)}"
+
+
+def live_steps(samples):
+    """All samples through the detector, twenty at a time."""
+    detector = StepDetector(0.01)
+    for first in range(0, len(samples), 20):
+        detector.update(samples[first : first + 20])
+    detector.finish()
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from scipy.optimize import least_squares
 from tables import publish, table
 
 from pdr_graph import WalkGraph, detect_steps, io, smooth
-from pdr_graph.estimation.calibration import posterior_profile, prior_of
+from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.frames import enu
 from pdr_graph.gait import length
 from pdr_graph.gait.detection import walking_steps
@@ -96,7 +96,7 @@ def measured(data):
         walks.append(Measured(f"{path.parent.parent.name}/{path.parent.name} {path.stem[:8]}", walk, walk.truth))
     for path in sorted((data / "ipin2023_track3").glob("*Trial[02]*.txt")):  # Trial52 climbs stairs
         walk = io.load(path)
-        walks.append(Measured(f"IPIN {path.stem[22:29]}", walk, walk.truth))
+        walks.append(Measured(path.stem.split("Training")[1].split("_")[0], walk, walk.truth))
     walk = io.load(data / "ipin21_hcu" / "eight")
     walks.append(Measured("IPIN21", walk, walk.truth, every=8))
     walk = io.load(data / "nju_phyphox_outdoor")

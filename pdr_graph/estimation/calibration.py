@@ -1,4 +1,4 @@
-"""A walker's own calibration, from a walk along a known line or from any walk with enough fixes.
+"""A walker's own calibration, from a walk along a known line.
 
 [calibration-walk] Sec. 3.3 fits three coefficients by gradient descent to the way that was walked, and names what goes
 wrong: they stand in for each other, and the direction in which the walk began is not known. Here the direction is a
@@ -15,7 +15,8 @@ import shapely
 from scipy.optimize import least_squares
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.graph import Prior, WalkGraph
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.profiles import posterior_profile
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.gait.profile import Profile
 from pdr_graph.geometry import dead_reckon, unit
@@ -28,12 +29,7 @@ STRAYS = 2.0  # [m] along the line by which a step may be elsewhere than the ste
 SWAY = 0.3  # [m] by which people leave a line that they follow
 SPACING = 3.0  # [m] along the line between the places where the walk is held to it
 ROUNDS = 12
-USUAL = (
-    0.4,
-    0.05,
-    0.01,
-)  # of E_length, E_corner, E_straight [rad/m]; a fit stays within three times these
-BETWEEN_WALKS = (0.05, 0.01, 0.001)  # of R_s, R_d, b [rad/s]: how they differ from one walk of somebody to the next
+USUAL = (0.4, 0.05, 0.01)  # of E_length, E_corner, E_straight [rad/m]; a fit stays within three times the last two
 
 
 @dataclass(frozen=True)
@@ -71,41 +67,6 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     estimate = smooth(WalkGraph(steps, fixes))
     profile = posterior_profile(estimate, steps)
     return replace(profile, residual=found.apart), estimate, found.laps
-
-
-def posterior_profile(estimate: Estimate, steps: Steps, known: Profile | None = None) -> Profile:
-    """What a walk taught of its walker, for the next one: the calibration at its end.
-
-    steps: of this walk, as the graph had them; known: the profile by which they were already corrected.
-    """
-    calibration, graph = estimate.calibration, np.zeros(3)
-    assert calibration is not None, "a graph's or a filter's estimate has one"
-    graph = calibration.value[-1] - (1, 1, 0)
-    speed = float(steps.length.sum() / steps.duration[steps.length > 0].sum())
-    before = known or Profile(0.0, 0.0, 0.0, np.zeros((3, 3)), 0.0, speed)
-    to_paper = np.array([[1, 0, 0], [0, 0, 1 / speed], [0, 1, 0]])  # (R_s, R_d, b) to (length, straight, corner)
-    length, straight, corner = to_paper @ graph
-    used = np.array([fix.residual for fix in estimate.fixes if fix.weight > 0])
-    return Profile(
-        E_length=float((1 + before.E_length) * (1 + length) - 1),
-        E_straight=float((1 + before.E_length) * straight + (1 + corner) * before.E_straight),
-        E_corner=float((1 + before.E_corner) * (1 + corner) - 1),
-        covariance=to_paper @ calibration.covariance[-1] @ to_paper.T,
-        residual=float(np.sqrt(np.mean(used**2))) if len(used) else 0.0,
-        speed=speed / (1 + before.E_length),
-    )
-
-
-def prior_of(profile: Profile | None) -> Prior:
-    """The graph's prior for a walk whose steps the profile has already corrected."""
-    if profile is None:
-        return Prior()
-    usual = Prior()
-    to_graph = np.array([[1, 0, 0], [0, 0, 1], [0, profile.speed, 0]])
-    covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(BETWEEN_WALKS))
-    sigma = np.sqrt(np.diag(covariance))
-    correlation = (covariance / np.outer(sigma, sigma))[np.triu_indices(3, 1)]
-    return replace(usual, sigma=tuple(np.minimum(sigma, usual.sigma).tolist()), correlation=tuple(correlation.tolist()))
 
 
 def _possible_laps(steps: Steps, route: Array) -> list[int]:

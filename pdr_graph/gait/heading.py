@@ -17,9 +17,10 @@ from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.magnetometer import fit_iron
 from pdr_graph.inertial.north import North, magnetic_north
 from pdr_graph.inertial.windows import runs
-from pdr_graph.types import Array, Headings, Recording
+from pdr_graph.types import Array, Headings, Index, Recording
 
 STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
+ABOUT = 2.0  # [s] to either side of it, in which a walker should not turn
 LEAST_STEPS = 24  # in a stretch; a few may be none
 COMPASS_SIGMA = 0.2  # [rad] that stays for a whole walk: the phone's own iron, a building's axis, a plan's
 TILTED = 0.8  # length of the mean of the vertical in the device; a phone that was hardly tilted knows not its iron
@@ -64,7 +65,7 @@ def _uninterrupted_headings(gait: Gait, earth: EarthField) -> list[tuple[float, 
         if np.sum(here) * attitude.period < LEAST_STEPS * step:
             continue
         ahead = forward_axis(held, heading, here, step)
-        middle = float(np.median(held.time[here]))
+        middle = float(held.time[_straightest(heading, np.flatnonzero(here), round(ABOUT / attitude.period))])
         sigma = float(np.interp(middle, north.time, north.sigma))
         if max(ahead.sigma, sigma) < LEAST_CERTAIN:
             course = np.interp(middle, held.time, heading) + ahead.angle
@@ -84,6 +85,13 @@ def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North
     apart = np.abs(magnetometer.time[nearest(magnetometer.time, attitude.time)] - attitude.time)
     field[apart > LONGEST_BRIDGED] = 0.0  # no field tells no north
     return magnetic_north(attitude, field, earth)
+
+
+def _straightest(heading: Array, walking: Index, reach: int) -> int:
+    """The sample of the middle half of a walk about which the heading turns least: a heading is of one moment."""
+    middle = walking[len(walking) // 4 : max(1, len(walking) - len(walking) // 4)]
+    turned = heading[np.minimum(middle + reach, len(heading) - 1)] - heading[np.maximum(middle - reach, 0)]
+    return int(middle[np.argmin(np.abs(turned))])
 
 
 def _stretches(direction: Direction, time: Array) -> list[slice]:

@@ -20,7 +20,7 @@ SHORTEST, LONGEST = 0.2, 1.2  # [m]
 SPREAD = 0.3  # of a step's length; the settings table of docs/accuracy.md
 TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
 NORMAL_STEP, NORMAL_CADENCE = 0.70, 111.0  # [m], [steps/min] of people who say nothing of themselves
-WEINBERG = 0.455  # [m^¾ s^½] of Microsoft's walks, scripts/reproduce steps
+WEINBERG = 0.425  # [m^¾ s^½] of Microsoft's walks, scripts/reproduce steps
 
 Lengths = tuple[Array, Array]
 
@@ -59,8 +59,8 @@ def by_cadence(
 def by_amplitude(
     steps: StepFeatures,
     height: float = REFERENCE_HEIGHT,
-    intercept: float = 0.46,
-    slope: float = 0.035,
+    intercept: float = 0.445,
+    slope: float = 0.0335,
     variance: float = 0.01,
 ) -> Lengths:
     """[gps-dr] Sec. 2.3: linear in the amplitude of the vertical acceleration, L = intercept + slope A.

@@ -1,0 +1,139 @@
+"""The rhythm of gait in |a|: when a foot may have landed, however a phone is carried.
+
+A stride is like the one before. Where |a| repeats itself from stride to stride, its rhythm tells how long a step takes;
+|a| at that frequency then rises and falls once a step, however often a loose phone is thrown within a step, and however
+little one leg moves the arm that holds it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
+
+from pdr_graph.gait.landings import USUAL_STEP
+from pdr_graph.types import Array, Complex, Index, Mask
+
+SAMPLING = 0.04  # [s] at which the rhythm is looked at, at most: 25 Hz
+STEPS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are looked for, to 1.03 s
+USUAL_SPREAD = 0.25  # of the logarithm of a step's duration, over people and paces
+USUAL_WEIGHT = 0.3  # of that, in units of a correlation
+SLOWEST = 0.14  # [s] between samples: four in a usual step
+SMOOTH, LEVEL = 0.05, 0.2  # [s] Gaussians between which |a| is gait, not a knock nor a stride's sway
+RHYTHM = 4.0  # [s] over which |a| is compared with itself
+LOOK_AHEAD = 2.0  # [s] of that after a landing
+SHAPE = 0.7  # of a step's duration: the Gaussian under which a step is seen
+WEAKEST = 0.35  # [m/s²] peak to peak; a phone in a standing person's hand stays below
+WEAKEST_SHARE = 0.23  # of the steps about it; feet shuffle while turning
+HIGHEST_BOUNCE = 0.14  # [m] peak to peak; walkers bob by 0.02–0.10, arms that shake a phone move it by 0.15
+UPRIGHT_SMOOTH, UPRIGHT_WINDOW, UPRIGHT = 0.2, 1.5, 0.96  # [s], [s], and the length of the mean direction of gravity
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Moments ``(n,)`` at which a foot may have landed. time [s] from the first sample; step: duration of a step then.
+
+    amplitude [m/s²], peak to peak; regular: correlation with the step or stride before; bodily: moved as bodies move.
+    """
+
+    time: Array
+    step: Array
+    amplitude: Array
+    regular: Array
+    bodily: Mask
+
+    def __getitem__(self, which: Mask) -> Candidates:
+        """Some of them."""
+        return Candidates(*(values[which] for values in vars(self).values()))
+
+
+def candidates(acceleration: Array, period: float, look_ahead: float) -> Candidates:
+    """The moments at which |a| at the frequency of steps is highest.
+
+    acceleration ``(n, 3)`` [m/s²], period [s] between samples; look_ahead [s] of samples after a moment that count.
+    """
+    stride, steps = every(period), STEPS
+    if period > SLOWEST or len(acceleration) * period < 2.5 * steps[-1]:
+        return Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
+    smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), SMOOTH / period)[::stride]
+    sampling = period * stride
+    level = smooth - gaussian_filter1d(smooth, LEVEL / sampling)
+    which, regular = _rhythm(level, steps, sampling, look_ahead)
+    wave = _at_frequency(level, steps, which, sampling)
+    peaks, time = _crossings(wave, sampling)
+    amplitude = 2 * np.abs(wave)
+    past, future = round(LOOK_AHEAD / sampling), round(look_ahead / sampling)
+    shift = (past + future + 1) // 2 - future
+    around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
+    strong = (amplitude > WEAKEST) & (amplitude > WEAKEST_SHARE * around)
+    peaks, time = peaks[strong[peaks]], time[strong[peaks]]
+    step = steps[which[peaks]]
+    bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < HIGHEST_BOUNCE
+    bodily &= _upright(acceleration, period)[::stride][peaks] > UPRIGHT
+    return Candidates(time, step, amplitude[peaks], regular[peaks], bodily)
+
+
+def _rhythm(level: Array, steps: Array, sampling: float, look_ahead: float) -> tuple[Index, Array]:
+    """Which duration of a step fits at each sample ``(n,)``, and how well |a| repeats itself then ``(n,)``.
+
+    It must repeat itself after a stride, and the better if after a step too: no duration but the right one, its half
+    and its double does. An unusual one has to fit better.
+    """
+    once, twice = (np.array([_correlation(level, s, sampling) for s in d]) for d in (steps, 2 * steps))
+    unusual = (np.log(steps / USUAL_STEP) / USUAL_SPREAD) ** 2 / 2
+    which = np.argmax(twice + once / 2 - USUAL_WEIGHT * unusual[:, None], axis=0)
+    samples = np.arange(len(level))
+    regular = np.maximum(once[which, samples], twice[which, samples])
+    seen = np.maximum(samples - round((LOOK_AHEAD - look_ahead) / sampling), 0)
+    return which[seen], regular[seen]
+
+
+def _correlation(level: Array, lag: float, sampling: float) -> Array:
+    """Correlation ``(n,)`` of a signal with itself ``lag`` [s] earlier, over RHYTHM."""
+    apart = max(1, round(lag / sampling))
+    product, power = np.zeros(len(level)), np.zeros(len(level))
+    middle = slice(apart // 2, len(level) - (apart - apart // 2))
+    product[middle] = level[:-apart] * level[apart:]
+    power[middle] = (level[:-apart] ** 2 + level[apart:] ** 2) / 2
+    window = max(1, round(RHYTHM / sampling))
+    return uniform_filter1d(product, window, mode="constant") / (
+        uniform_filter1d(power, window, mode="constant") + 1e-4
+    )
+
+
+def _at_frequency(level: Array, steps: Array, which: Index, sampling: float) -> Complex:
+    """What of a signal has the frequency of the steps ``which (n,)``, under a Gaussian of SHAPE steps. ``(n,)``"""
+    wave = np.zeros(len(level), dtype=complex)
+    reaches = np.round(2.5 * SHAPE * steps / sampling).astype(int)
+    count = fft.next_fast_len(len(level) + 2 * int(reaches.max())) or 0
+    spectrum = np.asarray(fft.fft(level, count))
+    for n in np.unique(which):
+        here, reach = which == n, int(reaches[n])
+        at = np.arange(-reach, reach + 1) * sampling / steps[n]
+        window = np.exp(-((at / SHAPE) ** 2) / 2)
+        kernel = 2 / window.sum() * window * np.exp(2j * np.pi * at)
+        filtered = np.asarray(fft.ifft(spectrum * np.asarray(fft.fft(kernel, count))))
+        wave[here] = filtered[reach : reach + len(level)][here]
+    return wave
+
+
+def _crossings(wave: Complex, sampling: float) -> tuple[Index, Array]:
+    """The samples after which a wave is at its top, and the times of that [s]."""
+    before, after = wave.imag[:-1], wave.imag[1:]
+    top = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
+    return top, (top + before[top] / (before[top] - after[top])) * sampling
+
+
+def _upright(acceleration: Array, period: float) -> Array:
+    """Length ``(n,)`` of the mean of gravity's direction in the device: 1 if it does not tilt."""
+    gravity = gaussian_filter1d(acceleration, UPRIGHT_SMOOTH / period, axis=0)
+    window = max(1, round(UPRIGHT_WINDOW / period))
+    mean = np.linalg.norm(uniform_filter1d(gravity, window, axis=0), axis=1)
+    return mean / np.maximum(uniform_filter1d(np.linalg.norm(gravity, axis=1), window), 1e-9)
+
+
+def every(period: float) -> int:
+    """At which samples, one in so many, the rhythm is looked at."""
+    return max(1, int(SAMPLING / period + 1e-6))
