@@ -107,20 +107,24 @@ def smooth_recording(
 
 
 def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | None = None) -> tuple[Profile, int]:
-    """The profile of a walker who followed a known line, written to ``out``; and how often round they went.
+    """The profile of a walker who followed a known line, written to ``out`` with a picture beside it; and how often
+    round they went.
 
     Raises InputError if an input cannot be used.
     """
-    from pdr_graph.estimation.calibration import (
-        calibrate,  # scipy.optimize takes half as long as all the rest to import
-    )
+    from pdr_graph.estimation.calibration import calibrate  # it takes scipy.optimize, long to import
+    from pdr_graph.plotting import plot
 
     walk, known = io.load(recording), Walker.load(walker) if walker else Walker()
     if walk.gyroscope is None:
         raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
     steps = detect_steps(walk, replace(known, profile=None))
-    profile, _, laps = calibrate(steps, read_route(route), walk.source)
+    line = read_route(route)
+    profile, estimate, laps = calibrate(steps, line, walk.source)
     replace(known, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
+    said = Trajectory(np.arange(float(len(line))), line, np.zeros(len(line)), ("",) * len(line))
+    title = f"{walk.source} along {route.name}   {profile.residual:.2f} m from it (rms)"
+    plot(replace(estimate, fixes=()), truth=said, title=title).savefig(out.with_suffix(".png"), dpi=120)
     return profile, laps
 
 

@@ -30,6 +30,7 @@ PAPER_DISTANCE = {"height": 3.97, "lasso": 3.31}
 def calibration_walk():
     """The tables."""
     twenty_steps()
+    further_walks()
     hundred_metres()
 
 
@@ -57,18 +58,41 @@ def twenty_steps():
     publish("accuracy.md", "twenty steps", table(["method", "counted of 320", "error", "walks exact", "paper"], rows))
 
 
+def further_walks():
+    """A hundred walks of other people, of any number of steps: how many steps do the templates get wrong?"""
+    before, after, true = [], [], []
+    for seed in range(100, 125):
+        for manner in MANNERS:
+            attitude, forward, _, landed = walked(seed, manner, 13 + seed % 7 / 2, {})
+            before.append(len(published.trough_to_peak(attitude)))
+            after.append(len(published.without_closing(attitude, forward)))
+            true.append(landed - 1)
+    rows = [
+        [name, sum(n), sum(n) - sum(true), f"{np.mean(np.equal(n, true)):.0%}"]
+        for name, n in (("before", before), ("with templates", after))
+    ]
+    publish(
+        "accuracy.md", "further walks", table(["100 further walks", f"counted of {sum(true)}", "error", "exact"], rows)
+    )
+
+
 def twenty(sex, seed, manner):
     """Attitude, forward acceleration and our landings of a walk of twenty steps, then the feet together."""
     for metres in np.arange(8.0, 26.0, 0.1):
-        route = [[0, 0], {"stand": 2}, {"to": [[float(metres), 0]], "manner": manner}, {"stand": 2}]
-        scenario = {"seed": seed, "route": route, "walker": {"sex": sex}, "phone": {"hold": HELD, "rate": 50}}
-        walk = simulate(Scenario.of(scenario))
-        if len(walk.body.landings) == 21:
-            break
+        attitude, forward, landings, landed = walked(seed, manner, float(metres), {"sex": sex})
+        if landed == 21:
+            return attitude, forward, landings
+    raise SystemExit(f"no walk of twenty steps by {sex} {seed}, {manner}")
+
+
+def walked(seed, manner, metres, walker):
+    """Attitude, forward acceleration, our landings, and how often feet landed, the last time to close."""
+    route = [[0, 0], {"stand": 2}, {"to": [[metres, 0]], "manner": manner}, {"stand": 2}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "walker": walker, "phone": {"hold": HELD, "rate": 50}}))
     gait = gait_of(walk.recording("accelerometer", "gyroscope"))[0]
     attitude, heading = gait.attitude, gait.direction.heading
     ahead = forward_axis(attitude, heading, gait.landings.under_way(attitude.time), gait.step)
-    return attitude, forward_acceleration(attitude, heading, ahead), gait.landings
+    return attitude, forward_acceleration(attitude, heading, ahead), gait.landings, len(walk.body.landings)
 
 
 def hundred_metres():

@@ -147,6 +147,7 @@ def test_calibrate_and_walk_again(tmp_path):
     assert (code, errors) == (0, [])
     assert printed.startswith("2 x the route")
     assert "E_length" in profile.read_text()
+    assert (tmp_path / "walker.png").stat().st_size > 10_000
     walked = {}
     for name, known in (("unknown", ()), ("known", ("--walker", profile))):
         assert run("steps", tmp_path / "eight", *known, "--out", tmp_path / f"{name}.csv")[0] == 0
