@@ -120,11 +120,12 @@ def calibrate(
 
     pdr-graph calibrate walk.csv --route maps/figure_eight.geojson --out walker.toml
     """
+    from pdr_graph.gait.profile import COEFFICIENTS
     from pdr_graph.pipeline import calibrate_walker
 
     profile, laps = calibrate_walker(recording, route, out, walker)
     sigma = profile.covariance.diagonal() ** 0.5
-    named = zip(("E_length", "E_straight", "E_corner"), ("", " rad/m", ""), sigma, strict=True)
+    named = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
     said = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in named)
     typer.echo(f"{laps} x the route, {profile.residual:.2f} m from it (rms): {said} -> {out}")
 

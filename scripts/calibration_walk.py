@@ -10,10 +10,9 @@ from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.floor.route import read_route
 from pdr_graph.gait import length, published
 from pdr_graph.gait.features import StepFeatures
-from pdr_graph.gait.forward import forward_acceleration, forward_axis
 from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import dead_reckon, wrap_angle
+from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -90,9 +89,7 @@ def walked(seed, manner, metres, walker):
     route = [[0, 0], {"stand": 2}, {"to": [[metres, 0]], "manner": manner}, {"stand": 2}]
     walk = simulate(Scenario.of({"seed": seed, "route": route, "walker": walker, "phone": {"hold": HELD, "rate": 50}}))
     gait = gait_of(walk.recording("accelerometer", "gyroscope"))[0]
-    attitude, heading = gait.attitude, gait.direction.heading
-    ahead = forward_axis(attitude, heading, gait.landings.under_way(attitude.time), gait.step)
-    return attitude, forward_acceleration(attitude, heading, ahead), gait.landings, len(walk.body.landings)
+    return gait.attitude, gait.forward, gait.landings, len(walk.body.landings)
 
 
 def hundred_metres():
@@ -120,7 +117,7 @@ def hundred_metres():
 
     methods = {
         "height alone": (errors(lambda n: Walker(HEIGHTS[n], stride="height")), "8.26"),
-        "height, calibration": (errors(lambda n: profile_of(profiles[n], HEIGHTS[n], "height", n)), "5.91"),
+        "height, calibration": (errors(lambda n: calibrated(*walkers[n], "height")), "5.91"),
         "**ours**": (errors(lambda n: Walker(HEIGHTS[n])), ""),
         "**ours, calibration**": (errors(lambda n: profiles[n]), "5.67 (all methods)"),
     }
@@ -151,18 +148,12 @@ def calibrated(seed, height, sex, stride="inverted pendulum"):
     return Walker(height, stride=stride, profile=calibrate(steps, read_route(EIGHT))[0])
 
 
-def profile_of(known, height, stride, seed):
-    """The same, by another stride model."""
-    return calibrated(seed, height, "f" if seed in WOMEN else "m", stride)
-
-
 def place_errors(walk, steps):
     """Mean and last distance [m] of dead reckoning from the truth; it starts where and whither the walker did."""
     body = walk.body
     first = np.searchsorted(body.time, body.landings[0])
     track = dead_reckon(steps, heading=float(body.heading[first]))
-    truth = np.stack([np.interp(track.time, body.time, axis) for axis in body.position.T], axis=1)
-    apart = np.hypot(*(track.position - truth).T)
+    apart = np.hypot(*(track.position - interpolate(track.time, body.time, body.position)).T)
     return apart[1:-1].mean(), apart[-1]
 
 

@@ -10,7 +10,7 @@ from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
 from pdr_graph.gait.direction import walking_direction
 from pdr_graph.gait.forward import braking_axis, forward_axis, principal_axis, reading_axis
-from pdr_graph.gait.gaps import uninterrupted
+from pdr_graph.gait.gait import gait_of
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io import load
@@ -61,7 +61,8 @@ def heading_errors(path):
     walk = load(path)
     truth = walk.truth if walk.truth is not None else walk.fixes[::12]
     frame = enu(*(truth.position[0][::-1] if truth.epsg else HANGZHOU))
-    truth, headings, steps = frame.place(truth), magnetic_headings(walk, frame, np.zeros(2)), detect_steps(walk)
+    gaits, truth = gait_of(walk), frame.place(truth)
+    headings, steps = magnetic_headings(gaits, frame, np.zeros(2)), detect_steps(gaits)
     heading = np.cumsum(steps.turn)
     way, errors = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2))), []
     for time, said in zip(headings.time, headings.heading, strict=True):
@@ -83,7 +84,7 @@ def ahead(paths):
             for name, method in AXES.items():
                 found[name][column].append(difference(method(*gait), wanted))
     for path in paths:
-        gait = seen(uninterrupted(load(path))[0])
+        gait = seen(load(path))
         wanted = reading_axis(*gait).angle
         for name, method in AXES.items():
             found[name][-1].append(difference(method(*gait), wanted))
@@ -92,11 +93,9 @@ def ahead(paths):
 
 
 def seen(recording):
-    """Attitude, heading, when they walk, and the duration of a step."""
-    attitude, steps = attitude_of(recording), detect_steps(recording)
-    step = float(np.median(steps.duration))
-    heading = walking_direction(attitude, step).heading
-    return attitude, heading, np.interp(attitude.time, steps.time, steps.length, left=0, right=0) > 0.3, step
+    """Attitude, heading, when they walk, and the duration of a step, of a recording's first part."""
+    gait = gait_of(recording)[0]
+    return gait.attitude, gait.direction.heading, gait.walking, gait.landings.usual_step
 
 
 def true_ahead(walk, attitude, heading, walking):
@@ -122,9 +121,9 @@ def reheld(paths):
     """Real walks in which the phone is turned by a quarter in the hand: is that a turn of the walker?"""
     told, tried, errors = 0, 0, []
     for path in paths:
-        recording = uninterrupted(load(path))[0]
-        attitude, heading, _, step = seen(recording)
-        landed = detect_steps(recording).time
+        gait = gait_of(load(path))[0]
+        recording, attitude, heading = gait.recording, gait.attitude, gait.direction.heading
+        landed, step = gait.landings.time, gait.landings.usual_step
         if len(landed) < 60:
             continue
         for share in SHARES:

@@ -6,6 +6,7 @@ from tables import publish, table
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, read_fixes, smooth
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
+from pdr_graph.gait.gait import gait_of
 from pdr_graph.types import Trajectory
 
 
@@ -31,12 +32,13 @@ def ipin21(data):
     """The figure of eight with each set of simulated fixes, without and with the plan's walls."""
     folder = data / "ipin21_hcu"
     walk, floor = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
-    steps, truth, rows = detect_steps(walk), floor.frame.place(walk.truth), []
+    gaits, truth, rows = gait_of(walk), floor.frame.place(walk.truth), []
+    steps = detect_steps(gaits)
     for path in sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower()):
         fixes = read_fixes(path, walk, floor.frame)
         cells = [path.stem, percentiles(circular_error(pair(truth, fixes_as_track(fixes))))]
+        headings = magnetic_headings(gaits, floor.frame, fixes.position[0])
         for plan in (None, floor):
-            headings = magnetic_headings(walk, floor.frame, fixes.position[0])
             track = smooth(WalkGraph(steps, fixes, headings=headings, floor=plan)).trajectory
             crossing = 100 * floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
             cells += [percentiles(circular_error(pair(track, truth))), coverage(track, truth), f"{crossing:.0f} %"]
@@ -53,8 +55,9 @@ def gnss(data):
         lon, lat = walk.fixes.position[0]
         frame = enu(lat, lon)
         truth, fixes = frame.place(walk.truth), frame.place(walk.fixes)
-        headings = magnetic_headings(walk, frame, fixes.position[0])
-        track = smooth(WalkGraph(detect_steps(walk), fixes, headings=headings)).trajectory
+        gaits = gait_of(walk)
+        headings = magnetic_headings(gaits, frame, fixes.position[0])
+        track = smooth(WalkGraph(detect_steps(gaits), fixes, headings=headings)).trajectory
         own = percentiles(circular_error(pair(fixes_as_track(fixes), truth)))
         rows.append([path.stem, "all of the phone's", own, percentiles(circular_error(pair(track, truth)))])
         rows[-1].append(coverage(track, truth))
@@ -62,7 +65,8 @@ def gnss(data):
     lon, lat = walk.fixes.position[0]
     frame = enu(lat, lon)
     fixes = frame.place(walk.fixes)
-    steps, headings = detect_steps(walk), magnetic_headings(walk, frame, fixes.position[0])
+    gaits = gait_of(walk)
+    steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
     for every in (10, 30, 60, 120):
         given = np.arange(0, len(fixes), every)
         rest = fixes_as_track(fixes[np.setdiff1d(np.arange(len(fixes)), given)])

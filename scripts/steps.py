@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import WalkGraph, detect_steps, io, smooth
+from pdr_graph import Walker, WalkGraph, detect_steps, io, smooth
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.frames import enu
 from pdr_graph.gait import length
@@ -71,7 +71,7 @@ class Measured:
     """A walk whose way between some moments is known: legs of distance [m], share of each step, which steps."""
 
     def __init__(self, name, walk, truth, every=1):
-        self.name, self.walk = name, walk
+        self.name = name
         self.truth = enu(*truth.position[0][::-1]).place(truth) if truth.epsg == LONLAT else truth
         self.gait = gait_of(walk)[0]
         self.features, landings = StepFeatures(self.gait), self.gait.landings
@@ -110,9 +110,9 @@ def strides(walks):
     others = [walk for walk in walks if walk not in known]
     rows = []
     for name, model in length.MODELS.items():
-        ratios = np.array([walk.ratio(model(walk.features)[0]) for walk in known])
-        rows.append([f"**{name}**" if name == "inverted pendulum" else name, *spread(known, ratios)])
-        rows[-1] += [f"{walk.ratio(model(walk.features)[0]):.2f}" for walk in others]
+        ratios, elsewhere = (np.array([w.ratio(model(w.features)[0]) for w in of]) for of in (known, others))
+        shown = f"**{name}**" if name == "inverted pendulum" else name
+        rows.append([shown, *spread(known, ratios), *(f"{ratio:.2f}" for ratio in elsewhere)])
     left_out = np.array([walk.ratio(refitted(known, walk)) for walk in known])
     rows.append(["inverted pendulum, k₁ of the other chains", *spread(known, left_out), *[""] * len(others)])
     header = ["model / true length", f"{LONG:.0f} m and more: bias", "spread", "all fifteen: bias", "spread"]
@@ -140,8 +140,8 @@ def refitted(walks, walk):
     legs = [(d, share.sum(), share @ bounce(other)) for other in rest for d, share in other.legs]
     distance, count, bounced = np.array(legs).T
     sigma = np.sqrt(2 * 0.47**2 + 0.15**2 * count)
-    k = least_squares(lambda k: (0.34 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[0]
-    return 0.34 + k * bounce(walk)
+    k = least_squares(lambda k: (length.K0 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[0]
+    return length.K0 + k * bounce(walk)
 
 
 def bounce(walk):
@@ -172,7 +172,6 @@ def profiles(walks):
 def learnt(measured_walk, known):
     """The profile after another walk of the same person, with all its waypoints given."""
     truth = measured_walk.truth
-    steps = detect_steps([measured_walk.gait])
-    steps = known.corrected(steps) if known else steps
+    steps = detect_steps([measured_walk.gait], Walker(profile=known))
     fixes = Fixes(truth.time, truth.position, np.full(len(truth), 0.5), ("",) * len(truth))
     return posterior_profile(smooth(WalkGraph(steps, fixes, prior=prior_of(known))), steps, known)

@@ -111,8 +111,7 @@ def _track(fit: Array, steps: Steps) -> Array:
 
 
 def _line(route: Array, laps: int) -> shapely.LineString:
-    again = route[1:] if laps > 1 else route[:0]
-    return shapely.LineString(np.concatenate([route, *[again] * (laps - 1)]))
+    return shapely.LineString(np.concatenate([route, *[route[1:]] * (laps - 1)]))
 
 
 def _at(line: shapely.LineString, along: Array) -> Array:

@@ -147,7 +147,7 @@ def _update(bank: Bank, graph: WalkGraph, fixes: Index, surprises: dict[int, Sur
         P = bank.covariance
         R = graph.fix_sigma[n] ** 2 * np.eye(2)
         sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(P[:, :2, :2] + R), gap))
-        weight = gripping(sigmas)
+        weight = gripping(sigmas, HUBER_WIDTH)
         best = int(np.argmax(bank.log_weight))
         surprises[n] = Surprise(float(np.hypot(*gap[best])), float(sigmas[best]), float(weight[best]))
 
@@ -162,7 +162,7 @@ def _point(bank: Bank, graph: WalkGraph, first: int, after: int) -> Bank:
         gap = wrap_angle(heading - bank.mean[:, 2])[:, None]
         P, R = bank.covariance, sigma**2
         sigmas = np.abs(gap[:, 0]) / np.sqrt(P[:, 2, 2] + R)
-        weight = gripping(sigmas)
+        weight = gripping(sigmas, HUBER_WIDTH)
         S = (P[:, 2, 2] + R / weight)[:, None, None]
         bank = _corrected(bank, P[:, :, 2:3] / S, P[:, 2:3, :], gap, sigmas, S)
     return bank

@@ -221,7 +221,7 @@ class WalkGraph:
     def fix_weight(self, distance: Array) -> Array:
         """The share ``(f,)`` of each fix's information that is used when it lies ``distance (f,)`` [m] off."""
         sigmas = distance / self.fix_sigma
-        weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas))
+        weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
         return np.where(self.fix_used, weight, 0.0)
 
     def _lay_on_fixes(self, increments: Increments) -> tuple[State, float]:

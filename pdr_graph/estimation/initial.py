@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
+from pdr_graph.estimation.robust import gripping
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, wrap_angle
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
 
@@ -62,7 +63,7 @@ def align(
         residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma
         if np.all(residual < HUBER):
             break
-        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * np.minimum(1.0, HUBER / np.maximum(residual, HUBER)))
+        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * gripping(residual, HUBER))
     return Alignment(p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a))
 
 

@@ -10,9 +10,9 @@ HUBER_WIDTH = 2.45  # [σ] 95 % of honest fixes lie within, at full weight
 WILD_WIDTH = 2.45  # [σ] Geman–McClure: a wild fix has a quarter of its weight there, and next to none far off
 
 
-def gripping(sigmas: Array) -> Array:
-    """Huber's weight ``(n,)`` of what is ``sigmas (n,)`` off: it never lets go."""
-    return np.minimum(1.0, HUBER_WIDTH / np.maximum(sigmas, 1e-9))
+def gripping(sigmas: Array, width: float) -> Array:
+    """Huber's weight ``(n,)`` of what is ``sigmas (n,)`` off, full up to ``width``: it never lets go."""
+    return np.minimum(1.0, width / np.maximum(sigmas, 1e-9))
 
 
 def slipping(sigmas: Array) -> Array:

@@ -57,8 +57,9 @@ class StepFeatures:
         middle = np.searchsorted(attitude.time, self.gait.landings.time)
         first = np.clip(middle - count // 2, 0, len(magnitude) - count)
         windows = magnitude[first[:, None] + np.arange(count)]
-        level = (windows - windows.mean(axis=1, keepdims=True)) * np.hanning(count)
-        spectrum = np.abs(np.fft.rfft(level, axis=1)) ** 2 / (np.hanning(count) ** 2).sum() / count
+        taper = np.hanning(count)
+        level = (windows - windows.mean(axis=1, keepdims=True)) * taper
+        spectrum = np.abs(np.fft.rfft(level, axis=1)) ** 2 / (taper**2).sum() / count
         band = np.digitize(np.fft.rfftfreq(count, attitude.period), BANDS) - 1
         return np.stack([spectrum[:, band == b].sum(axis=1) for b in range(len(BANDS) - 1)], axis=1)
 

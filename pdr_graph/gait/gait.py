@@ -8,33 +8,43 @@ import numpy as np
 
 from pdr_graph.gait.detection import walking_steps
 from pdr_graph.gait.direction import Direction, walking_direction
+from pdr_graph.gait.forward import forward_acceleration, forward_axis
 from pdr_graph.gait.gaps import uninterrupted
 from pdr_graph.gait.landings import Landings
 from pdr_graph.inertial.attitude import Attitude, attitude_of
-from pdr_graph.types import Recording
+from pdr_graph.types import Array, Mask, Recording
 
 
 @dataclass(frozen=True)
 class Gait:
-    """An uninterrupted part of a recording. step: usual duration of a step [s]; direction: straight on if unknown."""
+    """An uninterrupted part of a recording. direction: straight on if unknown."""
 
     recording: Recording
     attitude: Attitude
     landings: Landings
-    step: float
     direction: Direction
 
+    @property
+    def walking(self) -> Mask:
+        """When the walker was under way ``(n,)``, at the attitude's samples."""
+        return self.landings.under_way(self.attitude.time)
 
-def gait_of(recording: Recording) -> list[Gait]:
-    """One of each uninterrupted part. Raises InputError if there is no accelerometer."""
-    return [_of_part(part) for part in uninterrupted(recording)]
+    @property
+    def forward(self) -> Array:
+        """Acceleration along the walking direction ``(n,)``. [m/s²]"""
+        ahead = forward_axis(self.attitude, self.direction.heading, self.walking, self.landings.usual_step)
+        return forward_acceleration(self.attitude, self.direction.heading, ahead)
+
+
+def gait_of(recording: Recording | list[Gait]) -> list[Gait]:
+    """One of each uninterrupted part, unless that is what is given. Raises InputError without an accelerometer."""
+    return [_of_part(part) for part in uninterrupted(recording)] if isinstance(recording, Recording) else recording
 
 
 def _of_part(recording: Recording) -> Gait:
     attitude = attitude_of(recording)
     landings = walking_steps(attitude.time, attitude.acceleration)
-    step = landings.usual_step
-    if attitude.angular_rate is None:
-        nothing = np.zeros(len(attitude.time))
-        return Gait(recording, attitude, landings, step, Direction(nothing, nothing))
-    return Gait(recording, attitude, landings, step, walking_direction(attitude, step))
+    nothing = np.zeros(len(attitude.time))
+    seen = attitude.angular_rate is not None
+    direction = walking_direction(attitude, landings.usual_step) if seen else Direction(nothing, nothing)
+    return Gait(recording, attitude, landings, direction)

@@ -37,28 +37,23 @@ def magnetic_headings(recording: Recording | list[Gait], frame: Frame, near: Arr
     for the World Magnetic Model. Returns none in a frame that is nowhere on earth, or without an accelerometer,
     gyroscope and magnetometer.
     """
-    gaits = gait_of(recording) if isinstance(recording, Recording) else recording
-    if not frame.georeferenced or not all(_can_tell(gait.recording) for gait in gaits):
+    whole = recording if isinstance(recording, Recording) else recording[0].recording
+    if not frame.georeferenced or None in (whole.accelerometer, whole.gyroscope, whole.magnetometer):
         return Headings.none()
     lon, lat = frame.to_lonlat(near[None])[0].tolist()
-    earth = earth_field(lat, lon, gaits[0].recording.epoch)
-    found = [row for gait in gaits for row in _uninterrupted_headings(gait, earth)]
+    earth = earth_field(lat, lon, whole.epoch)
+    found = [row for gait in gait_of(recording) for row in _uninterrupted_headings(gait, earth)]
     time, from_east, own, ahead = np.array(found).reshape(-1, 4).T
     heading = wrap_angle(from_east + frame.bearing_of_east(near))
     return Headings(time, heading, np.sqrt(own**2 + len(time) * (ahead**2 + COMPASS_SIGMA**2)))
 
 
-def _can_tell(recording: Recording) -> bool:
-    return None not in (recording.accelerometer, recording.gyroscope, recording.magnetometer)
-
-
 def _uninterrupted_headings(gait: Gait, earth: EarthField) -> list[tuple[float, float, float, float]]:
     """Rows of time, heading from true east, and the sigmas of north and of what is ahead."""
-    attitude, landings, step = gait.attitude, gait.landings, gait.step
+    attitude, walking, step = gait.attitude, gait.walking, gait.landings.usual_step
     north = _north(attitude, gait.recording, earth)
-    if not len(north) or len(landings) < LEAST_STEPS:
+    if not len(north) or len(gait.landings) < LEAST_STEPS:
         return []
-    walking = landings.under_way(attitude.time)
     rows = []
     for stretch in _stretches(gait.direction, attitude.time):
         held, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]

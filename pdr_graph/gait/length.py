@@ -16,6 +16,7 @@ from pdr_graph.gait.features import StepFeatures
 from pdr_graph.types import Array
 
 REFERENCE_HEIGHT = 1.70  # [m] stature at which a model without it was fitted
+K0, K1 = 0.34, 0.26  # [m], [√(m/s²)·s → m]: see inverted_pendulum
 SHORTEST, LONGEST = 0.2, 1.2  # [m]
 SPREAD = 0.3  # of a step's length; the settings table of docs/accuracy.md
 TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
@@ -33,7 +34,7 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     two malls (``scripts/reproduce steps``). k₀ is half a step, which the free fit agrees with: how hard a foot lands
     depends on shoes, floor and pocket too, and is trusted by half. Both scale with stature.
     """
-    return _plausible((0.34 + 0.26 * np.sqrt(steps.amplitude) * steps.period) * height / REFERENCE_HEIGHT)
+    return _plausible((K0 + K1 * np.sqrt(steps.amplitude) * steps.period) * height / REFERENCE_HEIGHT)
 
 
 def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
@@ -108,8 +109,8 @@ def lasso_features(steps: StepFeatures, height: float) -> Array:
 @cache
 def lasso_weights() -> Array:
     """K₀ … K₄."""
-    text = resources.files("pdr_graph.gait").joinpath("lasso.csv").read_text()
-    return np.array([float(line.split(",")[1]) for line in text.strip().split("\n")[1:]])
+    with resources.files("pdr_graph.gait").joinpath("lasso.csv").open() as file:
+        return np.loadtxt(file, delimiter=",", skiprows=1, usecols=1)
 
 
 MODELS: dict[str, Callable[..., Lengths]] = {

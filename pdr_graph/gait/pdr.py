@@ -25,8 +25,8 @@ def detect_steps(recording: Recording | list[Gait], walker: Walker | None = None
 
     Raises InputError if there is no accelerometer.
     """
-    walker, gaits = walker or Walker(), gait_of(recording) if isinstance(recording, Recording) else recording
-    steps = join([_uninterrupted_steps(part, walker) for part in gaits])
+    walker = walker or Walker()
+    steps = join([_uninterrupted_steps(part, walker) for part in gait_of(recording)])
     return walker.profile.corrected(steps) if walker.profile else steps
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 from pdr_graph.types import Array, Steps
 
+COEFFICIENTS = ("E_length", "E_straight", "E_corner")
+
 
 @dataclass(frozen=True)
 class Profile:

@@ -97,8 +97,8 @@ def forward_shapes(attitude: Attitude, forward: Array, landings: Landings) -> Ar
 @cache
 def templates() -> Array:
     """Walking and feet together ``(POINTS, 2)``, made by ``scripts/templates``."""
-    text = resources.files("pdr_graph.gait").joinpath("templates.csv").read_text()
-    return np.array([[float(v) for v in line.split(",")] for line in text.strip().split("\n")[1:]])
+    with resources.files("pdr_graph.gait").joinpath("templates.csv").open() as file:
+        return np.loadtxt(file, delimiter=",", skiprows=1)
 
 
 def _warped(shape: Array, template: Array) -> float:

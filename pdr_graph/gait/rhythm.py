@@ -54,14 +54,14 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
 
     acceleration ``(n, 3)`` [m/s²], period [s] between samples; look_ahead [s] of samples after a moment that count.
     """
-    stride, steps = every(period), STEPS
-    if period > SLOWEST or len(acceleration) * period < 2.5 * steps[-1]:
+    stride = every(period)
+    if period > SLOWEST or len(acceleration) * period < 2.5 * STEPS[-1]:
         return Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
     smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), SMOOTH / period)[::stride]
     sampling = period * stride
     level = smooth - gaussian_filter1d(smooth, LEVEL / sampling)
-    which, regular = _rhythm(level, steps, sampling, look_ahead)
-    wave = _at_frequency(level, steps, which, sampling)
+    which, regular = _rhythm(level, sampling, look_ahead)
+    wave = _at_frequency(level, which, sampling)
     peaks, time = _crossings(wave, sampling)
     amplitude = 2 * np.abs(wave)
     past, future = round(LOOK_AHEAD / sampling), round(look_ahead / sampling)
@@ -69,20 +69,20 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
     strong = (amplitude > WEAKEST) & (amplitude > WEAKEST_SHARE * around)
     peaks, time = peaks[strong[peaks]], time[strong[peaks]]
-    step = steps[which[peaks]]
+    step = STEPS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < HIGHEST_BOUNCE
     bodily &= _upright(acceleration, period)[::stride][peaks] > UPRIGHT
     return Candidates(time, step, amplitude[peaks], regular[peaks], bodily)
 
 
-def _rhythm(level: Array, steps: Array, sampling: float, look_ahead: float) -> tuple[Index, Array]:
+def _rhythm(level: Array, sampling: float, look_ahead: float) -> tuple[Index, Array]:
     """Which duration of a step fits at each sample ``(n,)``, and how well |a| repeats itself then ``(n,)``.
 
     It must repeat itself after a stride, and the better if after a step too: no duration but the right one, its half
     and its double does. An unusual one has to fit better.
     """
-    once, twice = (np.array([_correlation(level, s, sampling) for s in d]) for d in (steps, 2 * steps))
-    unusual = (np.log(steps / USUAL_STEP) / USUAL_SPREAD) ** 2 / 2
+    once, twice = (np.array([_correlation(level, s, sampling) for s in d]) for d in (STEPS, 2 * STEPS))
+    unusual = (np.log(STEPS / USUAL_STEP) / USUAL_SPREAD) ** 2 / 2
     which = np.argmax(twice + once / 2 - USUAL_WEIGHT * unusual[:, None], axis=0)
     samples = np.arange(len(level))
     regular = np.maximum(once[which, samples], twice[which, samples])
@@ -103,15 +103,15 @@ def _correlation(level: Array, lag: float, sampling: float) -> Array:
     )
 
 
-def _at_frequency(level: Array, steps: Array, which: Index, sampling: float) -> Complex:
+def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
     """What of a signal has the frequency of the steps ``which (n,)``, under a Gaussian of SHAPE steps. ``(n,)``"""
     wave = np.zeros(len(level), dtype=complex)
-    reaches = np.round(2.5 * SHAPE * steps / sampling).astype(int)
+    reaches = np.round(2.5 * SHAPE * STEPS / sampling).astype(int)
     count = fft.next_fast_len(len(level) + 2 * int(reaches.max())) or 0
     spectrum = np.asarray(fft.fft(level, count))
     for n in np.unique(which):
         here, reach = which == n, int(reaches[n])
-        at = np.arange(-reach, reach + 1) * sampling / steps[n]
+        at = np.arange(-reach, reach + 1) * sampling / STEPS[n]
         window = np.exp(-((at / SHAPE) ** 2) / 2)
         kernel = 2 / window.sum() * window * np.exp(2j * np.pi * at)
         filtered = np.asarray(fft.ifft(spectrum * np.asarray(fft.fft(kernel, count))))

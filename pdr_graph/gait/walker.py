@@ -11,11 +11,10 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.gait.length import MODELS, REFERENCE_HEIGHT
-from pdr_graph.gait.profile import Profile
+from pdr_graph.gait.profile import COEFFICIENTS, Profile
 from pdr_graph.settings import read_toml
 
 DEFAULT_STRIDE = "inverted pendulum"
-COEFFICIENTS = ("E_length", "E_straight", "E_corner")
 LARGEST = {"E_length": 0.6, "E_straight": 0.5, "E_corner": 0.5}  # beyond that it is another walker's, or degrees
 
 

@@ -59,8 +59,8 @@ def test_a_magnet_on_the_phone_silences_it():
 def test_nothing_is_said_without_a_place_or_a_sensor():
     walk = walked()
     assert len(magnetic_headings(walk.recording(), Frame(), HERE)) == 0
-    without = walk.recording("accelerometer", "gyroscope")
-    assert len(magnetic_headings(without, walk.frame, HERE)) == 0
+    for sensors in (("accelerometer", "gyroscope"), ("accelerometer", "magnetometer"), ("gyroscope", "magnetometer")):
+        assert len(magnetic_headings(walk.recording(*sensors), walk.frame, HERE)) == 0
 
 
 @pytest.mark.parametrize("samples", [1, 500])
