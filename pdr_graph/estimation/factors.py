@@ -8,7 +8,7 @@ with these lines, a ``gtsam.CustomFactor`` one interval.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import gtsam
@@ -16,8 +16,11 @@ import numpy as np
 
 from pdr_graph.estimation.preintegration import Bridge, Increments, Pieces, preintegrate
 from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.regions import NOWHERE, Regions
 from pdr_graph.geometry import pose_rotation, wrap_angle
 from pdr_graph.types import Array, Index
+
+BODY, BODY_SIGMA = 0.15, 0.1  # [m] that the middle of a walker keeps from any wall, and how loosely, of the spring's
 
 
 @dataclass(frozen=True)
@@ -39,16 +42,53 @@ class Linearised:
         return Linearised(self.value[rows], self.by_i[rows], self.by_j[rows], self.by_c[rows])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Walls:
-    """Where walls are and how far people keep from them.
+    """The walls about each piece of a walk.
 
-    field: signed distance to the nearest wall; margin: clearance that people keep [m]; sigma: how loosely [m].
+    fields: signed distances to the walls of a region, or of two and the door between them; of_piece: ``(m,)`` which of
+    the fields holds for each piece, −1 none. margin: clearance that people keep [m]; sigma: how loosely [m].
+    price: what the regions' changes cost, against half a squared sigma.
     """
 
-    field: DistanceField
+    fields: tuple[DistanceField, ...]
+    of_piece: Index
     margin: float
     sigma: float
+    price: float
+
+    @classmethod
+    def along(cls, track: Array, regions: Regions, margin: float, sigma: float) -> Walls:
+        """The walls about a walk that leads through ``track (m, 2)`` [m], a point for each piece."""
+        region, price = regions.along(track)
+        before, after = np.append(region[:1], region[:-1]), np.append(region[1:], region[-1:])
+        sets, of_piece = np.unique(np.sort([before, region, after], axis=0), axis=1, return_inverse=True)
+        inside = [tuple(int(r) for r in np.unique(s)) for s in sets.T]
+        return cls(
+            tuple(regions.field(s) for s in inside if NOWHERE not in s),
+            _numbered(inside)[of_piece.ravel()],
+            margin,
+            sigma,
+            price,
+        )
+
+    def __eq__(self, other: object) -> bool:
+        """True if all pieces are in the same regions."""
+        if not isinstance(other, Walls):
+            return NotImplemented
+        return self.fields == other.fields and np.array_equal(self.of_piece, other.of_piece)
+
+    def only(self, pieces: slice) -> Walls:
+        """The walls about some pieces."""
+        return replace(self, of_piece=self.of_piece[pieces])
+
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Signed distance ``(m,)`` [m] of each piece's end to its walls, and its gradient ``(m, 2)``."""
+        distance, gradient = np.full(len(points), np.inf), np.zeros((len(points), 2))
+        for n, field in enumerate(self.fields):
+            here = self.of_piece == n
+            distance[here], gradient[here] = field.at(points[here])
+        return distance, gradient
 
 
 @dataclass(frozen=True)
@@ -135,16 +175,29 @@ def steps_between(
 
 
 def wall(poses: Linearised, pieces: Pieces, walls: Walls) -> Linearised:
-    """A spring that keeps steps clear of walls, whitened: r = max(0, margin − d(p)) / σ.
+    """A spring that keeps steps clear of walls, and a stiff one that keeps bodies out of them, whitened:
 
-    d is the signed distance to the nearest wall, negative inside one. A piece in which nobody moved adds no evidence.
+        r = max(0, margin − d(p)) / σ + max(0, BODY − d(p)) / σ_body
+
+    d is the signed distance to the walls of the piece's own region, so that it is negative behind the thinnest. A piece
+    in which nobody moved adds no evidence.
     """
-    distance, gradient = walls.field.at(poses.value[:, :2])
-    pressed = (distance < walls.margin) & (pieces.length > 0)
+    distance, gradient = walls.distance(poses.value[:, :2])
+    moved = pieces.length > 0
+    r, steepness = np.zeros(len(distance)), np.zeros(len(distance))
+    for keep, sigma in ((walls.margin, walls.sigma), (BODY, BODY_SIGMA * walls.sigma)):
+        pressed = moved & (distance < keep)
+        r[pressed] += (keep - distance[pressed]) / sigma
+        steepness[pressed] += 1 / sigma
     slope = np.zeros((len(distance), 1, 3))
-    slope[pressed, 0, :2] = -gradient[pressed] / walls.sigma
-    r = np.where(pressed, (walls.margin - distance) / walls.sigma, 0.0)[:, None]
-    return Linearised(r, slope @ poses.by_i, slope @ poses.by_j, slope @ poses.by_c)
+    slope[:, 0, :2] = -gradient * steepness[:, None]
+    return Linearised(r[:, None], slope @ poses.by_i, slope @ poses.by_j, slope @ poses.by_c)
+
+
+def _numbered(sets: list[tuple[int, ...]]) -> Index:
+    """A number for each set of regions, −1 for those that hold NOWHERE."""
+    inside = np.array([NOWHERE not in s for s in sets])
+    return np.where(inside, np.cumsum(inside) - 1, -1)
 
 
 class FactorError(RuntimeError):

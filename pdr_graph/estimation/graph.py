@@ -117,11 +117,6 @@ class WalkGraph:
         self.segment = _segments(self.pieces, steps)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
 
-        # Walls say nothing of a walk that could be anywhere, or is elsewhere
-        self.walls = None
-        if floor is not None and floor.near(self.fixes.position[self.fix_used]).any():
-            self.walls = Walls(floor.distance, self.prior.wall_margin, self.prior.wall_sigma)
-
         # How steps add up, where to start, and GTSAM's own factors
         c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
         increments = preintegrate(self.pieces, c[self.segment])
@@ -129,6 +124,11 @@ class WalkGraph:
         self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(increments))
         self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
         self.native = self._native_factors()
+
+        # Walls say nothing of a walk that could be anywhere, or is elsewhere
+        self.walls = None
+        if floor is not None and floor.near(self.fixes.position[self.fix_used]).any():
+            self.walls = self._walls_along(self.start)
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """The own factors at ``values``."""
@@ -163,11 +163,12 @@ class WalkGraph:
         for i, (x, c) in enumerate(zip(*self.keys, strict=True)):
             keys = (x, x + 1, c)
             pieces, own_bridge = self.pieces.only(i), self.bridge.only(self.pieces, i)
+            walls = self.walls and self.walls.only(slice(self.pieces.first[i], self.pieces.last[i] + 1))
 
-            def at(values: gtsam.Values, keys=keys, pieces=pieces, own_bridge=own_bridge) -> Evaluation:
+            def at(values: gtsam.Values, keys=keys, pieces=pieces, own_bridge=own_bridge, walls=walls) -> Evaluation:
                 i, j = (values.atPose2(k) for k in keys[:2])
                 pose_i, pose_j = np.array([[i.x(), i.y(), i.theta()]]), np.array([[j.x(), j.y(), j.theta()]])
-                return evaluate(pieces, own_bridge, pose_i, pose_j, values.atVector(keys[2])[None], self.walls)
+                return evaluate(pieces, own_bridge, pose_i, pose_j, values.atVector(keys[2])[None], walls)
 
             def pdr(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
                 r = at(values).pdr
@@ -186,13 +187,17 @@ class WalkGraph:
     def turned(self, angle: float) -> WalkGraph:
         """The same measurements, started ``angle`` [rad] further round the fixes and loosely held there."""
         other = copy(self)
-        other.start = self.turned_start(angle)
+        other.start = self.start.turned(angle, self._pivot(self.start))
         other.native = other._native_factors()
         return other
 
-    def turned_start(self, angle: float) -> State:
-        """The start, ``angle`` [rad] further round the fixes."""
-        return self.start.turned(angle, self._pivot(self.start))
+    def following(self, start: State) -> WalkGraph:
+        """The same measurements, started at ``start``: its rooms and corridors are those of the walk."""
+        other = copy(self)
+        other.start = start
+        other.walls = other._walls_along(start)
+        other.native = other._native_factors()
+        return other
 
     def without_walls(self) -> WalkGraph:
         """The same measurements without the plan."""
@@ -229,7 +234,7 @@ class WalkGraph:
         delta = increments.delta[self.pieces.last]
         heading = np.concatenate([[0.0], np.cumsum(delta[:, 2])])
         moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
-        track = np.concatenate([[0.0], np.cumsum(moves)])
+        self.track = track = np.concatenate([[0.0], np.cumsum(moves)])
         used = self.fix_used
         at, sigma = self.fix_keyframe[used], self.fix_sigma[used]
         fix = as_complex(self.fixes.position[used])
@@ -270,6 +275,12 @@ class WalkGraph:
         gap = np.zeros(len(first))
         np.maximum.at(gap, np.minimum(after, len(first) - 1), self.steps.sigma_length[lost])
         return gap
+
+    def _walls_along(self, state: State) -> Walls:
+        """The walls about the steps as ``state`` has them."""
+        assert self.floor is not None, "there is a plan"
+        own = evaluate(self.pieces, self.bridge, state.poses[:-1], state.poses[1:], state.c[self.segment], None)
+        return Walls.along(own.poses.value[:, :2], self.floor.regions, self.prior.wall_margin, self.prior.wall_sigma)
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""

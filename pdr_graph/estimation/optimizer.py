@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.directions import directions
 from pdr_graph.estimation.factors import Evaluation
-from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.graph import AMBIGUOUS, State, WalkGraph
+from pdr_graph.estimation.hypotheses import hypotheses
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
@@ -18,17 +18,19 @@ LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, who
 LOOSE = 3.0  # times as loosely walls hold at first: hard walls keep a walk that starts 3° off in the wrong aisle
 WILD = 5.0  # [σ] beyond which a fix loses its grip in the second pass
 UNLIKELY = 12.0  # cost above the best at which another solution is not worth mentioning
+STRAINED = 3.0  # cost that walls add to the walk in the open at which particles are sent off again
+ATTEMPTS = 3
+DIRECTIONS = 8  # to start in where any is possible
 DIFFERENT = 0.5  # [m] apart at some step: another solution
 
 
 def solutions(graph: WalkGraph) -> list[Optimum]:
     """The most probable walk first, then different ones that are not hopeless.
 
-    Where the measurements leave the walk's direction open (one fix; two at the ends of a loop), it is started in
-    several.
+    With a plan, the ways that it admits are followed; without, any direction where the measurements leave it open (one
+    fix; two at the ends of a loop).
     """
-    starts = [graph.turned(angle) if angle else graph for angle in directions(graph)]
-    return _distinct([optimum for start in starts for optimum in _robustly(start)])
+    return _distinct(_in_the_building(graph) if graph.walls else [_robustly(start) for start in _turned(graph)])
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,11 @@ class Optimum:
     cost: float
     iterations: int
     converged: bool
+
+    @property
+    def surprise(self) -> float:
+        """What the measurements and the plan have against it: least for the most probable."""
+        return self.cost + (self.graph.walls.price if self.graph.walls else 0.0)
 
 
 def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
@@ -92,32 +99,51 @@ def _capped(move: gtsam.VectorValues, longest: float) -> gtsam.VectorValues:
     return move
 
 
-def _robustly(graph: WalkGraph) -> list[Optimum]:
-    """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off.
+def _turned(graph: WalkGraph) -> list[WalkGraph]:
+    """The starts that the measurements leave open: one, or as many directions."""
+    if not graph.fix_used.any() or graph.sigma_direction < AMBIGUOUS:
+        return [graph]
+    return [graph, *(graph.turned(angle) for angle in np.arange(1, DIRECTIONS) * 2 * np.pi / DIRECTIONS)]
 
-    Which fixes are wild is asked of the walk without walls: their pull is local, and a walk that they lead astray
-    would blame the fixes. They act on the walk as the fixes lay it, and, loosely at first, on that and on its optimum
-    in the open; none of these is always the best.
+
+def _robustly(graph: WalkGraph) -> Optimum:
+    """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off."""
+    first = optimize(graph, graph.start.to_values())
+    wild = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
+    return optimize(graph.without_grip(wild), first.values) if wild.any() else first
+
+
+def _in_the_building(graph: WalkGraph) -> list[Optimum]:
+    """An optimum for each of the ways that the plan admits.
+
+    Which fixes are wild is asked of the walk without walls: a walk that they lead astray would blame the fixes.
     """
-    start = graph.start.to_values()
-    in_the_open = optimize(graph.without_walls(), start)
-    wild = graph.fix_used & (graph.fix_distance(in_the_open.values) > WILD * graph.fix_sigma)
-    if graph.walls is None and not wild.any():
-        return [in_the_open]
-    robust = graph.without_grip(wild) if wild.any() else graph
-    if graph.walls is None:
-        return [optimize(robust, in_the_open.values)]
-    loose = robust.with_loose_walls(LOOSE)
-    loosely = [optimize(loose, values).values for values in (start, in_the_open.values)]
-    return [optimize(robust, values) for values in (start, *loosely)]
+    in_the_open = _robustly(graph.without_walls())
+    robust = graph.without_grip(in_the_open.graph.fix_wild)
+    found: list[Optimum] = []
+    for attempt in range(ATTEMPTS):
+        for way in hypotheses(robust, attempt):
+            found.append(_along(robust, way))
+        if min(one.cost for one in found) < in_the_open.cost + STRAINED:
+            break
+    return found
+
+
+def _along(graph: WalkGraph, way: State) -> Optimum:
+    """The optimum near one way: in the rooms and corridors that this leads through, then in those it has itself."""
+    follows = graph.following(way)
+    loosely = optimize(follows.with_loose_walls(LOOSE), way.to_values())
+    first = optimize(follows, loosely.values)
+    again = graph.following(State.of(first.values))
+    return first if again.walls == follows.walls else optimize(again, first.values)
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:
     """Different solutions that are not hopeless, the most probable first."""
     kept: list[Optimum] = []
-    for one in sorted(solutions, key=lambda s: round(s.cost, 3)):  # of equals the first: heading 0 with one fix
+    for one in sorted(solutions, key=lambda s: round(s.surprise, 3)):  # of equals the first: heading 0 with one fix
         track = one.own.poses.value[:, :2]
         apart = [np.abs(track - other.own.poses.value[:, :2]).max() for other in kept]
-        if all(a > DIFFERENT for a in apart) and (not kept or one.cost - kept[0].cost < UNLIKELY):
+        if all(a > DIFFERENT for a in apart) and (not kept or one.surprise - kept[0].surprise < UNLIKELY):
             kept.append(one)
     return kept

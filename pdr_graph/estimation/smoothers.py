@@ -52,7 +52,7 @@ def _rows(optimum: Optimum) -> Array:
 
 def _mixed_covariance(found: list[Optimum]) -> tuple[Array, Array]:
     """Covariance of each row about the best solution, the others counted by their probability; that of c."""
-    weight = np.exp(found[0].cost - np.array([s.cost for s in found]))
+    weight = np.exp(found[0].surprise - np.array([s.surprise for s in found]))
     weight /= weight.sum()
     rows = _rows(found[0])
     covariance, of_c = covariance_of_rows(found[0].graph, found[0].own, found[0].net)

@@ -12,6 +12,9 @@ SPACING = 0.25  # [m] between grid nodes: bilinear error 0.05 m at 99 %
 NODES = 33  # per side of a tile, its border shared with the next: 8 m
 TILE = SPACING * (NODES - 1)
 NARROWEST = 0.3  # [m] gaps thinner than this are no places to walk: slits between neighbouring shop polygons
+BITS = 6
+PIXELS = 1 << BITS  # per side of a tile in the coarser answer of ``about``
+SURROUND = 13  # tiles about everything drawn that have a place in the table: a walk may leave the plan
 
 
 class DistanceField:
@@ -32,17 +35,21 @@ class DistanceField:
             lines = np.concatenate([lines, shapely.get_parts(shapely.line_merge(barriers))])
         self._walls = _segments(lines)
         self._tree = shapely.STRtree(self._walls)
-        self._slot: dict[tuple[int, int], int] = {}
+        low, high = shapely.bounds(self._walkable).reshape(2, 2)
+        self._corner = (np.floor(low / TILE) - SURROUND) * TILE
+        self._wide, self._high = (np.ceil((high - self._corner) / TILE).astype(int) + SURROUND).tolist()
+        self._slot = np.full((self._wide, self._high), -1)
         self._tiles = np.empty((0, NODES, NODES))
+        self._pixels = np.empty((0, PIXELS, PIXELS), dtype=float)
         shapely.prepare(self._walkable)
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Distance ``(n,)`` [m] and its gradient ``(n, 2)`` at points ``(n, 2)`` [m]."""
-        tile = np.floor(points / TILE).astype(np.intp)
+        nodes = (points - self._corner) / SPACING
+        node = np.clip(nodes.astype(np.intp), 0, (NODES - 1) * np.array([self._wide, self._high]) - 1)
+        tile, (ix, iy) = node // (NODES - 1), (node % (NODES - 1)).T
         slot = self._slots(tile)
-        inside = (points - tile * TILE) / SPACING
-        node = np.minimum(inside.astype(np.intp), NODES - 2)
-        (fx, fy), (ix, iy) = (inside - node).T, node.T
+        fx, fy = (nodes - node).T
         d00, d10 = self._tiles[slot, iy, ix], self._tiles[slot, iy, ix + 1]
         d01, d11 = self._tiles[slot, iy + 1, ix], self._tiles[slot, iy + 1, ix + 1]
         distance = (d00 * (1 - fx) + d10 * fx) * (1 - fy) + (d01 * (1 - fx) + d11 * fx) * fy
@@ -50,20 +57,33 @@ class DistanceField:
         by_y = (d01 - d00) * (1 - fx) + (d11 - d10) * fx
         return distance, np.stack([by_x, by_y], axis=1) / SPACING
 
+    def about(self, x: Array, y: Array) -> Array:
+        """Distance [m] at points, right to 0.1 m and in little time: by pixels of 0.125 m. x, y: of one shape, any."""
+        ix = _pixel(x, self._corner[0], self._wide)
+        iy = _pixel(y, self._corner[1], self._high)
+        tile = (ix >> BITS) * self._high + (iy >> BITS)
+        slot = self._slot.ravel().take(tile)
+        if slot.min(initial=0) < 0:
+            slot = self._slots(np.stack(np.divmod(tile.ravel(), self._high), axis=1)).reshape(x.shape)
+        return self._pixels.ravel().take((slot << 2 * BITS) + ((iy & PIXELS - 1) << BITS) + (ix & PIXELS - 1))
+
     def _slots(self, tile: Index) -> Index:
         """Where the tiles ``(n, 2)`` of some points are stored; missing ones are computed first."""
-        needed, which = np.unique(tile, axis=0, return_inverse=True)
-        keys = [tuple(t) for t in needed.tolist()]
-        missing = [k for k in keys if k not in self._slot]
-        if missing:
-            self._slot |= {k: len(self._slot) + n for n, k in enumerate(missing)}
-            self._tiles = np.concatenate([self._tiles, *(self._compute(k)[None] for k in missing)])
-        return np.array([self._slot[k] for k in keys], dtype=np.intp)[which.ravel()]
+        slot = self._slot[tile[:, 0], tile[:, 1]]
+        if (slot < 0).any():
+            missing = np.unique(tile[slot < 0], axis=0)
+            self._slot[missing[:, 0], missing[:, 1]] = len(self._tiles) + np.arange(len(missing))
+            tiles = np.stack([self._compute(t) for t in missing])
+            self._tiles = np.concatenate([self._tiles, tiles])
+            self._pixels = np.concatenate([self._pixels, _pixels(tiles)])
+            slot = self._slot[tile[:, 0], tile[:, 1]]
+        return slot
 
-    def _compute(self, tile: tuple[int, int]) -> Array:
+    def _compute(self, tile: Index) -> Array:
         """Exact signed distances ``(NODES, NODES)`` at the nodes of one tile, rows along y."""
         steps = np.arange(NODES) * SPACING
-        x, y = (a.ravel() for a in np.meshgrid(tile[0] * TILE + steps, tile[1] * TILE + steps))
+        low = self._corner + tile * TILE
+        x, y = (a.ravel() for a in np.meshgrid(low[0] + steps, low[1] + steps))
         centre = shapely.Point(x.mean(), y.mean())
         nearest = self._tree.query_nearest(centre, return_distance=True, all_matches=False)[1][0]
         reach = nearest + np.sqrt(2) * TILE  # any node's nearest wall lies within
@@ -71,6 +91,22 @@ class DistanceField:
         shapely.prepare(walls)
         distance = shapely.distance(walls, shapely.points(x, y))
         return np.where(shapely.contains_xy(self._walkable, x, y), distance, -distance).reshape(NODES, NODES)
+
+
+def _pixel(along: Array, corner: float, tiles: int) -> Index:
+    index = ((along - corner) * (PIXELS / TILE)).astype(np.intp)
+    return np.minimum(np.maximum(index, 0, out=index), PIXELS * tiles - 1, out=index)
+
+
+def _pixels(tiles: Array) -> Array:
+    """Bilinear means ``(n, PIXELS, PIXELS)`` at the middle of quarters of grid squares."""
+    for axis in (1, 2):
+        low, high = np.take(tiles, range(NODES - 1), axis), np.take(tiles, range(1, NODES), axis)
+        halves = np.stack([0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high], axis=axis + 1)
+        shape = [*tiles.shape]
+        shape[axis] = PIXELS
+        tiles = halves.reshape(shape)
+    return tiles
 
 
 def _segments(lines: NDArray[np.object_]) -> NDArray[np.object_]:

