@@ -208,20 +208,23 @@ def map_show(
 @maps.command("check")
 def map_check(plan: PlanPath) -> None:
     """Look for what would mislead a walk: sealed rooms, doors to nowhere, links through walls. Exit 3 if any."""
+    from pdr_graph.floor.building import Building
     from pdr_graph.floor.check import problems
-    from pdr_graph.floor.plan import FloorPlan
 
-    found = False
-    floors = FloorPlan.load_all(plan)
-    for note in floors[0].notes:
+    building = Building.load(plan)
+    for note in building.floors[0].notes:
         typer.echo(f"note: {note}")
-    for floor in floors:
+    for floor in building.floors:
         kinds = Counter(area.kind for area in floor.areas)
         drawn = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-        typer.echo(f"{floor.label or plan.stem}: {floor.walkable_area:.0f} m² walkable; {drawn}")
-        for problem in problems(floor):
-            found = True
-            typer.echo(f"  {problem}")
+        high = f"at {floor.height:g} m, " if len(building.floors) > 1 else ""
+        typer.echo(f"{floor.label or plan.stem}: {high}{floor.walkable_area:.0f} m² walkable; {drawn}")
+    for connection in building.connections:
+        joined = ", ".join(building.labels[n] for n in connection.floors)
+        typer.echo(f"{connection.kind} {connection.name}".strip() + f": {joined}")
+    found = problems(building)
+    for problem in found:
+        typer.echo(f"problem: {problem}")
     if found:
         raise typer.Exit(DegradedExit)
     typer.echo("no problems found")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, SOLID
+from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, unit
 from pdr_graph.types import Array, Estimate, Trajectory
@@ -54,7 +54,7 @@ def plot(
 
 
 def plot_plan(*floors: FloorPlan) -> Figure:
-    """Floors side by side: where one can walk, and what is solid."""
+    """All floors, the lowest at the lower left: where one can walk, and what is solid."""
     figure, canvases = _canvas(
         np.concatenate([floor.corners for floor in floors]), around=0.02, bottom=0.6, count=len(floors)
     )
@@ -80,7 +80,7 @@ def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     _lines(axes, shapely.union_all([a.shape for a in floor.of_kind(LINK)]), color=BORDER, lw=0.5, ls=":", zorder=2.3)
     for beacon in floor.of_kind(BEACON):
         axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=FIX, ls="none", zorder=2.4)
-    for area in (*solid, *floor.of_kind(*CLOSED)):
+    for area in (*solid, *floor.of_kind(*CLOSED, *OPEN)):
         if area.name.isascii() and area.is_polygon:
             _name(axes, area.name, area.shape)
 
@@ -146,7 +146,7 @@ def _draw_fixes(axes: Axes, estimate: Estimate) -> None:
 def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:
     """A figure with ``count`` axes in the shape of some points ``(n, 2)`` [m] and their surroundings, axes equal.
 
-    bottom: room for labels and legend [inch].
+    Several fill rows from the lower left, about as wide as high. bottom: room for labels and legend [inch].
 
     Without the pyplot machinery, which is slow to load and keeps every figure alive.
     """
@@ -156,16 +156,19 @@ def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tupl
     shown = np.maximum(shown, SHORTEST_SIDE / scale)
     left, right, top = 0.85, 0.15, 0.35  # [inch]
     each, high_up = shown * scale + (left + right, bottom + top)
-    figure = Figure(figsize=(count * each, high_up))
+    columns = min(count, max(1, round(np.sqrt(count * high_up / each))))
+    rows = -(-count // columns)
+    figure = Figure(figsize=(columns * each, rows * high_up))
     FigureCanvasAgg(figure)
     (west, south), (east, north) = (low + high - shown) / 2, (low + high + shown) / 2
     canvases = []
     for n in range(count):
+        row, column = divmod(n, columns)
         place = (
-            (n + left / each) / count,
-            bottom / high_up,
-            shown[0] * scale / each / count,
-            shown[1] * scale / high_up,
+            (column + left / each) / columns,
+            (row + bottom / high_up) / rows,
+            shown[0] * scale / each / columns,
+            shown[1] * scale / high_up / rows,
         )
         axes = figure.add_axes(place)
         axes.set(xlim=(west, east), ylim=(south, north), aspect="equal")

@@ -16,7 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from mutations import inputs, mutated, simulated_if_short
 
-from pdr_graph import FloorPlan, InputError, detect_steps, io, read_fixes, read_trajectory
+from pdr_graph import InputError, detect_steps, io, read_fixes, read_trajectory
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
 from pdr_graph.types import Recording, Signal
 
@@ -30,8 +31,7 @@ def record(path):
 
 
 def plan(path):
-    for floor in FloorPlan.load_all(path):
-        problems(floor)
+    problems(Building.load(path))
 
 
 def fixes(path):

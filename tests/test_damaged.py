@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from mutations import inputs, mutated, simulated_if_short
 
-from pdr_graph import FloorPlan, InputError, io, read_fixes, read_trajectory
+from pdr_graph import InputError, io, read_fixes, read_trajectory
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
 from pdr_graph.types import Recording, Signal
 
@@ -41,8 +42,7 @@ def test_damaged_recordings(name, tmp_path):
 @pytest.mark.parametrize("name", PLANS)
 def test_damaged_plans(name, tmp_path):
     def check(path):
-        for floor in FloorPlan.load_all(path):
-            problems(floor)
+        problems(Building.load(path))
 
     survive(name, PLANS[name], check, tmp_path)
 

@@ -10,6 +10,7 @@ import shapely
 OUTLINE = "floor"
 OPEN = ("corridor", "intersection", "stairs")  # one steps from one into the next
 CLOSED = ("room", "lift")  # walls all round, but for doors
+CONNECTING = ("stairs", "lift")  # from floor to floor
 DOOR = "door"
 WALKABLE = (*OPEN, *CLOSED, DOOR)
 WALL = "wall"
@@ -23,13 +24,15 @@ class Area:
     """One feature of a plan.
 
     kind: one of KINDS. shape [m]: a polygon; a wall or door may be a line, a door, place or beacon a point, a link is
-    a line that people walk along. properties: whatever else the file says of it.
+    a line that people walk along. properties: whatever else the file says of it. floors: labels of those that it is
+    on, none said: on all.
     """
 
     kind: str
     name: str
     shape: shapely.Geometry
     properties: dict[str, Any] = field(default_factory=dict)
+    floors: tuple[str, ...] = ()
 
     @property
     def is_polygon(self) -> bool:

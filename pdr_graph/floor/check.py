@@ -1,23 +1,31 @@
-"""What in a floor plan would mislead a walk."""
+"""What in a plan would mislead a walk."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, OUTLINE, Area
+from pdr_graph.floor.areas import BEACON, CLOSED, CONNECTING, DOOR, LINK, OPEN, OUTLINE, Area
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import Cell
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.types import Array, Index
 
 SMALL = 0.5  # [m²] overlaps and overhangs below are drawing inaccuracy
 SAID = 3  # places named of each kind of problem
 
 
-def problems(floor: FloorPlan) -> tuple[str, ...]:
-    """What is wrong with one floor, a line each; empty if nothing was found."""
-    found = [*_doors(floor), *_sealed(floor), *_overlaps(floor), *_overhang(floor), *_links(floor), *_beacons(floor)]
+def problems(building: Building) -> tuple[str, ...]:
+    """What is wrong with a plan, a line each; empty if nothing was found."""
+    found = list(building.floors[0].mended)
+    for n, floor in enumerate(building.floors):
+        reach = [*_doors(floor), *_sealed(building, n), *_stairs(building, n)]
+        drawing = [*_overlaps(floor), *_overhang(floor), *_flat(floor), *_links(floor), *_beacons(floor)]
+        on = f"floor {floor.label}: " if len(building.floors) > 1 else ""
+        found += [on + line for line in (*reach, *drawing)]
     return tuple(found)
 
 
@@ -33,15 +41,35 @@ def _doors(floor: FloorPlan) -> Iterator[str]:
     )
 
 
-def _sealed(floor: FloorPlan) -> Iterator[str]:
-    """Cells that nobody can get to from the largest part of the floor."""
-    cells, parts = floor.cells.cells, floor.cells.parts
+def _sealed(building: Building, floor: int) -> Iterator[str]:
+    """Cells that nobody can get to from the largest part of the building, or of a floor that nothing joins to it."""
+    cells, parts = building.floors[floor].cells.cells, building.parts[floor]
     if not len(cells):
         return
-    area = np.bincount(parts, [shapely.area(c.polygon) for c in cells])
-    cut_off = np.flatnonzero(parts != np.argmax(area))
-    named = [f"{cells[n].kind} {_place(cells[n].polygon, cells[n].name)}" for n in cut_off]
+    largest = _largest(np.concatenate(building.parts), [c for f in building.floors for c in f.cells.cells])
+    if largest not in parts:
+        largest = _largest(parts, cells)
+        yield "no stairs or lift lead here from the rest of the building"
+    named = [f"{cells[n].kind} {_place(cells[n].polygon, cells[n].name)}" for n in np.flatnonzero(parts != largest)]
     yield from _line("cells that cannot be reached from the rest", named)
+
+
+def _largest(parts: Index, cells: Sequence[Cell]) -> int:
+    """The part with most area."""
+    return int(np.argmax(np.bincount(parts, [shapely.area(c.polygon) for c in cells])))
+
+
+def _stairs(building: Building, n: int) -> Iterator[str]:
+    """Stairs and lifts of a building with several floors that do not join two of them."""
+    if len(building.floors) == 1:
+        return
+    floor = building.floors[n]
+    alone = [a for a in floor.of_kind(*CONNECTING) if len(a.floors) == 1]
+    yield from _line("stairs or lifts that join no other floor", [_place(a.shape, a.name or a.kind) for a in alone])
+    ways = np.bincount(floor.cells.passages.ravel(), minlength=len(floor.cells))
+    shut = [c for c, count in zip(floor.cells.cells, ways, strict=True) if c.kind in CONNECTING and not count]
+    named = [_place(c.polygon, c.name or c.kind) for c in shut]
+    yield from _line("stairs or lifts that one cannot step into", named)
 
 
 def _overlaps(floor: FloorPlan) -> Iterator[str]:
@@ -67,13 +95,30 @@ def _overhang(floor: FloorPlan) -> Iterator[str]:
         yield "neither an outline nor cells"
 
 
+def _flat(floor: FloorPlan) -> Iterator[str]:
+    """What is drawn as a line or a point, and so has no room for a walk."""
+    flat = [f"{a.kind} {_place(a.shape, a.name)}" for a in floor.of_kind(*OPEN, *CLOSED) if not a.is_polygon]
+    yield from _line("cells that are no polygons", flat)
+
+
 def _links(floor: FloorPlan) -> Iterator[str]:
-    crossing = []
+    through, short = [], []
     for link in floor.of_kind(LINK):
         corners = shapely.get_coordinates(link.shape)
-        if len(corners) < 2 or floor.crosses_wall(corners[:-1], corners[1:]).any():
-            crossing.append(_place(link.shape, link.name))
-    yield from _line("links that go through a wall", crossing)
+        if len(corners) < 2:
+            short.append(_place(link.shape, link.name))
+        elif (crossing := floor.crosses_wall(corners[:-1], corners[1:])).any():
+            first = int(np.argmax(crossing))
+            through.append(_place(_in_the_wall(floor, corners[first : first + 2]), link.name))
+    yield from _line("links that go through a wall", through)
+    yield from _line("links that are no lines", short)
+
+
+def _in_the_wall(floor: FloorPlan, segment: Array) -> shapely.Geometry:
+    """Where a segment ``(2, 2)`` [m] leaves the walkable area, or meets a wall."""
+    line = shapely.LineString(segment)
+    places = shapely.difference(line, floor.walkable), shapely.intersection(line, floor.cells.barriers), line
+    return shapely.get_parts(next(place for place in places if not shapely.is_empty(place)))[0]
 
 
 def _beacons(floor: FloorPlan) -> Iterator[str]:
@@ -92,4 +137,5 @@ def _line(what: str, places: list[str]) -> Iterator[str]:
 
 def _place(shape: shapely.Geometry, name: str) -> str:
     x0, y0, x1, y1 = shapely.bounds(shape)
-    return f"{name} at ({(x0 + x1) / 2:.1f}, {(y0 + y1) / 2:.1f})".strip()
+    x, y = np.round([(x0 + x1) / 2, (y0 + y1) / 2], 1) + 0.0  # and no -0.0
+    return f"{name} at ({x:.1f}, {y:.1f})".strip()

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,8 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.areas import KINDS, OUTLINE, Area
+from pdr_graph.floor.features import Feature, check_degrees, features_of, read_json
+from pdr_graph.floor.storeys import heights_of
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.types import Array
 
@@ -33,18 +34,21 @@ IPIN21_KINDS = {
     "Wall": "wall",
     "Wa": "wall",  # a wall whose name was cut short
 }
-LARGEST_FILE = 200_000_000  # bytes
-FARTHEST = 1e8  # [m] of any coordinate
-Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A file's floors by label, all in one frame, and what was left out or mended of it, one line each."""
+    """A file's floors by label, lowest first, all in one frame.
+
+    notes: what was left out of the file or taken for something, mended: what was drawn wrongly and put right, one
+    line each; heights: of the floors [m] by label, none where a plan can have only one.
+    """
 
     floors: dict[str, tuple[Area, ...]]
     frame: Frame
     notes: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()
+    heights: dict[str, float] = field(default_factory=dict)
 
 
 def read(path: Path) -> Drawing:
@@ -55,10 +59,10 @@ def read(path: Path) -> Drawing:
         raise InputError(path, "", "no such file", "a floor plan")
     if path.is_dir():
         return microsoft_floor(path)
-    collection, notes = _json(path), list[str]()
-    features = list(_features(path, collection, notes))
+    collection, notes, mended = read_json(path), list[str](), list[str]()
+    features = list(features_of(path, collection, notes, mended))
     is_ipin21 = any("Type" in properties and "kind" not in properties for _, _, properties in features)
-    return (ipin21 if is_ipin21 else own)(path, collection, features, notes)
+    return replace((ipin21 if is_ipin21 else own)(path, collection, features, notes), mended=tuple(mended))
 
 
 def microsoft_floor(folder: Path) -> Drawing:
@@ -68,12 +72,12 @@ def microsoft_floor(folder: Path) -> Drawing:
     all others. The metric frame stretches the outline's bounding box, in degrees, to ``map_info``'s width and height:
     x = (lon − lon0)/(lon1 − lon0)·width, y likewise.
     """
-    path, notes = folder / MICROSOFT_MAP, list[str]()
-    features = [f for f in _features(path, _json(path), notes) if shapely.get_dimensions(f[1]) == 2]
+    path, notes, mended = folder / MICROSOFT_MAP, list[str](), list[str]()
+    features = [f for f in features_of(path, read_json(path), notes, mended) if shapely.get_dimensions(f[1]) == 2]
     if not features:
         raise InputError(path, "", "no polygon", "the floor's outline")
-    _check_degrees(path, features)
-    info = _json(folder / MICROSOFT_INFO).get("map_info")
+    check_degrees(path, features)
+    info = read_json(folder / MICROSOFT_INFO).get("map_info")
     size = [info.get("width"), info.get("height")] if isinstance(info, dict) else [None]
     if not all(isinstance(s, int | float) and np.isfinite(s) and s > 0 for s in size):
         raise InputError(folder / MICROSOFT_INFO, "map_info", f"width and height {size}", "two positive numbers [m]")
@@ -83,20 +87,21 @@ def microsoft_floor(folder: Path) -> Drawing:
     frame = Frame("plan", (lat0, lon0), metres_per_degree=(size[0] / (lon1 - lon0), size[1] / (lat1 - lat0)))
     kinds = [OUTLINE, *(len(features) - 1) * ["shop"]]
     areas = [_area(kind, f, frame) for kind, f in zip(kinds, features, strict=True)]
-    return Drawing({folder.resolve().name: tuple(areas)}, frame, tuple(notes))
+    return Drawing({folder.resolve().name: tuple(areas)}, frame, tuple(notes), tuple(mended))
 
 
 def own(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
     """Our own format: an RFC 7946 FeatureCollection whose features have ``kind`` and ``name`` (``docs/formats.md``).
 
     A feature's ``floor`` says which floor it is on, or a list of them; without it, it is on all. The frame is ENU about
-    the member ``pdr_graph.origin`` ([longitude, latitude]), else about the centre of the bounding box.
+    the member ``pdr_graph.origin`` ([longitude, latitude]), else about the centre of the bounding box;
+    ``pdr_graph.heights`` says how high the floors are.
     """
     for n, _, properties in features:
         if properties.get("kind") not in KINDS:
             found = f"kind {properties.get('kind')!r}"[:80]
             raise InputError(path, f"feature {n}", found, "one of " + ", ".join(KINDS))
-    _check_degrees(path, features)
+    check_degrees(path, features)
     about = collection.get("pdr_graph")
     about = about if isinstance(about, dict) else {}
     if not features:
@@ -106,10 +111,11 @@ def own(path: Path, collection: dict[str, Any], features: list[Feature], notes: 
     if not _is_place(origin):
         raise InputError(path, "pdr_graph.origin", repr(origin)[:40], "[longitude, latitude] in degrees")
     frame = enu(origin[1], origin[0])
-    areas = [(_labels(f[2]), _area(f[2]["kind"], f, frame)) for f in features]
-    labels = sorted({label for on, _ in areas for label in on}) or [str(about.get("floor", ""))]
-    floors = {label: tuple(area for on, area in areas if not on or label in on) for label in labels}
-    return Drawing(floors, frame, tuple(notes))
+    areas = [_area(f[2]["kind"], f, frame) for f in features]
+    labels = {label for area in areas for label in area.floors} or {str(about.get("floor", ""))}
+    heights = heights_of(path, labels, about.get("heights"))
+    floors = {label: tuple(a for a in areas if not a.floors or label in a.floors) for label in heights}
+    return Drawing(floors, frame, tuple(notes), heights=heights)
 
 
 def ipin21(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
@@ -132,56 +138,11 @@ def ipin21(path: Path, collection: dict[str, Any], features: list[Feature], note
     return Drawing({path.stem.removeprefix("Plan"): tuple(areas)}, frame, tuple(notes))
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST_FILE}")
-        value = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise error if isinstance(error, InputError) else InputError(path, "", str(error), "a JSON file") from None
-    if not isinstance(value, dict):
-        raise InputError(path, "", f"a JSON {type(value).__name__}", "a JSON object")
-    return value
-
-
-def _features(path: Path, collection: dict[str, Any], notes: list[str]) -> Iterator[Feature]:
-    """All features with a geometry; null ones are noted, as RFC 7946 allows them, and broken polygons mended."""
-    features = collection.get("features")
-    if collection.get("type") != "FeatureCollection" or not isinstance(features, list):
-        raise InputError(path, "", f"type {str(collection.get('type'))[:40]!r}", "a GeoJSON FeatureCollection")
-    nowhere = []
-    for n, feature in enumerate(features):
-        try:
-            geometry, properties = feature["geometry"], dict(feature.get("properties") or {})
-            shape = shapely.Polygon() if geometry is None else shapely.from_geojson(json.dumps(geometry))
-        except (KeyError, TypeError, AttributeError, ValueError, RecursionError, shapely.errors.GEOSException) as error:
-            found = f"{type(error).__name__} {str(error)[:80]}"
-            raise InputError(path, f"feature {n}", found, "a GeoJSON geometry") from None
-        if shapely.is_empty(shape):
-            nowhere.append(n)
-            continue
-        if not (np.abs(shapely.get_coordinates(shape)) < FARTHEST).all():
-            raise InputError(path, f"feature {n}", "a coordinate that is nowhere on Earth", "degrees, or metres")
-        if not shapely.is_valid(shape):
-            notes.append(f"feature {n}: its outline crosses itself and was mended")
-            shape = shapely.make_valid(shape)
-        yield n, shapely.force_2d(shape), properties
-    if nowhere:
-        notes.append(f"{len(nowhere)} features without a geometry were left out (the first: feature {nowhere[0]})")
-
-
-def _check_degrees(path: Path, features: list[Feature]) -> None:
-    for n, shape, _ in features:
-        corners = shapely.get_coordinates(shape)
-        if not (np.abs(corners) <= (180, 90)).all():
-            found = f"coordinates up to {np.abs(corners).max():.6g}"
-            raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees, as RFC 7946 has them")
-
-
 def _labels(properties: dict[str, Any]) -> tuple[str, ...]:
     """The floors that a feature is on."""
     on = properties.get("floor", properties.get("level"))
-    return tuple(str(label) for label in (on if isinstance(on, list) else [on]) if label not in (None, ""))
+    labels = (str(label) for label in (on if isinstance(on, list) else [on]) if label not in (None, ""))
+    return tuple(dict.fromkeys(labels))
 
 
 def _is_place(value: object) -> bool:
@@ -197,4 +158,5 @@ def _area(kind: str, feature: Feature, frame: Frame | None) -> Area:
     def transform(lonlat: Array) -> Array:
         return lonlat if frame is None else frame.from_lonlat(lonlat)
 
-    return Area(kind, str(properties.get("name") or ""), shapely.transform(shape, transform), properties)
+    name = str(properties.get("name") or "")
+    return Area(kind, name, shapely.transform(shape, transform), properties, _labels(properties))

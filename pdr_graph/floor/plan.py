@@ -26,13 +26,16 @@ class FloorPlan:
     """One floor, in its own metric frame.
 
     label: the floor's name, "F1"; areas: the outline and everything in it; frame: its way to latitude and longitude;
-    notes: what was left out of the file or mended, one line each.
+    height: above whatever the plan takes for zero [m]; notes: what was left out of the file or taken for
+    something, mended: what was drawn wrongly and put right, one line each.
     """
 
     label: str
     areas: tuple[Area, ...]
     frame: Frame
     notes: tuple[str, ...] = ()
+    mended: tuple[str, ...] = ()
+    height: float = 0.0
 
     @classmethod
     def load(cls, path: str | Path, floor: str | None = None) -> FloorPlan:
@@ -55,9 +58,12 @@ class FloorPlan:
 
     @classmethod
     def load_all(cls, path: str | Path) -> tuple[FloorPlan, ...]:
-        """All floors of a plan, in one frame. Raises InputError if one of them leaves nowhere to walk."""
+        """All floors of a plan, in one frame, lowest first. Raises InputError if one of them leaves nowhere to walk."""
         drawing = formats.read(Path(path))
-        plans = tuple(cls(label, areas, drawing.frame, drawing.notes) for label, areas in drawing.floors.items())
+        plans = tuple(
+            cls(label, areas, drawing.frame, drawing.notes, drawing.mended, drawing.heights.get(label, 0.0))
+            for label, areas in drawing.floors.items()
+        )
         for plan in plans:
             if shapely.is_empty(plan.walkable):
                 needed = "an outline or a corridor that is not all solid"

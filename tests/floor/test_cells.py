@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from pdr_graph import FloorPlan, InputError
 from pdr_graph.cli import app
 from pdr_graph.floor.areas import Area
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
 from pdr_graph.frames import Frame, enu
 
@@ -65,7 +66,7 @@ def test_passages_are_where_one_can_step():
 def test_rooms_of_a_plan_without_doors_are_open():
     floor = plan(CORRIDOR, *ROOMS)
     assert not crosses(floor, (8, 1), (8, 6))
-    assert any("no door" in problem for problem in problems(floor))
+    assert any("no door" in problem for problem in problems(Building.of(floor)))
 
 
 def test_hairlines_between_neighbours_are_no_walls():
