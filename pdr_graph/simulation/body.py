@@ -183,6 +183,7 @@ class _Mover:
         clearance = self.clearances.get(self.floors[-1])
         way = way_along(stretch.corners, stretch.heights + self.height, stretch.zigzag, self.random, clearance)
         self.face(way.heading[0])
+        begun_on = len(self.floors) - 1
         if stretch.floor and stretch.floor != self.floors[-1]:
             self.floors.append(stretch.floor)
         falls = footfalls(self.walker, way, _manners(stretch, way), self.random)
@@ -199,6 +200,7 @@ class _Mover:
             heading=np.interp(along, way.along, way.heading) + self.heading - way.heading[0],
             phase=self.strides + np.interp(t, knots, np.arange(len(knots)) / 2),
             step_length=lengths[under_way],
+            floor=np.where(along < way.length / 2, begun_on, len(self.floors) - 1),  # half-way up, as in a lift
         )
         self.landings.append(begun + falls.time)
         self.lengths.append(lengths)

@@ -12,13 +12,13 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.storeys import STOREY
 from pdr_graph.simulation.body import Ride, Roll, Shake, Stand, Stretch, Take, Walk
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.checks import number, one_of, pair
 from pdr_graph.simulation.walker import MANNERS
 from pdr_graph.types import Array
 
-STOREY = 3.8  # [m] from one floor to the next
 HIGHEST = (-500.0, 500.0)  # [m] that stairs and lifts go
 SLOW = 0.5  # [m/s]
 SHORTEST_LEG = 0.2  # [m]
@@ -89,7 +89,8 @@ class _Draft:
         if not self.legs:
             return
         corners = np.array([self.begun, *(to for to, _, _ in self.legs)])
-        heights = np.linspace(0.0, climb, len(corners))
+        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+        heights = climb * way / way[-1]
         manners, zigzag = tuple(m for _, m, _ in self.legs), np.array([z for _, _, z in self.legs])
         self.stretches.append(Walk(corners, heights, manners, zigzag, self.rehold, floor))
         self.legs, self.rehold, self.floor = [], "", floor or self.floor
@@ -160,8 +161,10 @@ def _standing(draft: _Draft, place: str, kind: str, item: dict[str, Any]) -> Str
         case "visit":
             return Stand(said("stay", 15.0, low=0.0), event=f"visit {item['visit']}")
         case "lift":
-            draft.floor = _floor(draft, place, item["lift"])
-            return Ride(said("climb", STOREY, *HIGHEST), draft.floor)
+            to = _floor(draft, place, item["lift"])
+            ride = Ride(said("climb", _rise(draft, to), *HIGHEST), to)
+            draft.floor = to
+            return ride
         case "roll":
             draft.step(place, pair(draft.path, place, item["roll"]))
             return Roll(draft.where, said("speed", 0.5, 0.05, 10.0))
@@ -176,8 +179,13 @@ def _climb_stairs(draft: _Draft, place: str, item: dict[str, Any]) -> None:
     for corner in _points(draft.path, place, item.get("to")):
         draft.legs.append((corner, "stairs", 0.0))
         draft.step(place, corner, walled=False)  # through the hole in the floor
-    climb = number(draft.path, place, item.get("climb", STOREY), *HIGHEST)
-    draft.finish(climb, _floor(draft, place, item["stairs"]))
+    to = _floor(draft, place, item["stairs"])
+    draft.finish(number(draft.path, place, item.get("climb", _rise(draft, to)), *HIGHEST), to)
+
+
+def _rise(draft: _Draft, to: str) -> float:
+    """From the floor where one is to another [m], as the plan has it; a storey where there is no plan."""
+    return draft.plans[to].height - draft.plans[draft.floor].height if draft.plans else STOREY
 
 
 def _link(draft: _Draft, place: str, name: str) -> list[Array]:

@@ -27,9 +27,9 @@ def mall():
 def test_nobody_walks_through_a_wall(path):
     walk = simulate(Scenario.load(path))
     for label, plan in walk.scenario.plans.items():
-        there = np.array(walk.body.floors, dtype=object)[walk.body.floor] == label
-        at = walk.body.position[there]
-        assert not plan.crosses_wall(at[:-1], at[1:]).any()
+        there = np.array(walk.truth.floor) == label
+        stays, at = there[:-1] & there[1:], walk.body.position
+        assert not plan.crosses_wall(at[:-1][stays], at[1:][stays]).any()
     assert np.all(np.isfinite(walk.motion.acceleration))
 
 
@@ -94,6 +94,20 @@ def test_a_lift_rides_at_a_lifts_speed():
     assert np.abs(np.gradient(speed) * body.rate).max() < 1.1
     assert body.height[-1] == pytest.approx(11.4, abs=0.01)
     assert body.floors[body.floor[-1]] == "2"
+
+
+def test_a_building_tells_how_high_its_stairs_and_lifts_go():
+    """4 m, as the plan says; the floor is another one from half-way on, and the air 12 Pa per metre thinner."""
+    walk = simulate(Scenario.load(ROOT / "scenarios" / "two_floors.toml"))
+    truth, height = walk.truth, walk.body.height
+    changes = [n for n in range(1, len(truth)) if truth.floor[n] != truth.floor[n - 1]]
+    assert [truth.floor[n] for n in (0, *changes)] == ["1", "2", "1"]
+    assert height[changes] == pytest.approx([2, 2], abs=0.1)
+    assert np.ptp(height) == pytest.approx(4.0, abs=0.01)
+    air = walk.signals["barometer"]
+    felt, climbed = air.values[:, 0], np.interp(air.time, walk.body.time, height)
+    levels = [np.median(felt[np.abs(climbed - level) < 0.1]) for level in (0, 4)]
+    assert levels[0] - levels[1] == pytest.approx(4 * 0.12, abs=0.04), "[hPa], and a little weather"
 
 
 def test_stairs_are_climbed_step_by_step():
