@@ -92,12 +92,17 @@ def plan(ipin=False):
     shift = (566e3, 5932e3) * 2 if ipin else (8, 49) * 2
     scale = 1.0 if ipin else 1e-5
     boxes = {"corridor": (0, 0, 9, 2), "room": (0, 2, 9, 6), "wall": (0, 2, 4, 2.2), "door": (4, 2, 5, 2.2)}
+    boxes["stairs"] = (0, -3, 2, 0)
     features = []
     for kind, b in boxes.items():
         box = shapely.box(*(v * scale + o for v, o in zip(b, shift, strict=True)))
         properties = {"Type": kind.title()} if ipin else {"kind": kind, "name": kind, "floor": ["0", "1"]}
         features.append({"type": "Feature", "properties": properties, "geometry": json.loads(shapely.to_geojson(box))})
-    about = {"crs": {"properties": {"name": "EPSG::32632"}}} if ipin else {"pdr_graph": {"origin": [8.0, 49.0]}}
+    about = (
+        {"crs": {"properties": {"name": "EPSG::32632"}}}
+        if ipin
+        else {"pdr_graph": {"origin": [8.0, 49.0], "heights": {"0": 0, "1": 4}}}
+    )
     return json.dumps({"type": "FeatureCollection", **about, "features": features})
 
 

@@ -8,7 +8,7 @@ they are open to what they touch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.floor.areas import CLOSED, DOOR, SOLID, WALKABLE, WALL, Area
+from pdr_graph.floor.areas import CLOSED, CONNECTING, DOOR, OUTLINE, SOLID, WALKABLE, WALL, Area
 from pdr_graph.types import Array, Index
 
 CRACK = 0.1  # [m] between neighbours that were meant to touch
@@ -27,7 +27,7 @@ NARROWEST_WAY = 0.3  # [m] of open border that one can step through
 
 @dataclass(frozen=True)
 class Cell:
-    """One room, corridor, intersection, stairs, lift or door. polygon: what of it is not solid [m]."""
+    """One room, corridor, intersection, stairs, lift or door, or an outline. polygon: what of it is not solid [m]."""
 
     kind: str
     name: str
@@ -52,7 +52,7 @@ class Cells:
     @classmethod
     def of(cls, areas: tuple[Area, ...]) -> Cells:
         """The cells of a floor's areas."""
-        drawn = [a for a in areas if a.kind in WALKABLE]
+        drawn = _drawn(areas)
         doors = [_opening(a) for a in drawn if a.kind == DOOR]
         opened = shapely.union_all(doors)
         solid = shapely.difference(
@@ -123,6 +123,16 @@ class Cells:
         return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[1].astype(
             np.intp
         )
+
+
+def _drawn(areas: tuple[Area, ...]) -> list[Area]:
+    """The areas that are cells. Where only stairs, lifts and doors are, the outline about them is one, too."""
+    drawn = [a for a in areas if a.kind in WALKABLE]
+    within = [a.shape for a in drawn if a.kind in CONNECTING]
+    if not within or any(a.kind not in (*CONNECTING, DOOR) for a in drawn):
+        return drawn
+    outlines = [a for a in areas if a.kind == OUTLINE and a.is_polygon]
+    return [replace(a, shape=shapely.difference(a.shape, shapely.union_all(within))) for a in outlines] + drawn
 
 
 def _opening(door: Area) -> shapely.Geometry:

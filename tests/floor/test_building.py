@@ -109,6 +109,22 @@ def test_stairs_on_every_floor_join_all_and_others_only_theirs(tmp_path):
     assert building.connections_at(np.array([8.0, 4.0]), 3, within=1.0) == (), "not on this floor"
 
 
+def test_a_floor_of_shops_is_walked_in_beside_its_stairs_too(tmp_path):
+    """An outline, shops and stairs, but no corridors: 600 m² less two shops of 200 and 100, stairs among the rest."""
+    path = written(
+        tmp_path / "mall.geojson",
+        feature("floor", (0, 0, 30, 20)),
+        feature("shop", (0, 10, 20, 20), "1"),
+        feature("shop", (20, 10, 30, 20), "2"),
+        feature("stairs", (26, 0, 30, 4)),
+    )
+    building = Building.load(path)
+    assert [floor.walkable_area for floor in building.floors] == pytest.approx([400, 500], rel=1e-3)
+    assert not building.floors[0].crosses_wall(np.array([[5.0, 5.0]]), np.array([[28.0, 2.0]]))[0]
+    assert building.floors[1].crosses_wall(np.array([[5.0, 5.0]]), np.array([[25.0, 15.0]]))[0]
+    assert problems(building) == ()
+
+
 def test_what_only_another_floor_joins_can_be_reached(tmp_path):
     """Two halls above, apart from each other, with a flight of stairs each from one hall below."""
     halls = [feature("corridor", box, "2") for box in ((0, 0, 5, 3), (10, 0, 15, 3))]
