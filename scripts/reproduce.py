@@ -9,6 +9,7 @@ from pathlib import Path
 import calibration_walk
 import cart
 import compass
+import floors as floors_by_step
 import heading
 import numpy as np
 import realism
@@ -160,6 +161,7 @@ if __name__ == "__main__":
     tables |= {"heading": lambda: heading.heading(DATA), "cart": cart.cart}
     tables |= {"steps": lambda: steps.steps(DATA), "calibration-walk": calibration_walk.calibration_walk}
     tables |= {"compass": lambda: compass.compass(DATA)}
+    tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

@@ -22,8 +22,8 @@ from pdr_graph.inertial.barometer import Climbs, climbs, done
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
 LANDINGS = 4  # to a storey
-CHANGE = 1.0  # cost of another floor: most changes of height are none
-LANDING, LANDING_TIME, MOST_LANDING = 0.5, 60.0, 1.5  # cost of being between floors; it grows with time [s]
+CHANGE, STOREY = 1.0, 0.3  # cost of another floor, and of each storey on the way: short climbs are more usual
+LANDING, LANDING_TIME, MOST_LANDING = 1.0, 60.0, 2.0  # cost of a stop between floors; it grows with time [s]
 OTHER_FLOOR = 1.4  # cost of a fix on another floor: one in five hears a beacon through the ceiling
 ALIKE = 5  # fixes on one floor that count: those of one place err together
 START = 5.0  # cost of another floor than the one said to begin on; four fixes that agree say otherwise
@@ -101,9 +101,9 @@ def _most_probable(storeys: Storeys, used: Climbs, fixes: Fixes, steps: Steps) -
     if storeys.begin is not None:
         costs[0] = costs[0] + START * (nearest != storeys.begin)
     costs[0] = costs[0] + MOST_LANDING * landing  # walks begin on floors
-    moved = place - place[:, None]
+    moved, passed = place - place[:, None], np.abs(nearest - nearest[:, None])
     moves = [
-        _of_climb(moved, h, s, storeys.error) + CHANGE * (nearest != nearest[:, None])
+        _of_climb(moved, h, s, storeys.error) + CHANGE * (passed > 0) + STOREY * passed
         for h, s in zip(used.height, used.sigma, strict=True)
     ]
     states, cost = _viterbi(costs, moves)

@@ -27,10 +27,11 @@ SLOW, FAST = 0.03, 0.06  # [m/s]; weather 0.002, a walked ramp of 6 % 0.08, stai
 PAUSE = 4.0  # [s] within a climb, to turn on a landing
 LEVEL = 10.0  # [s] before and after a climb over which its ends' heights are taken
 LEAST = 0.8  # [m]; a phone taken from a pocket to the ear rises by 0.6
-CERTAIN = 3.0  # [sigma] that a climb is higher than its own noise
+CERTAIN = 2.0  # [sigma] that a climb is higher than its own noise: one missed costs more than one invented
+QUIET = 3.0  # [sigma] of a rate's noise that are not a high rate
 EDGE = 0.3  # [m] from its levels where a climb is said to begin and end; at most an eighth of it
 CORRELATED = 3.0  # [s] over which errors of a height are alike
-PLACE = 0.15  # [m] by which a phone is held higher or lower than before
+PLACE = 0.2  # [m] by which a phone is held otherwise than before, or a draught is as long as what a level is taken of
 WEATHER = 8.5 / 3600  # [m/s]: 1 hPa an hour
 
 
@@ -71,8 +72,8 @@ def climbs(barometer: Signal) -> Climbs:
     time, height, quiet = _without_gusts(barometer)
     first, after = _moving(quiet, _noise(barometer))
     likely = np.abs(quiet[after - 1] - quiet[first]) > LEAST / 2
-    first, after = _edges(quiet, first[likely], after[likely])
-    found = _measured(time, height, first, after)
+    first, last = _without_false_levels(*_edges(quiet, first[likely], after[likely]))
+    found = _measured(time, height, first, last)
     lasting = np.minimum(found.start - time[0], time[-1] - found.end) > GUST
     lasting |= found.end - found.start > GUST  # at the ends of a recording a gust looks like a level
     return found[lasting & (np.abs(found.height) > np.maximum(LEAST, CERTAIN * found.sigma))]
@@ -88,7 +89,9 @@ def done(barometer: Signal | None, of: Climbs, at: Array) -> Array:
     time, _, quiet = _without_gusts(barometer)
     below, above = np.interp(of.start, time, quiet), np.interp(of.end, time, quiet)
     within = np.clip(at, of.start[:, None], of.end[:, None])
-    share = (np.interp(within, time, quiet) - below[:, None]) / (above - below)[:, None]
+    evenly = (within - of.start[:, None]) / (of.end - of.start)[:, None]
+    rise = np.where(np.abs(above - below) > EDGE, above - below, np.inf)[:, None]
+    share = np.where(np.isfinite(rise), (np.interp(within, time, quiet) - below[:, None]) / rise, evenly)
     share = np.where(at >= of.end[:, None], 1.0, np.where(at <= of.start[:, None], 0.0, np.clip(share, 0, 1)))
     return np.maximum.accumulate(share, axis=1)
 
@@ -120,7 +123,7 @@ def _moving(quiet: Array, noise: float) -> tuple[Index, Index]:
     The rate is taken over so long that noise [m] seldom makes it a high one: that of a Gaussian's derivative of width
     s is noise / (2 π^¼ s^1.5).
     """
-    seconds = max(RATE, (noise * CERTAIN / FAST / 2.66) ** (2 / 3))
+    seconds = max(RATE, (noise * QUIET / FAST / 2.66) ** (2 / 3))
     rate = gaussian_filter1d(quiet, seconds / GRID, order=1, mode="nearest") / GRID
     spans: list[tuple[int, int, int]] = []
     for way in (1, -1):
@@ -146,6 +149,14 @@ def _edges(quiet: Array, first: Index, after: Index) -> tuple[Index, Index]:
         begin[n] = a + np.flatnonzero(share[: middle + 1] <= edge)[-1]
         end[n] = a + middle + np.argmax(share[middle:] >= 1 - edge)
     return begin, np.maximum(end, begin + 1)
+
+
+def _without_false_levels(first: Index, last: Index) -> tuple[Index, Index]:
+    """The same with those joined, up or down, between which the height stayed no longer than in a gust."""
+    stays = (first[1:] - last[:-1]) * GRID > GUST
+    return first[np.append(True, stays)[: len(first)]], last[np.append(stays, True)[-len(last) :]] if len(
+        last
+    ) else last
 
 
 def _measured(time: Array, height: Array, first: Index, last: Index) -> Climbs:

@@ -1,0 +1,108 @@
+"""Heights from air pressure: what is a climb, what is weather, a gust or noise."""
+
+import numpy as np
+import pytest
+
+from pdr_graph.inertial.barometer import climbs, done, height_of
+from pdr_graph.types import Signal
+
+# The 1976 standard atmosphere at 15 °C; air of 20 °C as ours is thicker by 1.7 % for the same pressures.
+WARMER = 293.15 / 288.15
+
+
+def standard_pressure(height):
+    return 1013.25 * (1 - 2.25577e-5 * height) ** 5.25588
+
+
+def barometer(*corners, rate=5.0, noise=0.01, seed=0, weather=0.0, gusts=(), gust=0.5):
+    """Samples of a height with corners (time [s], height [m]); weather [hPa/h]; gusts: starts of 3 s each [s]."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0, corners[-1][0], 1 / rate)
+    pressure = standard_pressure(100 + np.interp(time, *np.array(corners).T))
+    pressure += random.normal(0, noise, len(time)) + weather * time / 3600
+    for at in gusts:
+        pressure += gust * ((time > at) & (time < at + 3.0))
+    return Signal(time, pressure[:, None])
+
+
+FLAT = ((0, 0), (600, 0))
+STAIRS = ((0, 0), (60, 0), (74, 3.6), (140, 3.6))
+LIFT = ((0, 0), (60, 0), (66, -7.2), (140, -7.2))
+
+
+def test_heights_are_those_of_the_standard_atmosphere():
+    heights = np.array([0.0, 3.6, 36.0, -10.0])
+    assert height_of(standard_pressure(heights)) == pytest.approx(heights * WARMER, rel=0.002)
+
+
+@pytest.mark.parametrize(("rate", "noise"), [(1.0, 0.03), (5.0, 0.01), (10.0, 0.05), (20.0, 0.1), (100.0, 0.1)])
+@pytest.mark.parametrize("corners", [STAIRS, LIFT])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_climb_is_found_and_measured(corners, rate, noise, seed):
+    found = climbs(barometer(*corners, rate=rate, noise=noise, seed=seed))
+    (start, end), risen = (corners[1][0], corners[2][0]), corners[2][1] * WARMER
+    assert len(found) == 1
+    assert found.height[0] == pytest.approx(risen, abs=4 * found.sigma[0])
+    assert found.sigma[0] < 0.6, "half a metre tells a landing from a floor"
+    assert found.start[0] == pytest.approx(start, abs=5), "as near as noise lets it be seen"
+    assert found.end[0] == pytest.approx(end, abs=5)
+
+
+@pytest.mark.parametrize("weather", [-1.0, 1.0])
+@pytest.mark.parametrize(("rate", "noise"), [(1.0, 0.01), (10.0, 0.03), (20.0, 0.1)])
+def test_weather_and_gusts_are_no_climbs(rate, noise, weather):
+    for seed in range(5):
+        signal = barometer(*FLAT, rate=rate, noise=noise, seed=seed, weather=weather, gusts=(100, 200, 300, 550))
+        assert not len(climbs(signal))
+
+
+def test_an_hour_of_weather_between_two_climbs_is_not_counted():
+    up_and_down = ((0, 0), (60, 0), (74, 3.6), (3600, 3.6), (3614, 0), (3700, 0))
+    found = climbs(barometer(*up_and_down, weather=1.0))
+    assert found.height == pytest.approx([3.6 * WARMER, -3.6 * WARMER], abs=0.3)
+
+
+def test_a_gust_on_the_stairs_does_not_break_them():
+    (height,) = climbs(barometer(*STAIRS, gusts=(66,))).height
+    assert height == pytest.approx(3.6 * WARMER, abs=0.5)
+
+
+@pytest.mark.parametrize("at", [0.0, 598.0])
+def test_a_gust_where_a_recording_begins_or_ends_is_no_climb(at):
+    assert not len(climbs(barometer(*FLAT, gusts=(at,))))
+
+
+def test_a_stop_on_the_landing_makes_two_climbs():
+    found = climbs(barometer((0, 0), (60, 0), (67, 1.8), (90, 1.8), (97, 3.6), (160, 3.6)))
+    assert found.height == pytest.approx([1.8 * WARMER, 1.8 * WARMER], abs=0.3)
+
+
+def test_a_pocket_is_not_a_floor():
+    assert not len(climbs(barometer((0, 0), (60, 0), (61, 0.6), (140, 0.6))))
+
+
+def test_a_gap_in_the_barometer_hides_no_climb():
+    signal = barometer(*STAIRS)
+    seen = (signal.time < 55) | (signal.time > 80)
+    (height,) = climbs(Signal(signal.time[seen], signal.values[seen])).height
+    assert height == pytest.approx(3.6 * WARMER, abs=0.4)
+
+
+def test_how_much_of_a_climb_was_done_rises_from_none_to_all():
+    signal = barometer(*STAIRS)
+    found = climbs(signal)
+    at = np.linspace(0, 140, 500)
+    (share,) = done(signal, found, at)
+    assert share[0] == 0
+    assert share[-1] == 1
+    assert np.all(np.diff(share) >= 0)
+    assert share[np.searchsorted(at, 67)] == pytest.approx(0.5, abs=0.08)
+
+
+@pytest.mark.parametrize("samples", [0, 1, 3])
+def test_too_little_tells_nothing(samples):
+    assert not len(climbs(Signal(np.arange(samples, dtype=float), np.full((samples, 1), 1000.0))))
+
+
+def test_a_barometer_that_never_changes_tells_nothing():
+    assert not len(climbs(Signal(np.arange(100.0), np.full((100, 1), 1000.0))))
