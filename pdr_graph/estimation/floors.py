@@ -3,7 +3,8 @@
 A hidden Markov model whose states are the floors and the landings between them, at quarters of a storey. They change
 at climbs alone, by about the climb's height; while nobody climbs nothing changes, whatever the weather does. A landing
 is a state so that a stop half-way up the stairs is neither a floor nor forgotten: the next climb goes on from there.
-Without a plan the height of a storey is unknown and the same for all: the likeliest of several is taken.
+Without a plan the height of a storey is unknown and about the same for all, with one the scale of its heights is: the
+likeliest of several is taken.
 
 The floor is the nearest one in height: on stairs it changes half-way, and who passes a floor is on it for a moment.
 """
@@ -22,7 +23,8 @@ from pdr_graph.inertial.barometer import Climbs, climbs, done
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
 LANDINGS = 4  # to a storey
-CHANGE, STOREY = 1.0, 0.3  # cost of another floor, and of each storey on the way: short climbs are more usual
+OFF, SCALE = 0.4, 0.06  # [m] and of the height, by which storeys differ from what was assumed, each on its own
+CHANGE, STOREY = 0.5, 0.3  # cost of another floor, and of each storey on the way: short climbs are more usual
 LANDING, LANDING_TIME, MOST_LANDING = 1.0, 60.0, 2.0  # cost of a stop between floors; it grows with time [s]
 OTHER_FLOOR = 1.4  # cost of a fix on another floor: one in five hears a beacon through the ceiling
 ALIKE = 5  # fixes on one floor that count: those of one place err together
@@ -69,7 +71,7 @@ def floors_along(
 
     # Which storey the walker was on between climbs
     if building is not None:
-        likely = [of_building(building, start)]
+        likely = of_building(building, start)
     else:
         likely = unknown(start, fixes.floor, float(np.abs(np.cumsum(used.height)).max(initial=0.0)))
     storeys, way, _ = min((_most_probable(s, used, fixes, steps) for s in likely), key=lambda found: found[2])
@@ -103,16 +105,16 @@ def _most_probable(storeys: Storeys, used: Climbs, fixes: Fixes, steps: Steps) -
     costs[0] = costs[0] + MOST_LANDING * landing  # walks begin on floors
     moved, passed = place - place[:, None], np.abs(nearest - nearest[:, None])
     moves = [
-        _of_climb(moved, h, s, storeys.error) + CHANGE * (passed > 0) + STOREY * passed
+        _of_climb(moved, h, s) + CHANGE * (passed > 0) + STOREY * passed
         for h, s in zip(used.height, used.sigma, strict=True)
     ]
     states, cost = _viterbi(costs, moves)
     return storeys, place[states], cost + storeys.cost
 
 
-def _of_climb(moved: Array, height: float, sigma: float, error: tuple[float, float]) -> Array:
+def _of_climb(moved: Array, height: float, sigma: float) -> Array:
     """Cost of having moved up so far [m] by a climb of so much."""
-    doubt = np.hypot(np.hypot(error[0], sigma), error[1] * moved)
+    doubt = np.hypot(np.hypot(OFF, sigma), SCALE * moved)
     return 0.5 * ((height - moved) / doubt) ** 2 + np.log(doubt)
 
 

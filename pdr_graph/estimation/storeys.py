@@ -11,8 +11,7 @@ import numpy as np
 from pdr_graph.types import Array
 
 STOREY, SPREAD = 3.5, 0.2  # [m] and of its logarithm: flats 2.7, offices 3.3–4.2, shops 5
-STOREY_ERROR = 0.3, 0.08  # [m] and of the height, by which storeys of one building differ
-PLAN_ERROR = 0.5, 0.15  # the same by which a plan's heights and a barometer's climbs may differ
+SCALES, SCALE_SPREAD = np.linspace(0.82, 1.18, 19), 0.08  # of a plan's heights: nominal ones, air of another warmth
 TRIED: Array = STOREY * np.exp(SPREAD * np.linspace(-2.5, 2.5, 26))  # [m]
 # "-2", "0"; "F1", "L2", "1F" and below them "B1", "B2F", with no floor 0 between
 NUMERIC = re.compile(r"(?P<basement>B?)(?P<letter>[FL]?)(?P<number>-?\d+)(?P<behind>F?)", re.IGNORECASE)
@@ -36,22 +35,20 @@ class FloorHeights(Protocol):
 class Storeys:
     """Floors from the lowest up: labels, "" where it has no name; heights ``(f,)`` [m].
 
-    begin: index of the floor on which the walk began, None where its label does not tell; error: [m] and of a
-    climb, by which it may be another than between these heights; cost: how unusual they are.
+    begin: index of the floor on which the walk began, None where its label does not tell; cost: how unusual they are.
     """
 
     labels: tuple[str, ...]
     heights: Array
     begin: int | None
-    error: tuple[float, float]
     cost: float = 0.0
 
 
-def of_building(building: FloorHeights, start: str) -> Storeys:
-    """The floors of a plan."""
-    labels = building.labels
+def of_building(building: FloorHeights, start: str) -> list[Storeys]:
+    """The floors of a plan, their heights scaled in several ways: a plan or a barometer errs on all floors alike."""
+    labels, heights = building.labels, np.asarray(building.heights, dtype=float)
     begin = labels.index(start) if start in labels else None
-    return Storeys(labels, np.asarray(building.heights, dtype=float), begin, PLAN_ERROR)
+    return [Storeys(labels, s * heights, begin, float(0.5 * ((s - 1) / SCALE_SPREAD) ** 2)) for s in SCALES]
 
 
 def unknown(start: str, seen: tuple[str, ...], reach: float) -> list[Storeys]:
@@ -73,7 +70,7 @@ def unknown(start: str, seen: tuple[str, ...], reach: float) -> list[Storeys]:
         first = None if begin is None else begin - storeys[0]
         unusual = 0.5 * (np.log(height / STOREY) / SPREAD) ** 2
         labels = tuple(names.get(n, "") for n in storeys)
-        found.append(Storeys(labels, height * np.array(storeys, dtype=float), first, STOREY_ERROR, float(unusual)))
+        found.append(Storeys(labels, height * np.array(storeys, dtype=float), first, float(unusual)))
     return found
 
 
