@@ -36,7 +36,8 @@ UNSEEN = 10.0  # [m]: how far a climb went that no barometer saw
 class Floors:
     """Where the walk was in height, a row per row of the trajectory ``(n + 2,)``.
 
-    labels: the floor's, "" where it has none; level: which of ``storeys``, the building's floors if there is a plan;
+    labels: the floor's, "" where it has none; level: which of ``storeys``, the building's floors if there is a plan,
+    whose heights have the scale that fits the walk;
     height: above the start by the barometer's climbs alone [m]; sigma: of that [m]; climbs and what kinds they were.
     """
 
@@ -80,7 +81,8 @@ def floors_along(
     rows = row_times(steps)
     rising = np.diff(way)
     level = _nearest(storeys.heights, way[0] + rising @ done(barometer, used, rows))
-    labels = tuple(storeys.labels[n] for n in level)
+    told = storeys.begin is not None or len(_said(storeys, fixes)[0]) or len(storeys.labels) == 1
+    labels = tuple(storeys.labels[n] if told else "" for n in level)
     real = seen[np.array([k != DRAUGHT for k in kind], dtype=bool)]
     share = done(barometer, real, rows)
     sigma = np.sqrt(real.sigma**2 @ share**2)

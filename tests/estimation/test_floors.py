@@ -168,3 +168,11 @@ def test_a_walk_on_the_level_stays_where_it_was():
     assert set(found.labels) == {"3"}
     assert not len(found.climbs)
     assert not found.height.any()
+
+
+def test_with_a_plan_and_nothing_that_tells_the_start_no_floor_is_made_up():
+    steps, barometer = along((0, 0), (300, 0))
+    plan = Plan(("3", "4"), np.array([0.0, 3.0]))
+    assert set(floors_of(steps, barometer, "", Fixes.none(), plan)) == {""}
+    assert set(floors_of(steps, barometer, "", fixes([(100, "4")]), plan)) == {"4"}
+    assert set(floors_of(steps, barometer, "", Fixes.none(), Plan(("3",), np.zeros(1)))) == {"3"}
