@@ -14,6 +14,7 @@ from pdr_graph.floor import formats
 from pdr_graph.floor.areas import OUTLINE, SOLID, Area
 from pdr_graph.floor.cells import CRACK, Cells
 from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.network import Network, network_of
 from pdr_graph.floor.regions import Regions
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
@@ -102,6 +103,11 @@ class FloorPlan:
     def distance(self) -> DistanceField:
         """Signed distance to the nearest wall."""
         return DistanceField(self.walkable, self.cells.barriers)
+
+    @cached_property
+    def network(self) -> Network:
+        """Intersections and the corridors between them."""
+        return network_of(self.areas, self.cells, self.walkable)
 
     @cached_property
     def corners(self) -> Array:

@@ -1,0 +1,61 @@
+"""Networks of real floors: where people walked there is a link, and no link goes through a shop."""
+
+import time
+
+import numpy as np
+import pytest
+import shapely
+
+from pdr_graph import FloorPlan, io
+
+FLOORS = ("site1/B1", "site1/F1", "site1/F2", "site2/F1", "site2/F6")
+
+
+def as_lines(network):
+    return shapely.multilinestrings([shapely.linestrings(line) for line in network.lines])
+
+
+@pytest.fixture(scope="module")
+def floors(data):
+    """Each with the time that its network took [s]."""
+    found = {}
+    for name in FLOORS:
+        floor = FloorPlan.load(data / "ms_indoor20" / name)
+        begun = time.process_time()
+        _ = floor.network
+        found[name] = floor, time.process_time() - begun
+    return found
+
+
+def test_links_lie_where_one_can_walk(floors):
+    for name, (floor, _) in floors.items():
+        for line in floor.network.lines:
+            assert not floor.crosses_wall(line[:-1], line[1:]).any(), name
+
+
+def test_who_is_surveyed_walks_along_a_link(floors, data):
+    """All within 5.5 m, 85 % within 3 m: aisles are up to 11 m wide, and a link is in the middle."""
+    apart = [
+        shapely.distance(as_lines(floors[name][0].network), shapely.points(io.load(path).truth.position))
+        for name in FLOORS
+        for path in sorted((data / "ms_indoor20" / name).glob("*.txt"))
+    ]
+    apart = np.concatenate(apart)
+    assert apart.max() < 5.5
+    assert np.mean(apart < 3) > 0.85
+
+
+def test_the_largest_floor_takes_seconds(floors):
+    """19 000 m² in 2 s here; ten for a slow machine."""
+    assert max(seconds for _, seconds in floors.values()) < 10
+
+
+def test_an_office_with_doors_has_the_network_of_its_corridors(data):
+    floor = FloorPlan.load(data / "ipin21_hcu" / "map" / "Plan4OG.geojson")
+    network = floor.network
+    assert 20 < len(network) < 150
+    rooms = shapely.union_all([cell.polygon for cell in floor.cells.cells if cell.kind == "room"])
+    inside = shapely.length(shapely.intersection(as_lines(network), shapely.buffer(rooms, -0.1)))
+    assert inside < 0.01 * shapely.length(as_lines(network))
+    for line in network.lines:
+        assert not floor.crosses_wall(line[:-1], line[1:]).any()
