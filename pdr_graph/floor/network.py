@@ -6,7 +6,7 @@ linked. A plan that draws intersections and corridors says so itself; of any oth
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -28,21 +28,26 @@ class Network:
 
     nodes: ``(n, 2)`` [m]; corners: ``(n, 4, 2)`` of each intersection's area, counter-clockwise, NaN where a way ends
     or no corridors meet [m]; links: ``(l, 2)`` nodes; lines: the middle of each link, ``(m, 2)`` from its first node to
-    its second [m]; walls: ``(w, 2, 2)`` all segments that bound these ways [m].
+    its second [m]; ways: the polygon that they lie in [m].
     """
 
     nodes: Array
     corners: Array
     links: Index
     lines: tuple[Array, ...]
-    walls: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
+    ways: shapely.Geometry
 
     def __len__(self) -> int:
         return len(self.links)
 
-    def links_at(self, node: int) -> Index:
-        """The links that begin or end at a node."""
-        return np.flatnonzero((self.links == node).any(axis=1))
+    def walls(self, slack: float = 0.0) -> Array:
+        """All segments ``(w, 2, 2)`` that bound the ways, moved outwards by ``slack``. [m]
+
+        [map-matching] joins the corners of neighbouring intersections, which is the same where corridors are straight.
+        """
+        ways = shapely.buffer(self.ways, slack, join_style="mitre") if slack else self.ways
+        rings = [shapely.get_coordinates(r) for r in shapely.get_rings(shapely.get_parts(ways))]
+        return np.concatenate([np.stack([r[:-1], r[1:]], axis=1) for r in rings] or [np.empty((0, 2, 2))])
 
     def leaving(self, link: int, node: int) -> Array:
         """The line of a link ``(m, 2)`` as it leaves one of its nodes. [m]"""
@@ -58,7 +63,7 @@ def network_of(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geometry
         nodes, corners, links, lines = drawn
     else:
         nodes, corners, links, lines = derivation.derive(ways)
-    return Network(nodes, corners, links, tuple(lines), _segments(ways))
+    return Network(nodes, corners, links, tuple(lines), ways)
 
 
 def _ways(cells: Cells, walkable: shapely.Geometry) -> shapely.Geometry:
@@ -130,8 +135,3 @@ def _four_corners(polygon: shapely.Geometry) -> Array:
 def _without_doubles(line: Array) -> Array:
     simple = shapely.simplify(shapely.linestrings(line), TOUCH / 10)
     return shapely.get_coordinates(simple)
-
-
-def _segments(ways: shapely.Geometry) -> Array:
-    rings = [shapely.get_coordinates(r) for r in shapely.get_rings(shapely.get_parts(ways))]
-    return np.concatenate([np.stack([r[:-1], r[1:]], axis=1) for r in rings] or [np.empty((0, 2, 2))])
