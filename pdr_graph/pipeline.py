@@ -275,6 +275,7 @@ def summarize(
         "fixes": [_finite(asdict(replace(f, time=f.time + walk.clock_origin))) for f in estimate.fixes],
         "headings": _heading_reports(headings, estimate, walk.clock_origin),
         "wall_crossings": crossings,
+        "probability": round(estimate.probability, 3),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
         "versions": packages | {"python": platform.python_version()},
     }

@@ -293,6 +293,7 @@ class Estimate:
     calibration: None where the method has none.
     fixes: one report per fix, in the order given.
     converged: False if the optimiser stopped before the cost settled.
+    probability: of this walk, against others that explain the measurements too and go elsewhere.
     warnings: what a user must know before trusting the result.
     """
 
@@ -303,6 +304,7 @@ class Estimate:
     iterations: int
     cost: float
     converged: bool
+    probability: float = 1.0
     warnings: tuple[str, ...] = ()
 
 

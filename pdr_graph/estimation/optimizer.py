@@ -10,6 +10,7 @@ import numpy as np
 from pdr_graph.estimation.factors import Evaluation
 from pdr_graph.estimation.graph import AMBIGUOUS, State, WalkGraph
 from pdr_graph.estimation.hypotheses import hypotheses
+from pdr_graph.types import Array
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
@@ -21,6 +22,7 @@ UNLIKELY = 12.0  # cost above the best at which another solution is not worth me
 STRAINED = 3.0  # cost that walls add to the walk in the open at which particles are sent off again
 ATTEMPTS = 3
 DIRECTIONS = 8  # to start in where any is possible
+OVERSTATED = 1.0  # times by which costs overstate what is known
 DIFFERENT = 0.5  # [m] apart at some step: another solution
 
 
@@ -31,6 +33,12 @@ def solutions(graph: WalkGraph) -> list[Optimum]:
     fix; two at the ends of a loop).
     """
     return _distinct(_in_the_building(graph) if graph.walls else [_robustly(start) for start in _turned(graph)])
+
+
+def probabilities(found: list[Optimum]) -> Array:
+    """Of different solutions ``(n,)``, sum 1: the less the measurements and the plan have against one, the likelier."""
+    weight = np.exp((found[0].surprise - np.array([one.surprise for one in found])) / OVERSTATED)
+    return weight / weight.sum()
 
 
 @dataclass(frozen=True)

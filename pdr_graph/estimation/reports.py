@@ -23,8 +23,8 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
     return tuple(reports)
 
 
-def warnings(graph: WalkGraph, explanations: int, converged: bool, calibration: Calibration) -> tuple[str, ...]:
-    """What a user must know before trusting the result. explanations: how many walks explain the measurements."""
+def warnings(graph: WalkGraph, probability: Array, converged: bool, calibration: Calibration) -> tuple[str, ...]:
+    """What a user must know before trusting the result. probability: of the walks that explain the measurements."""
     used, given = int(graph.fix_used.sum()), len(graph.fixes)
     warned = {
         "no position fix: the track starts at (0, 0) with heading 0": used == 0,
@@ -33,7 +33,8 @@ def warnings(graph: WalkGraph, explanations: int, converged: bool, calibration: 
         and not len(graph.headings),
         "no fix lies near the floor plan: its walls were not used": bool(used and graph.floor and not graph.walls),
         f"{given - used} fixes lie outside the recording and were not used": used < given,
-        f"{explanations} different walks explain the measurements; the covariance spans them": explanations > 1,
+        f"{len(probability)} different walks explain the measurements, this one with a probability of "
+        f"{probability[0]:.0%}; the covariance spans them": len(probability) > 1,
         "the optimiser had not settled": not converged,
     }
     for n, name in enumerate(calibration.names):

@@ -7,7 +7,7 @@ import numpy as np
 from pdr_graph.estimation.covariance import covariance_of_rows
 from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
-from pdr_graph.estimation.optimizer import Optimum, solutions
+from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions
 from pdr_graph.estimation.reports import fix_reports, warnings
 from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Calibration, Estimate, Trajectory
@@ -24,7 +24,8 @@ def smooth(graph: WalkGraph) -> Estimate:
 
     # Every step, with its covariance
     rows = _rows(best)
-    covariance, of_c = _mixed_covariance(found)
+    probability = probabilities(found)
+    covariance, of_c = _mixed_covariance(found, probability)
     floor = (graph.floor.label if graph.floor else "",) * len(rows)
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), floor, covariance)
 
@@ -40,7 +41,8 @@ def smooth(graph: WalkGraph) -> Estimate:
         iterations=best.iterations,
         cost=best.cost,
         converged=best.converged,
-        warnings=warnings(graph, len(found), best.converged, calibration),
+        probability=float(probability[0]),
+        warnings=warnings(graph, probability, best.converged, calibration),
     )
 
 
@@ -50,10 +52,8 @@ def _rows(optimum: Optimum) -> Array:
     return np.concatenate([own.pose_i[:1], own.poses.value[optimum.graph.pieces.row_end]])
 
 
-def _mixed_covariance(found: list[Optimum]) -> tuple[Array, Array]:
+def _mixed_covariance(found: list[Optimum], weight: Array) -> tuple[Array, Array]:
     """Covariance of each row about the best solution, the others counted by their probability; that of c."""
-    weight = np.exp(found[0].surprise - np.array([s.surprise for s in found]))
-    weight /= weight.sum()
     rows = _rows(found[0])
     covariance, of_c = covariance_of_rows(found[0].graph, found[0].own, found[0].net)
     total = weight[0] * covariance
