@@ -216,8 +216,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
         )
     ]
     reports[first : first + 1] = alone.fixes
-    floor = (graph.floor.label if graph.floor else "",) * len(track)
-    return replace(alone, trajectory=replace(track, floor=floor), fixes=tuple(reports))
+    return replace(alone, trajectory=replace(track, floor=graph.floors), fixes=tuple(reports))
 
 
 def _write(

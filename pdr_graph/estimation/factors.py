@@ -16,7 +16,6 @@ import numpy as np
 
 from pdr_graph.estimation.preintegration import Bridge, Increments, Pieces, preintegrate
 from pdr_graph.floor.distance import DistanceField
-from pdr_graph.floor.regions import NOWHERE, Regions
 from pdr_graph.geometry import pose_rotation, wrap_angle
 from pdr_graph.types import Array, Index
 
@@ -46,31 +45,16 @@ class Linearised:
 class Walls:
     """The walls about each piece of a walk.
 
-    fields: signed distances to the walls of a region, or of two and the door between them; of_piece: ``(m,)`` which of
-    the fields holds for each piece, −1 none. margin: clearance that people keep [m]; sigma: how loosely [m].
-    price: what the regions' changes cost, against half a squared sigma.
+    fields: signed distances to the walls of a region; of_piece: ``(m,)`` which of them holds for each piece, −1 none.
+    price: what it costs that the walk leads through these regions, against half a squared sigma.
+    margin: clearance that people keep [m]; sigma: how loosely [m].
     """
 
     fields: tuple[DistanceField, ...]
     of_piece: Index
+    price: float
     margin: float
     sigma: float
-    price: float
-
-    @classmethod
-    def along(cls, track: Array, regions: Regions, margin: float, sigma: float) -> Walls:
-        """The walls about a walk that leads through ``track (m, 2)`` [m], a point for each piece."""
-        region, price = regions.along(track)
-        before, after = np.append(region[:1], region[:-1]), np.append(region[1:], region[-1:])
-        sets, of_piece = np.unique(np.sort([before, region, after], axis=0), axis=1, return_inverse=True)
-        inside = [tuple(int(r) for r in np.unique(s)) for s in sets.T]
-        return cls(
-            tuple(regions.field(s) for s in inside if NOWHERE not in s),
-            _numbered(inside)[of_piece.ravel()],
-            margin,
-            sigma,
-            price,
-        )
 
     def __eq__(self, other: object) -> bool:
         """True if all pieces are in the same regions."""
@@ -192,12 +176,6 @@ def wall(poses: Linearised, pieces: Pieces, walls: Walls) -> Linearised:
     slope = np.zeros((len(distance), 1, 3))
     slope[:, 0, :2] = -gradient * steepness[:, None]
     return Linearised(r[:, None], slope @ poses.by_i, slope @ poses.by_j, slope @ poses.by_c)
-
-
-def _numbered(sets: list[tuple[int, ...]]) -> Index:
-    """A number for each set of regions, −1 for those that hold NOWHERE."""
-    inside = np.array([NOWHERE not in s for s in sets])
-    return np.where(inside, np.cumsum(inside) - 1, -1)
 
 
 class FactorError(RuntimeError):

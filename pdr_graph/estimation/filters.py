@@ -61,7 +61,6 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     poses, covariances, bank, surprises = _run(graph)
     rows = np.concatenate([[0], graph.pieces.row_end + 1])
     position, heading = poses[rows, :2], wrap_angle(poses[rows, 2])
-    floor = (graph.floor.label if graph.floor else "",) * len(rows)
     final = int(np.argmax(bank.log_weight))
     calibration = Calibration(
         start=np.array([graph.steps.start]),
@@ -72,7 +71,7 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
     seen = [surprises.get(n, Surprise(np.nan, np.nan, 0.0)) for n in range(len(graph.fixes))]
     distance, sigmas, weight = (np.array([getattr(s, f.name) for s in seen]) for f in fields(Surprise))
     return Estimate(
-        trajectory=Trajectory(row_times(graph.steps), position, heading, floor, covariances[rows]),
+        trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows]),
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
         calibration=calibration,
         fixes=fix_reports(graph, distance, sigmas, weight, "where it was expected"),

@@ -7,6 +7,7 @@ fix          wall       fix
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -18,6 +19,8 @@ from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.preintegration import DECIMALS, Increments, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.ground import Ground
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import nearest, rotation, wrap_angle
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask, Steps
@@ -86,7 +89,8 @@ class WalkGraph:
     """Every measurement of one walk as a factor.
 
     steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
-    headings: walking directions in that frame; floor: whose walls are factors, optional; prior: see ``Prior``.
+    headings: walking directions in that frame; floor: whose walls are factors, optional, or a building; floors: the
+    floor's label for each row of the trajectory ``(n + 2,)``, needed with a building of several; prior: see ``Prior``.
 
     The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
     as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
@@ -98,12 +102,12 @@ class WalkGraph:
         fixes: Fixes | None = None,
         *,
         headings: Headings | None = None,
-        floor: FloorPlan | None = None,
+        floor: FloorPlan | Building | None = None,
+        floors: Sequence[str] | None = None,
         prior: Prior | None = None,
     ):
         self.steps = steps
         self.fixes = Fixes.none() if fixes is None else fixes
-        self.floor = floor
         self.prior = prior or Prior()
 
         # Variables: a pose per keyframe, a calibration per segment
@@ -112,6 +116,9 @@ class WalkGraph:
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
         self.pieces = cut(steps, np.concatenate([self.fixes.time[self.fix_used], self.headings.time, gap_ends]))
+        row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
+        self.floors = _labels(floor, floors, len(steps) + 2)
+        self.ground = None if floor is None else Ground.of(floor, [self.floors[r] for r in row.tolist()])
         self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
         self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
         self.segment = _segments(self.pieces, steps)
@@ -127,7 +134,7 @@ class WalkGraph:
 
         # Walls say nothing of a walk that could be anywhere, or is elsewhere
         self.walls = None
-        if floor is not None and floor.near(self.fixes.position[self.fix_used]).any():
+        if self.ground is not None and self.ground.near(self.fixes.position[self.fix_used]).any():
             self.walls = self._walls_along(self.start)
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
@@ -278,9 +285,10 @@ class WalkGraph:
 
     def _walls_along(self, state: State) -> Walls:
         """The walls about the steps as ``state`` has them."""
-        assert self.floor is not None, "there is a plan"
+        assert self.ground is not None, "there is a plan"
         own = evaluate(self.pieces, self.bridge, state.poses[:-1], state.poses[1:], state.c[self.segment], None)
-        return Walls.along(own.poses.value[:, :2], self.floor.regions, self.prior.wall_margin, self.prior.wall_sigma)
+        walls = self.ground.walls_along(own.poses.value[:, :2], self.pieces.length > 0)
+        return Walls(*walls, self.prior.wall_margin, self.prior.wall_sigma)
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
@@ -307,11 +315,18 @@ class WalkGraph:
             heading = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
             graph.add(gtsam.PoseRotationPrior2D(X(0), heading, noise.Isotropic.Sigma(1, ANY_HEADING)))
         else:
-            size = FRAME_SIGMA if self.floor is None else self.floor.size
-            turn = FRAME_SIGMA if self.floor is None and not len(self.headings) else ANY_HEADING
+            size = FRAME_SIGMA if self.ground is None else self.ground.size
+            turn = FRAME_SIGMA if self.ground is None and not len(self.headings) else ANY_HEADING
             origin = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
             graph.add(gtsam.PriorFactorPose2(X(0), origin, noise.Diagonal.Sigmas(np.array([size, size, turn]))))
         return graph
+
+
+def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, rows: int) -> tuple[str, ...]:
+    """The floor's label of each row."""
+    if floors is not None:
+        return tuple(floors)
+    return (floor.label if isinstance(floor, FloorPlan) else "",) * rows
 
 
 def _freshness(fixes: Fixes, steps: Steps) -> tuple[Mask, Array]:

@@ -31,7 +31,7 @@ def warnings(graph: WalkGraph, probability: Array, converged: bool, calibration:
         "one position fix: the direction of the walk is unknown, heading 0 was assumed": used == 1
         and not graph.walls
         and not len(graph.headings),
-        "no fix lies near the floor plan: its walls were not used": bool(used and graph.floor and not graph.walls),
+        "no fix lies near the floor plan: its walls were not used": bool(used and graph.ground and not graph.walls),
         f"{given - used} fixes lie outside the recording and were not used": used < given,
         f"{len(probability)} different walks explain the measurements, this one with a probability of "
         f"{probability[0]:.0%}; the covariance spans them": len(probability) > 1,

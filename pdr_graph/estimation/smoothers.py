@@ -26,8 +26,7 @@ def smooth(graph: WalkGraph) -> Estimate:
     rows = _rows(best)
     probability = probabilities(found)
     covariance, of_c = _mixed_covariance(found, probability)
-    floor = (graph.floor.label if graph.floor else "",) * len(rows)
-    trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), floor, covariance)
+    trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
 
     # What was learnt, what was trusted, and what to beware of
     calibration = _calibration(best, of_c)

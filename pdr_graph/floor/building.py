@@ -12,11 +12,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.floor.areas import CONNECTING
+from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Connection:
     """Stairs or a lift.
 
@@ -32,6 +33,11 @@ class Connection:
     def distance(self, position: Array) -> Array:
         """From positions ``(n, 2)`` [m] to its polygon, 0 in it. ``(n,)`` [m]"""
         return np.asarray(shapely.distance(self.polygon, shapely.points(position)))
+
+    @cached_property
+    def field(self) -> DistanceField:
+        """Signed distance to its border, positive in it."""
+        return DistanceField(self.polygon)
 
 
 @dataclass(frozen=True)

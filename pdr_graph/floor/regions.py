@@ -89,6 +89,17 @@ class Regions:
         price = changes[np.arange(1, len(track)), likeliest[:-1], likeliest[1:]].sum()
         return states[likeliest], float(price + OUTSIDE_PRICE * np.sum(likeliest == len(near)))
 
+    def walls_along(self, track: Array) -> tuple[list[DistanceField], Index, float]:
+        """The walls about a walk through ``track (n, 2)`` [m]: fields; which of them holds at each point ``(n,)``, −1
+        none; and what the regions' changes cost. Where the region changes, both and the door between them hold.
+        """
+        region, price = self.along(track)
+        before, after = np.append(region[:1], region[:-1]), np.append(region[1:], region[-1:])
+        sets, which = np.unique(np.sort([before, region, after], axis=0), axis=1, return_inverse=True)
+        inside = [NOWHERE not in s for s in sets.T]
+        fields = [self.field(tuple(np.unique(s).tolist())) for s in sets.T[inside]]
+        return fields, np.where(inside, np.cumsum(inside) - 1, NOWHERE)[which.ravel()], price
+
     def field(self, regions: tuple[int, ...]) -> DistanceField:
         """Signed distance to the walls of some regions, taken together with the doors between them."""
         if regions not in self._fields:

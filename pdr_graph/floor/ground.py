@@ -1,0 +1,82 @@
+"""The ground of a walk: on which floor each of its steps is, and the walls about each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pdr_graph.floor.building import Building, Connection
+from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.regions import NOWHERE
+from pdr_graph.types import Array, Index, Mask
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Floors, and which of them each piece of a walk is on: level ``(m,)``."""
+
+    building: Building
+    level: Index
+
+    @classmethod
+    def of(cls, plan: FloorPlan | Building, labels: Sequence[str]) -> Ground:
+        """Of a single floor, or of a building with the floor's label for each of the pieces.
+
+        Raises ValueError if a building has several floors and the labels do not say which.
+        """
+        building = Building.of(plan) if isinstance(plan, FloorPlan) else plan
+        if len(building.floors) == 1:
+            return cls(building, np.zeros(len(labels), dtype=np.intp))
+        unknown = sorted(set(labels) - set(building.labels))
+        if unknown:
+            raise ValueError(f"floors: found {unknown[0]!r}, needed labels out of {', '.join(building.labels)}")
+        return cls(building, np.array([building.index(label) for label in labels], dtype=np.intp))
+
+    def near(self, position: Array) -> Mask:
+        """Which positions ``(n, 2)`` [m] lie on or about any floor. ``(n,)``"""
+        return np.any([floor.near(position) for floor in self.building.floors], axis=0)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the widest floor. [m]"""
+        return max(floor.size for floor in self.building.floors)
+
+    def field(self, piece: int) -> DistanceField:
+        """Distance to all walls of the floor that a piece is on."""
+        return self.building.floors[self.level[piece]].distance
+
+    @cached_property
+    def changes(self) -> dict[int, tuple[Connection, ...]]:
+        """The pieces that begin on another floor than the one before, and the stairs and lifts that lead there."""
+        found = {}
+        for piece in (np.flatnonzero(np.diff(self.level)) + 1).tolist():
+            floors = {int(self.level[piece - 1]), int(self.level[piece])}
+            found[piece] = tuple(c for c in self.building.connections if floors <= set(c.floors))
+        return found
+
+    def walls_along(self, track: Array, moved: Mask) -> tuple[tuple[DistanceField, ...], Index, float]:
+        """The walls about a walk through ``track (m, 2)`` [m], a point for each piece; moved: which led anywhere.
+
+        Returns signed distances to the walls of a region, of two and the door between them, or of stairs; which of
+        them holds for each piece ``(m,)``, −1 none; and what the regions' changes cost.
+        """
+        number, of_piece, total = dict[DistanceField, int](), np.full(len(track), NOWHERE), 0.0
+        for begin, end in zip(self._begins, [*self._begins[1:], len(track)], strict=True):
+            fields, which, price = self.building.floors[self.level[begin]].regions.walls_along(track[begin:end])
+            numbers = np.array([*(number.setdefault(field, len(number)) for field in fields), NOWHERE])
+            of_piece[begin:end] = numbers[which]
+            total += price
+        for piece, ways in self.changes.items():
+            before = np.flatnonzero(moved[:piece])
+            if len(before) and ways:
+                nearest = min(ways, key=lambda way: way.distance(track[before[-1:]])[0])
+                of_piece[before[-1]] = number.setdefault(nearest.field, len(number))
+        return tuple(number), of_piece, total
+
+    @property
+    def _begins(self) -> list[int]:
+        return [0, *self.changes]
