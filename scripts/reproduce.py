@@ -11,6 +11,7 @@ import cart
 import compass
 import floors as floors_by_step
 import heading
+import map_matching
 import numpy as np
 import realism
 import recorded
@@ -162,6 +163,7 @@ if __name__ == "__main__":
     tables |= {"steps": lambda: steps.steps(DATA), "calibration-walk": calibration_walk.calibration_walk}
     tables |= {"compass": lambda: compass.compass(DATA)}
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
+    tables |= {"map-matching": map_matching.map_matching}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

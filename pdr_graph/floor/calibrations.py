@@ -14,7 +14,7 @@ from pdr_graph.geometry import unit
 from pdr_graph.types import Array, Index, Mask, Steps
 
 RASTER = 0.005, 0.005  # of R_d and R_s: 0.45° of a right angle, 0.2 m of a corridor of 40 m
-LEAST, MOST = 0.5, 2.0  # of either: what is beyond is no calibration but a mistake
+LEAST, MOST = 0.7, 1.4  # of either: what is beyond is no calibration but a mistake
 OPEN = 3.0  # [m] to either side of a node without corners
 Pair = tuple[float, float]  # R_d, R_s
 
@@ -71,28 +71,40 @@ def range_of_R_d(turn: Turn, corners: Array, theta: float, before: float, after:
     return _ordered(turned(outer, inner) / theta, turned(inner, outer) / theta)
 
 
-def range_of_R_s(turn: Turn, corners: Array, start: Array, walked: Array) -> tuple[float, float]:
-    """Eq. (7): A/X ≤ R_s ≤ B/X.
+def range_of_R_s(turn: Turn, corners: Array, start: Array, walked: Array) -> Array:
+    """Eq. (7): A/X ≤ R_s ≤ B/X, ``(d, 2)``.
 
-    start: ``(2,)`` of the stretch [m]; walked: ``(2,)`` displacement from there to the turn as estimated [m]. X is its
-    projection on the link, A and B the same of the nearest and the farthest corner.
+    start: ``(2,)`` of the stretch [m]; walked: ``(d, 2)`` displacement from there to the turn as estimated with each
+    R_d [m], which the paper takes for one. X is its projection on the link, A and B the same of the nearest and the
+    farthest corner. NaN where one would walk away from the corner.
     """
     X = walked @ turn.into
-    A, B = np.sort((corners - start) @ turn.into)[[0, -1]]
-    return _ordered(A / X, B / X) if X > 0 else (np.nan, np.nan)
+    ends = np.sort((corners - start) @ turn.into)[[0, -1]]
+    return np.sort(ends / np.where(X > 0, X, np.nan)[:, None], axis=1)
 
 
-def region(
-    steps: Steps, start: Array, heading: float, R_d: tuple[float, float], R_s: tuple[float, float], walls: Array
-) -> Region:
-    """All pairs of two ranges, tried exhaustively against ``walls (w, 2, 2)`` [m]: Sec. 3.5.
+def region(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Array, walls: Array) -> Region:
+    """All pairs of the ranges, tried exhaustively against ``walls (w, 2, 2)`` [m]: Sec. 3.5.
 
+    start: ``(2,)`` [m] and heading [rad] of the steps; R_d: ``(d,)`` of `lattice`; R_s: ``(d, 2)`` range with each.
     The paper sees a convex quadrilateral; as the track is not linear in the pair, no shape is assumed.
     """
-    d, s = (_lattice(limits, axis) for axis, limits in enumerate((R_d, R_s)))
-    tracks = transformed(steps, start, heading, d, s)
-    inside = keeps_within(tracks.reshape(-1, len(steps) + 1, 2), walls)
-    return Region(d, s, inside.reshape(len(d), len(s)))
+    if not len(R_d) or np.isnan(R_s).all():
+        return Region.none()
+    s = lattice((float(np.nanmin(R_s)), float(np.nanmax(R_s))), 1)
+    feasible = (s >= R_s[:, :1]) & (s <= R_s[:, 1:])
+    d_of, s_of = np.nonzero(feasible)
+    tracks = transformed(steps, np.zeros(2), heading, R_d, np.ones(1))[d_of, 0] * s[s_of, None, None]
+    feasible[d_of, s_of] = keeps_within(start + tracks, walls)
+    return Region(R_d, s, feasible)
+
+
+def lattice(limits: tuple[float, float], axis: int) -> Array:
+    """Multiples of RASTER of R_d (axis 0) or R_s (1) within some limits ``(m,)``; none of limits that are none."""
+    if not np.isfinite(limits).all():
+        return np.empty(0)
+    low, high = max(limits[0], LEAST) / RASTER[axis], min(limits[1], MOST) / RASTER[axis]
+    return np.arange(np.ceil(low), np.floor(high) + 1) * RASTER[axis]
 
 
 def keeps_within(tracks: Array, walls: Array) -> Mask:
@@ -137,14 +149,6 @@ def corners_at(corners: Array, node: Array) -> Array:
     """Corners ``(4, 2)`` of an intersection; about a node without any, those of a square. [m]"""
     square = node + OPEN * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     return square if np.isnan(corners).any() else corners
-
-
-def _lattice(limits: tuple[float, float], axis: int) -> Array:
-    """Multiples of RASTER within some limits ``(m,)``; none of limits that are none."""
-    if not np.isfinite(limits).all():
-        return np.empty(0)
-    low, high = max(limits[0], LEAST) / RASTER[axis], min(limits[1], MOST) / RASTER[axis]
-    return np.arange(np.ceil(low), np.floor(high) + 1) * RASTER[axis]
 
 
 def _counted(values: Array, axis: int) -> Index:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,10 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Steps
 
 FAR, ASKEW = 3.0, np.radians(30)  # [m], [rad] from a link at which either counts 1: a corridor's width, a zigzag
+LOST = 4.0  # the most that a distance counts: less than a right angle
 TURNING = np.radians(10)  # heading change of a step above which the walker is turning: gait sways by up to 7°
 AROUND = 8  # steps before and after a turn that tell the links: the length of a zigzag
+BESIDE = 3  # steps before and after one that turns, which may turn too: a zigzag is straight only in passing
 HALF_TURN = 3  # steps that a turn takes, on either side of its middle
 LEAST_TURN = np.radians(25)  # between two links, or they are one way
 
@@ -70,14 +72,27 @@ def costs(segments: Segments, start: Array, end: Array) -> Array:
     """How badly each link fits the vector of each step, from ``start (n, 2)`` to ``end (n, 2)``: ``(n, l)``.
 
     [map-matching] Sec. 3.3 scores by distance and by angle and gives no formula; here both are counted in what is
-    usual of them, and squared. A link has no direction of its own. Of a bent link its best segment counts.
+    usual of them, and squared; beyond two corridors' widths, where the track is lost, a distance says no more. A link
+    has no direction of its own. Of a bent link its best segment counts.
     """
     apart = np.linalg.norm(segments.projected(end) - end[:, None], axis=2)
     step, along = np.arctan2(*(end - start).T[::-1]), np.arctan2(*segments.along.T[::-1])
     askew = np.abs(wrap_angle(2 * (step[:, None] - along))) / 2
-    fit = (apart / FAR) ** 2 + (askew / ASKEW) ** 2
+    off = (apart / FAR) ** 2
+    fit = off / (1 + off / LOST) + (askew / ASKEW) ** 2
     begins = np.flatnonzero(np.diff(segments.link, prepend=-1))
     return np.minimum.reduceat(fit, begins, axis=1)
+
+
+def straightened(steps: Steps) -> Steps:
+    """The steps as the paper's dead reckoning has them, straight on where nobody turns: [map-matching] Sec. 3.2.
+
+    What a gyroscope drifts and hips sway between turns then counts 0. So does a corridor that bends slowly. The paper
+    drops each heading change under a threshold; a slow one in the midst of a turn is part of it, and stays.
+    """
+    turning = np.abs(steps.turn) > TURNING
+    near = np.convolve(turning, np.ones(2 * BESIDE + 1), "full")[BESIDE:-BESIDE] > 0 if len(steps) else turning
+    return replace(steps, turn=np.where(near, steps.turn, 0.0), pause_turn=np.where(near, steps.pause_turn, 0.0))
 
 
 def turning_periods(steps: Steps) -> Index:

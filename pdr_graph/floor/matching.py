@@ -67,7 +67,9 @@ def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method
 
     start: ``(2,)`` [m]; heading: at the start [rad]; method: 1 or 2 of Sec. 3.6. Until the first turn the steps are
     believed as they are, from then on as the last turn said (Sec. 3.7). A stretch includes the turn that it begins
-    with: that heading change, times R_d, is what lays the track along its corridor.
+    with: that heading change, times R_d, is what lays the track along its corridor. Links are asked of the track with
+    the turns as measured: a wrong R_d of one corner would turn the next one into another link. Nothing mends a gyroscope that
+    drifts along a corridor; the paper's dead reckoning has none, see `links.straightened`.
 
     Raises ValueError if the floor has no corridor.
     """
@@ -76,16 +78,20 @@ def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method
     notes = [f"the start lies {astray:.1f} m from the nearest link"] if astray > STRAYED else []
     pair, common = (1.0, 1.0), set[tuple[int, int]]()
     laid = Laid(start[None], np.array([heading])).again(steps, 0, pair)
-    first, since = 0, 0  # where the stretch begins, and where the turn that it begins with ends
-    stretches = list[Stretch]()
-    while (turn := find_turn(network, steps, laid.position, link, since)) is not None:
-        tried, slack = tried_pairs(steps, laid, first, since, turn, network)
+    previous, stretches = None, list[Stretch]()
+    while True:
+        first, since = (previous.first, previous.last) if previous else (0, 0)
+        as_turned = laid.again(steps, first, (1.0, pair[1]))
+        turn = find_turn(network, steps, as_turned.position, link, since)
+        if turn is None:
+            break
+        tried, slack = tried_pairs(steps, laid, previous, turn, network)
         chosen, common = method_2(tried, common) if method == 2 else (method_1(tried), common)
         pair = chosen or pair
         stretches.append(Stretch(first, seen(turn, steps), turn, tried, pair, slack))
         notes += _doubts(turn, chosen, slack)
         laid = laid.again(steps, first, pair)
-        first, since, link = turn.first, turn.last, turn.after
+        previous, link = turn, turn.after
     return Corrected(_trajectory(steps, laid.position, laid.heading, pair[0]), tuple(stretches), tuple(notes))
 
 

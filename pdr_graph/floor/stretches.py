@@ -6,7 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.floor.calibrations import Pair, Region, corners_at, range_of_R_d, range_of_R_s, region, transformed
+from pdr_graph.floor.calibrations import (
+    Pair,
+    Region,
+    corners_at,
+    lattice,
+    range_of_R_d,
+    range_of_R_s,
+    region,
+    transformed,
+)
 from pdr_graph.floor.links import AROUND, Turn
 from pdr_graph.floor.network import Network
 from pdr_graph.types import Array, Steps
@@ -48,29 +57,40 @@ class Laid:
         return Laid(np.concatenate([self.position[:first], track]), np.concatenate([self.heading[:first], turned]))
 
 
-def tried_pairs(steps: Steps, laid: Laid, first: int, since: int, turn: Turn, network: Network) -> tuple[Region, float]:
-    """The pairs of one stretch: ranges from the corner's geometry, then the walls; and the slack these needed [m].
+def tried_pairs(steps: Steps, laid: Laid, previous: Turn | None, turn: Turn, network: Network) -> tuple[Region, float]:
+    """The pairs of the stretch from one turn to the end of the next, and the slack that the walls needed [m].
 
-    Where every pair crosses a wall the paper does not say what then. As the error is in the track and the walls are
-    where they are, the pairs that cross them least deeply are taken.
+    Eq. (6) holds of the turn that ends the stretch and of the one that begins it; a pair is tried if it is in the range
+    of either, or between. Where every pair crosses a wall the paper does not say what then. As the error is in the
+    track and the walls are where they are, the pairs that cross them least deeply are taken.
     """
-    corners = corners_at(network.corners[turn.node], network.nodes[turn.node])
-    stretch = cut(steps, first, seen(turn, steps))
-    start, heading = laid.position[first], float(laid.heading[first])
-    track = Laid(start[None], np.array([heading])).again(stretch, 0, (1.0, 1.0)).position
-    come = track[turn.first - first] - track[since - first]
-    gone = track[-1] - track[turn.last - first]
-    theta = float(np.arctan2(come[0] * gone[1] - come[1] * gone[0], come @ gone))
-    if abs(theta) < LEAST_THETA:
+    first, since, last = (previous.first, previous.last, seen(turn, steps)) if previous else (0, 0, seen(turn, steps))
+    raw = laid.again(steps, first, (1.0, 1.0)).position
+    R_d = _R_d_of(turn, raw, since, last, network)
+    if previous:
+        R_d += _R_d_of(previous, raw, max(first - AROUND, 0), turn.first, network)
+    if not R_d:
         return Region.none(), 0.0
-    R_d = range_of_R_d(turn, corners, theta, float(np.hypot(*come)), float(np.hypot(*gone)))
-    R_s = range_of_R_s(turn, corners, start, track[[turn.first - first, turn.last - first]].mean(axis=0) - start)
-    tried = Region.none()
+    stretch, start, heading = cut(steps, first, last), raw[first], float(laid.heading[first])
+    d = lattice((min(R_d), max(R_d)), 0)
+    walked = transformed(stretch, np.zeros(2), heading, d, np.ones(1))[:, 0, [turn.first - first, turn.last - first]]
+    corners = corners_at(network.corners[turn.node], network.nodes[turn.node])
+    R_s, tried = range_of_R_s(turn, corners, start, walked.mean(axis=1)), Region.none()
     for slack in SLACKS:
-        tried = region(stretch, start, heading, R_d, R_s, network.walls(slack))
+        tried = region(stretch, start, heading, d, R_s, network.walls(slack))
         if tried.feasible.any():
             return tried, slack
     return tried, SLACKS[-1]
+
+
+def _R_d_of(turn: Turn, track: Array, begin: int, end: int, network: Network) -> tuple[float, ...]:
+    """Eq. (6) of a turn seen from step ``begin`` to step ``end`` of a track; nothing of one hardly estimated."""
+    come, gone = track[turn.first] - track[begin], track[end] - track[turn.last]
+    theta = float(np.arctan2(come[0] * gone[1] - come[1] * gone[0], come @ gone))
+    if abs(theta) < LEAST_THETA:
+        return ()
+    corners = corners_at(network.corners[turn.node], network.nodes[turn.node])
+    return range_of_R_d(turn, corners, theta, float(np.hypot(*come)), float(np.hypot(*gone)))
 
 
 def seen(turn: Turn, steps: Steps) -> int:

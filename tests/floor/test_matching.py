@@ -13,13 +13,14 @@ from pdr_graph.floor.areas import Area
 from pdr_graph.floor.calibrations import (
     centroid,
     keeps_within,
+    lattice,
     method_2,
     range_of_R_d,
     range_of_R_s,
     region,
     transformed,
 )
-from pdr_graph.floor.links import Segments, Turn, costs, turning_periods
+from pdr_graph.floor.links import Segments, Turn, costs, straightened, turning_periods
 from pdr_graph.floor.matching import correct, match
 from pdr_graph.floor.stretches import Laid, tried_pairs
 from pdr_graph.frames import Frame
@@ -57,6 +58,12 @@ def walker_of(steps, R_d, R_s):
     return replace(steps, length=steps.length / R_s, turn=steps.turn / R_d, pause_turn=steps.pause_turn / R_d)
 
 
+def tried(steps, R_d, R_s):
+    """The region of two ranges in the loop."""
+    d = lattice(R_d, 0)
+    return region(steps, START, 0.0, d, np.tile(R_s, (len(d), 1)), LOOP.network.walls())
+
+
 def errors(corrected, places):
     return np.hypot(*(corrected.trajectory.position[:-1] - places).T)
 
@@ -82,6 +89,13 @@ def test_a_turning_period_is_a_run_to_one_side():
     assert turning_periods(steps).tolist() == [[3, 7], [9, 10], [10, 11]]
     assert turning_periods(steps_of(np.full(3, 0.7), np.zeros(3))).tolist() == []
     assert turning_periods(steps_of(np.empty(0), np.empty(0))).tolist() == []
+
+
+def test_between_turns_one_walks_straight_on():
+    degrees = np.array([1, 2, 1, 2, 1, 5, 30, 40, 20, -5, 2, 1, 2, 1, 2])
+    straight = straightened(steps_of(np.full(15, 0.7), np.radians(degrees)))
+    assert np.degrees(straight.turn) == pytest.approx([0, 0, 0, 2, 1, 5, 30, 40, 20, -5, 2, 1, 0, 0, 0])
+    assert len(straightened(steps_of(np.empty(0), np.empty(0)))) == 0
 
 
 def test_each_corner_is_a_turn_and_a_zigzag_is_none():
@@ -132,8 +146,9 @@ def test_the_range_of_R_d_is_the_same_to_the_right():
 
 def test_the_range_of_R_s_reaches_from_the_nearest_to_the_farthest_corner():
     start, walked = np.array([-21.0, 0.5]), np.array([25.0, -0.2])
-    assert range_of_R_s(LEFT_TURN, CORNER, start, walked) == pytest.approx((20 / 25, 22 / 25))
-    assert np.isnan(range_of_R_s(LEFT_TURN, CORNER, start, -walked)).all(), "nobody gets there backwards"
+    there, away = range_of_R_s(LEFT_TURN, CORNER, start, np.stack([walked, -walked]))
+    assert there == pytest.approx((20 / 25, 22 / 25))
+    assert np.isnan(away).all(), "nobody gets there backwards"
 
 
 # Regions
@@ -152,7 +167,7 @@ def test_a_region_is_every_pair_that_keeps_within_the_walls():
     """Against shapely, pair by pair; the true pair is one of them."""
     steps, _ = along([43.75, 1.25], [43.75, 12.0])
     measured = walker_of(steps, 1.04, 1.1)
-    found = region(measured, START, 0.0, (0.9, 1.2), (1.0, 1.2), LOOP.network.walls())
+    found = tried(measured, (0.9, 1.2), (1.0, 1.2))
     tracks = transformed(measured, START, 0.0, found.R_d, found.R_s)
     for (d, s), feasible in np.ndenumerate(found.feasible):
         assert feasible == shapely.covers(LOOP.network.ways, shapely.LineString(tracks[d, s]))
@@ -168,7 +183,7 @@ def test_the_centroid_of_a_bent_region_is_one_of_its_pairs():
 
 def test_method_2_takes_what_regions_have_in_common_and_starts_anew_without():
     steps, _ = along([43.75, 1.25], [43.75, 12.0])
-    newest = region(steps, START, 0.0, (0.9, 1.1), (0.9, 1.1), LOOP.network.walls())
+    newest = tried(steps, (0.9, 1.1), (0.9, 1.1))
     some = set(sorted(newest.pairs)[:5])
     assert method_2(newest, some)[1] == some
     assert method_2(newest, {(1, 1)}) == (centroid(newest.pairs), newest.pairs)
@@ -245,7 +260,7 @@ def test_ranges_beyond_any_calibration_hold_no_pair():
     """A turn estimated to the wrong side, or as next to nothing: Eq. (6) gives what no walker's R_d can be."""
     steps, _ = along([43.0, 1.25])
     for R_d in ((-1.1, -0.9), (15.0, 20.0), (np.nan, np.nan), (np.inf, np.inf)):
-        assert not region(steps, START, 0.0, R_d, (0.9, 1.1), LOOP.network.walls()).pairs
+        assert not tried(steps, R_d, (0.9, 1.1)).pairs
 
 
 def test_a_corner_that_the_steps_do_not_turn_teaches_nothing():
@@ -254,8 +269,8 @@ def test_a_corner_that_the_steps_do_not_turn_teaches_nothing():
     laid = Laid(START[None], np.zeros(1)).again(steps, 0, (1.0, 1.0))
     (turn,) = match(steps, LOOP.network, START, 0.0).turns
     straight = replace(steps, turn=0.09 * steps.turn, pause_turn=0.09 * steps.pause_turn)
-    tried, _ = tried_pairs(straight, laid, 0, 0, turn, LOOP.network)
-    assert not tried.pairs
+    found, _ = tried_pairs(straight, laid, None, turn, LOOP.network)
+    assert not found.pairs
 
 
 def test_a_start_off_the_network_is_said():
