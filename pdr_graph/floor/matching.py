@@ -68,8 +68,9 @@ def correct(steps: Steps, floor: FloorPlan, start: Array, heading: float, method
     start: ``(2,)`` [m]; heading: at the start [rad]; method: 1 or 2 of Sec. 3.6. Until the first turn the steps are
     believed as they are, from then on as the last turn said (Sec. 3.7). A stretch includes the turn that it begins
     with: that heading change, times R_d, is what lays the track along its corridor. Links are asked of the track with
-    the turns as measured: a wrong R_d of one corner would turn the next one into another link. Nothing mends a gyroscope that
-    drifts along a corridor; the paper's dead reckoning has none, see `links.straightened`.
+    the turns as measured: a wrong R_d of one corner would turn the next one into another link.
+
+    Nothing mends a gyroscope that drifts along a corridor. The paper's dead reckoning has none: `links.straightened`.
 
     Raises ValueError if the floor has no corridor.
     """
