@@ -19,8 +19,8 @@ LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, who
 LOOSE = 3.0  # times as loosely walls hold at first: hard walls keep a walk that starts 3° off in the wrong aisle
 WILD = 5.0  # [σ] beyond which a fix loses its grip in the second pass
 UNLIKELY = 12.0  # cost above the best at which another solution is not worth mentioning
-STRAINED = 3.0  # cost that walls add to the walk in the open at which particles are sent off again
-ATTEMPTS = 3
+STRAINED, STRAINED_SHARE = 3.0, 1.5  # cost, and times that of the walk in the open, at which others are sought
+ATTEMPTS = 2
 DIRECTIONS = 8  # to start in where any is possible
 OVERSTATED = 1.0  # times by which costs overstate what is known
 DIFFERENT = 0.5  # [m] apart at some step: another solution
@@ -122,17 +122,16 @@ def _robustly(graph: WalkGraph) -> Optimum:
 
 
 def _in_the_building(graph: WalkGraph) -> list[Optimum]:
-    """An optimum for each of the ways that the plan admits.
+    """An optimum for each of the ways that the plan admits, and near the walk as fixes lay it, which may know it well.
 
     Which fixes are wild is asked of the walk without walls: a walk that they lead astray would blame the fixes.
     """
     in_the_open = _robustly(graph.without_walls())
     robust = graph.without_grip(in_the_open.graph.fix_wild)
-    found: list[Optimum] = []
+    found = [_along(robust, way) for way in (robust.start, State.of(in_the_open.values))]
     for attempt in range(ATTEMPTS):
-        for way in hypotheses(robust, attempt):
-            found.append(_along(robust, way))
-        if min(one.cost for one in found) < in_the_open.cost + STRAINED:
+        found += [_along(robust, way) for way in hypotheses(robust, attempt)]
+        if min(one.surprise for one in found) < STRAINED + STRAINED_SHARE * in_the_open.cost:
             break
     return found
 
@@ -143,7 +142,9 @@ def _along(graph: WalkGraph, way: State) -> Optimum:
     loosely = optimize(follows.with_loose_walls(LOOSE), way.to_values())
     first = optimize(follows, loosely.values)
     again = graph.following(State.of(first.values))
-    return first if again.walls == follows.walls else optimize(again, first.values)
+    if again.walls == follows.walls:
+        return first
+    return min(first, optimize(again, first.values), key=lambda one: one.surprise)
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:

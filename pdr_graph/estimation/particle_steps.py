@@ -9,6 +9,7 @@ from pdr_graph.types import Array, Mask
 
 BODY = 0.12  # [m] that the middle of a walker keeps from any wall
 LOOK = 0.24  # [m] between two places at which a step is held against the walls: twice BODY, so that none is missed
+DOUBTED, RARE = 0.2, 4  # [rad] of a turn that may be the phone's: for one in four it was any
 TRIES = 4  # to take a step otherwise that would go through a wall
 WALL_PRICE = 12.0  # log-odds of a step through a wall: plans err, and two fixes can be right where they do
 WITHIN_PRICE = 0.15  # of a step inside what is solid: a shop that somebody entered
@@ -72,6 +73,8 @@ def _moved(
 ) -> tuple[Array, Array, Array]:
     """A piece further ``(6, n)`` with errors as they come, and the way there, along x and y ``(n,)``."""
     noise = sigma[:, None] * random.standard_normal((3, state.shape[1]))
+    if sigma[2] > DOUBTED:
+        noise[2, ::RARE] = random.uniform(-np.pi, np.pi, len(noise[2, ::RARE]))
     turned = state[4] * turn + state[5] * time + noise[2]
     course = state[2] + 0.5 * turned
     forward, left = state[3] * length + noise[0], noise[1]

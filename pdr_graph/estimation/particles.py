@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, Prior, WalkGraph
-from pdr_graph.estimation.particle_steps import changed_floor, stepped, stood
+from pdr_graph.estimation.particle_steps import RARE, changed_floor, stepped, stood
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index
 
@@ -29,6 +29,7 @@ CALM = np.array([0.7, 0.7, 1.0])  # times the sigmas of a step's length, sway an
 
 LEAST_SIGMA = 1.0  # [m] of a fix: particles lie no denser
 LEAST_SIGMA_DIRECTION = 0.1  # [rad] at the start
+FAR, SOUGHT, LOST_PRICE = 4.0, 5, 4.0  # [σ] of a fix from all; one in so many is put there; log-odds of that
 WILD_PRICE = 8.0  # log-odds at which a fix is wild
 
 
@@ -71,6 +72,8 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
         state[3:] += np.sqrt(steps / STEPS_PER_SEGMENT) * change * random.standard_normal(state[3:].shape)
 
         # Fixes and compass, and who goes on
+        if _lost(graph, interval + 1, state):
+            state, weight = _sought(graph, interval + 1, state, weight, random)
         weight = weight + _seen(graph, interval + 1, state)
         weight -= np.logaddexp.reduce(weight)
         origin = np.arange(len(weight))
@@ -86,7 +89,9 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
 def _start(graph: WalkGraph, n: int, random: np.random.Generator) -> Array:
     """Particles ``(6, n)`` at the walk's start, such that steps lead each to the first fix as it is known."""
     heading, sigma = graph.start.poses[0, 2], max(graph.sigma_direction, LEAST_SIGMA_DIRECTION)
-    turned = sigma * random.standard_normal(n) if sigma < np.pi / 2 else 2 * np.pi * np.arange(n) / n
+    turned = sigma * random.standard_normal(n)
+    anyhow = slice(None) if sigma > np.pi / 2 else slice(None, None, RARE)  # fixes lay a walk as a whole
+    turned[anyhow] = 2 * np.pi * np.arange(n)[anyhow] / n
     c = random.multivariate_normal(graph.prior.mean, graph.prior.covariance * np.outer(WIDE, WIDE), n).T
     used = np.flatnonzero(graph.fix_used)
     first = used[np.argmin(graph.fix_keyframe[used])]
@@ -105,6 +110,27 @@ def _seen(graph: WalkGraph, keyframe: int, state: Array) -> Array:
         apart = wrap_angle(graph.headings.heading[h] - state[2]) / graph.headings.sigma[h]
         seen -= np.minimum(0.5 * apart**2, WILD_PRICE)
     return seen
+
+
+def _lost(graph: WalkGraph, keyframe: int, state: Array) -> bool:
+    """True if a fix lies far from all particles: it is wild, or they are in the wrong place."""
+    fixes = np.flatnonzero(graph.fix_used & ~graph.fix_wild & (graph.fix_keyframe == keyframe))
+    apart = [np.hypot(*(state[:2] - graph.fixes.position[f][:, None])).min() / graph.fix_sigma[f] for f in fixes]
+    return max(apart, default=0.0) > FAR
+
+
+def _sought(
+    graph: WalkGraph, keyframe: int, state: Array, weight: Array, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """Some of the particles put where the fix is, at a price: whether they were right, later fixes will say."""
+    f = np.flatnonzero(graph.fix_used & ~graph.fix_wild & (graph.fix_keyframe == keyframe))[0]
+    state, weight, n = state.copy(), weight.copy(), state.shape[1]
+    put = np.arange(0, n, SOUGHT)
+    place = random.standard_normal((2, len(put))) * max(graph.fix_sigma[f], LEAST_SIGMA)
+    state[:2, put] = graph.fixes.position[f][:, None] + place
+    state[2, put] += random.uniform(-np.pi, np.pi, len(put))
+    weight[put] = np.logaddexp.reduce(weight) - np.log(n) - LOST_PRICE
+    return state, weight
 
 
 def _needed(state: Array) -> int:

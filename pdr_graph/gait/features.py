@@ -35,8 +35,12 @@ class StepFeatures:
     @cached_property
     def turn(self) -> Array:
         """Heading change over the step ``(n,)``. [rad]"""
-        landings, time, heading = self.gait.landings, self.gait.attitude.time, self.gait.direction.heading
-        return np.interp(landings.time, time, heading) - np.interp(landings.time - landings.period, time, heading)
+        return self._turned(self.period)
+
+    @cached_property
+    def bend(self) -> Array:
+        """Half of the heading change over the stride: without the body's sway from step to step ``(n,)``. [rad]"""
+        return self._turned(2 * self.period) / 2
 
     @property
     def vertical(self) -> Array:
@@ -62,6 +66,10 @@ class StepFeatures:
         spectrum = np.abs(np.fft.rfft(level, axis=1)) ** 2 / (taper**2).sum() / count
         band = np.digitize(np.fft.rfftfreq(count, attitude.period), BANDS) - 1
         return np.stack([spectrum[:, band == b].sum(axis=1) for b in range(len(BANDS) - 1)], axis=1)
+
+    def _turned(self, duration: Array) -> Array:
+        landed, time, heading = self.gait.landings.time, self.gait.attitude.time, self.gait.direction.heading
+        return np.interp(landed, time, heading) - np.interp(landed - duration, time, heading)
 
     @cached_property
     def _lifts(self) -> Array:

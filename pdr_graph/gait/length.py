@@ -16,7 +16,7 @@ from pdr_graph.gait.features import StepFeatures
 from pdr_graph.types import Array
 
 REFERENCE_HEIGHT = 1.70  # [m] stature at which a model without it was fitted
-K0, K1 = 0.34, 0.26  # [m], [√(m/s²)·s → m]: see inverted_pendulum
+K0, K1 = 0.34, 0.29  # [m], [√(m/s²)·s → m]: see inverted_pendulum
 SHORTEST, LONGEST = 0.2, 1.2  # [m]
 SPREAD = 0.3  # of a step's length; the settings table of docs/accuracy.md
 TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
@@ -32,9 +32,11 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and
     the pendulum's chord grows with √h: L = k₀ + k₁ √A T. k₁ is fitted between the surveyed waypoints of 15 walks in
     two malls (``scripts/reproduce steps``). k₀ is half a step, which the free fit agrees with: how hard a foot lands
-    depends on shoes, floor and pocket too, and is trusted by half. Both scale with stature.
+    depends on shoes, floor and pocket too, and is trusted by half. Both scale with stature. In bends steps are shorter:
+    [map-matching] Eq. (2), which real walks bear out (1.1 % per degree; ``scripts/reproduce steps``).
     """
-    return _plausible((K0 + K1 * np.sqrt(steps.amplitude) * steps.period) * height / REFERENCE_HEIGHT)
+    straight_on = K0 + K1 * np.sqrt(steps.amplitude) * steps.period
+    return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
 
 
 def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
@@ -53,8 +55,12 @@ def by_cadence(
 
     normal_step: L₀ [m]; normal_cadence: C₀ [steps/min]; height is not used.
     """
-    share = 1 - TURN_SHORTENS / 100 * np.minimum(np.degrees(np.abs(steps.turn)), LARGEST_TURN)
-    return _plausible(share * 60 / steps.period * normal_step / normal_cadence)
+    return _plausible(_in_turns(steps.turn) * 60 / steps.period * normal_step / normal_cadence)
+
+
+def _in_turns(turn: Array) -> Array:
+    """[map-matching] Eq. (2): the share of its length that a step keeps when it turns by ``turn (n,)`` [rad]."""
+    return 1 - TURN_SHORTENS / 100 * np.minimum(np.degrees(np.abs(turn)), LARGEST_TURN)
 
 
 def by_amplitude(
