@@ -78,7 +78,7 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
         iterations=1,
         cost=float("nan"),
         converged=True,
-        warnings=warnings(graph, np.ones(1), True, calibration),
+        warnings=warnings(graph, 1, 1.0, True, calibration),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from pdr_graph.estimation.factors import Evaluation
 from pdr_graph.estimation.graph import AMBIGUOUS, State, WalkGraph
 from pdr_graph.estimation.hypotheses import hypotheses
-from pdr_graph.types import Array
+from pdr_graph.types import Array, Index
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
@@ -19,11 +19,13 @@ LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, who
 LOOSE = 3.0  # times as loosely walls hold at first: hard walls keep a walk that starts 3° off in the wrong aisle
 WILD = 5.0  # [σ] beyond which a fix loses its grip in the second pass
 UNLIKELY = 12.0  # cost above the best at which another solution is not worth mentioning
-STRAINED, STRAINED_SHARE = 3.0, 1.5  # cost, and times that of the walk in the open, at which others are sought
+USUAL = 1.5  # times the cost of a walk in the open that one between walls has
+STRAINED = 3.0  # cost above the usual at which other ways are sought
 ATTEMPTS = 2
 DIRECTIONS = 8  # to start in where any is possible
-OVERSTATED = 1.0  # times by which costs overstate what is known
+UNSEEN = 4.5  # cost above the usual at which a way that the particles missed must be reckoned with
 DIFFERENT = 0.5  # [m] apart at some step: another solution
+SAME_WAY = 4.0  # [m] apart on average: half the distance from the middle of an aisle to that of the next
 
 
 def solutions(graph: WalkGraph) -> list[Optimum]:
@@ -35,15 +37,35 @@ def solutions(graph: WalkGraph) -> list[Optimum]:
     return _distinct(_in_the_building(graph) if graph.walls else [_robustly(start) for start in _turned(graph)])
 
 
-def probabilities(found: list[Optimum]) -> Array:
-    """Of different solutions ``(n,)``, sum 1: the less the measurements and the plan have against one, the likelier."""
-    weight = np.exp((found[0].surprise - np.array([one.surprise for one in found])) / OVERSTATED)
-    return weight / weight.sum()
+def probabilities(found: list[Optimum], way: Index) -> Array:
+    """Of different solutions ``(n,)``: the less the measurements and the plan have against one, the likelier.
+
+    way: ``(n,)`` as of `ways`; solutions of one way share its weight, that of the best. What all lack to 1 is of ways
+    on the plan that nobody found: the more the best is strained beyond the walk in the open, the more. On simulated
+    walks (`scripts/reproduce topology` has others) cost and price count as they are; how sharply a solution is
+    determined (Laplace's approximation) and how many particles went its way tell nothing more.
+    """
+    surprise = np.array([one.surprise for one in found])
+    least = min(surprise.min(), found[0].unseen)
+    weight, together = np.exp(least - surprise), way[:, None] == way
+    weight = weight * np.max(weight * together, axis=1) / (together @ weight)
+    return weight / (weight.sum() + np.exp(least - found[0].unseen))
+
+
+def ways(found: list[Optimum]) -> Index:
+    """Which way each solution goes ``(n,)``: the first one's that it keeps near."""
+    tracks = np.array([one.own.poses.value[:, :2] for one in found])
+    near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SAME_WAY
+    return np.argmax(near, axis=1)
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the optimiser stopped. own: the own factors there; net: the graph factorised just before the last move."""
+    """Where the optimiser stopped.
+
+    own: the own factors there; net: the graph factorised just before the last move; unseen: the surprise of a way that
+    was not found.
+    """
 
     graph: WalkGraph
     values: gtsam.Values
@@ -52,6 +74,7 @@ class Optimum:
     cost: float
     iterations: int
     converged: bool
+    unseen: float = np.inf
 
     @property
     def surprise(self) -> float:
@@ -127,13 +150,13 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     Which fixes are wild is asked of the walk without walls: a walk that they lead astray would blame the fixes.
     """
     in_the_open = _robustly(graph.without_walls())
-    robust = graph.without_grip(in_the_open.graph.fix_wild)
+    robust, expected = graph.without_grip(in_the_open.graph.fix_wild), USUAL * in_the_open.cost
     found = [_along(robust, way) for way in (robust.start, State.of(in_the_open.values))]
     for attempt in range(ATTEMPTS):
         found += [_along(robust, way) for way in hypotheses(robust, attempt)]
-        if min(one.surprise for one in found) < STRAINED + STRAINED_SHARE * in_the_open.cost:
+        if min(one.surprise for one in found) < expected + STRAINED:
             break
-    return found
+    return [replace(one, unseen=expected + UNSEEN) for one in found]
 
 
 def _along(graph: WalkGraph, way: State) -> Optimum:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.types import Array, Calibration, FixReport
 
+SURE = 0.9  # probability below which a user is warned
+
 
 def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array, from_: str) -> tuple[FixReport, ...]:
     """Residual, weight and reason of every fix.
@@ -23,8 +25,13 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
     return tuple(reports)
 
 
-def warnings(graph: WalkGraph, probability: Array, converged: bool, calibration: Calibration) -> tuple[str, ...]:
-    """What a user must know before trusting the result. probability: of the walks that explain the measurements."""
+def warnings(
+    graph: WalkGraph, walks: int, probability: float, converged: bool, calibration: Calibration
+) -> tuple[str, ...]:
+    """What a user must know before trusting the result.
+
+    walks: how many explain the measurements; probability: that it went the way that the estimate did.
+    """
     used, given = int(graph.fix_used.sum()), len(graph.fixes)
     warned = {
         "no position fix: the track starts at (0, 0) with heading 0": used == 0,
@@ -33,8 +40,11 @@ def warnings(graph: WalkGraph, probability: Array, converged: bool, calibration:
         and not len(graph.headings),
         "no fix lies near the floor plan: its walls were not used": bool(used and graph.ground and not graph.walls),
         f"{given - used} fixes lie outside the recording and were not used": used < given,
-        f"{len(probability)} different walks explain the measurements, this one with a probability of "
-        f"{probability[0]:.0%}; the covariance spans them": len(probability) > 1,
+        f"{walks} different walks explain the measurements, this way with a probability of {probability:.0%}; the "
+        "covariance spans them": walks > 1,
+        f"the walk fits the plan poorly, this way with a probability of {probability:.0%}: it may have been another": (
+            walks == 1 and probability < SURE
+        ),
         "the optimiser had not settled": not converged,
     }
     for n, name in enumerate(calibration.names):

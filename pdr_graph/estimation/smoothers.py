@@ -7,7 +7,7 @@ import numpy as np
 from pdr_graph.estimation.covariance import covariance_of_rows
 from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
-from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions
+from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions, ways
 from pdr_graph.estimation.reports import fix_reports, warnings
 from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Calibration, Estimate, Trajectory
@@ -24,8 +24,10 @@ def smooth(graph: WalkGraph) -> Estimate:
 
     # Every step, with its covariance
     rows = _rows(best)
-    probability = probabilities(found)
-    covariance, of_c = _mixed_covariance(found, probability)
+    way = ways(found)
+    probability = probabilities(found, way)
+    of_way = float(probability[way == 0].sum())
+    covariance, of_c = _mixed_covariance(found, probability / probability.sum())
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
 
     # What was learnt, what was trusted, and what to beware of
@@ -40,8 +42,8 @@ def smooth(graph: WalkGraph) -> Estimate:
         iterations=best.iterations,
         cost=best.cost,
         converged=best.converged,
-        probability=float(probability[0]),
-        warnings=warnings(graph, probability, best.converged, calibration),
+        probability=of_way,
+        warnings=warnings(graph, len(found), of_way, best.converged, calibration),
     )
 
 

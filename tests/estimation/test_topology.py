@@ -1,0 +1,72 @@
+"""Which aisle a walk went along, and how sure an estimate may be of it."""
+
+import numpy as np
+import pytest
+import shapely
+from walks import fixes_at, steps_of
+
+from pdr_graph import Headings, smooth
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.optimizer import UNSEEN, probabilities, solutions, ways
+from pdr_graph.floor.areas import Area
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import Frame
+
+WIDTH = 3.0  # [m] of every aisle
+
+
+def aisles(*ends):
+    """Aisles from the origin to each of the ends."""
+    shapes = [shapely.LineString([(0, 0), end]).buffer(WIDTH / 2, cap_style="square") for end in ends]
+    return FloorPlan("", (Area("corridor", "", shapely.union_all(shapes)),), Frame())
+
+
+def straight(metres, floor, headings=None):
+    """A straight walk from the origin, of which the direction is not known without headings."""
+    count = round(metres / 0.7)
+    steps = steps_of(np.full(count, 0.7), np.zeros(count))
+    return WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), headings=headings, floor=floor)
+
+
+def test_of_two_mirror_images_each_gets_a_half():
+    """Less what is kept for ways that nobody found, 1 %, and what the chance of the particles leaves of symmetry."""
+    estimate = smooth(straight(28, aisles((50, 0), (-50, 0))))
+    assert estimate.probability == pytest.approx(0.5, abs=0.05)
+    assert any("different walks" in w for w in estimate.warnings)
+
+
+def test_a_compass_tells_mirror_images_apart():
+    headings = Headings(np.array([10.0]), np.array([np.pi]), np.array([0.35]))
+    estimate = smooth(straight(28, aisles((50, 0), (-50, 0)), headings))
+    assert estimate.probability > 0.9
+    assert estimate.trajectory.position[-1, 0] == pytest.approx(-28, abs=2.0)
+
+
+def test_a_walk_longer_than_one_of_two_aisles_went_along_the_other():
+    estimate = smooth(straight(42, aisles((60, 0), (0, 20))))
+    assert estimate.probability > 0.9
+    assert estimate.trajectory.position[-1] == pytest.approx([42, 0], abs=3.0)
+
+
+def test_a_walk_longer_than_any_aisle_is_not_believed():
+    """Two aisles of 20 m and a walk of 42: whoever wrote the plan, or counted the steps, forgot something."""
+    estimate = smooth(straight(42, aisles((20, 0), (0, 20))))
+    assert estimate.probability < 0.5
+    assert estimate.warnings
+
+
+def test_a_walk_that_is_found_again_is_not_another():
+    """Both together are as likely as the one, and what is left is that of a way which nobody found."""
+    found = solutions(straight(28, aisles((50, 0))))[:1]
+    once, twice = (probabilities(many, ways(many)) for many in (found, 2 * found))
+    assert once == pytest.approx(1 / (1 + np.exp(found[0].surprise - found[0].unseen)))
+    assert once > 0.98
+    assert twice == pytest.approx(np.full(2, once[0] / 2))
+
+
+def test_what_nobody_found_has_a_share_only_on_a_plan():
+    """Without walls all directions are alike, and all of them are tried: they are everything there is."""
+    found = solutions(straight(28, None))
+    assert probabilities(found, ways(found)).sum() == pytest.approx(1.0)
+    found = solutions(straight(28, aisles((50, 0))))
+    assert 0 < 1 - probabilities(found, ways(found)).sum() < 2 * np.exp(-UNSEEN)
