@@ -16,6 +16,7 @@ import numpy as np
 import realism
 import recorded
 import steps
+import topology
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, magnetic_headings, smooth
@@ -164,6 +165,7 @@ if __name__ == "__main__":
     tables |= {"compass": lambda: compass.compass(DATA)}
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"map-matching": map_matching.map_matching}
+    tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):
