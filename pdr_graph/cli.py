@@ -71,7 +71,8 @@ def smooth(
         float, typer.Option(metavar="S", min=-60, max=60, help="How late the phone's own positions are, 0–3 s.")
     ] = 0.0,
     floor: Annotated[
-        str | None, typer.Option(metavar="LABEL", help="The floor, of a plan with several; default: the fixes' floor.")
+        str | None,
+        typer.Option(metavar="LABEL", help="Where the walk begins, of a plan with several; default: as fixes say."),
     ] = None,
 ) -> None:
     """Reconstruct one walk.
@@ -148,10 +149,10 @@ def evaluate(
     import json
 
     from pdr_graph import evaluation
-    from pdr_graph.floor.plan import FloorPlan
+    from pdr_graph.floor.building import Building
     from pdr_graph.io.tables import read_trajectory
 
-    floor = FloorPlan.load(map_) if map_ else None
+    floor = Building.load(map_) if map_ else None
     scores = evaluation.evaluate(read_trajectory(trajectory), read_trajectory(truth), floor, str(pairing))
     if not scores["n"]:
         raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")

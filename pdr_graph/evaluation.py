@@ -13,6 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import gaussian_kde
 
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
 from pdr_graph.types import Array, Mask, Trajectory
@@ -143,10 +144,11 @@ def circular_accuracy(pairs: Pairs) -> float:
     return float(np.hypot(*mode))
 
 
-def obstacle_error(estimate: Trajectory, floor: FloorPlan) -> float:
-    """OE, 0–1: share of rows from which the way to the next leaves the walkable area."""
-    ends = np.concatenate([estimate.position[1:], estimate.position[-1:]])
-    return float(np.mean(floor.crosses_wall(estimate.position, ends)))
+def obstacle_error(estimate: Trajectory, floor: FloorPlan | Building) -> float:
+    """OE, 0–1: share of rows from which the way to the next leaves the walkable area of its floor."""
+    rows = np.append(np.arange(len(estimate)), len(estimate) - 1)
+    labels = [estimate.floor[row] for row in rows.tolist()]
+    return float(np.mean(Building.around(floor).crosses_wall(estimate.position[rows], labels)))
 
 
 def floor_share(pairs: Pairs) -> float:
@@ -156,7 +158,7 @@ def floor_share(pairs: Pairs) -> float:
 
 
 def evaluate(
-    estimate: Trajectory, truth: Trajectory, floor: FloorPlan | None = None, pairing: str = "linear"
+    estimate: Trajectory, truth: Trajectory, floor: FloorPlan | Building | None = None, pairing: str = "linear"
 ) -> dict[str, Any]:
     """All metrics, as ``pdr-graph evaluate --json`` prints them; None where one cannot be computed.
 

@@ -18,16 +18,18 @@ from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.filters import kalman_filter
 from pdr_graph.estimation.fixes_alone import follow
+from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.estimation.smoothers import smooth
-from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.route import read_route
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.heading import magnetic_headings
 from pdr_graph.gait.pdr import detect_steps
 from pdr_graph.gait.profile import Profile
+from pdr_graph.gait.treads import on_treads
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
@@ -84,14 +86,16 @@ def smooth_recording(
         known = Walker.load(walker) if walker else Walker()
         notes = list(walk.notes)
         given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
-        floor = FloorPlan.load(plan, floor_label or _floor_of(given)) if plan else None
-        frame, located = _locate(floor, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
+        building = Building.load(plan) if plan else None
+        frame, located = _locate(building, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
     with stage("steps"):
-        steps, headings = _observe(walk, known, frame, located, floor)
+        steps, headings = _observe(walk, known, frame, located, building)
+        floors = _floors(walk, steps, located, building, floor_label, plan)
+        steps = on_treads(steps, floors.climbs, floors.kinds) if steps and floors else steps
     with stage("estimate"):
-        estimate, missing = _estimate(steps, located, headings, floor, known, method)
+        estimate, missing = _estimate(steps, located, headings, building, floors, known, method)
     with stage("write"):
-        missing += _write(out, walk, floor, frame, estimate, rate)
+        missing += _write(out, walk, building, frame, estimate, rate)
         if steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
             learnt = replace(known, profile=posterior_profile(estimate, steps, known.profile))
             learnt.save(out / "walker.toml", f"what {walk.source} taught of its walker, for --walker of the next walk")
@@ -99,7 +103,7 @@ def smooth_recording(
     settings = {"method": method, "walker": known.describe(), "recorded_fixes": use_recorded_fixes, "rate": rate}
     settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
     settings |= {name: str(path) if path else None for name, path in (("map", plan), ("fixes", fixes))}
-    summary = summarize(walk, steps, headings, floor, frame, estimate)
+    summary = summarize(walk, steps, headings, building, floors, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
     summary["warnings"] = [*notes, *estimate.warnings]
     writers.write_summary(out / "summary.json", summary)
@@ -128,19 +132,13 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | Non
     return profile, laps
 
 
-def _floor_of(fixes: Fixes) -> str | None:
-    """The floor that most fixes are on, None where none says."""
-    labels = [label for label in fixes.floor if label]
-    return max(set(labels), key=labels.count) if labels else None
-
-
-def _locate(floor: FloorPlan | None, given: Fixes, recorded: Fixes, notes: list[str]) -> tuple[Frame, Fixes]:
+def _locate(building: Building | None, given: Fixes, recorded: Fixes, notes: list[str]) -> tuple[Frame, Fixes]:
     """The output frame and all fixes in it; a note on fixes that have no place in it.
 
     The plan's frame; else that of metric fixes; else east-north about the first geodetic fix.
     """
-    if floor is not None:
-        frame = floor.frame
+    if building is not None:
+        frame = building.floors[0].frame
     elif len(given) and given.epsg != LONLAT:
         frame = Frame() if given.epsg is None else projected(given.epsg)
     elif not len(given) + len(recorded):
@@ -169,24 +167,50 @@ def _merge(one: Fixes, other: Fixes) -> Fixes:
 
 
 def _observe(
-    walk: Recording, walker: Walker, frame: Frame, fixes: Fixes, floor: FloorPlan | None
+    walk: Recording, walker: Walker, frame: Frame, fixes: Fixes, building: Building | None
 ) -> tuple[Steps | None, Headings]:
     """Steps and headings; no steps where nothing recorded them and the fixes are all there is."""
     if len(fixes) and walk.accelerometer is None and walk.linear_acceleration is None:
         return None, Headings.none()
     gaits = gait_of(walk)
-    near = fixes.position[0] if len(fixes) else np.zeros(2) if floor is None else floor.corners.mean(axis=0)
+    middle = np.zeros(2) if building is None else building.floors[0].corners.mean(axis=0)
+    near = fixes.position[0] if len(fixes) else middle
     return detect_steps(gaits, walker), magnetic_headings(gaits, frame, near)
 
 
+def _floors(
+    walk: Recording, steps: Steps | None, fixes: Fixes, building: Building | None, begins: str | None, plan: Path | None
+) -> Floors | None:
+    """The floor of every step, by barometer and fixes, where it may change or is told."""
+    if building is not None and len(building.labels) > 1 and begins is not None and begins not in building.labels:
+        raise InputError(plan or "--map", "", f"the floors {', '.join(building.labels)[:80]}", f"a floor {begins!r}")
+    if steps is None:
+        return None
+    only = building.labels[0] if building is not None and len(building.labels) == 1 else ""
+    start = only or begins or next((label for label in fixes.floor if label), "")
+    found = floors_along(steps, walk.barometer, start, fixes, building)
+    if building is not None and not all(found.labels):
+        several = f"{len(building.labels)} floors, {', '.join(building.labels)[:80]}"
+        raise InputError(plan or "--map", "", several, "--floor, the label of the one on which the walk begins")
+    return found
+
+
 def _estimate(
-    steps: Steps | None, fixes: Fixes, headings: Headings, floor: FloorPlan | None, walker: Walker, method: str
+    steps: Steps | None,
+    fixes: Fixes,
+    headings: Headings,
+    building: Building | None,
+    floors: Floors | None,
+    walker: Walker,
+    method: str,
 ) -> tuple[Estimate, tuple[str, ...]]:
     """The walk by one method, and what of it could not be had."""
     if steps is None:
         return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
     prior = prior_of(walker.profile)
-    estimate, missing = _smoothed(WalkGraph(steps, fixes, headings=headings, floor=floor, prior=prior), method)
+    labels = floors.labels if floors else None
+    graph = WalkGraph(steps, fixes, headings=headings, floor=building, floors=labels, prior=prior)
+    estimate, missing = _smoothed(graph, method)
     return estimate, (*steps.unknown, *missing)
 
 
@@ -220,7 +244,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
 
 
 def _write(
-    out: Path, walk: Recording, floor: FloorPlan | None, frame: Frame, estimate: Estimate, rate: float | None
+    out: Path, walk: Recording, building: Building | None, frame: Frame, estimate: Estimate, rate: float | None
 ) -> tuple[str, ...]:
     """All files but the summary; returns what could not be written."""
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
@@ -235,7 +259,9 @@ def _write(
         from pdr_graph.plotting import plot
 
         truth = _truth_beside(walk.truth, frame, estimate)
-        plot(estimate, floor, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(out / "figure.png", dpi=120)
+        plot(estimate, building, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(
+            out / "figure.png", dpi=120
+        )
     except Exception as error:  # a picture must not cost the result
         return (f"figure.png ({type(error).__name__}: {error})",)
     return ()
@@ -255,13 +281,14 @@ def summarize(
     walk: Recording,
     steps: Steps | None,
     headings: Headings,
-    floor: FloorPlan | None,
+    building: Building | None,
+    floors: Floors | None,
     frame: Frame,
     estimate: Estimate,
 ) -> dict[str, Any]:
     """What ``summary.json`` says of the walk itself."""
-    position = estimate.trajectory.position
-    crossings = None if floor is None else int(floor.crosses_wall(position[:-1], position[1:]).sum())
+    track = estimate.trajectory
+    crossings = None if building is None else int(building.crosses_wall(track.position, track.floor).sum())
     packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
     return {
         "recording": walk.source,
@@ -269,7 +296,9 @@ def summarize(
         "distance": round(_length(estimate), 3),
         "duration": round(float(np.ptp(estimate.trajectory.time)), 3),
         "frame": frame.describe(),
-        "floor": floor.label if floor else None,
+        "floor": track.floor[0] or None,
+        "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
+        "climbs": _climbs(floors, walk.clock_origin),
         "calibration": _calibration(estimate, walk.clock_origin),
         "fixes": [_finite(asdict(replace(f, time=f.time + walk.clock_origin))) for f in estimate.fixes],
         "headings": _heading_reports(headings, estimate, walk.clock_origin),
@@ -292,6 +321,17 @@ def _heading_reports(headings: Headings, estimate: Estimate, clock_origin: float
             wrap_angle(headings.heading - at).tolist(),
             strict=True,
         )
+    ]
+
+
+def _climbs(floors: Floors | None, clock_origin: float) -> list[dict[str, Any]]:
+    """When the walker went up or down, how far, and on what."""
+    if floors is None:
+        return []
+    found = floors.climbs
+    return [
+        {"start": float(t + clock_origin), "end": float(u + clock_origin), "height": float(h), "kind": kind}
+        for t, u, h, kind in zip(found.start, found.end, found.height, floors.kinds, strict=True)
     ]
 
 

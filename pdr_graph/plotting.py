@@ -14,8 +14,9 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
 from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
+from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, unit
+from pdr_graph.geometry import interpolate, nearest, unit
 from pdr_graph.types import Array, Estimate, Trajectory
 
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
@@ -28,29 +29,59 @@ LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 
 
 def plot(
-    estimate: Estimate, floor: FloorPlan | None = None, truth: Trajectory | None = None, title: str = ""
+    estimate: Estimate, floor: FloorPlan | Building | None = None, truth: Trajectory | None = None, title: str = ""
 ) -> Figure:
-    """One walk: the plan, dead reckoning in grey, the result with its 95 % region, fixes by weight, truth if given."""
+    """One walk: the plan, dead reckoning in grey, the result with its 95 % region, fixes by weight, truth if given.
+
+    A walk over several floors of a building has axes for each, the lowest at the lower left.
+    """
     track, grey = estimate.trajectory.position, estimate.dead_reckoning.position
     surveyed = track if truth is None else truth.position
     near = [(f.x, f.y) for f in estimate.fixes if f.residual < 0.5 * np.ptp(track, axis=0).max()]
-    figure, (axes,) = _canvas(np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))]), SURROUNDINGS, 1.05)
-    if floor is not None:
-        draw_plan(axes, floor)
-    axes.plot(*grey.T, color=GREY, lw=1.2, ls=(0, (4, 2)), label="dead reckoning", zorder=3)
-    _draw_uncertainty(axes, estimate.trajectory)
+    shown = np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))])
+    floors = _visited(floor, estimate.trajectory)
+    figure, canvases = _canvas(shown, SURROUNDINGS, 1.05, max(1, len(floors)))
+    for n, axes in enumerate(canvases):
+        if floors:
+            draw_plan(axes, floors[n])
+        several = len(floors) > 1
+        _draw_walk(axes, estimate, truth, floors[n].label if several else None)
+        axes.set_title(f"{floors[n].label}   {title}" if several else title, loc="left", fontsize=10)
+    columns = max(2, int(figure.get_figwidth() / 1.6))
+    named = {text: mark for axes in canvases for mark, text in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(named.values(), named.keys(), loc="lower center", ncols=columns, frameon=False, fontsize=9)
+    return figure
+
+
+def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[FloorPlan, ...]:
+    """The floors that a walk was on, the lowest first."""
+    if floor is None:
+        return ()
+    floors = Building.around(floor).floors
+    return tuple(f for f in floors if f.label in track.floor) or floors[:1]
+
+
+def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: str | None) -> None:
+    """What of a walk was on the floor of that label, or all of it."""
+    track = _on(estimate.trajectory, label)
+    axes.plot(
+        *_on(estimate.dead_reckoning, label).T, color=GREY, lw=1.2, ls=(0, (4, 2)), label="dead reckoning", zorder=3
+    )
+    _draw_uncertainty(axes, estimate.trajectory, label)
     axes.plot(*track.T, color=TRACK, lw=2.2, label="most probable walk", zorder=5, solid_joinstyle="round")
     axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
     axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
     if truth is not None:
         few = len(truth) <= MANY
         style: dict[str, Any] = {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0}
-        axes.plot(*truth.position.T, color=TRUTH, label="surveyed", zorder=8 if few else 6, **style)
-    _draw_fixes(axes, estimate)
-    axes.set_title(title, loc="left", fontsize=10)
-    columns = max(2, int(figure.get_figwidth() / 1.6))
-    figure.legend(loc="lower center", ncols=columns, frameon=False, fontsize=9)
-    return figure
+        axes.plot(*_on(truth, label).T, color=TRUTH, label="surveyed", zorder=8 if few else 6, **style)
+    _draw_fixes(axes, estimate, label)
+
+
+def _on(track: Trajectory, label: str | None) -> Array:
+    """Positions ``(n, 2)``, NaN where the walk is known to be on another floor. [m]"""
+    elsewhere = np.array([label is not None and floor not in ("", label) for floor in track.floor], dtype=bool)
+    return np.where(elsewhere[:, None], np.nan, track.position)
 
 
 def plot_plan(*floors: FloorPlan) -> Figure:
@@ -113,28 +144,34 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
         axes.annotate(name, (x, y), ha="center", va="center", fontsize=6, color="#6b655b", zorder=2.5)
 
 
-def _draw_uncertainty(axes: Axes, trajectory: Trajectory) -> None:
+def _draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
     """The 95 % ellipses of the steps, joined to a band."""
     if trajectory.covariance is None:
         return
     every = max(1, len(trajectory) // MOST_ELLIPSES)
+    here = np.isfinite(_on(trajectory, label)[::every, 0])
+    if np.count_nonzero(here) < 2:
+        return
     variance, direction = np.linalg.eigh(trajectory.covariance[::every, :2, :2])
     half_axes = np.sqrt(5.99 * np.maximum(variance, 1e-6))
     circle = unit(np.linspace(0, 2 * np.pi, 33)[:-1])
     rims = np.einsum("nij,nj,kj->nki", direction, half_axes, circle) + trajectory.position[::every, None]
-    pairs = shapely.multipoints(np.concatenate([rims[:-1], rims[1:]], axis=1))
+    pairs = shapely.multipoints(np.concatenate([rims[:-1], rims[1:]], axis=1)[here[:-1] & here[1:]])
     band = shapely.union_all(shapely.convex_hull(pairs))
     axes.add_collection(_patches(band, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
 
 
-def _draw_fixes(axes: Axes, estimate: Estimate) -> None:
+def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
     """Fixes, the paler the less they were trusted, with a line to where the walk was at their time."""
     if not estimate.fixes:
         return
-    place = np.array([(f.x, f.y) for f in estimate.fixes])
-    weight = np.array([f.weight for f in estimate.fixes])
-    track = estimate.trajectory
-    at = interpolate(np.array([f.time for f in estimate.fixes]), track.time, track.position)
+    track, time = estimate.trajectory, np.array([f.time for f in estimate.fixes])
+    here = np.isfinite(_on(track, label)[nearest(track.time, time), 0])
+    place = np.array([(f.x, f.y) for f in estimate.fixes])[here]
+    weight = np.array([f.weight for f in estimate.fixes])[here]
+    at = interpolate(time[here], track.time, track.position)
+    if not len(place):
+        return
     for p, q in zip(place, at, strict=True):
         axes.plot(*np.stack([p, q]).T, color=FIX, lw=0.8, alpha=0.6, zorder=4.5)
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]

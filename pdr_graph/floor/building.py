@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from pdr_graph.floor.areas import CONNECTING
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +57,11 @@ class Building:
         """Some floors of one frame, or a single one."""
         return cls(tuple(sorted(floors, key=lambda floor: floor.height)))
 
+    @classmethod
+    def around(cls, plan: FloorPlan | Building) -> Building:
+        """A single floor as a building, a building as it is."""
+        return cls.of(plan) if isinstance(plan, FloorPlan) else plan
+
     def __getitem__(self, label: str) -> FloorPlan:
         """The floor of that label; a KeyError if there is none."""
         return self.floors[self.index(label)]
@@ -66,12 +72,12 @@ class Building:
             raise KeyError(f"floor {label!r}: found only {', '.join(self.labels)}")
         return self.labels.index(label)
 
-    @cached_property
+    @property
     def labels(self) -> tuple[str, ...]:
         """Of the floors."""
         return tuple(floor.label for floor in self.floors)
 
-    @cached_property
+    @property
     def heights(self) -> Array:
         """Of the floors ``(f,)``, above whatever the plan takes for zero. [m]"""
         return np.array([floor.height for floor in self.floors])
@@ -91,6 +97,18 @@ class Building:
         """What leads elsewhere from a position ``(2,)`` [m] on a floor, or is ``within`` [m] of it; nearest first."""
         here = [(c.distance(position[None])[0], c) for c in self.connections if floor in c.floors]
         return tuple(c for away, c in sorted(here, key=lambda pair: pair[0]) if away <= within)
+
+    def crosses_wall(self, position: Array, labels: Sequence[str]) -> Mask:
+        """Which steps between positions ``(n, 2)`` [m] on floors of these labels lead through a wall. ``(n - 1,)``
+
+        The only floor is any label's; nothing is known of a step on a floor that the building has not.
+        """
+        on = np.array(labels[:-1], dtype=object)
+        crossed = np.zeros(len(on), dtype=bool)
+        for floor in self.floors:
+            here = np.flatnonzero((on == floor.label) | (len(self.floors) == 1))
+            crossed[here] = floor.crosses_wall(position[here], position[here + 1])
+        return crossed
 
     @cached_property
     def parts(self) -> tuple[Index, ...]:

@@ -28,7 +28,7 @@ class Ground:
 
         Raises ValueError if a building has several floors and the labels do not say which.
         """
-        building = Building.of(plan) if isinstance(plan, FloorPlan) else plan
+        building = Building.around(plan)
         if len(building.floors) == 1:
             return cls(building, np.zeros(len(labels), dtype=np.intp))
         unknown = sorted(set(labels) - set(building.labels))

@@ -1,0 +1,54 @@
+"""From a phone's log and a plan of two floors to the floor of every step."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from pdr_graph import evaluation
+from pdr_graph.cli import app
+from pdr_graph.floor.building import Building
+from pdr_graph.io.tables import read_trajectory
+
+ROOT = Path(__file__).resolve().parents[1]
+PLAN = ROOT / "maps" / "two_floors.geojson"
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk")
+    assert (
+        CliRunner().invoke(app, ["simulate", str(ROOT / "scenarios/two_floors.toml"), "--out", str(folder)]).exit_code
+        == 0
+    )
+    return folder
+
+
+def smooth(walk, out, *options):
+    return CliRunner().invoke(app, ["smooth", str(walk), "--map", str(PLAN), *options, "--out", str(out)])
+
+
+def test_up_the_stairs_and_down_in_the_lift(walk, tmp_path):
+    """98 % of the time on the right floor, through no wall of either, changes where stairs and lift are."""
+    result = smooth(walk, tmp_path, "--floor", "1", "--fixes", str(walk / "fixes.csv"))
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["floors"] == ["1", "2", "1"]
+    assert [climb["kind"] for climb in summary["climbs"]] == ["stairs", "lift"]
+    track, building = read_trajectory(tmp_path / "trajectory.csv"), Building.load(PLAN)
+    scores = evaluation.evaluate(track, read_trajectory(walk / "truth.csv"), building)
+    assert scores["fe"] > 0.98
+    assert scores["ce"]["p50"] < 1.0
+    assert scores["oe"] == 0.0
+    for row, (before, after) in enumerate(zip(track.floor, track.floor[1:], strict=False), start=1):
+        if before != after:
+            assert building.connections_at(track.position[row], building.index(after), within=1.0)
+
+
+def test_a_building_wants_to_know_where_the_walk_begins(walk, tmp_path):
+    assert "found 2 floors, 1, 2, needed --floor" in str(smooth(walk, tmp_path).exception)
+
+
+def test_a_floor_that_the_plan_has_not_is_refused(walk, tmp_path):
+    assert "needed a floor 'B3'" in str(smooth(walk, tmp_path, "--floor", "B3").exception)
