@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from pdr_graph.errors import InputError as InputError
     from pdr_graph.estimation.filters import kalman_filter as kalman_filter
+    from pdr_graph.estimation.floors import floors_of as floors_of
     from pdr_graph.estimation.graph import Prior as Prior
     from pdr_graph.estimation.graph import WalkGraph as WalkGraph
     from pdr_graph.estimation.smoothers import smooth as smooth
     from pdr_graph.evaluation import evaluate as evaluate
+    from pdr_graph.floor.building import Building as Building
     from pdr_graph.floor.plan import FloorPlan as FloorPlan
     from pdr_graph.gait.heading import magnetic_headings as magnetic_headings
     from pdr_graph.gait.pdr import detect_steps as detect_steps
@@ -39,6 +41,8 @@ _HOME = {
     "WalkGraph": "estimation.graph",
     "smooth": "estimation.smoothers",
     "evaluate": "evaluation",
+    "floors_of": "estimation.floors",
+    "Building": "floor.building",
     "FloorPlan": "floor.plan",
     "magnetic_headings": "gait.heading",
     "Walker": "gait.walker",
@@ -57,6 +61,7 @@ _HOME = {
     "Trajectory": "types",
 }
 __all__ = [
+    "Building",
     "Calibration",
     "Estimate",
     "Fixes",
@@ -72,6 +77,7 @@ __all__ = [
     "dead_reckon",
     "detect_steps",
     "evaluate",
+    "floors_of",
     "kalman_filter",
     "load",
     "magnetic_headings",

@@ -7,7 +7,9 @@ from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings,
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
 from pdr_graph.gait.gait import gait_of
-from pdr_graph.types import Trajectory
+from pdr_graph.types import Fixes, Trajectory
+
+START_SIGMA = 0.3  # [m] stated of IPIN21's known start
 
 
 def percentiles(errors):
@@ -34,9 +36,12 @@ def ipin21(data):
     walk, floor = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
     gaits, truth, rows = gait_of(walk), floor.frame.place(walk.truth), []
     steps = detect_steps(gaits)
-    for path in sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower()):
-        fixes = read_fixes(path, walk, floor.frame)
-        cells = [path.stem, percentiles(circular_error(pair(truth, fixes_as_track(fixes))))]
+    paths = sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower())
+    start = Fixes(truth.time[:1], truth.position[:1], np.array([START_SIGMA]), ("",))
+    sets = [("the start, alone", start), *((path.stem, read_fixes(path, walk, floor.frame)) for path in paths)]
+    for name, fixes in sets:
+        own = percentiles(circular_error(pair(truth, fixes_as_track(fixes)))) if len(fixes) > 1 else "—"
+        cells = [name, own]
         headings = magnetic_headings(gaits, floor.frame, fixes.position[0])
         for plan in (None, floor):
             track = smooth(WalkGraph(steps, fixes, headings=headings, floor=plan)).trajectory
