@@ -151,21 +151,26 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     """
     in_the_open = _robustly(graph.without_walls())
     robust, expected = graph.without_grip(in_the_open.graph.fix_wild), USUAL * in_the_open.cost
-    found = [_along(robust, way) for way in (robust.start, State.of(in_the_open.values))]
+    laid, found = [robust.start, State.of(in_the_open.values)], list[Optimum]()
     for attempt in range(ATTEMPTS):
-        found += [_along(robust, way) for way in hypotheses(robust, attempt)]
+        loosely = [_loosely(robust, way) for way in (*hypotheses(robust, attempt), *laid)]
+        for near in _distinct(loosely):
+            found.append(_closely(robust, near))
         if min(one.surprise for one in found) < expected + STRAINED:
             break
     return [replace(one, unseen=expected + UNSEEN) for one in found]
 
 
-def _along(graph: WalkGraph, way: State) -> Optimum:
-    """The optimum near one way: in the rooms and corridors that this leads through, then in those it has itself."""
-    follows = graph.following(way)
-    loosely = optimize(follows.with_loose_walls(LOOSE), way.to_values())
-    first = optimize(follows, loosely.values)
+def _loosely(graph: WalkGraph, way: State) -> Optimum:
+    """The optimum near one way, between the loose walls of the rooms and corridors that it leads through."""
+    return optimize(graph.following(way).with_loose_walls(LOOSE), way.to_values())
+
+
+def _closely(graph: WalkGraph, near: Optimum) -> Optimum:
+    """The optimum from there between the walls as they are, then between those that it has itself."""
+    first = optimize(near.graph.with_loose_walls(1 / LOOSE), near.values)
     again = graph.following(State.of(first.values))
-    if again.walls == follows.walls:
+    if again.walls == first.graph.walls:
         return first
     return min(first, optimize(again, first.values), key=lambda one: one.surprise)
 
