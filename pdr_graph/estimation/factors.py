@@ -1,4 +1,4 @@
-"""The graph's own factors: PDR between two keyframes, and walls along the steps between them.
+"""The graph's own factors: PDR between two keyframes, walls along the steps between them, and turns.
 
 Each factor is its equation, for any number of keyframe intervals at once. Poses are rows (x, y, θ); derivatives are by
 GTSAM's local coordinates of Pose2 (x ⊕ ξ = x Exp ξ: forward, left, turn). The batch smoother evaluates the whole walk
@@ -14,31 +14,14 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
+from pdr_graph.estimation.linearised import Linearised
 from pdr_graph.estimation.preintegration import Bridge, Increments, Pieces, preintegrate
+from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.geometry import pose_rotation, wrap_angle
 from pdr_graph.types import Array, Index
 
 BODY, BODY_SIGMA = 0.15, 0.1  # [m] that the middle of a walker keeps from any wall, and how loosely, of the spring's
-
-
-@dataclass(frozen=True)
-class Linearised:
-    """Values ``(k, r)`` and their derivatives by x_i, x_j and c, each ``(k, r, 3)``."""
-
-    value: Array
-    by_i: Array
-    by_j: Array
-    by_c: Array
-
-    def times(self, matrix: Array) -> Linearised:
-        """``matrix (k, q, r)`` times values and derivatives."""
-        value = np.einsum("kqr,kr->kq", matrix, self.value)
-        return Linearised(value, matrix @ self.by_i, matrix @ self.by_j, matrix @ self.by_c)
-
-    def take(self, rows: Index) -> Linearised:
-        """The rows with these indices."""
-        return Linearised(self.value[rows], self.by_i[rows], self.by_j[rows], self.by_c[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +62,16 @@ class Walls:
 class Evaluation:
     """The own factors at one state, and what they were made of.
 
-    pieces, bridge: of the intervals; pose_i: ``(k, 3)``; increments: at c; left_over: of the PDR factor, not whitened.
+    pieces, bridge: of the intervals; pose_i, pose_j: ``(k, 3)``; increments: at c; left_over: of the PDR factor, not
+    whitened.
     """
 
     pieces: Pieces
     bridge: Bridge
     walls: Walls | None
+    turns: Turns | None
     pose_i: Array
+    pose_j: Array
     increments: Increments
     left_over: Linearised
 
@@ -105,16 +91,38 @@ class Evaluation:
         return self.walls and wall(self.poses, self.pieces, self.walls)
 
     @cached_property
+    def turned(self) -> tuple[Array, Array]:
+        """What each turn turns too much or too little ``(t,)``, whitened, and its derivative by that angle."""
+        if self.turns is None:
+            return np.empty(0), np.empty(0)
+        return self.turns.turned(np.append(self.pose_i[:, 2], self.pose_j[-1:, 2]))
+
+    @cached_property
+    def corner(self) -> Linearised | None:
+        """How far outside its intersection each turn is, a row ``(t, 4)``, whitened; None without turns."""
+        return None if self.turns is None else self.turns.place(self.poses)
+
+    @cached_property
     def cost(self) -> float:
         """Half the sum of squares, as GTSAM counts it."""
         r = np.einsum("kij,kj->ki", self.bridge.root, self.left_over.value)
-        return 0.5 * float(np.sum(r**2) + (0.0 if self.wall is None else np.sum(self.wall.value**2)))
+        others = [own.value for own in (self.wall, self.corner) if own is not None]
+        return 0.5 * float(sum(np.sum(v**2) for v in (r, self.turned[0], *others)))
 
 
-def evaluate(pieces: Pieces, bridge: Bridge, pose_i: Array, pose_j: Array, c: Array, walls: Walls | None) -> Evaluation:
-    """Both own factors of every interval. pose_i, pose_j, c: ``(k, 3)`` at both ends of, and in, each interval."""
+def evaluate(
+    pieces: Pieces,
+    bridge: Bridge,
+    pose_i: Array,
+    pose_j: Array,
+    c: Array,
+    walls: Walls | None = None,
+    turns: Turns | None = None,
+) -> Evaluation:
+    """The own factors of every interval. pose_i, pose_j, c: ``(k, 3)`` at both ends of, and in, each interval."""
     increments = preintegrate(pieces, c)
-    return Evaluation(pieces, bridge, walls, pose_i, increments, pdr(pose_i, pose_j, increments, pieces))
+    left_over = pdr(pose_i, pose_j, increments, pieces)
+    return Evaluation(pieces, bridge, walls, turns, pose_i, pose_j, increments, left_over)
 
 
 def pdr(pose_i: Array, pose_j: Array, increments: Increments, pieces: Pieces) -> Linearised:

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
+from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.preintegration import DECIMALS, Increments, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
+from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
 from pdr_graph.floor.plan import FloorPlan
@@ -40,7 +42,7 @@ class Prior:
     mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
-    wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m].
+    wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m]; corridors: see ``Use``.
     """
 
     mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
@@ -49,6 +51,7 @@ class Prior:
     correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wall_margin: float = 0.8
     wall_sigma: float = 1.0
+    corridors: Use = field(default_factory=Use)
 
     @property
     def covariance(self) -> Array:
@@ -130,6 +133,7 @@ class WalkGraph:
         self.bridge = bridge(self.pieces, increments)
         self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(increments))
         self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
+        self.corridors: Corridors | None = None
         self.native = self._native_factors()
 
         # Walls say nothing of a walk that could be anywhere, or is elsewhere
@@ -140,7 +144,12 @@ class WalkGraph:
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """The own factors at ``values``."""
         state = State.of(values)
-        return evaluate(self.pieces, self.bridge, state.poses[:-1], state.poses[1:], state.c[self.segment], self.walls)
+        return self._evaluated(state, self.walls, self.turns)
+
+    @property
+    def turns(self) -> Turns | None:
+        """The turns that were matched to intersections."""
+        return self.corridors and self.corridors.turns
 
     def error(self, values: gtsam.Values) -> float:
         """The cost at ``values``: half the sum of squared, robustly weighted errors, as GTSAM counts it."""
@@ -154,6 +163,8 @@ class WalkGraph:
         pdr = own.pdr
         for x, c, by_i, by_j, by_c, b in zip(*self.keys, pdr.by_i, pdr.by_j, pdr.by_c, -pdr.value, strict=True):
             graph.add(x, by_i, x + 1, by_j, c, by_c, b, noise)
+        if own.turns is not None:
+            self._linearize_turns(graph, own, own.turns)
         if own.wall is None:
             return graph
         pressed = np.flatnonzero(own.wall.value[:, 0])
@@ -170,12 +181,13 @@ class WalkGraph:
         for i, (x, c) in enumerate(zip(*self.keys, strict=True)):
             keys = (x, x + 1, c)
             pieces, own_bridge = self.pieces.only(i), self.bridge.only(self.pieces, i)
-            walls = self.walls and self.walls.only(slice(self.pieces.first[i], self.pieces.last[i] + 1))
+            here = slice(int(self.pieces.first[i]), int(self.pieces.last[i]) + 1)
+            others = self.walls and self.walls.only(here), self.turns and self.turns.only(here)
 
-            def at(values: gtsam.Values, keys=keys, pieces=pieces, own_bridge=own_bridge, walls=walls) -> Evaluation:
+            def at(values: gtsam.Values, keys=keys, pieces=pieces, own_bridge=own_bridge, others=others) -> Evaluation:
                 i, j = (values.atPose2(k) for k in keys[:2])
                 pose_i, pose_j = np.array([[i.x(), i.y(), i.theta()]]), np.array([[j.x(), j.y(), j.theta()]])
-                return evaluate(pieces, own_bridge, pose_i, pose_j, values.atVector(keys[2])[None], walls)
+                return evaluate(pieces, own_bridge, pose_i, pose_j, values.atVector(keys[2])[None], *others)
 
             def pdr(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
                 r = at(values).pdr
@@ -186,10 +198,32 @@ class WalkGraph:
                 assert r is not None
                 return r.value[:, 0], [r.by_i[:, 0], r.by_j[:, 0], r.by_c[:, 0]]
 
+            def corner(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
+                r = at(values).corner
+                assert r is not None
+                return r.value.ravel(), [by.reshape(-1, 3) for by in (r.by_i, r.by_j, r.by_c)]
+
             graph.add(guarded("PDR", gtsam.noiseModel.Unit.Create(3), keys, pdr))
             if self.walls:
                 graph.add(guarded("wall", gtsam.noiseModel.Unit.Create(len(pieces.length)), keys, wall))
+            if others[1]:
+                graph.add(guarded("intersection", gtsam.noiseModel.Unit.Create(4 * len(others[1])), keys, corner))
+        if self.turns:
+            graph.push_back(_turn_factors(self.turns))
         return graph
+
+    def _linearize_turns(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, turns: Turns) -> None:
+        """Of turns beyond their range, and of those outside their intersection."""
+        (value, slope), corner = own.turned, own.corner
+        assert corner is not None
+        noise = gtsam.noiseModel.Unit.Create(1)
+        for n in np.flatnonzero(value):
+            by_after = np.array([[0.0, 0.0, slope[n]]])
+            graph.add(X(int(turns.before[n])), -by_after, X(int(turns.after[n])), by_after, -value[n : n + 1], noise)
+        noise = gtsam.noiseModel.Unit.Create(4)
+        for n in np.flatnonzero(corner.value.any(axis=1)):
+            x, c = (keys[self.pieces.interval[turns.piece[n]]] for keys in self.keys)
+            graph.add(x, corner.by_i[n], x + 1, corner.by_j[n], c, corner.by_c[n], -corner.value[n], noise)
 
     def turned(self, angle: float) -> WalkGraph:
         """The same measurements, started ``angle`` [rad] further round the fixes and loosely held there."""
@@ -203,13 +237,16 @@ class WalkGraph:
         other = copy(self)
         other.start = start
         other.walls = other._walls_along(start)
+        other.corridors = other._corridors_along(start)
         other.native = other._native_factors()
         return other
 
     def without_walls(self) -> WalkGraph:
         """The same measurements without the plan."""
         other = copy(self)
-        other.walls = None
+        other.walls = other.corridors = None
+        if self.corridors:
+            other.native = other._native_factors()
         return other
 
     def with_loose_walls(self, times: float) -> WalkGraph:
@@ -286,9 +323,22 @@ class WalkGraph:
     def _walls_along(self, state: State) -> Walls:
         """The walls about the steps as ``state`` has them."""
         assert self.ground is not None, "there is a plan"
-        own = evaluate(self.pieces, self.bridge, state.poses[:-1], state.poses[1:], state.c[self.segment], None)
+        own = self._evaluated(state)
         walls = self.ground.walls_along(own.poses.value[:, :2], self.pieces.length > 0)
         return Walls(*walls, self.prior.wall_margin, self.prior.wall_sigma)
+
+    def _corridors_along(self, state: State) -> Corridors | None:
+        """The turns and straight runs of the steps as ``state`` has them."""
+        assert self.ground is not None, "there is a plan"
+        use = self.prior.corridors
+        if not (use.turns or use.directions):
+            return None
+        own = self._evaluated(state)
+        return corridors_along(self.ground, self.pieces, own.poses.value, state.poses[:, 2], use)
+
+    def _evaluated(self, state: State, walls: Walls | None = None, turns: Turns | None = None) -> Evaluation:
+        ends = state.poses[:-1], state.poses[1:]
+        return evaluate(self.pieces, self.bridge, *ends, state.c[self.segment], walls, turns)
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
@@ -311,6 +361,12 @@ class WalkGraph:
             at = X(int(self.heading_keyframe[n]))
             graph.add(gtsam.PoseRotationPrior2D(at, gtsam.Pose2(0.0, 0.0, heading), compass))
 
+        if self.corridors:
+            runs = self.corridors.direction
+            for k, heading, sigma in zip(self.corridors.keyframe, runs.heading, runs.sigma, strict=True):
+                along = noise.Robust.Create(huber, noise.Isotropic.Sigma(1, sigma))
+                graph.add(gtsam.PoseRotationPrior2D(X(int(k)), gtsam.Pose2(0.0, 0.0, heading), along))
+
         if self.fix_used.any():
             heading = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
             graph.add(gtsam.PoseRotationPrior2D(X(0), heading, noise.Isotropic.Sigma(1, ANY_HEADING)))
@@ -320,6 +376,22 @@ class WalkGraph:
             origin = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
             graph.add(gtsam.PriorFactorPose2(X(0), origin, noise.Diagonal.Sigmas(np.array([size, size, turn]))))
         return graph
+
+
+def _turn_factors(turns: Turns) -> gtsam.NonlinearFactorGraph:
+    """The heading change of each turn, between the poses before and after it."""
+    graph = gtsam.NonlinearFactorGraph()
+    for n in range(len(turns)):
+        keys = X(int(turns.before[n])), X(int(turns.after[n]))
+        own = replace(turns.take(np.array([n])), before=np.array([0]), after=np.array([1]))
+
+        def turned(values: gtsam.Values, keys=keys, own=own) -> tuple[Array, list[Array]]:
+            value, slope = own.turned(np.array([values.atPose2(k).theta() for k in keys]))
+            by_after = np.array([[0.0, 0.0, slope[0]]])
+            return value, [-by_after, by_after]
+
+        graph.add(guarded("turn", gtsam.noiseModel.Unit.Create(1), keys, turned))
+    return graph
 
 
 def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, rows: int) -> tuple[str, ...]:

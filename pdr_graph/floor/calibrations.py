@@ -52,11 +52,16 @@ def transformed(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Arr
 
 
 def range_of_R_d(turn: Turn, corners: Array, theta: float, before: float, after: float) -> tuple[float, float]:
-    """Eq. (6): α/θ ≤ R_d ≤ β/θ.
+    """Eq. (6): α/θ ≤ R_d ≤ β/θ, θ the turn's estimated heading change [rad]; the others as of `range_of_turn`."""
+    return _ordered(*(angle / theta for angle in range_of_turn(turn, corners, before, after)))
 
-    theta: the turn's estimated heading change [rad]; before, after: how far the walk was seen along the links on either
-    side [m]. α, the least that one can turn, is out-in-out: from the outer wall past the inner corner to the outer
-    wall. β, the greatest, is in-out-in. The paper's corridors are seen from one intersection to the other.
+
+def range_of_turn(turn: Turn, corners: Array, before: float, after: float) -> tuple[float, float]:
+    """α and β of Eq. (6), counter-clockwise, the lower first. [rad]
+
+    before, after: how far the walk was seen along the links on either side [m]. α, the least that one can turn, is
+    out-in-out: from the outer wall past the inner corner to the outer wall. β, the greatest, is in-out-in. The paper's
+    corridors are seen from one intersection to the other.
     """
     bearing = (corners - corners.mean(axis=0)) @ (turn.out_of - turn.into)
     inner, outer = corners[np.argmax(bearing)], corners[np.argmin(bearing)]
@@ -68,7 +73,7 @@ def range_of_R_d(turn: Turn, corners: Array, theta: float, before: float, after:
         come, gone = by - wall(side, turn.into, -before), wall(side, turn.out_of, after) - by
         return float(np.arctan2(come[0] * gone[1] - come[1] * gone[0], come @ gone))
 
-    return _ordered(turned(outer, inner) / theta, turned(inner, outer) / theta)
+    return _ordered(turned(outer, inner), turned(inner, outer))
 
 
 def range_of_R_s(turn: Turn, corners: Array, start: Array, walked: Array) -> Array:

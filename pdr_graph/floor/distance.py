@@ -57,6 +57,13 @@ class DistanceField:
         by_y = (d01 - d00) * (1 - fx) + (d11 - d10) * fx
         return distance, np.stack([by_x, by_y], axis=1) / SPACING
 
+    def walls_near(self, points: Array, within: float) -> tuple[Index, Array]:
+        """All pairs of a point of ``points (n, 2)`` and a wall no further from it than that [m]: which point ``(p,)``,
+        and the wall's ends ``(p, 2, 2)``.
+        """
+        point, wall = self._tree.query(shapely.points(points), predicate="dwithin", distance=within)
+        return point, shapely.get_coordinates(self._walls[wall]).reshape(-1, 2, 2)
+
     def about(self, x: Array, y: Array) -> Array:
         """Distance [m] at points, right to 0.1 m and in little time: by pixels of 0.125 m. x, y: of one shape, any."""
         ix = _pixel(x, self._corner[0], self._wide)

@@ -65,8 +65,8 @@ class Ground:
         them holds for each piece ``(m,)``, −1 none; and what the regions' changes cost.
         """
         number, of_piece, total = dict[DistanceField, int](), np.full(len(track), NOWHERE), 0.0
-        for begin, end in zip(self._begins, [*self._begins[1:], len(track)], strict=True):
-            fields, which, price = self.building.floors[self.level[begin]].regions.walls_along(track[begin:end])
+        for floor, begin, end in self.stretches:
+            fields, which, price = floor.regions.walls_along(track[begin:end])
             numbers = np.array([*(number.setdefault(field, len(number)) for field in fields), NOWHERE])
             of_piece[begin:end] = numbers[which]
             total += price
@@ -78,5 +78,8 @@ class Ground:
         return tuple(number), of_piece, total
 
     @property
-    def _begins(self) -> list[int]:
-        return [0, *self.changes]
+    def stretches(self) -> list[tuple[FloorPlan, int, int]]:
+        """The pieces [begin, end) that are on one floor after the other."""
+        begins = [0, *self.changes]
+        ends = [*begins[1:], len(self.level)]
+        return [(self.building.floors[self.level[b]], b, e) for b, e in zip(begins, ends, strict=True)]

@@ -55,14 +55,20 @@ class Network:
         return line if self.links[link, 0] == node else line[::-1]
 
 
-def network_of(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geometry) -> Network:
-    """The network that a plan draws, or else the one derived from where one can walk."""
-    ways = _ways(cells, walkable)
+def drawn_network(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geometry) -> Network | None:
+    """The network that a plan draws; None if it draws none, or one that leads through walls."""
     drawn = _drawn(areas)
-    if drawn is not None and shapely.covers(shapely.buffer(ways, TOUCH), shapely.MultiLineString(drawn[3])):
-        nodes, corners, links, lines = drawn
-    else:
-        nodes, corners, links, lines = derivation.derive(ways)
+    if drawn is None:
+        return None
+    (nodes, corners, links, lines), ways = drawn, _ways(cells, walkable)
+    within = shapely.covers(shapely.buffer(ways, TOUCH), shapely.MultiLineString(lines))
+    return Network(nodes, corners, links, tuple(lines), ways) if within else None
+
+
+def derived_network(cells: Cells, walkable: shapely.Geometry) -> Network:
+    """The network derived from where one can walk: seconds on a large floor."""
+    ways = _ways(cells, walkable)
+    nodes, corners, links, lines = derivation.derive(ways)
     return Network(nodes, corners, links, tuple(lines), ways)
 
 

@@ -14,7 +14,7 @@ from pdr_graph.floor import formats
 from pdr_graph.floor.areas import OUTLINE, SOLID, Area
 from pdr_graph.floor.cells import CRACK, Cells
 from pdr_graph.floor.distance import DistanceField
-from pdr_graph.floor.network import Network, network_of
+from pdr_graph.floor.network import Network, derived_network, drawn_network
 from pdr_graph.floor.regions import Regions
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
@@ -106,8 +106,14 @@ class FloorPlan:
 
     @cached_property
     def network(self) -> Network:
-        """Intersections and the corridors between them."""
-        return network_of(self.areas, self.cells, self.walkable)
+        """Intersections and the corridors between them, as drawn or else derived."""
+        drawn = self.drawn_network
+        return derived_network(self.cells, self.walkable) if drawn is None else drawn
+
+    @cached_property
+    def drawn_network(self) -> Network | None:
+        """Intersections and the corridors between them, if the plan draws them."""
+        return drawn_network(self.areas, self.cells, self.walkable)
 
     @cached_property
     def corners(self) -> Array:

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 import shapely
 from gtsam.symbol_shorthand import C, X
-from walks import dead_reckon, fixes_on, wandering_walk
+from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
+from pdr_graph.estimation.corridors import Use
 from pdr_graph.estimation.factors import FactorError, guarded
-from pdr_graph.estimation.graph import State, WalkGraph
+from pdr_graph.estimation.graph import Prior, State, WalkGraph
 from pdr_graph.floor.areas import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
@@ -23,6 +24,24 @@ def hall(margin=1.0):
 def walled_graph(seed=0, steps=24):
     said = wandering_walk(steps, seed)
     return WalkGraph(said, fixes_on(dead_reckon(said), every=7), floor=hall())
+
+
+def ring():
+    """Corridors of 2.5 m round a block of 14 m, with the intersections at its corners."""
+    at, w = (-1.25, 12.75), 2.5
+    crossings = [shapely.box(x, y, x + w, y + w) for x in at for y in at]
+    ways = [shapely.box(1.25, y, 12.75, y + w) for y in at] + [shapely.box(x, 1.25, x + w, 12.75) for x in at]
+    areas = [("intersection", c) for c in crossings] + [("corridor", c) for c in ways]
+    return FloorPlan("ring", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
+
+
+def turning_graph():
+    """Two laps of the ring, whose turns and straight runs are matched along the walk itself."""
+    said = square_walk(20, laps=2)
+    track = dead_reckon(said)
+    start = fixes_at(track.time[:1], track.position[:1])
+    graph = WalkGraph(said, start, floor=ring(), prior=Prior(corridors=Use(turns=True, directions=True)))
+    return graph.following(graph.start)
 
 
 def random_state(graph, random):
@@ -49,6 +68,12 @@ def differences(factor, values):
     return blocks
 
 
+def assert_derivatives(factor, values):
+    analytic = np.hsplit(factor.linearize(values).jacobian()[0], len(factor.keys()))
+    for block, numeric in zip(analytic, differences(factor, values), strict=True):
+        assert block == pytest.approx(numeric, abs=2e-5)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_jacobians(seed):
     """PDR and wall factors at random states. Walls are bilinear: 1e-6 crosses a cell's border too rarely to matter."""
@@ -59,14 +84,26 @@ def test_jacobians(seed):
     own = [factors.at(n) for n in range(graph.native.size(), factors.size())]
     assert len(own) == 2 * len(graph.segment)
     for factor in own:
-        analytic = np.hsplit(factor.linearize(values).jacobian()[0], 3)
-        for block, numeric in zip(analytic, differences(factor, values), strict=True):
-            assert block == pytest.approx(numeric, abs=2e-5)
+        assert_derivatives(factor, values)
 
 
-def test_batch_linearisation_is_gtsams_own():
+@pytest.mark.parametrize("seed", range(3))
+def test_jacobians_of_turns(seed):
+    """The heading change between two poses, and the intersection that a step between two others should lie in."""
+    graph = turning_graph()
+    values = random_state(graph, np.random.default_rng(seed)).to_values()
+    factors = graph.to_gtsam()
+    own = [factors.at(n) for n in range(graph.native.size(), factors.size())]
+    turns = [f for f in own if (f.dim() == 1 and len(f.keys()) == 2) or f.dim() == 4]
+    assert len(turns) == 2 * len(graph.turns)
+    assert sum(np.any(f.unwhitenedError(values)) for f in turns) > len(turns) / 2
+    for factor in turns:
+        assert_derivatives(factor, values)
+
+
+@pytest.mark.parametrize("graph", [walled_graph(seed=3), turning_graph()], ids=["walls", "walls and turns"])
+def test_batch_linearisation_is_gtsams_own(graph):
     """What the smoother assembles for the whole walk equals GTSAM linearising factor by factor, to rounding."""
-    graph = walled_graph(seed=3)
     values = random_state(graph, np.random.default_rng(1)).to_values()
     ordering = gtsam.Ordering.NaturalNonlinearFactorGraph(graph.to_gtsam())
     ours, theirs = (g.hessian(ordering) for g in (graph.linearize(values), graph.to_gtsam().linearize(values)))
