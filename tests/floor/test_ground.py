@@ -1,0 +1,94 @@
+"""On which floor each piece of a walk is, and the walls about it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from pdr_graph import FloorPlan
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.ground import Ground
+from pdr_graph.floor.regions import NOWHERE
+
+MAPS = Path(__file__).resolve().parents[2] / "maps"
+
+
+@pytest.fixture(scope="module")
+def office():
+    return Building.load(MAPS / "two_floors.geojson")
+
+
+@pytest.fixture(scope="module")
+def stairs(office):
+    return next(c for c in office.connections if c.kind == "stairs")
+
+
+def up_the_stairs(stairs):
+    """A walk to the stairs, up, and away: positions ``(n, 2)`` and the label of each piece."""
+    x, y = shapely.get_coordinates(shapely.centroid(stairs.polygon))[0]
+    low = shapely.bounds(stairs.polygon)[1]
+    to = np.array([[x, low - 1.5], [x, low - 0.5], [x, low + 0.5], [x, y]])
+    return np.concatenate([to, to[::-1]]), ["1"] * 4 + ["2"] * 4
+
+
+def test_a_single_floor_needs_no_labels():
+    plan = FloorPlan.load(MAPS / "office.geojson")
+    ground = Ground.of(plan, ["", "", ""])
+    assert ground.level.tolist() == [0, 0, 0]
+    assert ground.changes == {}
+    assert ground.field(2) is plan.distance
+
+
+def test_a_label_that_the_building_does_not_have_is_refused(office):
+    with pytest.raises(ValueError, match="floors: found '3', needed labels out of 1, 2"):
+        Ground.of(office, ["1", "3"])
+
+
+def test_every_piece_feels_the_walls_of_its_own_floor(office):
+    ground = Ground.of(office, ["1", "2"])
+    assert ground.field(0) is office["1"].distance
+    assert ground.field(1) is office["2"].distance
+
+
+def test_a_change_of_floor_names_the_stairs_and_lifts_that_lead_there(office):
+    changes = Ground.of(office, ["1", "1", "2", "2", "1"]).changes
+    assert list(changes) == [2, 4]
+    assert {way.kind for way in changes[2]} == {"stairs", "lift"}
+
+
+def test_before_a_change_a_walk_is_held_in_the_nearest_stairs(office, stairs):
+    track, labels = up_the_stairs(stairs)
+    ground = Ground.of(office, labels)
+    fields, which, _ = ground.walls_along(track, np.ones(len(track), dtype=bool))
+    assert fields[which[3]] is stairs.field
+    assert [fields[w] is stairs.field for w in which] == [n == 3 for n in range(8)]
+    inside, _ = stairs.field.at(track[3:4])
+    outside, _ = stairs.field.at(track[:1])
+    assert inside > 0 > outside
+
+
+def test_who_stands_when_the_floor_changes_is_held_by_the_last_step(office, stairs):
+    """A lift is waited in: the pieces before the change led nowhere."""
+    track, labels = up_the_stairs(stairs)
+    moved = np.array([True, True, True, False, False, True, True, True])
+    fields, which, _ = Ground.of(office, labels).walls_along(track, moved)
+    assert fields[which[2]] is stairs.field
+    assert fields[which[3]] is not stairs.field
+
+
+def test_the_walls_of_the_other_floor_are_not_felt(office):
+    """A place that is solid on one floor, and walkable on the other."""
+    grid = np.stack(np.meshgrid(np.arange(-1, 45, 0.5), np.arange(0, 18, 0.5)), axis=-1).reshape(-1, 2)
+    below, above = (office[label].distance.at(grid)[0] for label in ("1", "2"))
+    (differs,) = np.nonzero((below > 0.5) & (above < -0.5))
+    assert len(differs), "the floors are not the same"
+    place = grid[differs[:1]]
+    fields, which, _ = Ground.of(office, ["1"]).walls_along(place, np.ones(1, dtype=bool))
+    assert which[0] != NOWHERE
+    assert fields[which[0]].at(place)[0] > 0.3
+
+
+def test_far_from_every_floor_nothing_is_near(office):
+    ground = Ground.of(office, ["1"])
+    assert ground.near(np.array([[10.0, 9.0], [1000.0, 9.0]])).tolist() == [True, False]

@@ -1,0 +1,103 @@
+"""Regions: the parts that doors divide, and which of them a walk is in."""
+
+import numpy as np
+import pytest
+import shapely
+
+from pdr_graph import FloorPlan
+from pdr_graph.floor.areas import Area
+from pdr_graph.floor.regions import DOOR_COST, NOWHERE, OUTSIDE_PRICE, WALL_COST
+from pdr_graph.frames import Frame
+
+HALL = ("corridor", "hall", shapely.box(0, 0, 20, 3))
+AISLE = ("corridor", "aisle", shapely.box(8, -6, 11, 0))
+ROOMS = (("room", "A", shapely.box(0, 3.12, 9.94, 9)), ("room", "B", shapely.box(10.06, 3.12, 20, 9)))
+DOOR_OF_A = ("door", "", shapely.box(4, 2.95, 5, 3.2))
+HALLS_REGION, A, B = 0, 1, 2
+
+
+def plan(*areas):
+    return FloorPlan("1", tuple(Area(kind, name, shape) for kind, name, shape in areas), Frame())
+
+
+@pytest.fixture(scope="module")
+def regions():
+    return plan(HALL, AISLE, *ROOMS, DOOR_OF_A).regions
+
+
+def track(*corners, step=0.25):
+    """Points on the way between corners ``(n, 2)``."""
+    line = shapely.LineString(corners)
+    return shapely.get_coordinates(shapely.line_interpolate_point(line, np.arange(0, line.length, step)))
+
+
+def test_corridors_are_one_region_and_every_room_is_one(regions):
+    assert len(regions) == 3
+    assert shapely.area(regions.polygons) == pytest.approx([60 + 18, 9.94 * 5.88, 9.94 * 5.88], abs=0.1)
+    assert regions.joins.tolist() == [[True, True, False]], "A's door joins it to the hall"
+
+
+def test_a_plan_without_cells_is_one_region():
+    floor = plan(("floor", "", shapely.box(0, 0, 30, 20)), ("shop", "", shapely.box(5, 5, 10, 10)))
+    assert len(floor.regions) == 1
+    assert floor.regions.along(track((1, 1), (20, 1)))[0].tolist() == [0] * 76
+
+
+def test_a_walk_through_the_door_costs_a_door(regions):
+    region, price = regions.along(track((1, 1.5), (4.5, 1.5), (4.5, 6)))
+    assert region[0] == HALLS_REGION
+    assert region[-1] == A
+    assert np.count_nonzero(np.diff(region)) == 1
+    assert price == pytest.approx(DOOR_COST)
+
+
+def test_a_walk_that_strays_into_a_room_for_a_step_stays_in_its_corridor(regions):
+    """It errs by half a metre; a room is entered by its door or not at all."""
+    strays = track((8, 1.5), (18, 1.5))
+    strays[20:22, 1] = 3.5
+    region, price = regions.along(strays)
+    assert set(region) == {HALLS_REGION}
+    assert price == 0
+
+
+def test_a_walk_that_ends_deep_in_a_room_without_a_door_pays_for_its_wall(regions):
+    region, price = regions.along(track((15, 1.5), (15, 8)))
+    assert (region[0], region[-1]) == (HALLS_REGION, B)
+    assert price == pytest.approx(WALL_COST)
+
+
+def test_two_rooms_are_not_joined_by_the_door_of_one(regions):
+    """From the room with a door to the one without there is only the wall."""
+    _, price = regions.along(track((4.5, 6), (18, 6)))
+    assert price == pytest.approx(WALL_COST)
+
+
+def test_far_from_all_a_walk_is_nowhere_and_pays_little(regions):
+    region, price = regions.along(track((100, 100), (110, 100)))
+    assert set(region) == {NOWHERE}
+    assert price == pytest.approx(OUTSIDE_PRICE * len(region))
+
+
+def test_beyond_a_thin_wall_the_field_of_a_region_is_negative(regions):
+    """The distance to any wall is positive on either side of 12 cm; that to the walls of the hall is not."""
+    beyond = np.array([[15.0, 3.5], [15.0, 5.0]])
+    assert np.all(regions.field((HALLS_REGION,)).at(beyond)[0] < -0.3)
+    assert np.all(regions.field((B,)).at(beyond)[0] > 0.3)
+
+
+def test_two_regions_and_the_door_between_them_let_a_walk_through(regions):
+    both = regions.field((HALLS_REGION, A))
+    assert both.at(np.array([[4.5, 3.06]]))[0] > 0, "in the door"
+    through = both.at(np.column_stack([np.full(9, 4.5), np.linspace(2, 4, 9)]))[0]
+    assert through.min() > 0.2, "half a door, as a grid of 25 cm has it"
+    assert both.at(np.array([[15.0, 5.0]]))[0] < 0, "in the third region"
+
+
+def test_the_walls_about_a_change_are_those_of_both_regions(regions):
+    points = track((4.5, 1.0), (4.5, 6))
+    fields, which, price = regions.walls_along(points)
+    assert price == pytest.approx(DOOR_COST)
+    used = [fields[w] for w in which]
+    assert used[0] is regions.field((HALLS_REGION,))
+    assert used[-1] is regions.field((A,))
+    assert regions.field((HALLS_REGION, A)) in used
