@@ -8,7 +8,7 @@ import shapely
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation import particles
-from pdr_graph.estimation.particle_steps import BODY, WALL_PRICE, stepped
+from pdr_graph.estimation.particle_steps import WALL_PRICE, stepped
 from pdr_graph.estimation.particles import particle_filter
 from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building

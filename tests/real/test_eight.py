@@ -1,0 +1,43 @@
+"""IPIN21's Eight with its polygons: the building and the start are all that is known of where it was."""
+
+import numpy as np
+import pytest
+
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
+from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.types import Fixes
+
+START_SIGMA = 0.3  # [m] of who stands on a marked place
+
+
+@pytest.fixture(scope="module")
+def eight(data):
+    """The plan, the truth in its frame, and the walk as the graph has it: one fix, no heading."""
+    folder = data / "ipin21_hcu"
+    plan, walk = FloorPlan.load(folder / "map" / "Plan4OG.geojson"), io.load(folder / "eight")
+    truth, steps = plan.frame.place(walk.truth), detect_steps(walk)
+    start = Fixes(np.array([steps.start]), truth.position[:1], np.array([START_SIGMA]), ("",))
+    return plan, truth, smooth(WalkGraph(steps, start, floor=plan))
+
+
+def test_half_of_the_steps_are_within_a_metre(eight):
+    """The target of the issue; no step is in a wrong corridor, which are 3 m wide."""
+    _, truth, estimate = eight
+    error = circular_error(pair(estimate.trajectory, truth))
+    assert np.median(error) <= 1.0
+    assert error.max() < 3.0
+
+
+def test_no_step_goes_through_a_wall(eight):
+    plan, _, estimate = eight
+    position = estimate.trajectory.position
+    assert not plan.crosses_wall(position[:-1], position[1:]).any()
+
+
+def test_every_step_is_in_the_corridor_that_was_walked(eight):
+    """One cell all round the eight; beside it are 205 rooms behind walls of 12 cm."""
+    plan, truth, estimate = eight
+    walked = set(plan.cells.at(truth.position).tolist())
+    assert {plan.cells.cells[c].kind for c in walked} == {"corridor"}
+    assert set(plan.cells.at(estimate.trajectory.position).tolist()) == walked
+    assert len(plan.regions) > 200
