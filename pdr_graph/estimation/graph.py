@@ -32,6 +32,7 @@ LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
 WALKING_SPEED = 1.4  # [m/s] at which an overhanging fix grows stale
 AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is not believed, and more starts are tried
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
+LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 
@@ -139,6 +140,7 @@ class WalkGraph:
         # Walls say nothing of a walk that could be anywhere, or is elsewhere
         self.walls = None
         if self.ground is not None and self.ground.near(self.fixes.position[self.fix_used]).any():
+            self.ground = self.ground.within(*self._reach())
             self.walls = self._walls_along(self.start)
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
@@ -305,6 +307,16 @@ class WalkGraph:
         apart = wrap_angle(self.headings.heading - start.poses[self.heading_keyframe, 2])
         turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
         return start.turned(turn, self._pivot(start)), sigma
+
+    def _reach(self) -> tuple[Array, Array]:
+        """South-west and north-east corner ``(2,)`` [m] of where the walk can have been."""
+        place, at = self.fixes.position[self.fix_used], np.append(self.pieces.first, len(self.pieces.length))
+        walked = np.append(0.0, np.cumsum(self.pieces.length))[at]
+        at_fixes = np.sort(walked[self.fix_keyframe[self.fix_used]])
+        to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
+        gaps = float(np.sum(self.steps.sigma_length[self.steps.length == 0]))
+        reach = LONGER * (to_fix.max() + gaps + self.fix_sigma[self.fix_used].max()) + BEYOND
+        return place.min(axis=0) - reach, place.max(axis=0) + reach
 
     def _pivot(self, start: State) -> Array:
         """The point ``(2,)`` about which the fixes let a start be turned. [m]"""

@@ -72,6 +72,10 @@ class Building:
             raise KeyError(f"floor {label!r}: found only {', '.join(self.labels)}")
         return self.labels.index(label)
 
+    def within(self, low: Array, high: Array) -> Building:
+        """What of each floor is drawn in or into a box from ``low (2,)`` to ``high (2,)`` [m]."""
+        return Building(tuple(floor.within(low, high) for floor in self.floors))
+
     @property
     def labels(self) -> tuple[str, ...]:
         """Of the floors."""

@@ -36,6 +36,10 @@ class Ground:
             raise ValueError(f"floors: found {unknown[0]!r}, needed labels out of {', '.join(building.labels)}")
         return cls(building, np.array([building.index(label) for label in labels], dtype=np.intp))
 
+    def within(self, low: Array, high: Array) -> Ground:
+        """Of the floors only what is drawn in or into a box from ``low (2,)`` to ``high (2,)`` [m]."""
+        return Ground(self.building.within(low, high), self.level)
+
     def near(self, position: Array) -> Mask:
         """Which positions ``(n, 2)`` [m] lie on or about any floor. ``(n,)``"""
         return np.any([floor.near(position) for floor in self.building.floors], axis=0)

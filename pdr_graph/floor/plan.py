@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -129,6 +129,19 @@ class FloorPlan:
         """Which positions ``(n, 2)`` [m] lie on or about the plan. ``(n,)`` bool"""
         low, high = self.corners
         return np.all((position > low - FAR_FROM_PLAN) & (position < high + FAR_FROM_PLAN), axis=1)
+
+    def within(self, low: Array, high: Array) -> FloorPlan:
+        """What is drawn in or into a box from ``low (2,)`` to ``high (2,)`` [m]; there its walls are the whole's.
+
+        A walk asks only what is within its reach, so that nothing grows with the floor. The whole, if nowhere in the
+        box can be walked.
+        """
+        bounds = shapely.bounds([area.shape for area in self.areas])
+        near = np.all((bounds[:, :2] <= high) & (bounds[:, 2:] >= low), axis=1)
+        if near.all() or not near.any():
+            return self
+        part = replace(self, areas=tuple(area for area, here in zip(self.areas, near, strict=True) if here))
+        return self if shapely.is_empty(part.walkable) else part
 
     def crosses_wall(self, start: Array, end: Array) -> Mask:
         """Which segments from ``start (n, 2)`` to ``end (n, 2)`` leave the walkable area or go through a wall."""

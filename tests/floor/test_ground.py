@@ -1,15 +1,19 @@
 """On which floor each piece of a walk is, and the walls about it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
 
-from pdr_graph import FloorPlan
+from pdr_graph import FloorPlan, WalkGraph
+from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
 from pdr_graph.floor.regions import NOWHERE
+from pdr_graph.frames import Frame
+from tests.walks import fixes_at, steps_of
 
 MAPS = Path(__file__).resolve().parents[2] / "maps"
 
@@ -92,3 +96,39 @@ def test_the_walls_of_the_other_floor_are_not_felt(office):
 def test_far_from_every_floor_nothing_is_near(office):
     ground = Ground.of(office, ["1"])
     assert ground.near(np.array([[10.0, 9.0], [1000.0, 9.0]])).tolist() == [True, False]
+
+
+def test_a_part_of_a_plan_has_the_walls_of_the_whole():
+    """Ten by ten malls: within a box of one of them distances are the same, and little of the rest is there."""
+    mall = FloorPlan.load(MAPS / "mall.geojson")
+    wide, high = mall.corners[1] - mall.corners[0]
+    places = [np.array([i * wide, j * high]) for i in range(10) for j in range(10)]
+    areas = [
+        replace(area, shape=shapely.transform(area.shape, lambda c, place=place: c + place))
+        for place in places
+        for area in mall.areas
+    ]
+    whole = FloorPlan("1", tuple(areas), mall.frame)
+    low, top = whole.corners.mean(axis=0) - 10, whole.corners.mean(axis=0) + 10
+    part = whole.within(low, top)
+    assert len(part.areas) < len(areas) / 10
+    points = np.random.default_rng(0).uniform(low + 5, top - 5, (2000, 2))
+    expected, found = whole.distance.at(points)[0], part.distance.at(points)[0]
+    near = np.abs(expected) < 5  # [m]: so far the box reaches beyond
+    assert found[near] == pytest.approx(expected[near], abs=0.01)
+
+
+def test_where_nothing_is_drawn_the_part_is_the_whole():
+    plan = FloorPlan.load(MAPS / "office.geojson")
+    assert plan.within(np.array([500.0, 500.0]), np.array([510.0, 510.0])) is plan
+    assert Ground.of(plan, [""]).within(*plan.corners).building.floors == (plan,)
+
+
+def test_a_walk_reaches_as_far_from_its_fixes_as_it_went():
+    """Half as far again, for strides may be longer than is said."""
+    pieces = tuple(Area("corridor", "", shapely.box(x, 0, x + 10, 3)) for x in range(0, 1000, 10))
+    floor = FloorPlan("1", pieces, Frame())
+    graph = WalkGraph(steps_of(np.full(100, 0.7), np.zeros(100)), fixes_at([0.0], [[505.0, 1.5]], 0.3), floor=floor)
+    kept = graph.ground.building.floors[0].corners
+    assert kept[0, 0] == pytest.approx(505 - 1.5 * 70 - 20, abs=11)
+    assert kept[1, 0] == pytest.approx(505 + 1.5 * 70 + 20, abs=11)
