@@ -9,17 +9,20 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 import gtsam
 import numpy as np
+import shapely
 from gtsam.symbol_shorthand import C, X
 from read_speed import reading_rows
 from scipy.linalg import solveh_banded
 from tables import publish, table
 
-from pdr_graph import WalkGraph, dead_reckon, detect_steps, io, smooth
+from pdr_graph import FloorPlan, WalkGraph, dead_reckon, detect_steps, io, smooth
+from pdr_graph.estimation import particles
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.preintegration import SIGMA_LATERAL
@@ -34,6 +37,8 @@ from pdr_graph.types import Fixes, Recording, Signal, Steps
 
 ROOT = Path(__file__).resolve().parent.parent
 PERIOD = 0.53  # [s] per step
+PARTICLES = 1000
+LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] the middle line of maps/loop
 HOUR = 360_000  # samples at 100 Hz
 
 
@@ -156,6 +161,66 @@ def textbook_ratio():
     return f"{text}\n\nThe two tracks are {np.median(apart):.2f} m apart in the median (fixes: 3 m)."
 
 
+def held_by_walls(n):
+    """Laps of a corridor loop, ``n`` steps, with a fix of 3 m every 30 steps."""
+    sides = (LOOP_HIGH - LOOP_LOW) / 0.7
+    corners = np.cumsum(np.resize([sides[0], sides[1]], n)).astype(int)
+    turn, random = np.zeros(n), np.random.default_rng(0)
+    turn[corners[corners < n]] = np.pi / 2
+    ones = np.ones(n)
+    time_ = PERIOD * np.arange(1, n + 1)
+    steps = Steps(0.0, time_[-1] + 0.5, time_, PERIOD * ones, 0.7 * ones, turn, 0 * ones, 0.07 * ones, 0.02 * ones)
+    way = np.cumsum(0.7 * ones) % (2 * (LOOP_HIGH - LOOP_LOW).sum())
+    knots = np.array([LOOP_LOW, [LOOP_HIGH[0], LOOP_LOW[1]], LOOP_HIGH, [LOOP_LOW[0], LOOP_HIGH[1]], LOOP_LOW])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(knots, axis=0).T))])
+    place = np.stack([np.interp(way, along, knots[:, axis]) for axis in (0, 1)], axis=1)
+    at = np.arange(0, n, 30)
+    fixes = Fixes(time_[at], place[at] + random.normal(0, 3, (len(at), 2)), np.full(len(at), 3.0), ("",) * len(at))
+    return steps, fixes
+
+
+def wall_rows():
+    """The graph with walls; a step of particles, beside drawing its normal numbers; start-up by the floor's size."""
+    plan = FloorPlan.load(ROOT / "maps" / "loop.geojson")
+    steps, fixes = held_by_walls(7000)
+    graph = WalkGraph(steps, fixes, floor=plan)
+    good = optimize(graph, graph.start.to_values()).values
+    seven = median_time(lambda: optimize(graph, good), 5)
+    found = optimize(graph, good)
+    rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{found.iterations} iterations"]]
+
+    particles.FEWEST = particles.MOST = PARTICLES
+    short = WalkGraph(*held_by_walls(400), floor=plan)
+    step = median_time(lambda: particles.particle_filter(short), 9) / 400
+    random = np.random.default_rng(0)
+    drawn = median_time(lambda: [random.standard_normal((3, PARTICLES)) for _ in range(100)], 9) / 100
+    rows += [
+        [f"particle filter, {PARTICLES} particles", f"{1e6 * step:.0f} µs per step", f"{step / drawn:.1f} × noise"]
+    ]
+
+    mall = FloorPlan.load(ROOT / "maps" / "mall.geojson")
+    there = Fixes(np.zeros(1), np.array([[10.5, 11.5]]), np.ones(1), ("",))
+    few = Steps(0.0, 33.0, PERIOD * np.arange(1, 61), *np.tile([[PERIOD], [0.7], [0], [0], [0.07], [0.02]], 60))
+    alone, of_many = (
+        median_time(lambda tiles=tiles: WalkGraph(few, there, floor=tiled(mall, tiles)), 5)
+        - median_time(lambda tiles=tiles: tiled(mall, tiles), 5)
+        for tiles in (1, 10)
+    )
+    rows += [["60 steps in a mall: plan and graph, the file read", f"{alone:.3f} s", ""]]
+    rows += [["the same among a hundred malls side by side", f"{of_many:.3f} s", f"{of_many / alone:.1f} × one mall"]]
+    return table(["with walls", "time", ""], rows)
+
+
+def tiled(plan, count):
+    """A plan ``count`` times ``count`` times, side by side."""
+    size = plan.corners[1] - plan.corners[0]
+    places = [size * (i, j) for i in range(count) for j in range(count)]
+    areas = (
+        replace(a, shape=shapely.transform(a.shape, lambda c, to=place: c + to)) for place in places for a in plan.areas
+    )
+    return replace(plan, areas=tuple(areas))
+
+
 def command_rows():
     """Whole commands in a new process, on a simulated walk of 100 s at 50 Hz in maps/arcade."""
     corners = [[27.8, 7.9], [27.8, 27.6], [6.8, 27.8], [6.8, 8.2], [53, 7.7], [53.2, 27.0]]
@@ -235,6 +300,7 @@ if __name__ == "__main__":
     machine = f"{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
     publish("performance.md", "smoother", f"{smoother_rows()}\n\n{machine}")
     publish("performance.md", "textbook", textbook_ratio())
+    publish("performance.md", "walls", wall_rows())
     publish("performance.md", "commands", command_rows())
     publish("performance.md", "attitude", attitude_rows())
     publish("performance.md", "simulation", simulation_rows())
