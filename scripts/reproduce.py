@@ -17,6 +17,7 @@ import realism
 import recorded
 import steps
 import topology
+import wide_places
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, magnetic_headings, smooth
@@ -166,6 +167,7 @@ if __name__ == "__main__":
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"map-matching": map_matching.map_matching}
     tables |= {"topology": lambda: topology.topology(DATA)}
+    tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):
