@@ -165,7 +165,6 @@ if __name__ == "__main__":
     tables |= {"steps": lambda: steps.steps(DATA), "calibration-walk": calibration_walk.calibration_walk}
     tables |= {"compass": lambda: compass.compass(DATA)}
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
-    tables |= {"map-matching": map_matching.map_matching}
     tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
