@@ -31,6 +31,16 @@ def unit(angle: Array) -> Array:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
+def length_along(line: Array) -> Array:
+    """Length of a line ``(n, 2)`` up to each of its points ``(n,)``. [m]"""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+
+
+def turn_between(one: Array, other: Array) -> float:
+    """The angle from one way ``(2,)`` to another, counter-clockwise. [rad]"""
+    return float(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other))
+
+
 def rotation(angle: Array | float) -> Array:
     """Rotation matrices ``(…, 2, 2)`` by the given angles ``(…,)`` [rad]."""
     c, s = np.cos(angle), np.sin(angle)
@@ -52,6 +62,12 @@ def compose(first: Rotation, second: Rotation) -> Rotation:
     return Rotation.from_quat(np.vstack([vector, a[3] * b[3] - np.sum(a[:3] * b[:3], axis=0)]).T)
 
 
+def courses(steps: Steps) -> Array:
+    """The direction half-way through each step ``(n,)``, from that at the start. [rad]"""
+    before = np.concatenate([[0.0], np.cumsum(steps.turn)[:-1]])
+    return before + (steps.turn + steps.pause_turn) / 2
+
+
 def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) -> Trajectory:
     """The track that the steps alone draw: [heading] Sec. 1, p_k = p_{k-1} + L_k (cos θ_k, sin θ_k).
 
@@ -61,9 +77,8 @@ def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) 
     Returns ``n + 2`` rows: the start, the end of each step, the end of the recording.
     """
     theta = heading + np.concatenate([[0.0], np.cumsum(steps.turn)])
-    course = theta[:-1] + steps.pause_turn + (steps.turn - steps.pause_turn) / 2
     origin = np.zeros(2) if start is None or not len(start) else start.position[0]
-    moves = steps.length[:, None] * unit(course)
+    moves = steps.length[:, None] * unit(heading + courses(steps))
     track = origin + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
     return Trajectory(
         time=row_times(steps),

@@ -91,7 +91,8 @@ def smooth_recording(
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, building)
         floors = _floors(walk, steps, located, building, floor_label, plan)
-        steps = on_treads(steps, floors.climbs, floors.kinds) if steps and floors else steps
+        if steps is not None and floors is not None:
+            steps = on_treads(steps, floors.climbs, floors.kinds)
     with stage("estimate"):
         estimate, missing = _estimate(steps, located, headings, building, floors, known, method)
     with stage("write"):

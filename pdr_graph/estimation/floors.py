@@ -11,7 +11,6 @@ The floor is the nearest one in height: on stairs it changes half-way, and who p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from pdr_graph.gait.climbing import DRAUGHT, RAMP, kinds
 from pdr_graph.geometry import row_times
 from pdr_graph.inertial.barometer import Climbs, climbs, done
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
+from pdr_graph.viterbi import viterbi
 
 LANDINGS = 4  # to a storey
 OFF, SCALE = 0.4, 0.06  # [m] and of the height, by which storeys differ from what was assumed, each on its own
@@ -110,7 +110,7 @@ def _most_probable(storeys: Storeys, used: Climbs, fixes: Fixes, steps: Steps) -
         _of_climb(moved, h, s) + CHANGE * (passed > 0) + STOREY * passed
         for h, s in zip(used.height, used.sigma, strict=True)
     ]
-    states, cost = _viterbi(costs, moves)
+    states, cost = viterbi(costs, moves)
     return storeys, place[states], cost + storeys.cost
 
 
@@ -142,19 +142,6 @@ def _where_fixes_change(fixes: Fixes) -> Climbs:
     other = label[:-1] != label[1:]
     start, end = fixes.time[known[:-1][other]], fixes.time[known[1:][other]]
     return Climbs(start, end, np.zeros(len(start)), np.full(len(start), UNSEEN))
-
-
-def _viterbi(costs: Sequence[Array], moves: Sequence[Array]) -> tuple[Index, float]:
-    """The cheapest states ``(c + 1,)``: costs ``(q,)`` of each at each time, moves ``(q, q)`` from one to another."""
-    total, came = costs[0], []
-    for cost, move in zip(costs[1:], moves, strict=True):
-        through = total[:, None] + move
-        came.append(np.argmin(through, axis=0))
-        total = through[came[-1], np.arange(len(cost))] + cost
-    states = [int(np.argmin(total))]
-    for best in reversed(came):
-        states.append(int(best[states[-1]]))
-    return np.array(states[::-1]), float(total.min())
 
 
 def _floors_and_landings(heights: Array) -> Array:

@@ -18,14 +18,14 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
-from pdr_graph.estimation.preintegration import DECIMALS, Increments, Pieces, bridge, cut, preintegrate
+from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
 from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import nearest, rotation, wrap_angle
-from pdr_graph.types import Array, Fixes, Headings, Index, Mask, Steps
+from pdr_graph.types import Array, Complex, Fixes, Headings, Index, Mask, Steps
 
 STEPS_PER_SEGMENT = 100
 LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
@@ -132,7 +132,8 @@ class WalkGraph:
         c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
         increments = preintegrate(self.pieces, c[self.segment])
         self.bridge = bridge(self.pieces, increments)
-        self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(increments))
+        self.track, heading = _track(increments.delta[self.pieces.last])
+        self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(heading))
         self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
         self.corridors: Corridors | None = None
         self.native = self._native_factors()
@@ -141,7 +142,7 @@ class WalkGraph:
         self.walls = None
         if self.ground is not None and self.ground.near(self.fixes.position[self.fix_used]).any():
             self.ground = self.ground.within(*self._reach())
-            self.walls = self._walls_along(self.start)
+            self.walls = self._walls_along(self._evaluated(self.start))
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """The own factors at ``values``."""
@@ -237,9 +238,9 @@ class WalkGraph:
     def following(self, start: State) -> WalkGraph:
         """The same measurements, started at ``start``: its rooms and corridors are those of the walk."""
         other = copy(self)
-        other.start = start
-        other.walls = other._walls_along(start)
-        other.corridors = other._corridors_along(start)
+        other.start, way = start, self._evaluated(start)
+        other.walls = self._walls_along(way)
+        other.corridors = self._corridors_along(way, start)
         other.native = other._native_factors()
         return other
 
@@ -275,13 +276,11 @@ class WalkGraph:
         weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
         return np.where(self.fix_used, weight, 0.0)
 
-    def _lay_on_fixes(self, increments: Increments) -> tuple[State, float]:
-        """The start: the dead-reckoned track laid on the fixes; and how well these determine its direction [rad]."""
-        delta = increments.delta[self.pieces.last]
-        heading = np.concatenate([[0.0], np.cumsum(delta[:, 2])])
-        moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
-        self.track = track = np.concatenate([[0.0], np.cumsum(moves)])
-        used = self.fix_used
+    def _lay_on_fixes(self, heading: Array) -> tuple[State, float]:
+        """The start: the dead-reckoned track, of headings ``(k + 1,)``, laid on the fixes; and how well these determine
+        its direction [rad].
+        """
+        track, used = self.track, self.fix_used
         at, sigma = self.fix_keyframe[used], self.fix_sigma[used]
         fix = as_complex(self.fixes.position[used])
         uncertain = sigma_direction(track[at], sigma, float(np.sum(self.pieces.length)))
@@ -332,21 +331,19 @@ class WalkGraph:
         np.maximum.at(gap, np.minimum(after, len(first) - 1), self.steps.sigma_length[lost])
         return gap
 
-    def _walls_along(self, state: State) -> Walls:
-        """The walls about the steps as ``state`` has them."""
+    def _walls_along(self, way: Evaluation) -> Walls:
+        """The walls about the steps where they lead along a way."""
         assert self.ground is not None, "there is a plan"
-        own = self._evaluated(state)
-        walls = self.ground.walls_along(own.poses.value[:, :2], self.pieces.length > 0)
+        walls = self.ground.walls_along(way.poses.value[:, :2], self.pieces.length > 0)
         return Walls(*walls, self.prior.wall_margin, self.prior.wall_sigma)
 
-    def _corridors_along(self, state: State) -> Corridors | None:
-        """The turns and straight runs of the steps as ``state`` has them."""
+    def _corridors_along(self, way: Evaluation, state: State) -> Corridors | None:
+        """The turns and straight runs of the steps along a way, that of ``state``."""
         assert self.ground is not None, "there is a plan"
         use = self.prior.corridors
         if not (use.turns or use.directions):
             return None
-        own = self._evaluated(state)
-        return corridors_along(self.ground, self.pieces, own.poses.value, state.poses[:, 2], use)
+        return corridors_along(self.ground, self.pieces, way.poses.value, state.poses[:, 2], use)
 
     def _evaluated(self, state: State, walls: Walls | None = None, turns: Turns | None = None) -> Evaluation:
         ends = state.poses[:-1], state.poses[1:]
@@ -406,11 +403,19 @@ def _turn_factors(turns: Turns) -> gtsam.NonlinearFactorGraph:
     return graph
 
 
+def _track(delta: Array) -> tuple[Complex, Array]:
+    """Keyframes ``(k + 1,)`` as complex numbers [m] and their headings [rad], of the increments between ``(k, 3)``."""
+    heading = np.concatenate([[0.0], np.cumsum(delta[:, 2])])
+    moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
+    return np.concatenate([[0.0], np.cumsum(moves)]), heading
+
+
 def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, rows: int) -> tuple[str, ...]:
     """The floor's label of each row."""
     if floors is not None:
         return tuple(floors)
-    return (floor.label if isinstance(floor, FloorPlan) else "",) * rows
+    known = () if floor is None else Building.around(floor).labels
+    return (known[0] if len(known) == 1 else "",) * rows
 
 
 def _freshness(fixes: Fixes, steps: Steps) -> tuple[Mask, Array]:

@@ -151,11 +151,10 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     """
     in_the_open = _robustly(graph.without_walls())
     robust, expected = graph.without_grip(in_the_open.graph.fix_wild), USUAL * in_the_open.cost
-    laid, found = [robust.start, State.of(in_the_open.values)], list[Optimum]()
+    as_laid, found = [robust.start, State.of(in_the_open.values)], list[Optimum]()
     for attempt in range(ATTEMPTS):
-        loosely = [_loosely(robust, way) for way in (*hypotheses(robust, attempt), *laid)]
-        for near in _distinct(loosely):
-            found.append(_closely(robust, near))
+        ways = hypotheses(robust, attempt) + (as_laid if attempt == 0 else [])
+        found += [_closely(robust, near) for near in _distinct([_loosely(robust, way) for way in ways])]
         if min(one.surprise for one in found) < expected + STRAINED:
             break
     return [replace(one, unseen=expected + UNSEEN) for one in found]

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.regions import OUTSIDE_PRICE, WALL_COST
 from pdr_graph.types import Array, Mask
 
 BODY = 0.12  # [m] that the middle of a walker keeps from any wall
 LOOK = 0.24  # [m] between two places at which a step is held against the walls: twice BODY, so that none is missed
 DOUBTED, RARE = 0.2, 4  # [rad] of a turn that may be the phone's: for one in four it was any
 TRIES = 4  # to take a step otherwise that would go through a wall
-WALL_PRICE = 12.0  # log-odds of a step through a wall: plans err, and two fixes can be right where they do
-WITHIN_PRICE = 0.15  # of a step inside what is solid: a shop that somebody entered
 CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
 STAIRS_SIGMA = 1.0  # [m] from stairs or a lift, as far as a barometer knows when
 
@@ -42,7 +41,7 @@ def stepped(
     price = CLEAR_PRICE * np.square(np.maximum(0.0, 1 - clear / CLEAR))
     if not blocked.any():
         return after, price
-    price[clear < BODY] = WITHIN_PRICE
+    price[clear < BODY] = OUTSIDE_PRICE
     stopped = np.flatnonzero(blocked)
     stopped = stopped[field.about(state[0, stopped], state[1, stopped]) >= BODY]
     if len(stopped):
@@ -51,7 +50,7 @@ def stepped(
         ways = free.sum(axis=1)
         got = ways > 0
         after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * TRIES + free.argmax(axis=1))[got]]
-        price[stopped] = np.where(got, np.log((TRIES + 1) / np.maximum(ways, 1)), WALL_PRICE)
+        price[stopped] = np.where(got, np.log((TRIES + 1) / np.maximum(ways, 1)), WALL_COST)
     return after, price
 
 
@@ -65,7 +64,7 @@ def changed_floor(state: Array, ways: list[DistanceField]) -> Array:
     if not ways:
         return np.zeros(state.shape[1])
     outside = -np.max([way.about(state[0], state[1]) for way in ways], axis=0)
-    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / STAIRS_SIGMA), WALL_PRICE)
+    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / STAIRS_SIGMA), WALL_COST)
 
 
 def _moved(

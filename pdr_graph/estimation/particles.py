@@ -6,7 +6,7 @@ the ways that the building admits.
 
 As in Woodman & Harle (2008), *Pedestrian localisation for indoor environments*, with the walker's calibration
 (R_s, R_d, b) as states, kept various (Liu & West 2001); as many particles as they are spread wide (Fox 2003); fixes
-that may be wild, and walls that may be wrong (``stride``).
+that may be wild, and walls that may be wrong.
 """
 
 from __future__ import annotations
@@ -72,8 +72,9 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
         state[3:] += np.sqrt(steps / STEPS_PER_SEGMENT) * change * random.standard_normal(state[3:].shape)
 
         # Fixes and compass, and who goes on
-        if _lost(graph, interval + 1, state):
-            state, weight = _sought(graph, interval + 1, state, weight, random)
+        far = _far_fix(graph, interval + 1, state)
+        if far is not None:
+            state, weight = _sought(graph, far, state, weight, random)
         weight = weight + _seen(graph, interval + 1, state)
         weight -= np.logaddexp.reduce(weight)
         origin = np.arange(len(weight))
@@ -112,18 +113,15 @@ def _seen(graph: WalkGraph, keyframe: int, state: Array) -> Array:
     return seen
 
 
-def _lost(graph: WalkGraph, keyframe: int, state: Array) -> bool:
-    """True if a fix lies far from all particles: it is wild, or they are in the wrong place."""
+def _far_fix(graph: WalkGraph, keyframe: int, state: Array) -> int | None:
+    """The fix at a keyframe that lies far from all particles, if any: it is wild, or they are in the wrong place."""
     fixes = np.flatnonzero(graph.fix_used & ~graph.fix_wild & (graph.fix_keyframe == keyframe))
     apart = [np.hypot(*(state[:2] - graph.fixes.position[f][:, None])).min() / graph.fix_sigma[f] for f in fixes]
-    return max(apart, default=0.0) > FAR
+    return int(fixes[np.argmax(apart)]) if max(apart, default=0.0) > FAR else None
 
 
-def _sought(
-    graph: WalkGraph, keyframe: int, state: Array, weight: Array, random: np.random.Generator
-) -> tuple[Array, Array]:
-    """Some of the particles put where the fix is, at a price: whether they were right, later fixes will say."""
-    f = np.flatnonzero(graph.fix_used & ~graph.fix_wild & (graph.fix_keyframe == keyframe))[0]
+def _sought(graph: WalkGraph, f: int, state: Array, weight: Array, random: np.random.Generator) -> tuple[Array, Array]:
+    """Some of the particles put where fix ``f`` is, at a price: whether they were right, later fixes will say."""
     state, weight, n = state.copy(), weight.copy(), state.shape[1]
     put = np.arange(0, n, SOUGHT)
     place = random.standard_normal((2, len(put))) * max(graph.fix_sigma[f], LEAST_SIGMA)

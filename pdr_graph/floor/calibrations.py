@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.floor.links import Turn
-from pdr_graph.geometry import unit
+from pdr_graph.geometry import courses, turn_between, unit
 from pdr_graph.types import Array, Index, Mask, Steps
 
 RASTER = 0.005, 0.005  # of R_d and R_s: 0.45° of a right angle, 0.2 m of a corridor of 40 m
@@ -44,9 +44,7 @@ class Region:
 
 def transformed(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Array) -> Array:
     """Tracks ``(d, s, n + 1, 2)`` of all pairs, from ``start (2,)`` [m] and ``heading`` [rad]: Eqs. (4), (5)."""
-    before = np.concatenate([[0.0], np.cumsum(steps.turn)[:-1]])
-    turned = before + steps.pause_turn + (steps.turn - steps.pause_turn) / 2
-    moves = steps.length[:, None] * unit(heading + np.multiply.outer(R_d, turned))
+    moves = steps.length[:, None] * unit(heading + np.multiply.outer(R_d, courses(steps)))
     track = np.concatenate([np.zeros((len(R_d), 1, 2)), np.cumsum(moves, axis=1)], axis=1)
     return start + R_s[:, None, None] * track[:, None]
 
@@ -70,8 +68,7 @@ def range_of_turn(turn: Turn, corners: Array, before: float, after: float) -> tu
         return side + (inner - side) @ along * along + reach * along
 
     def turned(side: Array, by: Array) -> float:
-        come, gone = by - wall(side, turn.into, -before), wall(side, turn.out_of, after) - by
-        return float(np.arctan2(come[0] * gone[1] - come[1] * gone[0], come @ gone))
+        return turn_between(by - wall(side, turn.into, -before), wall(side, turn.out_of, after) - by)
 
     return _ordered(turned(outer, inner), turned(inner, outer))
 

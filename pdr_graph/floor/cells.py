@@ -8,11 +8,13 @@ they are open to what they touch.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -133,6 +135,12 @@ def _drawn(areas: tuple[Area, ...]) -> list[Area]:
         return drawn
     outlines = [a for a in areas if a.kind == OUTLINE and a.is_polygon]
     return [replace(a, shape=shapely.difference(a.shape, shapely.union_all(within))) for a in outlines] + drawn
+
+
+def without_cracks(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:
+    """Their union, with the hairlines between neighbours closed."""
+    wider = shapely.buffer(shapely.union_all(polygons), CRACK / 2, join_style="mitre")
+    return shapely.buffer(wider, -CRACK / 2, join_style="mitre")
 
 
 def _opening(door: Area) -> shapely.Geometry:

@@ -14,7 +14,7 @@ import shapely
 from scipy.signal import find_peaks
 
 from pdr_graph.floor.skeleton import Skeleton, skeleton
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Index
 
 BEND = np.radians(40)  # a turn in a corridor that makes it two
@@ -74,25 +74,25 @@ def _hubs(middle: Skeleton) -> _Hubs:
 def _bends(middle: Skeleton, chain: Index) -> Index:
     """Where a line turns by more than BEND from one arm's length before to one after, and by more than beside it."""
     line = middle.position[chain]
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    walked = length_along(line)
     arm = max(SHORTEST_ARM, ARM * float(np.median(middle.clearance[chain])))
-    period = along[-1] if chain[0] == chain[-1] else None
-    ends = (0.0, along[-1]) if period else (arm, along[-1] - arm)
+    period = walked[-1] if chain[0] == chain[-1] else None
+    ends = (0.0, walked[-1]) if period else (arm, walked[-1] - arm)
     at = np.arange(*ends, RASTER)
     if len(at) < 3:
         return np.empty(0, dtype=np.intp)
-    before, here, after = (_point_at(s, along, line, period) for s in (at - arm, at, at + arm))
+    before, here, after = (_point_at(s, walked, line, period) for s in (at - arm, at, at + arm))
     heading = [np.arctan2(*(b - a).T[::-1]) for a, b in ((before, here), (here, after))]
     turned = np.abs(wrap_angle(heading[1] - heading[0]))
     rolled = int(np.argmin(turned)) if period else 0  # a ring is cut where it is straight
     peaks, _ = find_peaks(np.pad(np.roll(turned, -rolled), 1), height=BEND, distance=max(1, arm / RASTER))
     found = at[(peaks - 1 + rolled) % len(at)]
-    return chain[np.searchsorted(along, found).clip(0, len(chain) - 1)]
+    return chain[np.searchsorted(walked, found).clip(0, len(chain) - 1)]
 
 
-def _point_at(s: Array, along: Array, line: Array, period: float | None) -> Array:
+def _point_at(s: Array, walked: Array, line: Array, period: float | None) -> Array:
     """Points ``(n, 2)`` at lengths ``s (n,)`` of a line [m]."""
-    return np.stack([np.interp(s, along, axis, period=period) for axis in line.T], axis=1)
+    return np.stack([np.interp(s, walked, axis, period=period) for axis in line.T], axis=1)
 
 
 def _links(middle: Skeleton, hubs: _Hubs) -> tuple[list[tuple[int, int]], list[Index]]:

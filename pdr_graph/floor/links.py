@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.floor.network import Network
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import turn_between, wrap_angle
 from pdr_graph.types import Array, Index, Steps
 
 FAR, ASKEW = 3.0, np.radians(30)  # [m], [rad] from a link at which either counts 1: a corridor's width, a zigzag
@@ -164,7 +164,7 @@ class _Bend:
             return None
         node = min(set(network.links[before].tolist()) & set(network.links[after].tolist()))
         into, out_of = -_direction(network.leaving(before, node)), _direction(network.leaving(after, node))
-        angle = float(np.arctan2(into[0] * out_of[1] - into[1] * out_of[0], into @ out_of))
+        angle = turn_between(into, out_of)
         return cls(node, into, out_of, angle) if abs(angle) > LEAST_TURN else None
 
     def sharpest(self, track: Array, begin: int, end: int) -> int:

@@ -12,7 +12,7 @@ from pdr_graph.floor.links import Segments, Turn, costs, find_turn
 from pdr_graph.floor.network import Network
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.stretches import Laid, Stretch, seen, tried_pairs
-from pdr_graph.geometry import row_times, unit, wrap_angle
+from pdr_graph.geometry import courses, row_times, unit, wrap_angle
 from pdr_graph.types import Array, Index, Steps, Trajectory
 
 STRAYED = 5.0  # [m] from every link at which the start is called elsewhere
@@ -48,7 +48,7 @@ def match(steps: Steps, network: Network, start: Array, heading: float) -> Match
     """
     segments = Segments.of(_walkable(network))
     theta = heading + np.concatenate([[0.0], np.cumsum(steps.turn)])
-    moves = steps.length[:, None] * unit(theta[:-1] + (steps.turn + steps.pause_turn) / 2)
+    moves = steps.length[:, None] * unit(heading + courses(steps))
     links, track = np.empty(len(steps), dtype=np.intp), np.tile(start, (len(steps) + 1, 1))
     for k, move in enumerate(moves):
         end = track[k] + move

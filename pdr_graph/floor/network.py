@@ -13,7 +13,7 @@ import shapely
 
 from pdr_graph.floor import derivation
 from pdr_graph.floor.areas import CLOSED, DOOR, LINK, OPEN, Area
-from pdr_graph.floor.cells import CRACK, Cells
+from pdr_graph.floor.cells import Cells, without_cracks
 from pdr_graph.types import Array, Index
 
 INTERSECTION, CORRIDOR = "intersection", "corridor"
@@ -49,6 +49,10 @@ class Network:
         rings = [shapely.get_coordinates(r) for r in shapely.get_rings(shapely.get_parts(ways))]
         return np.concatenate([np.stack([r[:-1], r[1:]], axis=1) for r in rings] or [np.empty((0, 2, 2))])
 
+    def links_at(self, node: int) -> Index:
+        """The links that begin or end at a node."""
+        return np.flatnonzero((self.links == node).any(axis=1))
+
     def leaving(self, link: int, node: int) -> Array:
         """The line of a link ``(m, 2)`` as it leaves one of its nodes. [m]"""
         line = self.lines[link]
@@ -80,8 +84,7 @@ def _ways(cells: Cells, walkable: shapely.Geometry) -> shapely.Geometry:
         beside = [cells.passages[(cells.passages == n).any(axis=1)].ravel().tolist() for n in range(len(cells))]
         doors = {n for n, c in enumerate(cells.cells) if c.kind == DOOR and len(open_cells & set(beside[n])) > 1}
         parts = [cells.cells[n].polygon for n in sorted(open_cells | doors)]
-        joined = shapely.buffer(shapely.union_all(parts), CRACK / 2, join_style="mitre")
-        walkable = shapely.intersection(shapely.buffer(joined, -CRACK / 2, join_style="mitre"), walkable)
+        walkable = shapely.intersection(without_cracks(parts), walkable)
     return shapely.difference(walkable, shapely.buffer(cells.barriers, THIN, cap_style="flat"))
 
 

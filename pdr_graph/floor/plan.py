@@ -12,7 +12,7 @@ import shapely
 from pdr_graph.errors import InputError
 from pdr_graph.floor import formats
 from pdr_graph.floor.areas import OUTLINE, SOLID, Area
-from pdr_graph.floor.cells import CRACK, Cells
+from pdr_graph.floor.cells import Cells, without_cracks
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.network import Network, derived_network, drawn_network
 from pdr_graph.floor.regions import Regions
@@ -89,7 +89,7 @@ class FloorPlan:
     def walkable(self) -> shapely.Geometry:
         """Where one can stand: the cells where the plan has them, else the outline minus everything solid. [m]"""
         if len(self.cells):
-            return _without_cracks([cell.polygon for cell in self.cells.cells])
+            return without_cracks([cell.polygon for cell in self.cells.cells])
         solid = [a.shape for a in self.of_kind(*SOLID) if a.is_polygon]
         outline = [a.shape for a in self.of_kind(OUTLINE) if a.is_polygon]
         return shapely.difference(shapely.union_all(outline), shapely.union_all(solid))
@@ -102,7 +102,8 @@ class FloorPlan:
     @cached_property
     def distance(self) -> DistanceField:
         """Signed distance to the nearest wall."""
-        return DistanceField(self.walkable, self.cells.barriers)
+        only = len(self.regions) == 1 and not len(self.regions.doors)
+        return self.regions.field((0,)) if only else DistanceField(self.walkable, self.cells.barriers)
 
     @cached_property
     def network(self) -> Network:
@@ -152,11 +153,3 @@ class FloorPlan:
             shapely.prepare(self.cells.barriers)
             crossed |= np.atleast_1d(shapely.intersects(self.cells.barriers, segments))
         return crossed
-
-
-def _without_cracks(polygons: list[shapely.Geometry]) -> shapely.Geometry:
-    """Their union, with the hairlines between neighbours closed."""
-    half = CRACK / 2
-    return shapely.buffer(
-        shapely.buffer(shapely.union_all(polygons), half, join_style="mitre"), -half, join_style="mitre"
-    )

@@ -17,15 +17,17 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.floor.areas import DOOR
-from pdr_graph.floor.cells import CRACK, Cells
+from pdr_graph.floor.cells import Cells, without_cracks
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.types import Array, Index
+from pdr_graph.viterbi import viterbi
 
 STRAY = 0.5  # [m] by which a track errs
 OUTSIDE_COST = 4.0  # of a step in no region: nearer than 1.4 m it is rather in the next one
-OUTSIDE_PRICE = 0.15  # of a step in none, once that is settled: shops are entered, plans end
+OUTSIDE_PRICE = 0.15  # log-odds of a step in none, once that is settled: shops are entered, plans end
 AT_DOOR = 1.5  # [m] from a door that one may go through
-DOOR_COST, WALL_COST, LEAVE_COST = 1.0, 12.0, 6.0  # of changing region at a door, elsewhere, and to or from none
+WALL_COST = 12.0  # log-odds of a step through a wall: plans err, and two fixes can be right where they do
+DOOR_COST, LEAVE_COST = 1.0, 6.0  # of changing region at a door, and to or from none
 NOWHERE = -1
 
 
@@ -52,9 +54,8 @@ class Regions:
         one, other = cells.passages.T
         between = is_door[one] | is_door[other]
         n, open_pairs = len(shapes), (one[~between], other[~between])
-        part = connected_components(coo_array((np.ones(len(open_pairs[0])), open_pairs), shape=(n, n)), directed=False)[
-            1
-        ]
+        links = coo_array((np.ones(np.count_nonzero(~between)), open_pairs), shape=(n, n))
+        part = connected_components(links, directed=False)[1]
         region = np.full(n, NOWHERE)
         region[~is_door] = np.unique(part[~is_door], return_inverse=True)[1]
         count = int(region.max(initial=NOWHERE)) + 1
@@ -85,7 +86,7 @@ class Regions:
         if len(near) == 1 and cost[:, 0].max() < OUTSIDE_COST:
             return np.full(len(track), near[0]), 0.0
         changes = self._changes(near, points)
-        likeliest = _likeliest(cost, changes)
+        likeliest, _ = viterbi(cost, changes[1:])
         price = changes[np.arange(1, len(track)), likeliest[:-1], likeliest[1:]].sum()
         return states[likeliest], float(price + OUTSIDE_PRICE * np.sum(likeliest == len(near)))
 
@@ -133,23 +134,5 @@ class Regions:
         return changes
 
 
-def _likeliest(cost: Array, changes: Array) -> Index:
-    """States ``(n,)`` of least total cost. cost: ``(n, s)`` of each; changes: ``(n, s, s)`` of coming there."""
-    total, came = cost[0], np.zeros(cost.shape, dtype=np.intp)
-    for n in range(1, len(cost)):
-        ways = total[:, None] + changes[n]
-        came[n] = ways.argmin(axis=0)
-        total = ways.min(axis=0) + cost[n]
-    states = np.empty(len(cost), dtype=np.intp)
-    states[-1] = total.argmin()
-    for n in range(len(cost) - 1, 0, -1):
-        states[n - 1] = came[n, states[n]]
-    return states
-
-
 def _joined(polygons: NDArray[np.object_]) -> shapely.Geometry:
-    """Their union, with the hairlines between neighbours closed."""
-    if len(polygons) == 1:
-        return polygons[0]
-    wider = shapely.buffer(shapely.union_all(polygons), CRACK / 2, join_style="mitre")
-    return shapely.buffer(wider, -CRACK / 2, join_style="mitre")
+    return polygons[0] if len(polygons) == 1 else without_cracks(polygons)

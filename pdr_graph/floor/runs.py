@@ -16,7 +16,7 @@ import shapely
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.links import LEAST_TURN, Turn
 from pdr_graph.floor.network import Network
-from pdr_graph.geometry import interpolate, unit, wrap_angle
+from pdr_graph.geometry import interpolate, length_along, unit, wrap_angle
 from pdr_graph.types import Array, Index, Mask
 
 CHORD = 2.5  # [m] before and after a place that tell which way one walks there: the length of a zigzag
@@ -61,7 +61,7 @@ def straight_runs(track: Array, walls: DistanceField) -> list[Run]:
     """The runs of a walk through places ``track (n, 2)`` [m] that are straight, long, and in a corridor."""
     if len(track) < 2:
         return []
-    walked = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
+    walked = length_along(track)
     beside = _walls_beside(track, walked, walls)
     return [run for run in _joined(beside, walked) if _is_corridor(run, track)]
 
@@ -88,12 +88,12 @@ def _walls_beside(track: Array, walked: Array, walls: DistanceField) -> _Beside:
     place, wall = walls.walls_near(track, REACH)
     course = interpolate(walked + CHORD, walked, track) - interpolate(walked - CHORD, walked, track)
     course = np.arctan2(*course.T[::-1])[place]
-    along = wall[:, 1] - wall[:, 0]
-    length = np.hypot(*along.T)
-    askew = wrap_angle(2 * (course - np.arctan2(along[:, 1], along[:, 0]))) / 2
+    leading = wall[:, 1] - wall[:, 0]
+    length = np.hypot(*leading.T)
+    askew = wrap_angle(2 * (course - np.arctan2(leading[:, 1], leading[:, 0]))) / 2
     ahead, to = unit(course), track[place] - wall[:, 0]
-    share = np.sum(to * along, axis=1) / np.maximum(length**2, 1e-12)
-    foot = np.clip(share, 0.0, 1.0)[:, None] * along - to
+    share = np.sum(to * leading, axis=1) / np.maximum(length**2, 1e-12)
+    foot = np.clip(share, 0.0, 1.0)[:, None] * leading - to
     aside = ahead[:, 0] * foot[:, 1] - ahead[:, 1] * foot[:, 0]
     leads = (np.abs(askew) < ASKEW) & (length > LEAST_WALL) & (np.abs(aside) > np.abs(np.sum(ahead * foot, axis=1)))
     found = [_nearest(place, aside * side, leads, len(track)) for side in (1, -1)]
@@ -167,7 +167,7 @@ def _intersection(place: Array, network: Network) -> int | None:
 
 def _leaving(network: Network, node: int, way: Array) -> int | None:
     """The link that leaves a node in a direction ``(2,)``."""
-    for link in np.flatnonzero((network.links == node).any(axis=1)).tolist():
+    for link in network.links_at(node).tolist():
         ahead = np.diff(network.leaving(link, node)[:2], axis=0)[0]
         if ahead @ way > np.cos(ASKEW) * np.hypot(*ahead):
             return link

@@ -18,6 +18,7 @@ from pdr_graph.floor.calibrations import (
 )
 from pdr_graph.floor.links import AROUND, Turn
 from pdr_graph.floor.network import Network
+from pdr_graph.geometry import turn_between
 from pdr_graph.types import Array, Steps
 
 LEAST_THETA = np.radians(10)  # of an estimated turn: less says nothing of R_d
@@ -86,7 +87,7 @@ def tried_pairs(steps: Steps, laid: Laid, previous: Turn | None, turn: Turn, net
 def _R_d_of(turn: Turn, track: Array, begin: int, end: int, network: Network) -> tuple[float, ...]:
     """Eq. (6) of a turn seen from step ``begin`` to step ``end`` of a track; nothing of one hardly estimated."""
     come, gone = track[turn.first] - track[begin], track[end] - track[turn.last]
-    theta = float(np.arctan2(come[0] * gone[1] - come[1] * gone[0], come @ gone))
+    theta = turn_between(come, gone)
     if abs(theta) < LEAST_THETA:
         return ()
     corners = corners_at(network.corners[turn.node], network.nodes[turn.node])

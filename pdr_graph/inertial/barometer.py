@@ -154,9 +154,9 @@ def _edges(quiet: Array, first: Index, after: Index) -> tuple[Index, Index]:
 def _without_false_levels(first: Index, last: Index) -> tuple[Index, Index]:
     """The same with those joined, up or down, between which the height stayed no longer than in a gust."""
     stays = (first[1:] - last[:-1]) * GRID > GUST
-    return first[np.append(True, stays)[: len(first)]], last[np.append(stays, True)[-len(last) :]] if len(
-        last
-    ) else last
+    if not len(first):
+        return first, last
+    return first[np.append(True, stays)], last[np.append(stays, True)]
 
 
 def _measured(time: Array, height: Array, first: Index, last: Index) -> Climbs:

@@ -13,6 +13,7 @@ import shapely
 from pdr_graph.errors import InputError
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.floor.storeys import STOREY
+from pdr_graph.geometry import length_along
 from pdr_graph.simulation.body import Ride, Roll, Shake, Stand, Stretch, Take, Walk
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.checks import number, one_of, pair
@@ -89,7 +90,7 @@ class _Draft:
         if not self.legs:
             return
         corners = np.array([self.begun, *(to for to, _, _ in self.legs)])
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+        way = length_along(corners)
         heights = climb * way / way[-1]
         manners, zigzag = tuple(m for _, m, _ in self.legs), np.array([z for _, _, z in self.legs])
         self.stretches.append(Walk(corners, heights, manners, zigzag, self.rehold, floor))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.simulation.noise import slow
 from pdr_graph.types import Array
 
@@ -55,7 +55,7 @@ def way_along(
     zigzag: ``(k - 1,)`` amplitude of swinging from side to side on each leg [m], about every 6 m.
     clearance: distance to the nearest wall; the way sways less where that leaves less than CLEARANCE.
     """
-    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    length = length_along(corners)
     count = max(3, round(length[-1] / SPACING) + 1)
     s = np.linspace(0.0, length[-1], count)
     straight = interpolate(s, length, corners)
@@ -69,10 +69,9 @@ def way_along(
     position = _swayed(rounded, offset, clearance)
     position = gaussian_filter1d(position, 0.3 / SPACING, axis=0, mode="nearest")
     position = position + _ends(s, corners[0] - position[0], corners[-1] - position[-1])
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position, axis=0).T))])
     tangent = np.gradient(position, SPACING, axis=0)
     heading = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    return Way(along, position, np.interp(s, length, heights), heading)
+    return Way(length_along(position), position, np.interp(s, length, heights), heading)
 
 
 def _ends(s: Array, at_start: Array, at_end: Array) -> Array:

@@ -8,10 +8,11 @@ import shapely
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation import particles
-from pdr_graph.estimation.particle_steps import WALL_PRICE, stepped
+from pdr_graph.estimation.particle_steps import stepped
 from pdr_graph.estimation.particles import particle_filter
 from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building
+from pdr_graph.floor.regions import WALL_COST
 from pdr_graph.frames import Frame
 from pdr_graph.types import Fixes
 from tests.walks import fixes_at, steps_of
@@ -49,7 +50,7 @@ def test_no_particle_goes_through_a_thin_wall():
     random = np.random.default_rng(0)
     before = crowd(4000, 2.0, 3.7, theta=0.2)
     after, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, floor.distance, random)
-    paid = price >= WALL_PRICE
+    paid = price >= WALL_COST
     assert not crosses(floor, before, after)[~paid].any()
     assert np.mean(paid) < 0.3, "most find a way along the wall"
     assert np.all(price[~paid] < np.log(5) + 0.2), "having drawn again costs at most one of five"
@@ -63,7 +64,7 @@ def test_a_wall_that_leaves_no_way_is_crossed_at_its_price():
         before, 0.7, 0.0, 0.5, np.array([0.01, 0.01, 0.01]), floor.distance, np.random.default_rng(0)
     )
     assert after[0].mean() == pytest.approx(10.4, abs=0.02)
-    assert np.all(price == WALL_PRICE)
+    assert np.all(price == WALL_COST)
 
 
 def test_inside_what_is_solid_a_step_costs_little():
