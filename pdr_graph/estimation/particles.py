@@ -24,7 +24,7 @@ FEWEST, MOST = 1000, 8000  # particles
 PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles for each square [m] and direction [rad] that they occupy
 RESAMPLE = 0.5  # of the particles in effect
 KERNEL = 0.2  # of their spread, by which copies differ in (R_s, R_d, b)
-WIDE = np.array([1.0, 1.5, 2.0])  # times the prior's sigma: what is rare must not be missed
+WIDE = np.array([1.5, 1.5, 2.0])  # times the prior's sigma: what is rare must not be missed
 CALM = np.array([0.7, 0.7, 1.0])  # times the sigmas of a step's length, sway and turn, which state what is unknown too
 
 LEAST_SIGMA = 1.0  # [m] of a fix: particles lie no denser
@@ -93,7 +93,8 @@ def _start(graph: WalkGraph, n: int, random: np.random.Generator) -> Array:
     turned = sigma * random.standard_normal(n)
     anyhow = slice(None) if sigma > np.pi / 2 else slice(None, None, RARE)  # fixes lay a walk as a whole
     turned[anyhow] = 2 * np.pi * np.arange(n)[anyhow] / n
-    c = random.multivariate_normal(graph.prior.mean, graph.prior.covariance * np.outer(WIDE, WIDE), n).T
+    drawn = random.multivariate_normal(np.zeros(3), graph.prior.covariance * np.outer(WIDE, WIDE), n).T
+    c = _calibrated(drawn, graph.prior)
     used = np.flatnonzero(graph.fix_used)
     first = used[np.argmin(graph.fix_keyframe[used])]
     way = graph.track[graph.fix_keyframe[first]] * c[0] * np.exp(1j * turned)
@@ -146,12 +147,26 @@ def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
 
 def _varied(c: Array, prior: Prior, random: np.random.Generator) -> Array:
     """Calibrations ``(3, n)`` somewhat beside what they are, where the prior admits it (a Metropolis move)."""
-    root = np.linalg.cholesky(np.cov(c) + 1e-12 * np.eye(3))
-    moved = c + KERNEL * root @ random.standard_normal(c.shape)
+    before = _errors(c, prior)
+    root = np.linalg.cholesky(np.cov(before) + 1e-12 * np.eye(3))
+    after = before + KERNEL * root @ random.standard_normal(c.shape)
     information = np.linalg.inv(prior.covariance * np.outer(WIDE, WIDE))
-    before, after = (v - np.array(prior.mean)[:, None] for v in (c, moved))
     rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
-    return np.where(random.exponential(size=c.shape[1]) > rise, moved, c)
+    return np.where(random.exponential(size=c.shape[1]) > rise, _calibrated(after, prior), c)
+
+
+def _calibrated(errors: Array, prior: Prior) -> Array:
+    """(R_s, R_d, b) ``(3, n)`` of errors about the prior's mean: R_s by its logarithm, or walls would favour walkers
+    who hardly move.
+    """
+    stride, turn, drift = prior.mean
+    return np.stack([stride * np.exp(errors[0]), turn + errors[1], drift + errors[2]])
+
+
+def _errors(c: Array, prior: Prior) -> Array:
+    """The inverse of `_calibrated`."""
+    stride, turn, drift = prior.mean
+    return np.stack([np.log(c[0] / stride), c[1] - turn, c[2] - drift])
 
 
 def _ancestors(states: list[Array], origins: list[Index]) -> Array:
