@@ -74,6 +74,10 @@ def smooth(
         str | None,
         typer.Option(metavar="LABEL", help="Where the walk begins, of a plan with several; default: as fixes say."),
     ] = None,
+    beacons: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="beacon,x,y or beacon,lat,lon; default: BLE_Locations.csv beside the log."),
+    ] = None,
 ) -> None:
     """Reconstruct one walk.
 
@@ -82,7 +86,7 @@ def smooth(
     from pdr_graph.pipeline import smooth_recording
 
     missing = smooth_recording(
-        recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor
+        recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor, beacons
     )
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.types import LONLAT, Array, Fixes, Trajectory
+from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Trajectory
 
 if TYPE_CHECKING:
     from pyproj import Transformer
 
 EAST = 1e-4  # [deg] of longitude: some metres
-Placed = TypeVar("Placed", Fixes, Trajectory)
+Placed = TypeVar("Placed", Fixes, Trajectory, Beacons)
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Frame:
         return np.stack(self._transformer.transform(*position.T, direction="INVERSE"), axis=1)
 
     def place(self, what: Placed) -> Placed:
-        """Fixes or a truth brought into this frame from that of their ``epsg``; those without one as they are."""
+        """What has places brought into this frame from that of its ``epsg``; without one as it is."""
         if what.epsg is None:
             return what
         position = what.position

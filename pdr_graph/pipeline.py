@@ -16,6 +16,7 @@ import numpy as np
 
 from pdr_graph import io
 from pdr_graph.errors import InputError
+from pdr_graph.estimation.beacons import Levels, levels
 from pdr_graph.estimation.filters import kalman_filter
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.floors import Floors, floors_along
@@ -33,6 +34,7 @@ from pdr_graph.gait.treads import on_treads
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
+from pdr_graph.io.beacons import beside, read_beacons
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
 
@@ -70,6 +72,7 @@ def smooth_recording(
     rate: float | None = None,
     gnss_latency: float = 0.0,
     floor_label: str | None = None,
+    beacons: Path | None = None,
 ) -> tuple[str, ...]:
     """Reconstruct one walk and write trajectory, picture and summary to ``out``.
 
@@ -87,6 +90,7 @@ def smooth_recording(
         notes = list(walk.notes)
         given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
         building = Building.load(plan) if plan else None
+        walk = _with_beacons(walk, beacons or (beside(recording) if use_recorded_fixes else None))
         frame, located = _locate(building, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, building)
@@ -94,7 +98,8 @@ def smooth_recording(
         if steps is not None and floors is not None:
             steps = on_treads(steps, floors.climbs, floors.kinds)
     with stage("estimate"):
-        estimate, missing = _estimate(steps, located, headings, building, floors, known, method)
+        heard = _levels(walk, steps, frame, notes)
+        estimate, missing = _estimate(steps, located, headings, building, floors, heard, known, method)
     with stage("write"):
         missing += _write(out, walk, building, frame, estimate, rate)
         if steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
@@ -103,7 +108,8 @@ def smooth_recording(
 
     settings = {"method": method, "walker": known.describe(), "recorded_fixes": use_recorded_fixes, "rate": rate}
     settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
-    settings |= {name: str(path) if path else None for name, path in (("map", plan), ("fixes", fixes))}
+    paths = {"map": plan, "fixes": fixes, "beacons": beacons}
+    settings |= {name: str(path) if path else None for name, path in paths.items()}
     summary = summarize(walk, steps, headings, building, floors, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
     summary["warnings"] = [*notes, *estimate.warnings]
@@ -163,6 +169,7 @@ def _merge(one: Fixes, other: Fixes) -> Fixes:
         np.concatenate([one.position, other.position]),
         np.concatenate([one.sigma, other.sigma]),
         one.floor + other.floor,
+        source=one.sources + other.sources,
     )
     return joined[np.argsort(joined.time, kind="stable")]
 
@@ -196,12 +203,28 @@ def _floors(
     return found
 
 
+def _with_beacons(walk: Recording, beacons: Path | None) -> Recording:
+    """The recording, with what a list says of where its beacons are."""
+    return walk if beacons is None else replace(walk, beacons=read_beacons(beacons, walk))
+
+
+def _levels(walk: Recording, steps: Steps | None, frame: Frame, notes: list[str]) -> Levels | None:
+    """How loud the surveyed beacons were along the walk."""
+    if walk.beacons is None or walk.bluetooth is None or steps is None:
+        return None
+    if walk.beacons.epsg is not None and not frame.georeferenced:
+        notes.append(f"{len(walk.beacons)} beacons were left out: the frame of --fixes has no latitude")
+        return None
+    return levels(walk.bluetooth, frame.place(walk.beacons), steps)
+
+
 def _estimate(
     steps: Steps | None,
     fixes: Fixes,
     headings: Headings,
     building: Building | None,
     floors: Floors | None,
+    heard: Levels | None,
     walker: Walker,
     method: str,
 ) -> tuple[Estimate, tuple[str, ...]]:
@@ -210,7 +233,7 @@ def _estimate(
         return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
     prior = prior_of(walker.profile)
     labels = floors.labels if floors else None
-    graph = WalkGraph(steps, fixes, headings=headings, floor=building, floors=labels, prior=prior)
+    graph = WalkGraph(steps, fixes, headings=headings, floor=building, floors=labels, levels=heard, prior=prior)
     estimate, missing = _smoothed(graph, method)
     return estimate, (*steps.unknown, *missing)
 
@@ -302,6 +325,7 @@ def summarize(
         "climbs": _climbs(floors, walk.clock_origin),
         "calibration": _calibration(estimate, walk.clock_origin),
         "fixes": [_finite(asdict(replace(f, time=f.time + walk.clock_origin))) for f in estimate.fixes],
+        "beacons": [asdict(b) for b in estimate.beacons],
         "headings": _heading_reports(headings, estimate, walk.clock_origin),
         "wall_crossings": crossings,
         "probability": round(estimate.probability, 3),

@@ -49,15 +49,37 @@ class Signal:
 class Sightings:
     """What a radio heard: Bluetooth beacons or Wi-Fi access points.
 
-    time: ``(n,)`` [s]; transmitter: its identity, one per row; rssi: ``(n,)`` received power [dBm].
+    time: ``(n,)`` [s]; transmitter: its identity, one per row; rssi: ``(n,)`` received power [dBm]; minor: an iBeacon's
+    own number, one per row, where the log has it.
     """
 
     time: Array
     transmitter: tuple[str, ...]
     rssi: Array
+    minor: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.time)
+
+
+@dataclass(frozen=True)
+class Beacons:
+    """Transmitters whose places were surveyed.
+
+    name: of each, as ``Sightings.transmitter`` has it; position: ``(m, 2)`` [m] in the output frame, or in that of
+    ``epsg``, NaN where unknown; sigma: ``(m,)`` of the survey [m], per axis; floor: labels, empty where unknown.
+    label: what a message calls each.
+    """
+
+    name: tuple[str, ...]
+    position: Array
+    sigma: Array
+    floor: tuple[str, ...]
+    label: tuple[str, ...]
+    epsg: int | None = None
+
+    def __len__(self) -> int:
+        return len(self.name)
 
 
 @dataclass(frozen=True)
@@ -69,6 +91,8 @@ class Fixes:
     sigma: ``(n,)`` standard deviation *per axis* [m].
     floor: floor label per fix, empty where unknown.
     epsg: None in the output frame; LONLAT where ``position`` is longitude and latitude [deg]; a projection's code.
+    source: of each fix, the receiver whose errors stay alike for a while; empty where errors are independent, the
+        default.
     """
 
     time: Array
@@ -76,6 +100,7 @@ class Fixes:
     sigma: Array
     floor: tuple[str, ...]
     epsg: int | None = None
+    source: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
@@ -85,11 +110,18 @@ class Fixes:
         _check("sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
         if len(self.floor) != len(self.time):
             raise ValueError(f"Fixes.floor: found {len(self.floor)} labels, needed {len(self.time)}")
+        if len(self.source) not in (0, len(self.time)):
+            raise ValueError(f"Fixes.source: found {len(self.source)} names, needed {len(self.time)}")
 
     @classmethod
     def none(cls) -> Fixes:
         """No fix at all."""
         return cls(np.empty(0), np.empty((0, 2)), np.empty(0), ())
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The source of every fix ``(n,)``."""
+        return self.source or ("",) * len(self)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -103,6 +135,7 @@ class Fixes:
             position=self.position[index],
             sigma=self.sigma[index],
             floor=tuple(self.floor[i] for i in index),
+            source=tuple(self.sources[i] for i in index),
         )
 
 
@@ -165,7 +198,7 @@ class Recording:
     epoch: Unix time [s] at ``t = 0``, None if the log has no clock.
     linear_acceleration: with gravity removed by the recorder; read only where there is no ``accelerometer``.
     fixes: positions inside the recording.
-    bluetooth, wifi: what its radios heard.
+    bluetooth, wifi: what its radios heard; beacons: where the beacons among them are, None where nobody says.
     truth: surveyed positions inside the recording. For scoring and drawing only: no estimate reads it.
     notes: what the reader left out or had to assume, one line each.
     """
@@ -181,6 +214,7 @@ class Recording:
     fixes: Fixes = field(default_factory=Fixes.none)
     bluetooth: Sightings | None = None
     wifi: Sightings | None = None
+    beacons: Beacons | None = None
     truth: Trajectory | None = None
     notes: tuple[str, ...] = ()
 
@@ -285,13 +319,29 @@ class FixReport:
 
 
 @dataclass(frozen=True)
+class BeaconReport:
+    """What the walk tells of one beacon.
+
+    label: its name in messages; levels: how often it was heard, stretch by stretch; residual: mean distance of these
+    levels from those expected [dB]; x, y: where it is, as the walk has it [m].
+    """
+
+    label: str
+    levels: int
+    residual: float
+    x: float
+    y: float
+    reason: str
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The answer to "which way did this person walk?".
 
     trajectory: start pose, one row per step at its end, last pose. See design section 4.
     dead_reckoning: the same rows from steps alone, laid on the fixes as a rigid shape.
     calibration: None where the method has none.
-    fixes: one report per fix, in the order given.
+    fixes: one report per fix, in the order given; beacons: one per beacon that was heard.
     converged: False if the optimiser stopped before the cost settled.
     probability: of this walk, against others that explain the measurements too and go elsewhere.
     warnings: what a user must know before trusting the result.
@@ -305,6 +355,7 @@ class Estimate:
     cost: float
     converged: bool
     probability: float = 1.0
+    beacons: tuple[BeaconReport, ...] = ()
     warnings: tuple[str, ...] = ()
 
 

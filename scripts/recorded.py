@@ -4,9 +4,11 @@ import numpy as np
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, read_fixes, smooth
+from pdr_graph.estimation.beacons import levels
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
 from pdr_graph.gait.gait import gait_of
+from pdr_graph.io.beacons import read_beacons
 from pdr_graph.types import Fixes, Trajectory
 
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start
@@ -62,10 +64,13 @@ def gnss(data):
         truth, fixes = frame.place(walk.truth), frame.place(walk.fixes)
         gaits = gait_of(walk)
         headings = magnetic_headings(gaits, frame, fixes.position[0])
-        track = smooth(WalkGraph(detect_steps(gaits), fixes, headings=headings)).trajectory
-        own = percentiles(circular_error(pair(fixes_as_track(fixes), truth)))
-        rows.append([path.stem, "all of the phone's", own, percentiles(circular_error(pair(track, truth)))])
-        rows[-1].append(coverage(track, truth))
+        steps, own = detect_steps(gaits), percentiles(circular_error(pair(fixes_as_track(fixes), truth)))
+        beacons = frame.place(read_beacons(path.parent / "BLE_Locations.csv", walk))
+        heard = levels(walk.bluetooth, beacons, steps)
+        for given, beside in (("GNSS", None), ("GNSS, beacons", heard)):
+            track = smooth(WalkGraph(steps, fixes, headings=headings, levels=beside)).trajectory
+            cells = [percentiles(circular_error(pair(track, truth))), coverage(track, truth)]
+            rows.append([path.stem, given, own, *cells])
     walk = io.load(data / "nju_phyphox_outdoor")
     lon, lat = walk.fixes.position[0]
     frame = enu(lat, lon)
@@ -79,5 +84,5 @@ def gnss(data):
         track = smooth(WalkGraph(steps, fixes[given], headings=headings)).trajectory
         errors = percentiles(circular_error(pair(track, rest)))
         rows.append(["NJU campus", f"one in {every} s", between, errors, coverage(track, rest)])
-    header = ["walk", "positions given", "straight lines between them [m]", "graph [m]", "in 90 %"]
+    header = ["walk", "given", "straight lines between fixes [m]", "graph [m]", "in 90 %"]
     publish("accuracy.md", "gnss", table(header, rows))

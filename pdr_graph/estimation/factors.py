@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 
 from pdr_graph.estimation.linearised import Linearised
+from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import Bridge, Increments, Pieces, preintegrate
 from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.distance import DistanceField
@@ -63,7 +64,7 @@ class Evaluation:
     """The own factors at one state, and what they were made of.
 
     pieces, bridge: of the intervals; pose_i, pose_j: ``(k, 3)``; increments: at c; left_over: of the PDR factor, not
-    whitened.
+    whitened; observed: the factors of single keyframes.
     """
 
     pieces: Pieces
@@ -74,6 +75,7 @@ class Evaluation:
     pose_j: Array
     increments: Increments
     left_over: Linearised
+    observed: tuple[Rows, ...] = ()
 
     @cached_property
     def pdr(self) -> Linearised:
@@ -107,7 +109,8 @@ class Evaluation:
         """Half the sum of squares, as GTSAM counts it."""
         r = np.einsum("kij,kj->ki", self.bridge.root, self.left_over.value)
         others = [own.value for own in (self.wall, self.corner) if own is not None]
-        return 0.5 * float(sum(np.sum(v**2) for v in (r, self.turned[0], *others)))
+        squares = float(sum(np.sum(v**2) for v in (r, self.turned[0], *others)))
+        return 0.5 * squares + sum(rows.cost for rows in self.observed)
 
 
 def evaluate(

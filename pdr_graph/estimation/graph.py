@@ -2,7 +2,8 @@
 
 x_0 ──PDR── x_1 ──PDR── x_2 ── … ── x_k         x_i  Pose2 at keyframe i
  │   ╲c_0╱   ╲  c_0 ╱    │                      c_s  (R_s, R_d, b) of segment s, a random walk
-fix          wall       fix
+fix          wall       fix                     g_m  offset and lag of a receiver, slowly varying
+ ╰── g_0 ───── g_1 ──────╯                      b_m  place and power of a beacon; q  (P, n, k) of their path loss
 """
 
 from __future__ import annotations
@@ -13,12 +14,15 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
+from gtsam.symbol_shorthand import B, C, G, Q, X
 
+from pdr_graph.estimation.beacons import LOSS, Levels
 from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
+from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
+from pdr_graph.estimation.receivers import Receivers, receivers, repeated, together, velocities
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
 from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.building import Building
@@ -64,29 +68,34 @@ class Prior:
 
 @dataclass(frozen=True)
 class State:
-    """All variables as arrays: poses ``(k + 1, 3)`` x, y, θ; c ``(s, 3)``."""
+    """All variables as arrays: poses ``(k + 1, 3)`` x, y, θ; c ``(s, 3)``; g, b, q ``(…, 3)``."""
 
     poses: Array
     c: Array
+    g: Array = field(default_factory=lambda: np.empty((0, 3)))
+    b: Array = field(default_factory=lambda: np.empty((0, 3)))
+    q: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     def to_values(self) -> gtsam.Values:
-        """As ``gtsam.Values``, keys x0… and c0…."""
+        """As ``gtsam.Values``, keys x0…, c0… and so on."""
         values = gtsam.Values()
         for key, (x, y, theta) in enumerate(self.poses.tolist(), X(0)):
             values.insert(key, gtsam.Pose2(x, y, theta))
-        for key, c in enumerate(self.c, C(0)):
-            values.insert(key, c)
+        for symbol, vectors in ((C, self.c), (G, self.g), (B, self.b), (Q, self.q)):
+            for key, vector in enumerate(vectors, symbol(0)):
+                values.insert(key, vector)
         return values
 
     def turned(self, angle: float, pivot: Array) -> State:
         """All poses turned by ``angle`` [rad] about ``pivot (2,)`` [m]."""
         position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
-        return State(np.column_stack([position, self.poses[:, 2] + angle]), self.c)
+        return replace(self, poses=np.column_stack([position, self.poses[:, 2] + angle]))
 
     @classmethod
     def of(cls, values: gtsam.Values) -> State:
         """From ``gtsam.Values``."""
-        return cls(gtsam.utilities.extractPose2(values), gtsam.utilities.extractVectors(values, "c"))
+        vectors = (gtsam.utilities.extractVectors(values, name).reshape(-1, 3) for name in "cgbq")
+        return cls(gtsam.utilities.extractPose2(values), *vectors)
 
 
 class WalkGraph:
@@ -94,7 +103,8 @@ class WalkGraph:
 
     steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
     headings: walking directions in that frame; floor: whose walls are factors, optional, or a building; floors: the
-    floor's label for each row of the trajectory ``(n + 2,)``, needed with a building of several; prior: see ``Prior``.
+    floor's label for each row of the trajectory ``(n + 2,)``, needed with a building of several; levels: of beacons
+    that were heard; prior: see ``Prior``.
 
     The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
     as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
@@ -108,6 +118,7 @@ class WalkGraph:
         headings: Headings | None = None,
         floor: FloorPlan | Building | None = None,
         floors: Sequence[str] | None = None,
+        levels: Levels | None = None,
         prior: Prior | None = None,
     ):
         self.steps = steps
@@ -115,27 +126,39 @@ class WalkGraph:
         self.prior = prior or Prior()
 
         # Variables: a pose per keyframe, a calibration per segment
-        self.fix_used, self.fix_sigma = _freshness(self.fixes, steps)
+        self.levels = levels if levels is not None and len(levels) else None
+        if not _freshness(self.fixes, steps)[0].any() and self.levels is not None:
+            self.fixes = self.levels.proximity()
+        self.fix_repeats = repeated(self.fixes)
+        fresh, self.fix_sigma = _freshness(self.fixes, steps)
+        self.fix_used = fresh & ~self.fix_repeats
+        self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_used)
         lost = steps.length == 0
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
-        self.pieces = cut(steps, np.concatenate([self.fixes.time[self.fix_used], self.headings.time, gap_ends]))
+        at = [self.fixes.time[self.fix_used], self.headings.time, gap_ends, self.levels.time if self.levels else []]
+        self.pieces = cut(steps, np.concatenate(at))
         row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
         self.floors = _labels(floor, floors, len(steps) + 2)
         self.ground = None if floor is None else Ground.of(floor, [self.floors[r] for r in row.tolist()])
         self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
         self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
+        self.level_keyframe = nearest(self.pieces.keyframe_time, self.levels.time) if self.levels else np.empty(0, int)
         self.segment = _segments(self.pieces, steps)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
 
-        # How steps add up, where to start, and GTSAM's own factors
+        # How steps add up, where to start, what a receiver's fixes have in common, and GTSAM's own factors
         c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
         increments = preintegrate(self.pieces, c[self.segment])
         self.bridge = bridge(self.pieces, increments)
         self.track, heading = _track(increments.delta[self.pieces.last])
+        self.velocity = velocities(self.track, heading, self.pieces.keyframe_time)
         self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(heading))
         self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
         self.corridors: Corridors | None = None
+        self.receivers: Receivers | None = None
+        if self.levels is not None:
+            self._place_beacons(self.levels)
         self.native = self._native_factors()
 
         # Walls say nothing of a walk that could be anywhere, or is elsewhere
@@ -147,7 +170,7 @@ class WalkGraph:
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """The own factors at ``values``."""
         state = State.of(values)
-        return self._evaluated(state, self.walls, self.turns)
+        return replace(self._evaluated(state, self.walls, self.turns), observed=self._observed(state))
 
     @property
     def turns(self) -> Turns | None:
@@ -166,6 +189,8 @@ class WalkGraph:
         pdr = own.pdr
         for x, c, by_i, by_j, by_c, b in zip(*self.keys, pdr.by_i, pdr.by_j, pdr.by_c, -pdr.value, strict=True):
             graph.add(x, by_i, x + 1, by_j, c, by_c, b, noise)
+        for rows in own.observed:
+            rows.add_to(graph)
         if own.turns is not None:
             self._linearize_turns(graph, own, own.turns)
         if own.wall is None:
@@ -213,7 +238,19 @@ class WalkGraph:
                 graph.add(guarded("intersection", gtsam.noiseModel.Unit.Create(4 * len(others[1])), keys, corner))
         if self.turns:
             graph.push_back(_turn_factors(self.turns))
+        self._push_observed(graph)
         return graph
+
+    def _push_observed(self, graph: gtsam.NonlinearFactorGraph) -> None:
+        """The factors of receivers, each a ``CustomFactor``."""
+        for kind, rows in enumerate(self._observed(self.start)):
+            for n, keys in enumerate(rows.keys.tolist()):
+
+                def seen(values: gtsam.Values, kind=kind, n=n) -> tuple[Array, list[Array]]:
+                    rows = self._observed(State.of(values))[kind]
+                    return rows.value[n], list(rows.by[n])
+
+                graph.add(guarded("receiver", rows.noise(n), keys, seen))
 
     def _linearize_turns(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, turns: Turns) -> None:
         """Of turns beyond their range, and of those outside their intersection."""
@@ -259,29 +296,50 @@ class WalkGraph:
         other.walls = replace(self.walls, sigma=times * self.walls.sigma)
         return other
 
-    def without_grip(self, wild: Mask) -> WalkGraph:
-        """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are."""
+    def with_offsets(self, wild: Mask) -> WalkGraph:
+        """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are, and those of
+        one source share an offset, instead of each counting for less.
+        """
         other = copy(self)
         other.fix_wild = wild
+        used, sigma = self.fix_used, self.fix_sigma
+        other.receivers = receivers(self.fixes, used, sigma, self.fix_keyframe, self.velocity)
+        nodes = 0 if other.receivers is None else len(other.receivers.keep)
+        other.start = replace(self.start, g=np.zeros((nodes, 3)))
         other.native = other._native_factors()
+        return other
+
+    def with_beacons_elsewhere(self, which: list[int]) -> WalkGraph:
+        """The same measurements; nobody knows where those beacons are."""
+        assert self.levels is not None, "there are beacons"
+        other = copy(self)
+        other._place_beacons(self.levels.elsewhere(which))
         return other
 
     def fix_distance(self, values: gtsam.Values) -> Array:
         """Distance ``(f,)`` [m] of each fix from the walk at its time."""
         return np.hypot(*(State.of(values).poses[self.fix_keyframe, :2] - self.fixes.position).T)
 
-    def fix_weight(self, distance: Array) -> Array:
-        """The share ``(f,)`` of each fix's information that is used when it lies ``distance (f,)`` [m] off."""
-        sigmas = distance / self.fix_sigma
+    def fix_weight(self, values: gtsam.Values) -> Array:
+        """The share ``(f,)`` of each fix's information that is used."""
+        sigmas = self.fix_distance(values) / self.fix_sigma
         weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
+        if self.receivers is not None:
+            weight[self.receivers.fix] = self._observed(State.of(values))[0].weight
         return np.where(self.fix_used, weight, 0.0)
+
+    def _place_beacons(self, levels: Levels) -> None:
+        """Start with the beacons where they are believed to be."""
+        self.levels = levels
+        self.believed = levels.prior(self.start.poses[self.level_keyframe, :2])
+        self.start = replace(self.start, b=self.believed, q=LOSS[None])
 
     def _lay_on_fixes(self, heading: Array) -> tuple[State, float]:
         """The start: the dead-reckoned track, of headings ``(k + 1,)``, laid on the fixes; and how well these determine
         its direction [rad].
         """
         track, used = self.track, self.fix_used
-        at, sigma = self.fix_keyframe[used], self.fix_sigma[used]
+        at, sigma = self.fix_keyframe[used], self.fix_sigma_together[used]
         fix = as_complex(self.fixes.position[used])
         uncertain = sigma_direction(track[at], sigma, float(np.sum(self.pieces.length)))
 
@@ -349,14 +407,27 @@ class WalkGraph:
         ends = state.poses[:-1], state.poses[1:]
         return evaluate(self.pieces, self.bridge, *ends, state.c[self.segment], walls, turns)
 
+    def _observed(self, state: State) -> tuple[Rows, ...]:
+        """The own factors of single keyframes."""
+        rows: list[Rows] = []
+        if self.receivers is not None:
+            rows += [self.receivers.seen(state.poses, state.g, self.fix_wild), *self.receivers.kept(state.g)]
+        if self.levels is not None:
+            rows += [self.levels.heard(self.level_keyframe, state.poses, state.b, state.q[0])]
+            rows += self.levels.believed(self.believed, state.b, state.q[0])
+        return tuple(rows)
+
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
         graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
         huber = noise.mEstimator.Huber.Create(HUBER_WIDTH)
         geman_mcclure = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
-        for n in np.flatnonzero(self.fix_used):
+        alone = self.fix_used.copy()
+        if self.receivers is not None:
+            alone[self.receivers.fix] = False
+        for n in np.flatnonzero(alone):
             loss = geman_mcclure if self.fix_wild[n] else huber
-            robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, self.fix_sigma[n]))
+            robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, self.fix_sigma_together[n]))
             graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], robust))
 
         prior = self.prior

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def hypotheses(graph: WalkGraph, attempt: int = 0) -> list[State]:
     """
     paths = particle_filter(graph, seed=attempt, times=2**attempt)
     first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
-    return [State(paths.state[:, :3, n], paths.state[first + 1, 3:, n]) for n in bundles(paths)]
+    return [replace(graph.start, poses=paths.state[:, :3, n], c=paths.state[first + 1, 3:, n]) for n in bundles(paths)]
 
 
 def bundles(paths: Paths) -> list[int]:

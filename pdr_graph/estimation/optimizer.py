@@ -94,7 +94,8 @@ def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
     ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
     for iteration in range(1, MOST_ITERATIONS + 1):
         net = _damped(linear, damping).eliminateSequential(ordering)
-        candidate = values.retract(_capped(net.optimize(), LONGEST_MOVE if graph.walls else np.inf))
+        move = net.optimize()
+        candidate = values.retract(_capped(move, len(graph.start.poses)) if graph.walls else move)
         candidate_own = graph.evaluate(candidate)
         decrease = cost - candidate_own.cost - graph.native.error(candidate)
         if decrease < 0 and damping < MOST_DAMPING:
@@ -122,11 +123,10 @@ def _damped(linear: gtsam.GaussianFactorGraph, damping: float) -> gtsam.Gaussian
     return damped
 
 
-def _capped(move: gtsam.VectorValues, longest: float) -> gtsam.VectorValues:
-    """The move, shortened so that no pose goes further than ``longest`` [m]."""
-    if np.isfinite(longest):
-        furthest = np.abs(move.vector().reshape(-1, 3)[:, :2]).max()
-        move.scaleInPlace(min(1.0, longest / max(furthest, 1e-9)))
+def _capped(move: gtsam.VectorValues, poses: int) -> gtsam.VectorValues:
+    """The move, shortened so that no pose goes further than LONGEST_MOVE. Poses come last, their key being x."""
+    furthest = np.abs(move.vector().reshape(-1, 3)[-poses:, :2]).max()
+    move.scaleInPlace(min(1.0, LONGEST_MOVE / max(furthest, 1e-9)))
     return move
 
 
@@ -138,10 +138,15 @@ def _turned(graph: WalkGraph) -> list[WalkGraph]:
 
 
 def _robustly(graph: WalkGraph) -> Optimum:
-    """The optimum under Huber's loss; then again from there, without the grip of fixes that it left far off."""
+    """The optimum under Huber's loss, every fix for itself; then again from there, without the grip of those that it
+    left far off, and with what the others have in common.
+    """
     first = optimize(graph, graph.start.to_values())
     wild = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
-    return optimize(graph.without_grip(wild), first.values) if wild.any() else first
+    if not wild.any() and not any(graph.fixes.sources):
+        return first
+    again = graph.with_offsets(wild)
+    return optimize(again, replace(State.of(first.values), g=again.start.g).to_values())
 
 
 def _in_the_building(graph: WalkGraph) -> list[Optimum]:
@@ -150,7 +155,7 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     Which fixes are wild is asked of the walk without walls: a walk that they lead astray would blame the fixes.
     """
     in_the_open = _robustly(graph.without_walls())
-    robust, expected = graph.without_grip(in_the_open.graph.fix_wild), USUAL * in_the_open.cost
+    robust, expected = graph.with_offsets(in_the_open.graph.fix_wild), USUAL * in_the_open.cost
     as_laid, found = [robust.start, State.of(in_the_open.values)], list[Optimum]()
     for attempt in range(ATTEMPTS):
         ways = hypotheses(robust, attempt) + (as_laid if attempt == 0 else [])

@@ -98,7 +98,7 @@ def _start(graph: WalkGraph, n: int, random: np.random.Generator) -> Array:
     used = np.flatnonzero(graph.fix_used)
     first = used[np.argmin(graph.fix_keyframe[used])]
     way = graph.track[graph.fix_keyframe[first]] * c[0] * np.exp(1j * turned)
-    place = graph.fixes.position[first][:, None] + graph.fix_sigma[first] * random.standard_normal((2, n))
+    place = graph.fixes.position[first][:, None] + graph.fix_sigma_together[first] * random.standard_normal((2, n))
     return np.concatenate([place - [way.real, way.imag], [heading + turned], c])
 
 
@@ -106,7 +106,9 @@ def _seen(graph: WalkGraph, keyframe: int, state: Array) -> Array:
     """Log-likelihood ``(n,)`` of the fixes and headings at a keyframe; a wild one tells nothing."""
     seen = np.zeros(state.shape[1])
     for f in np.flatnonzero(graph.fix_used & (graph.fix_keyframe == keyframe)):
-        apart = np.hypot(*(state[:2] - graph.fixes.position[f][:, None])) / max(graph.fix_sigma[f], LEAST_SIGMA)
+        apart = np.hypot(*(state[:2] - graph.fixes.position[f][:, None])) / max(
+            graph.fix_sigma_together[f], LEAST_SIGMA
+        )
         seen -= np.minimum(0.5 * apart**2, WILD_PRICE)
     for h in np.flatnonzero(graph.heading_keyframe == keyframe):
         apart = wrap_angle(graph.headings.heading[h] - state[2]) / graph.headings.sigma[h]
@@ -117,15 +119,16 @@ def _seen(graph: WalkGraph, keyframe: int, state: Array) -> Array:
 def _far_fix(graph: WalkGraph, keyframe: int, state: Array) -> int | None:
     """The fix at a keyframe that lies far from all particles, if any: it is wild, or they are in the wrong place."""
     fixes = np.flatnonzero(graph.fix_used & ~graph.fix_wild & (graph.fix_keyframe == keyframe))
-    apart = [np.hypot(*(state[:2] - graph.fixes.position[f][:, None])).min() / graph.fix_sigma[f] for f in fixes]
-    return int(fixes[np.argmax(apart)]) if max(apart, default=0.0) > FAR else None
+    distance = [np.hypot(*(state[:2] - graph.fixes.position[f][:, None])).min() for f in fixes]
+    apart = np.divide(distance, graph.fix_sigma_together[fixes])
+    return int(fixes[np.argmax(apart)]) if np.max(apart, initial=0.0) > FAR else None
 
 
 def _sought(graph: WalkGraph, f: int, state: Array, weight: Array, random: np.random.Generator) -> tuple[Array, Array]:
     """Some of the particles put where fix ``f`` is, at a price: whether they were right, later fixes will say."""
     state, weight, n = state.copy(), weight.copy(), state.shape[1]
     put = np.arange(0, n, SOUGHT)
-    place = random.standard_normal((2, len(put))) * max(graph.fix_sigma[f], LEAST_SIGMA)
+    place = random.standard_normal((2, len(put))) * max(graph.fix_sigma_together[f], LEAST_SIGMA)
     state[:2, put] = graph.fixes.position[f][:, None] + place
     state[2, put] += random.uniform(-np.pi, np.pi, len(put))
     weight[put] = np.logaddexp.reduce(weight) - np.log(n) - LOST_PRICE

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.types import Array, Calibration, FixReport
+import numpy as np
+
+from pdr_graph.estimation.beacons import LEVEL_SIGMA, Levels
+from pdr_graph.estimation.graph import State, WalkGraph
+from pdr_graph.types import Array, BeaconReport, Calibration, FixReport
 
 SURE = 0.9  # probability below which a user is warned
 
@@ -15,7 +18,9 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
     """
     reports = []
     for n, (x, y) in enumerate(graph.fixes.position.tolist()):
-        if not graph.fix_used[n]:
+        if graph.fix_repeats[n]:
+            reason = "the receiver said again what it had said: not used twice"
+        elif not graph.fix_used[n]:
             reason = "outside the recording: not used"
         else:
             trust = "full weight" if weight[n] == 1.0 else "taken for wild" if graph.fix_wild[n] else "weighted down"
@@ -32,7 +37,7 @@ def warnings(
 
     walks: how many explain the measurements; probability: that it went the way that the estimate did.
     """
-    used, given = int(graph.fix_used.sum()), len(graph.fixes)
+    used, given = int(graph.fix_used.sum()), int((~graph.fix_repeats).sum())
     warned = {
         "no position fix: the track starts at (0, 0) with heading 0": used == 0,
         "one position fix: the direction of the walk is unknown, heading 0 was assumed": used == 1
@@ -50,3 +55,27 @@ def warnings(
     for n, name in enumerate(calibration.names):
         warned[f"{name} is the prior's: the measurements do not determine it"] = not calibration.learnt[:, n].any()
     return tuple(text for text, holds in warned.items() if holds)
+
+
+def beacon_reports(levels: Levels | None, graph: WalkGraph, state: State) -> tuple[BeaconReport, ...]:
+    """What the walk of ``graph`` tells of each beacon of ``levels``, as they were given to it."""
+    if levels is None or graph.levels is None:
+        return ()
+    rows = graph.levels.heard(graph.level_keyframe, state.poses, state.b, state.q[0])
+    off = LEVEL_SIGMA * rows.value[:, 0]
+    reports = []
+    for m, (x, y) in enumerate(state.b[:, :2].tolist()):
+        own, listed = levels.beacon == m, levels.position[m]
+        distance = np.hypot(*(levels.position - (x, y)).T)
+        if np.isnan(listed[0]):
+            reason = "its place is learnt"
+        elif np.isnan(graph.levels.position[m, 0]):
+            like = levels.label[int(np.nanargmin(distance))]
+            reason = (
+                f"heard as if it were {distance[m]:.0f} m from where it is listed, nearest to the place of {like}: "
+            )
+            reason += "moved or swapped, its place was not used"
+        else:
+            reason = "heard where it is listed"
+        reports.append(BeaconReport(levels.label[m], int(own.sum()), float(np.abs(off[own]).mean()), x, y, reason))
+    return tuple(reports)

@@ -7,8 +7,9 @@ import numpy as np
 from pdr_graph.estimation.covariance import covariance_of_rows
 from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
+from pdr_graph.estimation.misplaced import misplaced
 from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions, ways
-from pdr_graph.estimation.reports import fix_reports, warnings
+from pdr_graph.estimation.reports import beacon_reports, fix_reports, warnings
 from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Calibration, Estimate, Trajectory
 
@@ -18,8 +19,10 @@ def smooth(graph: WalkGraph) -> Estimate:
 
     Where other walks explain the measurements about as well, they widen the covariance and are warned of.
     """
-    # The optimum, and whatever else explains the measurements
+    # The optimum, and whatever else explains the measurements; again without what a beacon's list says wrongly
     found = solutions(graph)
+    while moved := _misplaced(found[0]):
+        found = solutions(found[0].graph.with_beacons_elsewhere(moved))
     best = found[0]
 
     # Every step, with its covariance
@@ -33,11 +36,12 @@ def smooth(graph: WalkGraph) -> Estimate:
     # What was learnt, what was trusted, and what to beware of
     calibration = _calibration(best, of_c)
     distance = best.graph.fix_distance(best.values)
-    weight = best.graph.fix_weight(distance)
+    weight = best.graph.fix_weight(best.values)
     return Estimate(
         trajectory=trajectory,
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
         calibration=calibration,
+        beacons=beacon_reports(graph.levels, best.graph, State.of(best.values)),
         fixes=fix_reports(best.graph, distance, distance / graph.fix_sigma, weight, "the walk"),
         iterations=best.iterations,
         cost=best.cost,
@@ -45,6 +49,14 @@ def smooth(graph: WalkGraph) -> Estimate:
         probability=of_way,
         warnings=warnings(graph, len(found), of_way, best.converged, calibration),
     )
+
+
+def _misplaced(optimum: Optimum) -> list[int]:
+    """The beacons that are heard as if they were elsewhere; a list that is wrong of one is doubted of the next."""
+    graph, state = optimum.graph, State.of(optimum.values)
+    if graph.levels is None:
+        return []
+    return [m.beacon for m in misplaced(graph.levels, graph.pieces.keyframe_time, state.poses[:, :2], state.q[0])]
 
 
 def _rows(optimum: Optimum) -> Array:

@@ -25,6 +25,7 @@ TAGS = (*SENSORS, "GNSS", "POSI", "BLE4", "WIFI")
 FIRST_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb");\s*-?[0-9.]+;", re.MULTILINE)
 LARGEST_WANDER = 1.0  # [s] between the clocks of app and sensor; 0.35 s was seen
 UNIX = 1e9  # [s] a larger time is a Unix time: later than 2001
+MINOR = 3  # of the fields after a beacon's address: rssi, power, major, minor
 MAC = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
 
 
@@ -111,14 +112,16 @@ def _sightings(rows: Rows | None) -> Sightings | None:
     """Who was heard, by MAC, and how loud. Network names may hold anything, the delimiter too."""
     if rows is None:
         return None
-    heard: list[tuple[float, str, float]] = []
+    beacons = rows.lines[0].startswith("BLE4")
+    heard: list[tuple[float, str, float, str]] = []
     for line in rows.lines:
         mac = MAC.search(line)
         fields = line[mac.end() + 1 :].rstrip(";\r ").split(";") if mac else []
-        level = fields[0 if rows.lines[0].startswith("BLE4") else -1] if fields else ""
+        level = fields[0 if beacons else -1] if fields else ""
+        minor = fields[MINOR].strip() if beacons and len(fields) > MINOR else ""
         try:
-            heard.append((float(line.split(";", 2)[1]), mac.group() if mac else "", float(level)))
+            heard.append((float(line.split(";", 2)[1]), mac.group() if mac else "", float(level), minor))
         except (ValueError, IndexError):
             continue
-    time = np.array([t for t, _, _ in heard])
-    return Sightings(time, tuple(m for _, m, _ in heard), np.array([level for _, _, level in heard]))
+    time, level = (np.array([row[n] for row in heard]) for n in (0, 2))
+    return Sightings(time, tuple(row[1] for row in heard), level, tuple(row[3] for row in heard))

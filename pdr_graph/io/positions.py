@@ -33,7 +33,7 @@ def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS") -> Fixe
             f"{source}: {int(unknown.sum())} positions have no accuracy: {USUAL_ACCURACY} m (68 %) was assumed"
         )
     sigma = np.where(unknown, USUAL_ACCURACY, accuracy) / RADIUS_68
-    return Fixes(time, np.column_stack([lon, lat]), sigma, ("",) * len(time), LONLAT)
+    return Fixes(time, np.column_stack([lon, lat]), sigma, ("",) * len(time), LONLAT, (source,) * len(time))
 
 
 def surveyed(time: Array, position: Array, floor: tuple[str, ...] | None = None, epsg: int | None = None) -> Trajectory:

@@ -56,17 +56,22 @@ def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
 
 def _tabular_fixes(path: Path) -> Fixes:
     """Fixes of a table, in order of its own clock."""
-    numbers, words = _read(path, [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
+    numbers, words = read_table(path, [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
     geodetic = "lat" in numbers
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
     position = np.stack([numbers[n] for n in names], axis=1)
     _each(path, numbers["sigma"] <= 0, numbers["sigma"], "sigma", "a standard deviation above 0 m")
     if geodetic:
-        _each(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
-        _each(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
+        check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
     return Fixes(numbers["time"], position, numbers["sigma"], words["floor"], epsg)[order]
+
+
+def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
+    """Raise InputError unless the columns ``lat`` and ``lon`` are on the globe."""
+    _each(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
+    _each(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
 
 
 def read_trajectory(path: str | Path) -> Trajectory:
@@ -75,7 +80,7 @@ def read_trajectory(path: str | Path) -> Trajectory:
     Covariance columns, as ``trajectory.csv`` has them, are read if they are there. Raises InputError naming the line.
     """
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
-    numbers, words = _read(Path(path), [("time", "x", "y")], optional, words=("floor",))
+    numbers, words = read_table(Path(path), [("time", "x", "y")], optional, words=("floor",))
     time = numbers["time"]
     back = np.diff(time, prepend=-np.inf) <= 0
     _each(path, back, time, "time", "times that increase from row to row")
@@ -96,7 +101,7 @@ def _covariance(numbers: dict[str, Array]) -> Array:
     return covariance
 
 
-def _read(
+def read_table(
     path: Path, required: list[tuple[str, ...]], optional: tuple[str, ...] = (), words: tuple[str, ...] = ()
 ) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
     """Columns of a table with a header. required: alternatives, the first that is there; words: columns of text.

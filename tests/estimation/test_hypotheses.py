@@ -49,7 +49,9 @@ def test_a_fork_gives_two_ways_of_like_shares():
     ways = hypotheses(graph_of(walk(0.0)))
     ends = np.array([way.poses[-1, :2] for way in ways[:2]])
     assert sorted(np.sign(ends[:, 1])) == [-1, 1]
-    assert np.abs(ends[:, 1]) == pytest.approx((35.0 - STEM) * np.sin(HALF_ANGLE), abs=2.5)
+    assert np.abs(ends[:, 1]) == pytest.approx(
+        (35.0 - STEM) * np.sin(HALF_ANGLE), abs=3.5
+    )  # strides are free by a quarter
 
 
 @pytest.mark.parametrize("side", [-1, 1])

@@ -1,0 +1,64 @@
+"""Own factors of single keyframes, whatever they observe: whitened errors with robust losses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
+from pdr_graph.types import Array, Index, Mask
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Factors of one kind at one state.
+
+    value: ``(n, r)`` errors, whitened.
+    keys: ``(n, v)`` the variables of each; by: ``(n, v, r, 3)`` derivatives by each.
+    wild: ``(n,)`` True where the error is so far off that it lets go; None where the errors are Gaussian.
+    """
+
+    value: Array
+    keys: Index
+    by: Array
+    wild: Mask | None = None
+
+    @cached_property
+    def weight(self) -> Array:
+        """The share ``(n,)`` of each factor's information that is used."""
+        if self.wild is None:
+            return np.ones(len(self.value))
+        sigmas = np.linalg.norm(self.value, axis=1)
+        return np.where(self.wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
+
+    @cached_property
+    def cost(self) -> float:
+        """The losses' sum, as GTSAM counts it."""
+        square = np.sum(self.value**2, axis=1)
+        if self.wild is None:
+            return 0.5 * float(square.sum())
+        sigmas = np.sqrt(square)
+        huber = np.where(sigmas > HUBER_WIDTH, HUBER_WIDTH * (sigmas - HUBER_WIDTH / 2), square / 2)
+        geman_mcclure = 0.5 * WILD_WIDTH**2 * square / (WILD_WIDTH**2 + square)
+        return float(np.where(self.wild, geman_mcclure, huber).sum())
+
+    def add_to(self, graph: gtsam.GaussianFactorGraph) -> None:
+        """As linear factors, weighted."""
+        root, noise = np.sqrt(self.weight), gtsam.noiseModel.Unit.Create(self.value.shape[1])
+        error, by = -root[:, None] * self.value, root[:, None, None, None] * self.by
+        for keys, blocks, b in zip(self.keys.tolist(), by, error, strict=True):
+            terms: list[Any] = [term for key, block in zip(keys, blocks, strict=True) for term in (key, block)]
+            graph.add(gtsam.JacobianFactor(*[*terms, b, noise]))
+
+    def noise(self, n: int) -> gtsam.noiseModel.Base:
+        """What GTSAM takes of one of them: whitened errors under its loss."""
+        unit = gtsam.noiseModel.Unit.Create(self.value.shape[1])
+        if self.wild is None:
+            return unit
+        estimator = gtsam.noiseModel.mEstimator
+        loss = estimator.GemanMcClure.Create(WILD_WIDTH) if self.wild[n] else estimator.Huber.Create(HUBER_WIDTH)
+        return gtsam.noiseModel.Robust.Create(loss, unit)

@@ -1,0 +1,187 @@
+"""Fixes of one receiver, whose errors are alike for a while."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from walks import PERIOD, dead_reckon, fixes_at, steps_of
+
+from pdr_graph.estimation import receivers
+from pdr_graph.estimation.graph import State, WalkGraph
+from pdr_graph.estimation.optimizer import optimize
+from pdr_graph.estimation.receivers import CORRELATED, NODE, WHITE
+from pdr_graph.estimation.smoothers import smooth
+from pdr_graph.geometry import interpolate
+from pdr_graph.types import Fixes, Steps
+
+
+def named(fixes, source="GNSS"):
+    return replace(fixes, source=(source,) * len(fixes))
+
+
+def meander(n=300, seed=0):
+    """Steps of a walk with many turns: a lag is not to be confused with an offset."""
+    random = np.random.default_rng(seed)
+    turn = np.where(np.arange(n) % 15 == 14, random.choice([-1, 1], n) * np.pi / 2, 0.0)
+    return steps_of(np.full(n, 0.7), turn)
+
+
+def gauss_markov(n, period, random):
+    """A process of unit variance and correlation time CORRELATED."""
+    keep = np.exp(-period / CORRELATED)
+    process = random.normal(0, 1, (n, 2))
+    for i in range(1, n):
+        process[i] = keep * process[i - 1] + np.sqrt(1 - keep**2) * process[i]
+    return process
+
+
+def observed(graph, state):
+    return graph._observed(state)
+
+
+def random_state(graph, random):
+    k, s = len(graph.start.poses), len(graph.start.c)
+    poses = random.uniform([-6, -6, -np.pi], [6, 6, np.pi], (k, 3))
+    return replace(
+        graph.start,
+        poses=poses,
+        c=random.normal([1, 1, 0], [0.1, 0.05, 0.01], (s, 3)),
+        **{
+            name: getattr(graph.start, name) + random.normal(0, 0.5, getattr(graph.start, name).shape) for name in "gbq"
+        },
+    )
+
+
+def assert_derivatives(graph, state):
+    """Of all observed factors, against differences in GTSAM's local coordinates."""
+    small, values = 1e-6, state.to_values()
+    for kind, rows in enumerate(observed(graph, state)):
+        for v, keys in enumerate(rows.keys.T):
+            for axis in range(3):
+                errors = [
+                    observed(graph, State.of(values.retract(move(values, set(keys.tolist()), sign * small, axis))))[
+                        kind
+                    ].value
+                    for sign in (1, -1)
+                ]
+                others = [o for o in range(rows.keys.shape[1]) if o != v]
+                shared = sum(
+                    np.where(np.isin(rows.keys[:, o], keys)[:, None], rows.by[:, o, :, axis], 0.0) for o in others
+                )
+                numeric = (errors[0] - errors[1]) / (2 * small)
+                assert rows.by[:, v, :, axis] + shared == pytest.approx(numeric, abs=1e-5)
+
+
+def move(values, keys, size, axis):
+    import gtsam
+
+    result = gtsam.VectorValues()
+    for key in values.keys():
+        result.insert(key, size * np.eye(3)[axis] if key in keys else np.zeros(3))
+    return result
+
+
+def test_jacobians():
+    """At random states, of fixes with offsets and a lag, and of the process that these follow."""
+    said = meander(40)
+    graph = WalkGraph(said, named(fixes_at(np.arange(0, 20, 1.5), np.zeros((14, 2)), 3.0)))
+    graph = graph.with_offsets(np.zeros(14, dtype=bool))
+    assert_derivatives(graph, random_state(graph, np.random.default_rng(0)))
+
+
+def test_gtsam_sees_the_same_graph():
+    said = meander(40)
+    track = dead_reckon(said)
+    fixes = named(fixes_at(track.time[::3], track.position[::3] + np.array([8.0, -3.0]), 3.0))
+    graph = WalkGraph(said, fixes).with_offsets(np.arange(len(fixes)) == 4)
+    values = random_state(graph, np.random.default_rng(1)).to_values()
+    assert graph.to_gtsam().error(values) == pytest.approx(graph.error(values))
+
+
+def test_a_minute_of_alike_errors_is_worth_a_few_fixes():
+    """Someone stands still: the position is the generalised mean of the fixes, as plain algebra has it."""
+    time, sigma = np.arange(0, 61, NODE), 3.0
+    errors = sigma * gauss_markov(len(time), NODE, np.random.default_rng(2))
+    standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
+    estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
+
+    alike = np.exp(-np.abs(time[:, None] - time) / CORRELATED)
+    weight = np.linalg.solve(sigma**2 * (alike + WHITE**2 * np.eye(len(time))), np.ones(len(time)))
+    assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
+    assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(1 / weight.sum(), rel=0.01)
+
+
+def test_an_offset_that_stays_for_a_minute_does_not_bend_the_walk():
+    """The walk's shape comes from steps; fixes that all err alike for a while move it no more than they should."""
+    bent = []
+    for seed in range(6):
+        said, random = meander(300, seed), np.random.default_rng(seed)
+        truth = dead_reckon(said)
+        time = np.arange(1.0, said.end, 1.0)
+        errors = 3.0 * gauss_markov(len(time), 1.0, random)
+        fixes = fixes_at(time, interpolate(time, truth.time, truth.position) + errors, 3.0)
+        shape = [np.std(smooth(WalkGraph(said, f)).trajectory.position - truth.position) for f in (fixes, named(fixes))]
+        bent.append(shape[1] / shape[0])
+    assert np.mean(bent) < 0.8
+
+
+def test_a_receiver_that_lags_is_found_out(monkeypatch):
+    """Positions of two seconds ago on a walk with many turns: the walk is less late than they are."""
+    said = meander(300)
+    truth = dead_reckon(said)
+    time = np.arange(4.0, said.end, 1.0)
+    late = named(fixes_at(time, interpolate(time - 2.0, truth.time, truth.position), 2.0))
+
+    def error():
+        return np.hypot(*(smooth(WalkGraph(said, late)).trajectory.position - truth.position).T).mean()
+
+    graph = WalkGraph(said, late).with_offsets(np.zeros(len(late), dtype=bool))
+    lag = State.of(optimize(graph, graph.start.to_values()).values).g[:, 2]
+    assert 0.5 < np.median(lag) < 2.5
+    aware = error()
+    monkeypatch.setattr(receivers, "LAG", 1e-3)
+    assert aware < 0.8 * error()
+
+
+def test_what_a_receiver_says_again_is_not_used_twice():
+    """It holds its position while it thinks it is still; every fix keeps its place in the report."""
+    said = meander(60)
+    track = dead_reckon(said)
+    held = np.repeat(track.position[:20:4], 4, axis=0)
+    estimate = smooth(WalkGraph(said, named(fixes_at(track.time[:20], held, 3.0))))
+    again = ["said again" in report.reason for report in estimate.fixes]
+    assert again == [n % 4 != 0 for n in range(20)]
+
+
+def test_a_single_fix_of_a_receiver_is_enough():
+    said = meander(30)
+    estimate = smooth(WalkGraph(said, named(fixes_at([PERIOD], [[5.0, 5.0]], 3.0))))
+    assert estimate.trajectory.position[1] == pytest.approx([5.0, 5.0], abs=0.1)
+
+
+def test_two_receivers_have_offsets_of_their_own():
+    """One errs to the east, one to the west; neither is believed alone."""
+    said = meander(100)
+    truth = dead_reckon(said)
+    place, east = truth.position[::5], np.array([4.0, 0.0])
+    both = Fixes(
+        np.tile(truth.time[::5], 2),
+        np.concatenate([place + east, place - east]),
+        np.full(2 * len(place), 4.0),
+        ("",) * (2 * len(place)),
+        source=("one",) * len(place) + ("other",) * len(place),
+    )
+    graph = WalkGraph(said, both).with_offsets(np.zeros(len(both), dtype=bool))
+    state = State.of(optimize(graph, graph.start.to_values()).values)
+    half = len(state.g) // 2
+    assert (np.sign(state.g[:, 0]) == np.repeat([1, -1], half)).all()
+    assert state.poses[:, 0].mean() == pytest.approx(graph.start.poses[:, 0].mean(), abs=0.5)
+
+
+def test_sigmas_grow_with_the_number_of_fixes_that_err_alike():
+    """A minute of epochs, each for itself, must not count as sixty."""
+    fixes = named(fixes_at(np.arange(200.0), np.zeros((200, 2)), 3.0))
+    sigma = receivers.together(fixes, fixes.sigma, np.ones(200, dtype=bool))
+    assert sigma[100] == pytest.approx(3.0 * np.sqrt(2 * CORRELATED), rel=0.02)
+    independent = fixes_at(np.arange(200.0), np.zeros((200, 2)), 3.0)
+    assert (receivers.together(independent, independent.sigma, np.ones(200, dtype=bool)) == 3.0).all()
