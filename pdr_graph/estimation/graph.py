@@ -127,7 +127,8 @@ class WalkGraph:
 
         # Variables: a pose per keyframe, a calibration per segment
         self.levels = levels if levels is not None and len(levels) else None
-        if not _freshness(self.fixes, steps)[0].any() and self.levels is not None:
+        self.by_proximity = self.levels is not None and not _freshness(self.fixes, steps)[0].any()
+        if self.levels is not None and self.by_proximity:
             self.fixes = self.levels.proximity()
         self.fix_repeats = repeated(self.fixes)
         fresh, self.fix_sigma = _freshness(self.fixes, steps)
@@ -154,7 +155,7 @@ class WalkGraph:
         self.track, heading = _track(increments.delta[self.pieces.last])
         self.velocity = velocities(self.track, heading, self.pieces.keyframe_time)
         self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(heading))
-        self.fix_wild = np.zeros(len(self.fixes), dtype=bool)
+        self.fix_wild, self.fix_held = np.zeros(len(self.fixes), dtype=bool), self.fix_used
         self.corridors: Corridors | None = None
         self.receivers: Receivers | None = None
         if self.levels is not None:
@@ -298,10 +299,11 @@ class WalkGraph:
 
     def with_offsets(self, wild: Mask) -> WalkGraph:
         """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are, and those of
-        one source share an offset, instead of each counting for less.
+        one source share an offset, instead of each counting for less. Fixes that only told where to start are let go.
         """
         other = copy(self)
         other.fix_wild = wild
+        other.fix_held = self.fix_used & (not self.by_proximity)
         used, sigma = self.fix_used, self.fix_sigma
         other.receivers = receivers(self.fixes, used, sigma, self.fix_keyframe, self.velocity)
         nodes = 0 if other.receivers is None else len(other.receivers.keep)
@@ -326,7 +328,7 @@ class WalkGraph:
         weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
         if self.receivers is not None:
             weight[self.receivers.fix] = self._observed(State.of(values))[0].weight
-        return np.where(self.fix_used, weight, 0.0)
+        return np.where(self.fix_held, weight, 0.0)
 
     def _place_beacons(self, levels: Levels) -> None:
         """Start with the beacons where they are believed to be."""
@@ -422,7 +424,7 @@ class WalkGraph:
         graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
         huber = noise.mEstimator.Huber.Create(HUBER_WIDTH)
         geman_mcclure = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
-        alone = self.fix_used.copy()
+        alone = self.fix_held.copy()
         if self.receivers is not None:
             alone[self.receivers.fix] = False
         for n in np.flatnonzero(alone):

@@ -143,7 +143,7 @@ def _robustly(graph: WalkGraph) -> Optimum:
     """
     first = optimize(graph, graph.start.to_values())
     wild = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
-    if not wild.any() and not any(graph.fixes.sources):
+    if not (wild.any() or any(graph.fixes.sources) or graph.by_proximity):
         return first
     again = graph.with_offsets(wild)
     return optimize(again, replace(State.of(first.values), g=again.start.g).to_values())

@@ -20,6 +20,8 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
     for n, (x, y) in enumerate(graph.fixes.position.tolist()):
         if graph.fix_repeats[n]:
             reason = "the receiver said again what it had said: not used twice"
+        elif graph.by_proximity:
+            reason = "a beacon that was loud: it told where to start"
         elif not graph.fix_used[n]:
             reason = "outside the recording: not used"
         else:
