@@ -26,6 +26,7 @@ SENSORS = {
 }
 WAYPOINT = "TYPE_WAYPOINT"
 KINDS = (*SENSORS, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
+OLDEST = 300.0  # [s] before its row that an access point may have been heard: farther off is of another clock
 
 
 def recognizes(source: Source) -> bool:
@@ -52,7 +53,7 @@ def read(source: Source) -> Recording:
         tables,
         0.0,
         bluetooth=_sightings(rows["TYPE_BEACON"], transmitter=8, rssi=6),
-        wifi=_sightings(rows["TYPE_WIFI"], transmitter=3, rssi=4),
+        wifi=_sightings(rows["TYPE_WIFI"], transmitter=3, rssi=4, heard=6),
         truth=_truth(_table(WAYPOINT, rows[WAYPOINT])),
         notes=notes,
     )
@@ -103,17 +104,22 @@ def _table(kind: str, rows: Rows) -> Array:
     return table
 
 
-def _sightings(rows: Rows, transmitter: int, rssi: int) -> Sightings | None:
-    """Who was heard and how loud; rows that do not say are left out."""
-    heard: list[tuple[float, str, float]] = []
+def _sightings(rows: Rows, transmitter: int, rssi: int, heard: int | None = None) -> Sightings | None:
+    """Who was heard when and how loud; rows that do not say are left out.
+
+    heard: the column of when that was [ms], where rows say again what was heard up to minutes before: once is enough.
+    """
+    sightings: set[tuple[float, str, float]] = set()
     for line in rows.lines:
         fields = line.split("\t")
         try:
-            heard.append((float(fields[0]) / 1000, fields[transmitter], float(fields[rssi])))
+            written, level = float(fields[0]) / 1000, float(fields[rssi])
+            time = written if heard is None else float(fields[heard]) / 1000
+            when = time if 0 <= written - time <= OLDEST else written
+            sightings.add((when, fields[transmitter], level))
         except (ValueError, IndexError):
             continue
-    heard.sort(key=lambda row: row[0])
-    time, who, level = zip(*heard, strict=True) if heard else ((), (), ())
+    time, who, level = zip(*sorted(sightings), strict=True) if sightings else ((), (), ())
     return Sightings(np.array(time), who, np.array(level))
 
 

@@ -42,6 +42,17 @@ def test_reader_indoor_location(tmp_path):
     assert walk.notes == ()
 
 
+def test_an_access_point_was_heard_when_it_was_last_seen_and_once(tmp_path):
+    """Scans repeat for minutes what they no longer hear; where the phone's clock is another one, the row's holds."""
+    wifi = [f"{START + 1000 * n}\tTYPE_WIFI\tname\taa:00\t-50\t2412\t{START + 300}" for n in (1, 2, 3)]
+    wifi.append(f"{START + 2000}\tTYPE_WIFI\tname\tbb:00\t-60\t2412\t7000000")
+    kept = [line for line in lines() if "WIFI" not in line]
+    heard = io.load(written(tmp_path, [*kept[:-1], *wifi, kept[-1]])).wifi
+    assert heard.time == pytest.approx([0.3, 2.0], abs=1e-6)
+    assert heard.transmitter == ("aa:00", "bb:00")
+    assert heard.rssi.tolist() == [-50.0, -60.0]
+
+
 def replaced(old, new):
     return [line.replace(old, new, 1) if line.startswith(f"{START + 20}\tTYPE_ACC") else line for line in lines()]
 
