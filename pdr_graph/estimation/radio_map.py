@@ -1,0 +1,170 @@
+"""Radio maps: what walks that are already smoothed heard where, and the fixes that this gives to later ones."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import nnls
+
+from pdr_graph.errors import InputError
+from pdr_graph.estimation.fingerprints import Scans, matched, scans_of, unlikeness
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Trajectory
+
+LEAST_SURE = 3.0  # [m] per axis: where a walk is less certain than that, it teaches nothing
+NEAR = 5.0  # [m] from a fingerprint a place is one that the map knows
+ACCEPTED = 0.95  # of the scans at places that the map knows: those less like any fingerprint give no fix
+APART = 10.0  # [s] of a walk's own scans left out before and after; and of fixes, whose errors are alike before
+ENOUGH = 20  # scans at known places, to tell from them how good the map is
+MOST_CHECKED = 1000  # scans, evenly chosen: more tell nothing new
+ARRAYS = {"transmitter": 1, "level": 2, "position": 2, "floor": 1, "frame": 0, "farthest": 0, "variance": 1}
+
+
+@dataclass(frozen=True)
+class RadioMap:
+    """Fingerprints with places, and how far off the places are that they give to other walks.
+
+    transmitter: m identities; level: ``(n, m)`` as of `Scans`.
+    position: ``(n, 2)`` where the walks were [m]; floor: n labels; frame: as `Frame.describe` says.
+    farthest: distance of fingerprints beyond which a scan is of no known place.
+    variance: ``(2,)`` σ² per axis of a fix = variance[0] + variance[1] · distance² [m²].
+    """
+
+    transmitter: tuple[str, ...]
+    level: Array
+    position: Array
+    floor: tuple[str, ...]
+    frame: dict[str, Any]
+    farthest: float
+    variance: Array
+
+    def __len__(self) -> int:
+        return len(self.level)
+
+    @classmethod
+    def learn(cls, walks: Sequence[tuple[Trajectory, Recording]], frame: dict[str, Any] | None = None) -> RadioMap:
+        """Of walks already smoothed, all in one frame (as `Frame.describe` says; default: a local one).
+
+        Raises ValueError if they heard too little to say how good the map is.
+        """
+        placed = [_placed(track, scans_of(recording)) for track, recording in walks]
+        transmitters = sorted({name for scans, _, _ in placed for name in scans.transmitter})
+        level = np.concatenate([np.empty((0, len(transmitters))), *(scans.of(transmitters) for scans, _, _ in placed)])
+        position = np.concatenate([np.empty((0, 2)), *(at for _, at, _ in placed)])
+        floor = tuple(label for _, _, labels in placed for label in labels)
+        walk = np.repeat(np.arange(len(placed)), [len(scans) for scans, _, _ in placed])
+        time = np.concatenate([np.empty(0), *(scans.time for scans, _, _ in placed)])
+        if len(level) < ENOUGH:
+            raise ValueError(f"found {len(level)} scans along the walks, needed at least {ENOUGH}")
+        farthest, variance = _calibrated(level, position, floor, walk, time)
+        described = Frame().describe() if frame is None else frame
+        return cls(tuple(transmitters), level, position, floor, described, farthest, variance)
+
+    def fixes(self, recording: Recording) -> Fixes:
+        """Where a later walk was, every `APART` seconds at most: of neighbouring scans, whose errors are alike, the
+        one most like a fingerprint. Scans that are like none give no fix.
+        """
+        scans = scans_of(recording)
+        if not len(scans):
+            return Fixes.none()
+        found = matched(unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor)
+        best = [
+            block[np.argmin(found.distance[block])]
+            for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // APART)) + 1)
+        ]
+        best = np.array([n for n in best if found.distance[n] <= self.farthest], dtype=int)
+        sigma = np.sqrt(self.variance[0] + self.variance[1] * found.distance[best] ** 2)
+        return Fixes(scans.time[best], found.position[best], sigma, tuple(found.floor[n] for n in best))
+
+    def save(self, path: str | Path) -> None:
+        """Write the map as a numpy archive."""
+        arrays = {name: np.asarray(getattr(self, name)) for name in ARRAYS if name != "frame"}
+        arrays |= {"level": self.level.astype(np.float32), "frame": np.array(json.dumps(self.frame))}
+        with Path(path).open("wb") as file:  # a name without .npz stays as it is
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> RadioMap:
+        """Read a map that `save` wrote. Raises InputError if it is another file, or damaged."""
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                found = {name: archive[name] for name in ARRAYS}
+            frame = json.loads(str(found["frame"]))
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.error, TypeError) as error:
+            raise InputError(path, "", f"{error}", "a radio map as pdr-graph radio-map writes it") from None
+        _check(path, found, frame)
+        return cls(
+            tuple(found["transmitter"].tolist()),
+            found["level"].astype(float),
+            found["position"],
+            tuple(found["floor"].tolist()),
+            frame,
+            float(found["farthest"]),
+            found["variance"],
+        )
+
+
+def _placed(track: Trajectory, scans: Scans) -> tuple[Scans, Array, list[str]]:
+    """The scans at which the walk is known well enough, its position there ``(n, 2)``, and its floor."""
+    within = (scans.time >= track.time[0]) & (scans.time <= track.time[-1])
+    if track.covariance is not None:
+        largest = np.linalg.eigvalsh(track.covariance[:, :2, :2])[:, -1]
+        within &= np.interp(scans.time, track.time, largest) <= LEAST_SURE**2
+    scans = scans[within]
+    rows = nearest(track.time, scans.time)
+    return scans, interpolate(scans.time, track.time, track.position), [track.floor[row] for row in rows]
+
+
+def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index, time: Array) -> tuple[float, Array]:
+    """How unlike a scan at a known place may be, and the errors' variance: each walk by a map of the others, or, where
+    no other has been where it was, of all but its own neighbourhood.
+    """
+    some = np.linspace(0, len(level) - 1, min(len(level), MOST_CHECKED)).astype(int)
+    same = walk[some, None] == walk
+    distance, apart = unlikeness(level[some], level), np.hypot(*(position[some, None] - position).transpose(2, 0, 1))
+    for left_out in (same, same & (np.abs(time[some, None] - time) < APART)):
+        without = np.where(left_out, 1.0, distance)
+        known = np.where(left_out, np.inf, apart).min(axis=1) < NEAR
+        if known.sum() >= ENOUGH:
+            break
+    else:
+        known = without.min(axis=1) < 1  # a walk that is never twice near one place: as far as its neighbourhood
+    found = matched(without, position, floor)
+    farthest = float(np.quantile(found.distance[known], ACCEPTED)) if known.any() else 0.0
+    accepted = found.distance <= farthest
+    return farthest, _variance(found.distance[accepted], (found.position - position[some])[accepted])
+
+
+def _variance(distance: Array, error: Array) -> Array:
+    """σ² = v₀ + v₁ d², the most probable for normal errors ``(n, 2)`` [m] at distances ``(n,)``: least squares of the
+    squared errors, each weighed by what it is expected to be.
+    """
+    terms, squared = np.stack([np.ones(len(distance)), distance**2], axis=1), (error**2).mean(axis=1)
+    expected = np.full(len(distance), max(squared.mean(), 1e-6))
+    variance = np.array([expected[0], 0.0])
+    for _ in range(20):
+        variance = nnls(terms / expected[:, None], squared / expected)[0]
+        expected = (terms @ variance).clip(1e-6)
+    return variance
+
+
+def _check(path: str | Path, found: dict[str, Array], frame: Any) -> None:
+    """That the arrays of a file belong together."""
+    n, m = len(found["position"]) if found["position"].ndim else 0, found["transmitter"].size
+    shapes = {"level": (n, m), "position": (n, 2), "floor": (n,), "transmitter": (m,), "farthest": (), "variance": (2,)}
+    for name, shape in shapes.items():
+        if found[name].shape != shape:
+            raise InputError(path, name, f"an array of shape {found[name].shape}", f"one of {shape}")
+    for name in ("level", "position", "farthest", "variance"):
+        good: Mask = np.isfinite(found[name]) if found[name].dtype.kind == "f" else np.array(False)
+        if not good.all() or (name in ("level", "variance") and (found[name] < 0).any()):
+            raise InputError(path, name, "values that are no such numbers", "finite numbers")
+    if not n or not found["variance"].any() or not isinstance(frame, dict):
+        raise InputError(path, "", "an empty radio map", "fingerprints, their errors and their frame")
