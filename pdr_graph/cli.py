@@ -78,6 +78,10 @@ def smooth(
         Path | None,
         typer.Option(metavar="CSV", help="beacon,x,y or beacon,lat,lon; default: BLE_Locations.csv beside the log."),
     ] = None,
+    radio_map: Annotated[
+        Path | None,
+        typer.Option("--radio-map", metavar="FILE", help="What earlier walks heard where: fixes by Wi-Fi and BLE."),
+    ] = None,
 ) -> None:
     """Reconstruct one walk.
 
@@ -86,7 +90,7 @@ def smooth(
     from pdr_graph.pipeline import smooth_recording
 
     missing = smooth_recording(
-        recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor, beacons
+        recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor, beacons, radio_map
     )
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
@@ -133,6 +137,26 @@ def calibrate(
     named = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
     said = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in named)
     typer.echo(f"{laps} x the route, {profile.residual:.2f} m from it (rms): {said} -> {out}")
+
+
+@app.command("radio-map")
+def radio_map(
+    walks: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING DIR ...", help="Recordings, each with what smooth --out wrote of it."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the radio map goes.")],
+) -> None:
+    """Learn what phones hear where, from walks already smoothed on one plan, for smooth --radio-map.
+
+    pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
+    """
+    from pdr_graph.pipeline import learn_radio_map
+
+    if len(walks) % 2:
+        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its folder")
+    found = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
+    typer.echo(f"{len(found)} scans of {len(found.transmitter)} transmitters -> {out}")
 
 
 @app.command()

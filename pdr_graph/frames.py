@@ -71,6 +71,12 @@ class Frame:
         lat, lon = self.origin or (None, None)
         return {"kind": self.kind, "origin_lat": lat, "origin_lon": lon, "epsg": self.epsg}
 
+    @classmethod
+    def described(cls, said: dict[str, Any]) -> Frame:
+        """The frame of which `describe` says so; not of a plan, which has its own scale."""
+        lat, lon = said["origin_lat"], said["origin_lon"]
+        return cls(said["kind"], None if lat is None else (lat, lon), said["epsg"])
+
     @property
     def _origin_lonlat(self) -> Array:
         assert self.origin is not None

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import platform
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,8 +36,11 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.beacons import beside, read_beacons
-from pdr_graph.io.tables import read_fixes
+from pdr_graph.io.tables import read_fixes, read_trajectory
 from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.radio_map import RadioMap
 
 FASTEST_RATE = 1000.0  # [Hz]
 
@@ -73,6 +77,7 @@ def smooth_recording(
     gnss_latency: float = 0.0,
     floor_label: str | None = None,
     beacons: Path | None = None,
+    radio_map: Path | None = None,
 ) -> tuple[str, ...]:
     """Reconstruct one walk and write trajectory, picture and summary to ``out``.
 
@@ -91,7 +96,11 @@ def smooth_recording(
         given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
         building = Building.load(plan) if plan else None
         walk = _with_beacons(walk, beacons or (beside(recording) if use_recorded_fixes else None))
-        frame, located = _locate(building, given, walk.fixes if use_recorded_fixes else Fixes.none(), notes)
+        learnt = _radio_map(radio_map, building) if radio_map else None
+        recorded = walk.fixes if use_recorded_fixes else Fixes.none()
+        frame, located = _locate(building, learnt, given, recorded, notes)
+        if learnt is not None:
+            located = _merge(located, _radio_fixes(learnt, walk, frame, radio_map, notes))
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, building)
         floors = _floors(walk, steps, located, building, floor_label, plan)
@@ -108,7 +117,7 @@ def smooth_recording(
 
     settings = {"method": method, "walker": known.describe(), "recorded_fixes": use_recorded_fixes, "rate": rate}
     settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
-    paths = {"map": plan, "fixes": fixes, "beacons": beacons}
+    paths = {"map": plan, "fixes": fixes, "beacons": beacons, "radio_map": radio_map}
     settings |= {name: str(path) if path else None for name, path in paths.items()}
     summary = summarize(walk, steps, headings, building, floors, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
@@ -139,13 +148,72 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | Non
     return profile, laps
 
 
-def _locate(building: Building | None, given: Fixes, recorded: Fixes, notes: list[str]) -> tuple[Frame, Fixes]:
+def _radio_map(path: Path, building: Building | None) -> RadioMap:
+    """A radio map that has a frame: its own, or that of the plan it was learnt on."""
+    from pdr_graph.estimation.radio_map import RadioMap  # it takes scipy.optimize, long to import
+
+    heard = RadioMap.load(path)
+    if building is None and heard.frame["kind"] == "plan":
+        raise InputError(path, "frame", "that of a floor plan", "--map, the plan of the walks that it was learnt from")
+    return heard
+
+
+def _radio_fixes(heard: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
+    """What a radio map says of a walk in the output frame, which must be its own."""
+    if heard.frame != frame.describe():
+        raise InputError(path or "--radio-map", "frame", f"{heard.frame}", f"that of the walk, {frame.describe()}")
+    fixes = heard.fixes(walk)
+    if not len(fixes):
+        notes.append("radio map: nothing that was heard is like what it knows, so that it gives no fix")
+    return fixes
+
+
+def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
+    """What recordings heard where, each with the folder that ``pdr-graph smooth`` wrote of it, written to ``out``.
+
+    Raises InputError if an input cannot be used, or the walks are not all in one frame.
+    """
+    from pdr_graph.estimation.radio_map import RadioMap  # it takes scipy.optimize, long to import
+
+    learnt, frames = [], []
+    for recording, folder in walks:
+        walk, track = io.load(recording), read_trajectory(folder / "trajectory.csv")
+        track = replace(track, time=track.time - walk.clock_origin)
+        if track.time[-1] < 0 or track.time[0] > max(s.time[-1] for s in walk.signals.values()):
+            raise InputError(folder, "trajectory.csv", "times of another walk", f"those of {walk.source}")
+        learnt.append((track, walk))
+        frames.append(_frame_of(folder / "summary.json"))
+        if frames[-1] != frames[0]:
+            raise InputError(folder, "frame", f"{frames[-1]}", f"that of {walks[0][1]}, {frames[0]}: one plan for all")
+    try:
+        found = RadioMap.learn(learnt, frames[0])
+    except ValueError as error:
+        raise InputError(out, "", str(error).removeprefix("found "), "more walks or longer ones") from None
+    found.save(out)
+    return found
+
+
+def _frame_of(summary: Path) -> dict[str, Any]:
+    try:
+        frame = json.loads(summary.read_text(encoding="utf-8"))["frame"]
+    except (ValueError, KeyError, TypeError):
+        frame = None
+    if not isinstance(frame, dict):
+        raise InputError(summary, "frame", "none", "the frame of a walk, as pdr-graph smooth writes it")
+    return frame
+
+
+def _locate(
+    building: Building | None, heard: RadioMap | None, given: Fixes, recorded: Fixes, notes: list[str]
+) -> tuple[Frame, Fixes]:
     """The output frame and all fixes in it; a note on fixes that have no place in it.
 
-    The plan's frame; else that of metric fixes; else east-north about the first geodetic fix.
+    The plan's frame; else a radio map's; else that of metric fixes; else east-north about the first geodetic fix.
     """
     if building is not None:
         frame = building.floors[0].frame
+    elif heard is not None:
+        frame = Frame.described(heard.frame)
     elif len(given) and given.epsg != LONLAT:
         frame = Frame() if given.epsg is None else projected(given.epsg)
     elif not len(given) + len(recorded):

@@ -49,8 +49,8 @@ class Signal:
 class Sightings:
     """What a radio heard: Bluetooth beacons or Wi-Fi access points.
 
-    time: ``(n,)`` when each was heard [s]; transmitter: its identity; rssi: ``(n,)`` received power [dBm]; minor: an iBeacon's
-    own number, one per row, where the log has it.
+    time: ``(n,)`` when each was heard [s]; transmitter: its identity, one per row; rssi: ``(n,)`` received power [dBm];
+    minor: an iBeacon's own number, one per row, where the log has it.
     """
 
     time: Array

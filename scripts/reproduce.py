@@ -9,6 +9,7 @@ from pathlib import Path
 import calibration_walk
 import cart
 import compass
+import fingerprints
 import floors as floors_by_step
 import heading
 import map_matching
@@ -164,6 +165,7 @@ if __name__ == "__main__":
     tables |= {"heading": lambda: heading.heading(DATA), "cart": cart.cart}
     tables |= {"steps": lambda: steps.steps(DATA), "calibration-walk": calibration_walk.calibration_walk}
     tables |= {"compass": lambda: compass.compass(DATA)}
+    tables |= {"fingerprints": lambda: fingerprints.fingerprints(DATA)}
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}

@@ -241,3 +241,27 @@ def test_a_plan_elsewhere_is_not_used(folder, tmp_path):
     out = tmp_path / "out"
     assert run("smooth", folder / "walk.txt", "--map", ARCADE, "--fixes", elsewhere, "--out", out)[0] == 0
     assert any("near the floor plan" in w for w in json.loads((out / "summary.json").read_text())["warnings"])
+
+
+def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
+    """Learnt from recordings and what smooth wrote of them; in another frame it is refused in one line."""
+    from pdr_graph.simulation.recorders import write
+    from pdr_graph.simulation.simulate import simulate
+
+    more = {"recorder": "sensor_logger", "wifi": {"access_points": 15}, "fixes": {"period": 5.0}}
+    for seed in (1, 2):
+        write(simulate(simulated.scenario(ROUTE, seed, **more)), tmp_path / f"walk{seed}")
+    first, result, learnt = tmp_path / "walk1", tmp_path / "result", tmp_path / "arcade.npz"
+    fixes = first / "fixes.csv"
+    assert run("smooth", first, "--map", ARCADE, "--fixes", fixes, "--out", result)[0] == 0
+    code, said, errors = run("radio-map", first, result, "--out", learnt)
+    assert (code, errors) == (0, [])
+    assert "scans of" in said
+    second = (tmp_path / "walk2", "--no-recorded-fixes", "--radio-map", learnt, "--out", tmp_path / "second")
+    assert run("smooth", *second, "--map", ARCADE)[0] == 0
+    summary = json.loads((tmp_path / "second" / "summary.json").read_text())
+    assert len(summary["fixes"]) > 5
+    code, _, errors = run("smooth", *second, "--map", EIGHT)
+    assert (code, len(errors)) == (2, 1)
+    assert "frame" in errors[0]
+    assert run("radio-map", first, "--out", learnt)[0] == 2

@@ -60,7 +60,9 @@ def scans_of(recording: Recording) -> Scans:
     for earlier in range(0, WINDOW, EVERY):
         np.add.at(total, (first - earlier - begin, who), level[heard])
         np.add.at(count, (first - earlier - begin, who), 1)
-    found = Scans((begin + np.arange(windows)) * EVERY + WINDOW / 2, tuple(transmitters.tolist()), total / count.clip(1))
+    found = Scans(
+        (begin + np.arange(windows)) * EVERY + WINDOW / 2, tuple(transmitters.tolist()), total / count.clip(1)
+    )
     return found[(count > 0).sum(axis=1) >= FEWEST]
 
 
@@ -83,7 +85,8 @@ def unlikeness(one: Array, other: Array) -> Array:
     about, weighs more in it than its level.
     """
     with np.errstate(invalid="ignore"):
-        return np.nan_to_num(cdist(one, other, "braycurtis"), nan=1.0)
+        distance = cdist(one, other, "braycurtis").astype(np.float64)
+    return np.nan_to_num(distance, nan=1.0)
 
 
 def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.fingerprints import Scans, matched, scans_of, unlikeness
+from pdr_graph.estimation.fingerprints import WINDOW, Scans, matched, scans_of, unlikeness
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Trajectory
@@ -21,10 +22,12 @@ from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Trajectory
 LEAST_SURE = 3.0  # [m] per axis: where a walk is less certain than that, it teaches nothing
 NEAR = 5.0  # [m] from a fingerprint a place is one that the map knows
 ACCEPTED = 0.95  # of the scans at places that the map knows: those less like any fingerprint give no fix
-APART = 10.0  # [s] of a walk's own scans left out before and after; and of fixes, whose errors are alike before
+APART = 10.0  # [s] of a walk's own scans left out before and after
+SHARED = 2.0  # times σ is stated, since errors of scans 4, 8, 16 s apart are alike (0.5, 0.3, 0.2): 1 + 2 Σ ρ is 3 to 4
 ENOUGH = 20  # scans at known places, to tell from them how good the map is
 MOST_CHECKED = 1000  # scans, evenly chosen: more tell nothing new
-ARRAYS = {"transmitter": 1, "level": 2, "position": 2, "floor": 1, "frame": 0, "farthest": 0, "variance": 1}
+ARRAYS = ("transmitter", "level", "position", "floor", "frame", "farthest", "variance")
+UNREADABLE = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,7 @@ class RadioMap:
     transmitter: m identities; level: ``(n, m)`` as of `Scans`.
     position: ``(n, 2)`` where the walks were [m]; floor: n labels; frame: as `Frame.describe` says.
     farthest: distance of fingerprints beyond which a scan is of no known place.
-    variance: ``(2,)`` σ² per axis of a fix = variance[0] + variance[1] · distance² [m²].
+    variance: ``(2,)`` σ² per axis of a single fix = variance[0] + variance[1] · distance² [m²].
     """
 
     transmitter: tuple[str, ...]
@@ -68,8 +71,9 @@ class RadioMap:
         return cls(tuple(transmitters), level, position, floor, described, farthest, variance)
 
     def fixes(self, recording: Recording) -> Fixes:
-        """Where a later walk was, every `APART` seconds at most: of neighbouring scans, whose errors are alike, the
-        one most like a fingerprint. Scans that are like none give no fix.
+        """Where a later walk was, every `WINDOW` seconds at most: of scans that overlap, the one most like a
+        fingerprint. Scans that are like none give no fix. Sigmas are `SHARED` times those of a single fix, so that
+        all together say no more than they know.
         """
         scans = scans_of(recording)
         if not len(scans):
@@ -77,10 +81,10 @@ class RadioMap:
         found = matched(unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor)
         best = [
             block[np.argmin(found.distance[block])]
-            for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // APART)) + 1)
+            for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // WINDOW)) + 1)
         ]
         best = np.array([n for n in best if found.distance[n] <= self.farthest], dtype=int)
-        sigma = np.sqrt(self.variance[0] + self.variance[1] * found.distance[best] ** 2)
+        sigma = SHARED * np.sqrt(self.variance[0] + self.variance[1] * found.distance[best] ** 2)
         return Fixes(scans.time[best], found.position[best], sigma, tuple(found.floor[n] for n in best))
 
     def save(self, path: str | Path) -> None:
@@ -94,10 +98,13 @@ class RadioMap:
     def load(cls, path: str | Path) -> RadioMap:
         """Read a map that `save` wrote. Raises InputError if it is another file, or damaged."""
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                found = {name: archive[name] for name in ARRAYS}
+            with zipfile.ZipFile(path) as archive:
+                if damaged := archive.testzip():
+                    raise zipfile.BadZipFile(f"a damaged {damaged}")
+            with np.load(path, allow_pickle=False) as arrays:
+                found = {name: arrays[name] for name in ARRAYS}
             frame = json.loads(str(found["frame"]))
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zipfile.error, TypeError) as error:
+        except UNREADABLE as error:
             raise InputError(path, "", f"{error}", "a radio map as pdr-graph radio-map writes it") from None
         _check(path, found, frame)
         return cls(
@@ -162,9 +169,12 @@ def _check(path: str | Path, found: dict[str, Array], frame: Any) -> None:
     for name, shape in shapes.items():
         if found[name].shape != shape:
             raise InputError(path, name, f"an array of shape {found[name].shape}", f"one of {shape}")
-    for name in ("level", "position", "farthest", "variance"):
-        good: Mask = np.isfinite(found[name]) if found[name].dtype.kind == "f" else np.array(False)
-        if not good.all() or (name in ("level", "variance") and (found[name] < 0).any()):
-            raise InputError(path, name, "values that are no such numbers", "finite numbers")
-    if not n or not found["variance"].any() or not isinstance(frame, dict):
+    for name in shapes:
+        text = name in ("transmitter", "floor")
+        good: Mask = np.array(found[name].dtype.kind == ("U" if text else "f"))
+        if good and not text:
+            good = np.isfinite(found[name]) & ((found[name] >= 0) | (name == "position"))
+        if not good.all():
+            raise InputError(path, name, "other values", "texts" if text else "finite numbers")
+    if not n or not found["variance"].any() or not isinstance(frame, dict) or set(frame) != set(Frame().describe()):
         raise InputError(path, "", "an empty radio map", "fingerprints, their errors and their frame")

@@ -1,0 +1,99 @@
+"""Walks with no waypoint given, only what other walks of the floor heard: for docs/accuracy.md."""
+
+import numpy as np
+from tables import publish, table
+
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
+from pdr_graph.estimation.radio_map import SHARED, RadioMap
+from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.gait.gait import gait_of
+from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.types import Fixes, Trajectory
+
+SIGMA = 0.5  # [m] stated of a waypoint that is given to a walk of the map
+WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the surveyor's taps
+IN_90 = 4.605  # squared Mahalanobis distance, two axes
+METHODS = ("fingerprints: nearest in time", "fingerprints: straight lines between", "graph", "graph with the plan")
+
+
+def percentiles(errors):
+    return [f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95])]
+
+
+def observed(folder):
+    """The walks of a floor: recording, steps, headings, and the walk smoothed with all its waypoints and the plan."""
+    floor, walks = FloorPlan.load(folder), []
+    for path in sorted(folder.glob("*.txt")):
+        walk = io.load(path)
+        gaits, truth = gait_of(walk), walk.truth
+        steps, headings = detect_steps(gaits), magnetic_headings(gaits, floor.frame, np.zeros(2))
+        given = Fixes(truth.time, truth.position, np.full(len(truth), SIGMA), ("",) * len(truth))
+        track = smooth(WalkGraph(steps, given, headings=headings, floor=floor)).trajectory
+        walks.append((path.stem, walk, steps, headings, track))
+    return floor, walks
+
+
+def inside(track, pairs):
+    """Whether each waypoint lies in the stated 90 % region, the waypoints' own noise added."""
+    of_position = track.covariance[:, :2, :2].reshape(-1, 4).T
+    covariance = np.stack([np.interp(pairs.time, track.time, v) for v in of_position], 1).reshape(-1, 2, 2)
+    gap = pairs.estimate - pairs.truth
+    return np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance + WAYPOINT_NOISE**2 * np.eye(2)), gap) < IN_90
+
+
+def four_ways(walk, steps, headings, floor, fixes):
+    """Errors [m] at the waypoints and whether they are in the 90 % region, by method."""
+    truth = walk.truth
+    lines = interpolate(truth.time, fixes.time, fixes.position)
+    stays = fixes.position[nearest(fixes.time, truth.time)]
+    yield from ((np.hypot(*(at - truth.position).T), None) for at in (stays, lines))
+    for plan in (None, floor):
+        track = smooth(WalkGraph(steps, fixes, headings=headings, floor=plan)).trajectory
+        pairs = pair(track, Trajectory(truth.time, truth.position, truth.heading, ("",) * len(truth)))
+        yield circular_error(pairs), inside(track, pairs)
+
+
+def of_floor(folder):
+    """Rows of one floor: each walk with a map of the others; each fix's error as a share of its own sigma, before it
+    is widened for what it shares with its neighbours.
+    """
+    floor, walks = observed(folder)
+    rows, results, shares = [], [], []
+    for name, walk, steps, headings, track in walks:
+        others = [(t, w) for other, w, _, _, t in walks if other != name]
+        row = [f"{folder.name} {name[:12]}…", len(walk.truth)]
+        fixes = RadioMap.learn(others).fixes(walk) if others else Fixes.none()
+        if not len(fixes):
+            rows.append([*row, 0 if others else "no other walk", *["—"] * 6])
+            continue
+        errors = fixes.position - interpolate(fixes.time, track.time, track.position)
+        shares.append(SHARED * errors / fixes.sigma[:, None])
+        found = list(four_ways(walk, steps, headings, floor, fixes))
+        results.append(found)
+        medians = [f"{np.median(errors):.2f}" for errors, _ in found]
+        rows.append([*row, len(fixes), f"{np.median(fixes.sigma) / SHARED:.1f}", f"{rms(shares[-1]):.2f}", *medians])
+    return rows, results, shares
+
+
+def rms(values):
+    return np.sqrt(np.mean(values**2))
+
+
+def fingerprints(data):
+    """Each walk of site 1 with no waypoint, and a radio map of the floor's other walks."""
+    floors = [of_floor(data / "ms_indoor20" / "site1" / name) for name in ("B1", "F1", "F2")]
+    results, shares = [r for _, found, _ in floors for r in found], np.concatenate([s for *_, f in floors for s in f])
+    rows = []
+    for n, method in enumerate(METHODS):
+        errors = np.concatenate([found[n][0] for found in results])
+        within = [found[n][1] for found in results]
+        coverage = "—" if within[0] is None else f"{100 * np.concatenate(within).mean():.0f} %"
+        rows.append([method, len(errors), *percentiles(errors), coverage])
+    header = ["walks with fixes, no waypoint given", "waypoints", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region"]
+    one, ninety = (np.abs(shares) < 1).mean(), ((shares**2).sum(axis=1) < IN_90).mean()
+    said = f"Of {len(shares)} fixes {100 * one:.0f} % are, per axis, within their own sigma of the walk smoothed with"
+    said += f" its waypoints (68 % if normal), {100 * ninety:.0f} % in their 90 % region; rms {rms(shares):.2f} sigma."
+    by_walk = ["walk", "waypoints", "fixes", "their sigma [m]", "error / sigma (rms)"]
+    by_walk += ["nearest [m]", "lines [m]", "graph [m]", "with the plan [m]"]
+    parts = [table(header, rows), said, table(by_walk, [row for found, _, _ in floors for row in found])]
+    publish("accuracy.md", "fingerprints", "\n\n".join(parts))
