@@ -261,7 +261,10 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     assert run("smooth", *second, "--map", ARCADE)[0] == 0
     summary = json.loads((tmp_path / "second" / "summary.json").read_text())
     assert len(summary["fixes"]) > 5
-    code, _, errors = run("smooth", *second, "--map", EIGHT)
+    assert run("smooth", *second)[0] == 0, "without a plan, in the map's own frame"
+    elsewhere = tmp_path / "elsewhere.geojson"
+    elsewhere.write_text(ARCADE.read_text().replace('"origin": [135.0, 35.0]', '"origin": [135.0, 34.9999]'))
+    code, _, errors = run("smooth", *second, "--map", elsewhere)
     assert (code, len(errors)) == (2, 1)
     assert "frame" in errors[0]
     assert run("radio-map", first, "--out", learnt)[0] == 2

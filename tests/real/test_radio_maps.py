@@ -35,7 +35,6 @@ def test_an_access_point_is_heard_once_at_the_time_it_was_last_seen(floor):
     for walk, *_ in floor[1]:
         heard = list(zip(walk.wifi.time, walk.wifi.transmitter, strict=True))
         assert len(heard) == len(set(heard))
-        assert np.mean(np.diff(np.unique(walk.wifi.time)) < 0.5) > 0.8, "not once a scan"
 
 
 def test_fixes_are_as_good_as_they_say(floor):
