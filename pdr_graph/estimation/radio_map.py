@@ -21,12 +21,13 @@ from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Trajectory
 
 LEAST_SURE = 3.0  # [m] per axis: where a walk is less certain than that, it teaches nothing
 NEAR = 5.0  # [m] from a fingerprint a place is one that the map knows
-ACCEPTED = 0.95  # of the scans at places that the map knows: those less like any fingerprint give no fix
+ACCEPTED = (0.05, 0.95)  # of the scans at places that the map knows: less alike gives no fix, more is no surer
+FINEST = 0.5  # [m] σ of a place that was passed within seconds
 APART = 10.0  # [s] of a walk's own scans left out before and after
 SHARED = 2.0  # times σ is stated, since errors of scans 4, 8, 16 s apart are alike (0.5, 0.3, 0.2): 1 + 2 Σ ρ is 3 to 4
 ENOUGH = 20  # scans at known places, to tell from them how good the map is
 MOST_CHECKED = 1000  # scans, evenly chosen: more tell nothing new
-ARRAYS = ("transmitter", "level", "position", "floor", "frame", "farthest", "variance")
+ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
 UNREADABLE = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
@@ -36,7 +37,7 @@ class RadioMap:
 
     transmitter: m identities; level: ``(n, m)`` as of `Scans`.
     position: ``(n, 2)`` where the walks were [m]; floor: n labels; frame: as `Frame.describe` says.
-    farthest: distance of fingerprints beyond which a scan is of no known place.
+    range: ``(2,)`` distances of fingerprints: none is surer than at the first, beyond the last no place is known.
     variance: ``(2,)`` σ² per axis of a single fix = variance[0] + variance[1] · distance² [m²].
     """
 
@@ -45,7 +46,7 @@ class RadioMap:
     position: Array
     floor: tuple[str, ...]
     frame: dict[str, Any]
-    farthest: float
+    range: Array
     variance: Array
 
     def __len__(self) -> int:
@@ -66,9 +67,9 @@ class RadioMap:
         time = np.concatenate([np.empty(0), *(scans.time for scans, _, _ in placed)])
         if len(level) < ENOUGH:
             raise ValueError(f"found {len(level)} scans along the walks, needed at least {ENOUGH}")
-        farthest, variance = _calibrated(level, position, floor, walk, time)
+        limits, variance = _calibrated(level, position, floor, walk, time)
         described = Frame().describe() if frame is None else frame
-        return cls(tuple(transmitters), level, position, floor, described, farthest, variance)
+        return cls(tuple(transmitters), level, position, floor, described, limits, variance)
 
     def fixes(self, recording: Recording) -> Fixes:
         """Where a later walk was, every `WINDOW` seconds at most: of scans that overlap, the one most like a
@@ -83,8 +84,9 @@ class RadioMap:
             block[np.argmin(found.distance[block])]
             for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // WINDOW)) + 1)
         ]
-        best = np.array([n for n in best if found.distance[n] <= self.farthest], dtype=int)
-        sigma = SHARED * np.sqrt(self.variance[0] + self.variance[1] * found.distance[best] ** 2)
+        best = np.array([n for n in best if found.distance[n] <= self.range[1]], dtype=int)
+        variance = self.variance[0] + self.variance[1] * found.distance[best].clip(self.range[0]) ** 2
+        sigma = SHARED * np.sqrt(variance.clip(FINEST**2))
         return Fixes(scans.time[best], found.position[best], sigma, tuple(found.floor[n] for n in best))
 
     def save(self, path: str | Path) -> None:
@@ -113,7 +115,7 @@ class RadioMap:
             found["position"],
             tuple(found["floor"].tolist()),
             frame,
-            float(found["farthest"]),
+            found["range"],
             found["variance"],
         )
 
@@ -129,8 +131,8 @@ def _placed(track: Trajectory, scans: Scans) -> tuple[Scans, Array, list[str]]:
     return scans, interpolate(scans.time, track.time, track.position), [track.floor[row] for row in rows]
 
 
-def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index, time: Array) -> tuple[float, Array]:
-    """How unlike a scan at a known place may be, and the errors' variance: each walk by a map of the others, or, where
+def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index, time: Array) -> tuple[Array, Array]:
+    """How unlike scans at known places are, and the errors' variance: each walk by a map of the others, or, where
     no other has been where it was, of all but its own neighbourhood.
     """
     some = np.linspace(0, len(level) - 1, min(len(level), MOST_CHECKED)).astype(int)
@@ -144,9 +146,10 @@ def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index
     else:
         known = without.min(axis=1) < 1  # a walk that is never twice near one place: as far as its neighbourhood
     found = matched(without, position, floor)
-    farthest = float(np.quantile(found.distance[known], ACCEPTED)) if known.any() else 0.0
-    accepted = found.distance <= farthest
-    return farthest, _variance(found.distance[accepted], (found.position - position[some])[accepted])
+    limits = np.quantile(found.distance[known], ACCEPTED) if known.any() else np.zeros(2)
+    accepted = found.distance <= limits[1]
+    at, error = found.distance[accepted].clip(limits[0]), (found.position - position[some])[accepted]
+    return limits, _variance(at, error)
 
 
 def _variance(distance: Array, error: Array) -> Array:
@@ -165,7 +168,7 @@ def _variance(distance: Array, error: Array) -> Array:
 def _check(path: str | Path, found: dict[str, Array], frame: Any) -> None:
     """That the arrays of a file belong together."""
     n, m = len(found["position"]) if found["position"].ndim else 0, found["transmitter"].size
-    shapes = {"level": (n, m), "position": (n, 2), "floor": (n,), "transmitter": (m,), "farthest": (), "variance": (2,)}
+    shapes = {"level": (n, m), "position": (n, 2), "floor": (n,), "transmitter": (m,), "range": (2,), "variance": (2,)}
     for name, shape in shapes.items():
         if found[name].shape != shape:
             raise InputError(path, name, f"an array of shape {found[name].shape}", f"one of {shape}")
@@ -176,5 +179,5 @@ def _check(path: str | Path, found: dict[str, Array], frame: Any) -> None:
             good = np.isfinite(found[name]) & ((found[name] >= 0) | (name == "position"))
         if not good.all():
             raise InputError(path, name, "other values", "texts" if text else "finite numbers")
-    if not n or not found["variance"].any() or not isinstance(frame, dict) or set(frame) != set(Frame().describe()):
-        raise InputError(path, "", "an empty radio map", "fingerprints, their errors and their frame")
+    if not n or not isinstance(frame, dict) or set(frame) != set(Frame().describe()):
+        raise InputError(path, "", "an empty radio map", "fingerprints and their frame")

@@ -91,6 +91,18 @@ def test_one_walk_alone_tells_its_errors_from_its_own_neighbourhoods(later):
     assert np.sqrt(np.mean(np.concatenate(ratios) ** 2)) < 2.0
 
 
+def test_a_walk_that_the_map_was_learnt_from_is_no_surer_than_others(learnt, later):
+    """Its scans are the map's own and fit perfectly, which says nothing of how far the map is to be trusted."""
+    own = learnt.fixes(walked(ROUND, 1)[1])
+    assert own.sigma.min() >= 0.99 * min(learnt.fixes(recording).sigma.min() for _, recording in later)
+
+
+def test_a_map_of_somebody_who_stood_still_is_no_surer_than_half_a_metre():
+    track, recording = walked([[0, 0], {"stand": 60}, {"to": [[2, 0]]}], 1)
+    still = replace(track, position=np.zeros_like(track.position))
+    assert RadioMap.learn([(still, recording)]).fixes(recording).sigma.min() >= 0.5 * SHARED
+
+
 def test_a_phone_that_is_carried_about_spoils_nothing(learnt, later):
     """A hotspot in the pocket of two of three walkers and of all later ones: errors grow by less than a third."""
 
@@ -186,7 +198,7 @@ def test_a_damaged_file_is_refused_in_one_line_or_tells_the_same(learnt, tmp_pat
         ("level", lambda level: level[:, 1:]),
         ("level", lambda level: -level),
         ("position", lambda position: position * np.nan),
-        ("variance", lambda variance: variance.astype(str)),
+        ("range", lambda limits: limits.astype(str)),
         ("transmitter", lambda names: np.arange(len(names))),
         ("floor", lambda floor: floor[1:]),
     ],
