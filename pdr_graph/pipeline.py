@@ -96,11 +96,11 @@ def smooth_recording(
         given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
         building = Building.load(plan) if plan else None
         walk = _with_beacons(walk, beacons or (beside(recording) if use_recorded_fixes else None))
-        learnt = _radio_map(radio_map, building) if radio_map else None
+        places = _radio_map(radio_map, building) if radio_map else None
         recorded = walk.fixes if use_recorded_fixes else Fixes.none()
-        frame, located = _locate(building, learnt, given, recorded, notes)
-        if learnt is not None:
-            located = _merge(located, _radio_fixes(learnt, walk, frame, radio_map, notes))
+        frame, located = _locate(building, places, given, recorded, notes)
+        if places is not None:
+            located = _merge(located, _radio_fixes(places, walk, frame, radio_map, notes))
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, building)
         floors = _floors(walk, steps, located, building, floor_label, plan)
