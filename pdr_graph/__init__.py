@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.floors import floors_of as floors_of
     from pdr_graph.estimation.graph import Prior as Prior
     from pdr_graph.estimation.graph import WalkGraph as WalkGraph
+    from pdr_graph.estimation.rts import kalman_smoother as kalman_smoother
     from pdr_graph.estimation.smoothers import smooth as smooth
     from pdr_graph.evaluation import evaluate as evaluate
     from pdr_graph.floor.building import Building as Building
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 _HOME = {
     "InputError": "errors",
     "kalman_filter": "estimation.filters",
+    "kalman_smoother": "estimation.rts",
     "Prior": "estimation.graph",
     "WalkGraph": "estimation.graph",
     "smooth": "estimation.smoothers",
@@ -79,6 +81,7 @@ __all__ = [
     "evaluate",
     "floors_of",
     "kalman_filter",
+    "kalman_smoother",
     "load",
     "magnetic_headings",
     "plot",

@@ -30,6 +30,7 @@ class Method(StrEnum):
 
     graph = "graph"
     filter = "filter"
+    rts = "rts"
     pdr = "pdr"
 
 
@@ -58,7 +59,7 @@ def smooth(
     ] = None,
     walker: WalkerPath = None,
     method: Annotated[
-        Method, typer.Option(help="The factor graph, the causal filter, or dead reckoning.")
+        Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
     ] = Method.graph,
     recorded_fixes: Annotated[
         bool,

@@ -23,6 +23,7 @@ from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
+from pdr_graph.estimation.rts import kalman_smoother
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.route import read_route
@@ -309,8 +310,8 @@ def _estimate(
 def _smoothed(graph: WalkGraph, method: str) -> tuple[Estimate, tuple[str, ...]]:
     if method == "pdr":
         return _dead_reckoned(graph), ()
-    if method == "filter":
-        return kalman_filter(graph), ()
+    if method in ("filter", "rts"):
+        return (kalman_filter if method == "filter" else kalman_smoother)(graph), ()
     try:
         estimate = smooth(graph)
     except RuntimeError as error:  # GTSAM's, of a system it cannot solve

@@ -1,56 +1,64 @@
 """The filter front end: the walk as it is known at each moment, from what came before.
 
-An extended Kalman filter over (x, y, θ, R_s, R_d, b), the variables of the graph, over the same pieces and fixes
-([gps-dr] Sec. 4 with the walker's calibration as further states). A direction that nobody knows is not Gaussian: a bank
-of filters starts in as many directions, and the fixes decide between them.
+The fusion of [gps-dr] as one extended Kalman filter over (x, y, θ, R_s, R_d, b), the variables of the graph, over the
+same pieces and fixes:
+
+    predict   p ← p + R_s l e(θ + half the turn),  θ ← θ + R_d turn + b time      (Secs. 2, 3: strides, gyro)
+              Q from the stride's variance (Sec. 4), and from sway and turn, of which the paper says nothing
+    correct   with validated magnetic headings, R by both tests of the field      (Sec. 3)
+              with fixes, R by the receiver's accuracy or HDOP                    (Sec. 4)
+
+The paper has one filter for the heading and another for the position, so that its fixes correct no heading and no
+stride: with both in one state they do. Its magnetometer tells the heading from the first step on, as our first magnetic
+heading does here, carried back by the gyro. A fix beyond the gate is refused; a filter that refuses several in a row is
+lost and begins anew where they are.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.graph import FRAME_SIGMA, STEPS_PER_SEGMENT, Prior, WalkGraph
+from pdr_graph.estimation.bank import DIRECTIONS, FAR, GATE, Bank, Surprise, measured, thinned
+from pdr_graph.estimation.graph import FRAME_SIGMA, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
-from pdr_graph.estimation.reports import fix_reports, warnings
-from pdr_graph.estimation.robust import HUBER_WIDTH, gripping
+from pdr_graph.estimation.preintegration import SIGMA_STILL
+from pdr_graph.estimation.reports import calibration_of, fix_reports, warnings
 from pdr_graph.geometry import row_times, wrap_angle
-from pdr_graph.types import Array, Calibration, Estimate, Index, Trajectory
+from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
-DIRECTIONS = 12
-FAR = 1e3  # [m] standard deviation of a position before the first fix
-HOPELESS = 1e-6  # probability at which a direction is given up
+PATIENCE = 5  # fixes in a row that are refused before the filter takes itself for lost
+OF_POSITION = np.eye(2, 6)
 
 
 @dataclass(frozen=True)
-class Bank:
-    """Gaussian hypotheses.
-
-    mean: ``(h, 6)`` x, y, θ, R_s, R_d, b; covariance: ``(h, 6, 6)``; log_weight: ``(h,)`` log of the probability.
+class Meeting:
+    """How one fix met the walk: distance [m] from where it was expected, in sigmas, the weight it was given, and
+    whether the filter began anew there.
     """
 
-    mean: Array
-    covariance: Array
-    log_weight: Array
-
-    def summary(self) -> tuple[Array, Array]:
-        """Pose ``(3,)`` of the most probable hypothesis, and the covariance ``(3, 3)`` of all about it."""
-        weight = np.exp(self.log_weight)
-        best = self.mean[np.argmax(weight), :3]
-        apart = self.mean[:, :3] - best
-        apart[:, 2] = wrap_angle(apart[:, 2])
-        spread = self.covariance[:, :3, :3] + apart[:, :, None] * apart[:, None, :]
-        return best, np.einsum("h,hij->ij", weight, spread)
-
-
-@dataclass(frozen=True)
-class Surprise:
-    """One fix as it came in: distance [m] from where it was expected, in sigmas, and the weight it was given."""
-
+    fix: int
     distance: float
     sigmas: float
     weight: float
+    anew: bool
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The walk at the start, or at the end of one piece.
+
+    predicted: before the measurements of this moment, known: after them. Hypothesis n of ``predicted`` came from
+    ``parent (h,)`` n of the moment before, by a movement whose derivative is ``motion (h, 6, 6)`` n.
+    """
+
+    parent: Index
+    motion: Array
+    predicted: Bank
+    known: Bank
+    met: tuple[Meeting, ...]
 
 
 def kalman_filter(graph: WalkGraph) -> Estimate:
@@ -58,128 +66,185 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
 
     graph: the same measurements as for ``smooth``; its walls are not used.
     """
-    poses, covariances, bank, surprises = _run(graph)
+    known, met, last = list[tuple[Array, Array]](), list[Meeting](), _start(graph).known
+    for moment in moments(graph):
+        last = moment.known
+        known.append(last.summary())
+        met += moment.met
+    means, covariances = (np.array(column) for column in zip(*known, strict=True))
+    return estimate_of(graph, means, covariances, met, last)
+
+
+def estimate_of(graph: WalkGraph, means: Array, covariances: Array, met: list[Meeting], last: Bank) -> Estimate:
+    """States ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` before and after each piece, as an estimate.
+
+    met: how fixes were met; last: the bank at the end.
+    """
     rows = np.concatenate([[0], graph.pieces.row_end + 1])
-    position, heading = poses[rows, :2], wrap_angle(poses[rows, 2])
-    final = int(np.argmax(bank.log_weight))
-    calibration = Calibration(
-        start=np.array([graph.steps.start]),
-        value=bank.mean[final, None, 3:],
-        covariance=bank.covariance[final][None, 3:, 3:],
-        prior_sigma=np.array([graph.prior.sigma]),
-    )
-    seen = [surprises.get(n, Surprise(np.nan, np.nan, 0.0)) for n in range(len(graph.fixes))]
-    distance, sigmas, weight = (np.array([getattr(s, f.name) for s in seen]) for f in fields(Surprise))
+    position, heading = means[rows, :2], wrap_angle(means[rows, 2])
+    of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
+    calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
+    probability = float(np.exp(last.log_weight.max()))
     return Estimate(
-        trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows]),
+        trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
         calibration=calibration,
-        fixes=fix_reports(graph, distance, sigmas, weight, "where it was expected"),
+        fixes=_reports(graph, met),
         iterations=1,
         cost=float("nan"),
         converged=True,
-        warnings=warnings(graph, 1, 1.0, True, calibration),
+        probability=probability,
+        warnings=(*warnings(graph, len(last), probability, True, calibration), *_lost(graph, met)),
     )
 
 
-def _run(graph: WalkGraph) -> tuple[Array, Array, Bank, dict[int, Surprise]]:
-    """Once through the walk: pose and covariance before and after each piece, the final bank, how fixes were met."""
-    pieces, surprises = graph.pieces, dict[int, Surprise]()
+def moments(graph: WalkGraph) -> Iterator[Moment]:
+    """Once through the walk: its start, then the end of each piece."""
+    pieces, refused = graph.pieces, 0
+    fixes_at, headings_at = _by_keyframe(graph)
+    moment = _start(graph)
+    for m in range(-1, len(pieces.length)):
+        keyframe = 0 if m < 0 else int(pieces.interval[m]) + 1
+        if m >= 0:
+            moment = _predicted(moment.known, graph, m)
+        if m < 0 or m == pieces.last[keyframe - 1]:
+            for n in fixes_at[keyframe].tolist():
+                moment, refused = _fixed(moment, graph, n, refused)
+            for n in headings_at[keyframe].tolist():
+                moment = _pointed(moment, graph, n)
+            moment = replace(moment, known=thinned(moment.known))
+        yield moment
+
+
+def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
+    """The fixes and the headings of each keyframe; the first heading is told at the start."""
+    keyframes = np.arange(1, len(graph.pieces.last) + 1)
     used = np.flatnonzero(graph.fix_used)
     used = used[np.argsort(graph.fix_keyframe[used], kind="stable")]
-    fixes_at = np.split(used, np.searchsorted(graph.fix_keyframe[used], np.arange(1, len(pieces.last) + 1)))
-    headings_at = np.searchsorted(graph.heading_keyframe, np.arange(len(pieces.last) + 2))
-    turns, times = 2 * (pieces.to_end - pieces.to_middle)
-    bank = _update(_start(graph), graph, fixes_at[0], surprises)
-    bank = _point(bank, graph, *headings_at[:2])
-    known = [bank.summary()]
-    for m, interval in enumerate(pieces.interval):
-        bank = _predict(bank, pieces.length[m], turns[m], times[m], pieces.variance[m], graph.prior)
-        if m == pieces.last[interval]:
-            bank = _update(bank, graph, fixes_at[interval + 1], surprises)
-            bank = _point(bank, graph, *headings_at[interval + 1 : interval + 3])
-        known.append(bank.summary())
-    poses, covariances = (np.array(column) for column in zip(*known, strict=True))
-    return poses, covariances, bank, surprises
+    fixes_at = np.split(used, np.searchsorted(graph.fix_keyframe[used], keyframes))
+    told = graph.heading_keyframe.copy()
+    told[:1] = 0
+    return fixes_at, np.split(np.arange(len(told)), np.searchsorted(told, keyframes))
 
 
-def _start(graph: WalkGraph) -> Bank:
-    """Before any measurement: everywhere near the first fix, in any direction; at (0, 0) with heading 0 without one."""
-    known = not graph.fix_used.any()
-    count = 1 if known else DIRECTIONS
-    mean = np.zeros((count, 6))
-    mean[:, :2] = 0.0 if known else graph.fixes.position[graph.fix_used][0]
+def _start(graph: WalkGraph) -> Moment:
+    """Before any measurement: everywhere near the first fix, in any direction; at (0, 0) without a fix, with heading 0
+    if no compass tells another.
+    """
+    fixed, told = graph.fix_used.any(), len(graph.headings) > 0
+    count = DIRECTIONS if fixed or told else 1
+    mean, covariance = np.zeros((count, 6)), np.zeros((6, 6))
+    mean[:, :2] = graph.fixes.position[graph.fix_used][0] if fixed else 0.0
     mean[:, 2] = np.arange(count) * 2 * np.pi / count
     mean[:, 3:] = graph.prior.mean
-    covariance = np.zeros((6, 6))
-    covariance[range(3), range(3)] = np.square([FRAME_SIGMA] * 3 if known else [FAR, FAR, np.pi / count])
+    covariance[:2, :2] = np.square(FAR if fixed else FRAME_SIGMA) * np.eye(2)
+    covariance[2, 2] = np.square(np.pi / count if count > 1 else FRAME_SIGMA)
     covariance[3:, 3:] = graph.prior.covariance
-    return Bank(mean, np.tile(covariance, (count, 1, 1)), np.full(count, -np.log(count)))
+    own = np.arange(count)
+    bank = Bank(mean, np.tile(covariance, (count, 1, 1)), np.full(count, -np.log(count)), own)
+    return Moment(own, np.tile(np.eye(6), (count, 1, 1)), bank, bank, ())
 
 
-def _predict(bank: Bank, length: float, turn: float, time: float, variance: Array, prior: Prior) -> Bank:
-    """One piece further: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a random walk."""
+def _predicted(bank: Bank, graph: WalkGraph, m: int) -> Moment:
+    """After piece ``m``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a random walk."""
+    pieces = graph.pieces
+    length, (turn, time) = pieces.length[m], 2 * (pieces.to_end[:, m] - pieces.to_middle[:, m])
     theta, R_s, R_d, b = bank.mean[:, 2:].T
     turned = R_d * turn + b * time
     cos, sin = np.cos(theta + turned / 2), np.sin(theta + turned / 2)
-    forward = length * np.stack([cos, sin], axis=1)
-    left = R_s[:, None] * length * np.stack([-sin, cos], axis=1)
+    ahead, aside = np.stack([cos, sin], axis=1), np.stack([-sin, cos], axis=1)
+    left = R_s[:, None] * length * aside
 
     mean = bank.mean.copy()
-    mean[:, :2] += R_s[:, None] * forward
+    mean[:, :2] += R_s[:, None] * length * ahead
     mean[:, 2] += turned
-    F = np.tile(np.eye(6), (len(mean), 1, 1))
-    F[:, :2, 2:] = np.stack([left, forward, left * turn / 2, left * time / 2], axis=2)
+    F = np.tile(np.eye(6), (len(bank), 1, 1))
+    F[:, :2, 2:] = np.stack([left, length * ahead, left * turn / 2, left * time / 2], axis=2)
     F[:, 2, 4:] = turn, time
-    G = np.zeros((len(mean), 6, 3))  # by the errors of length, sway and turn
-    G[:, :2, 0], G[:, :2, 1], G[:, :2, 2] = np.stack([cos, sin], 1), np.stack([-sin, cos], 1), left / 2
-    G[:, 2, 2] = 1.0
-    Q = (G * variance) @ G.transpose(0, 2, 1)
-    Q[:, range(3, 6), range(3, 6)] += np.square(prior.change) / STEPS_PER_SEGMENT if length > 0 else 0.0
-    return Bank(mean, F @ bank.covariance @ F.transpose(0, 2, 1) + Q, bank.log_weight)
+    G = np.zeros((len(bank), 6, 3))  # by the errors of length, sway and turn
+    G[:, :2, 0], G[:, :2, 1], G[:, :2, 2], G[:, 2, 2] = ahead, aside, left / 2, 1.0
+    P = bank.covariance + np.diag(np.concatenate([np.zeros(3), _changed(graph, m)]))
+    Q = (G * (pieces.variance[m] + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0]))) @ G.transpose(0, 2, 1)
+    own = np.arange(len(bank))
+    after = Bank(mean, F @ P @ F.transpose(0, 2, 1) + Q, bank.log_weight, own)
+    return Moment(own, F, after, after, ())
 
 
-def _update(bank: Bank, graph: WalkGraph, fixes: Index, surprises: dict[int, Surprise]) -> Bank:
-    """Take in fixes one by one, each with Huber's weight; note how each was met by the most probable hypothesis."""
-    for n in fixes.tolist():
-        gap = graph.fixes.position[n] - bank.mean[:, :2]
-        P = bank.covariance
-        R = graph.fix_sigma[n] ** 2 * np.eye(2)
-        sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(P[:, :2, :2] + R), gap))
-        weight = gripping(sigmas, HUBER_WIDTH)
-        best = int(np.argmax(bank.log_weight))
-        surprises[n] = Surprise(float(np.hypot(*gap[best])), float(sigmas[best]), float(weight[best]))
-
-        S = P[:, :2, :2] + R / weight[:, None, None]
-        bank = _corrected(bank, P[:, :, :2] @ np.linalg.inv(S), P[:, :2, :], gap, sigmas, S)
-    return bank
+def _changed(graph: WalkGraph, m: int) -> Array:
+    """Variance ``(3,)`` by which the calibration changes before piece ``m``: where another segment begins."""
+    i = graph.pieces.interval[m]
+    begins = i > 0 and m == graph.pieces.first[i] and graph.segment[i] != graph.segment[i - 1]
+    return np.square(graph.prior.change) if begins else np.zeros(3)
 
 
-def _point(bank: Bank, graph: WalkGraph, first: int, after: int) -> Bank:
-    """Take in some headings, each with Huber's weight."""
-    for heading, sigma in zip(graph.headings.heading[first:after], graph.headings.sigma[first:after], strict=True):
-        gap = wrap_angle(heading - bank.mean[:, 2])[:, None]
-        P, R = bank.covariance, sigma**2
-        sigmas = np.abs(gap[:, 0]) / np.sqrt(P[:, 2, 2] + R)
-        weight = gripping(sigmas, HUBER_WIDTH)
-        S = (P[:, 2, 2] + R / weight)[:, None, None]
-        bank = _corrected(bank, P[:, :, 2:3] / S, P[:, 2:3, :], gap, sigmas, S)
-    return bank
+def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
+    """After fix ``n``, where ``refused`` before it were refused in a row; and how many now are."""
+    place, R = graph.fixes.position[n], graph.fix_sigma[n] ** 2 * np.eye(2)
+    bank = moment.known
+    known, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R)
+    meeting = _meeting(n, np.hypot(*(place - bank.mean[known.best, :2])), surprise, known.best)
+    refused = refused + 1 if meeting.weight == 0.0 else 0
+    if refused == PATIENCE:
+        moment, refused = _anew(moment), 0
+        bank = moment.known
+        known, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R)
+        meeting = replace(meeting, weight=1.0, anew=True)
+    return replace(moment, known=known, met=(*moment.met, meeting)), refused
 
 
-def _corrected(bank: Bank, K: Array, seen: Array, gap: Array, sigmas: Array, S: Array) -> Bank:
-    """The bank after a measurement, without the hypotheses that it makes hopeless.
+def _meeting(n: int, distance: float, surprise: Surprise, best: int) -> Meeting:
+    return Meeting(n, float(distance), float(surprise.sigmas[best]), float(surprise.weight[best]), anew=False)
 
-    K: gains ``(h, 6, d)``; seen: rows ``(h, d, 6)`` of the covariance that were measured; gap ``(h, d)``, of variance S
-    ``(h, d, d)`` and ``sigmas (h,)`` large.
+
+def _anew(moment: Moment) -> Moment:
+    """A lost filter before the fix that it believes again: anywhere, in the direction that it has or in any other.
+
+    What it refused changed nothing, so that this is the prediction with its place forgotten.
     """
-    inner, outer = np.minimum(sigmas, HUBER_WIDTH), np.maximum(sigmas - HUBER_WIDTH, 0.0)
-    log_weight = bank.log_weight - 0.5 * (inner**2 + np.log(np.linalg.det(S))) - HUBER_WIDTH * outer
-    log_weight -= np.logaddexp.reduce(log_weight)
-    covariance = bank.covariance - K @ seen
-    keep = log_weight > np.log(HOPELESS)
-    return Bank(
-        (bank.mean + np.einsum("hij,hj->hi", K, gap))[keep],
-        ((covariance + covariance.transpose(0, 2, 1)) / 2)[keep],
-        log_weight[keep],
-    )
+    best = moment.predicted.take(np.full(1 + DIRECTIONS, moment.known.origin[moment.known.best]))
+    forget = np.tile(np.eye(6), (len(best), 1, 1))
+    forget[1:, 2, 2] = 0.0
+    mean = best.mean.copy()
+    mean[1:, 2] = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+    covariance = forget @ best.covariance @ forget
+    covariance[:, [0, 1], [0, 1]] += FAR**2
+    covariance[1:, 2, 2] = np.square(np.pi / DIRECTIONS)
+    log_weight = np.log(np.append(0.5, np.full(DIRECTIONS, 0.5 / DIRECTIONS)))
+    bank = Bank(mean, covariance, log_weight, np.arange(len(mean)))
+    return Moment(moment.parent[best.origin], forget @ moment.motion[best.origin], bank, bank, moment.met)
+
+
+def _pointed(moment: Moment, graph: WalkGraph, n: int) -> Moment:
+    """After heading ``n``. The first is told at the start: θ + R_d turn + b time to its own moment."""
+    pieces, H, variance = graph.pieces, np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]), graph.headings.sigma[n] ** 2
+    if n == 0:
+        until = pieces.last[: graph.heading_keyframe[0]]
+        H[0, 4:] = pieces.to_end[:, until].sum(axis=1)
+        variance += pieces.variance[: len(until) and until[-1] + 1, 2].sum()
+    bank = moment.known
+    gap = np.asarray(wrap_angle(graph.headings.heading[n] - bank.mean @ H.T))
+    return replace(moment, known=measured(bank, H, gap, np.array([[variance]]))[0])
+
+
+def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:
+    """What became of every fix; those outside the recording were not met."""
+    distance, sigmas, weight = (np.full(len(graph.fixes), fill) for fill in (np.nan, np.nan, 0.0))
+    for one in met:
+        distance[one.fix], sigmas[one.fix], weight[one.fix] = one.distance, one.sigmas, one.weight
+    reports = list(fix_reports(graph, distance, sigmas, weight, "where it was expected"))
+    for one in met:
+        if one.anew:
+            reason = f"{one.sigmas:.1f} sigma from where it was expected, as those before it: the filter begins anew"
+            reports[one.fix] = replace(reports[one.fix], reason=reason)
+    return tuple(reports)
+
+
+def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
+    """What a user must know of the gate."""
+    refused = sum(one.weight == 0.0 for one in met)
+    anew = [f"{graph.fixes.time[one.fix]:.1f} s" for one in met if one.anew]
+    said = {
+        f"{refused} fixes more than {GATE:.0f} sigma from where they were expected were refused": refused > 0,
+        f"the filter was lost and began anew at {', '.join(anew)}": bool(anew),
+    }
+    return tuple(text for text, holds in said.items() if holds)

@@ -25,11 +25,21 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
         elif not graph.fix_used[n]:
             reason = "outside the recording: not used"
         else:
-            trust = "full weight" if weight[n] == 1.0 else "taken for wild" if graph.fix_wild[n] else "weighted down"
+            trust = {0.0: "refused", 1.0: "full weight"}.get(
+                weight[n], "taken for wild" if graph.fix_wild[n] else "weighted down"
+            )
             reason = f"{sigmas[n]:.1f} sigma from {from_}: {trust}"
         time, sigma = float(graph.fixes.time[n]), float(graph.fixes.sigma[n])
         reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
     return tuple(reports)
+
+
+def calibration_of(graph: WalkGraph, value: Array, covariance: Array) -> Calibration:
+    """What the walk taught of (R_s, R_d, b) in each of its segments: ``(s, 3)``, ``(s, 3, 3)``."""
+    segments = np.arange(len(value))[:, None]
+    prior = np.sqrt(np.square(graph.prior.sigma) + segments * np.square(graph.prior.change))
+    first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
+    return Calibration(graph.pieces.keyframe_time[first], value, covariance, prior)
 
 
 def warnings(

@@ -9,9 +9,9 @@ from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
 from pdr_graph.estimation.misplaced import misplaced
 from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions, ways
-from pdr_graph.estimation.reports import beacon_reports, fix_reports, warnings
+from pdr_graph.estimation.reports import beacon_reports, calibration_of, fix_reports, warnings
 from pdr_graph.geometry import row_times, wrap_angle
-from pdr_graph.types import Array, Calibration, Estimate, Trajectory
+from pdr_graph.types import Array, Estimate, Trajectory
 
 
 def smooth(graph: WalkGraph) -> Estimate:
@@ -34,7 +34,7 @@ def smooth(graph: WalkGraph) -> Estimate:
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
 
     # What was learnt, what was trusted, and what to beware of
-    calibration = _calibration(best, of_c)
+    calibration = calibration_of(graph, State.of(best.values).c, of_c)
     distance = best.graph.fix_distance(best.values)
     weight = best.graph.fix_weight(best.values)
     return Estimate(
@@ -76,11 +76,3 @@ def _mixed_covariance(found: list[Optimum], weight: Array) -> tuple[Array, Array
         apart[:, 2] = wrap_angle(apart[:, 2])
         total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
     return total, of_c
-
-
-def _calibration(best: Optimum, covariance: Array) -> Calibration:
-    graph, c = best.graph, State.of(best.values).c
-    segments = np.arange(len(c))[:, None]
-    prior = np.sqrt(np.square(graph.prior.sigma) + segments * np.square(graph.prior.change))
-    first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
-    return Calibration(graph.pieces.keyframe_time[first], c, covariance, prior)

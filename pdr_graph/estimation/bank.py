@@ -1,0 +1,106 @@
+"""Gaussian hypotheses about one walker, and what a measurement makes of them.
+
+A direction that nobody knows is not Gaussian: as many extended Kalman filters as there are directions to try stand side
+by side, and measurements decide between them. What lies beyond a hypothesis' gate does not move it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_graph.estimation.robust import HUBER_WIDTH, gripping
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.types import Array, Index
+
+DIRECTIONS = 12
+FAR = 1e3  # [m] standard deviation of a position that nobody knows
+GATE = 5.0  # [σ] of a measurement, χ² of 25, beyond which it is refused: the graph, too, lets go of fixes there
+HOPELESS = 1e-6  # probability at which a hypothesis is given up
+SAME = 1.0  # [σ] from the best within which another hypothesis says the same
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Hypotheses, each an extended Kalman filter.
+
+    mean: ``(h, 6)`` x, y, θ, R_s, R_d, b; covariance: ``(h, 6, 6)``; log_weight: ``(h,)`` log of the probability;
+    origin: ``(h,)`` the hypothesis, before any measurement of this moment, that each one was.
+    """
+
+    mean: Array
+    covariance: Array
+    log_weight: Array
+    origin: Index
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @property
+    def best(self) -> int:
+        """The most probable hypothesis."""
+        return int(np.argmax(self.log_weight))
+
+    def summary(self) -> tuple[Array, Array]:
+        """Mean ``(6,)`` of the most probable hypothesis, and the covariance ``(6, 6)`` of all about it."""
+        apart = _apart(self.mean, self.mean[self.best])
+        spread = self.covariance + apart[:, :, None] * apart[:, None, :]
+        return self.mean[self.best], np.einsum("h,hij->ij", np.exp(self.log_weight), spread)
+
+    def take(self, rows: Index) -> Bank:
+        """Some of the hypotheses, their probabilities made to sum to 1."""
+        log_weight = self.log_weight[rows]
+        log_weight = log_weight - np.logaddexp.reduce(log_weight)
+        return Bank(self.mean[rows], self.covariance[rows], log_weight, self.origin[rows])
+
+
+@dataclass(frozen=True)
+class Surprise:
+    """How a measurement met each hypothesis: ``(h,)`` how many sigmas off, and the weight that it was given."""
+
+    sigmas: Array
+    weight: Array
+
+
+def measured(bank: Bank, H: Array, gap: Array, R: Array) -> tuple[Bank, Surprise]:
+    """The bank after a measurement, with Huber's weight up to the gate and none beyond.
+
+    H: ``(d, 6)`` how the measurement depends on the state; gap: ``(h, d)`` measured less expected; R: ``(d, d)``.
+    A gap beyond the gate counts against a hypothesis as one at the gate: a wild fix decides nothing.
+    """
+    seen = H @ bank.covariance
+    expected = seen @ H.T
+    S = expected + R
+    sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
+    weight = np.where(sigmas < GATE, gripping(sigmas, HUBER_WIDTH), 0.0)
+    inner, outer = np.minimum(sigmas, HUBER_WIDTH), np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH
+    log_weight = bank.log_weight - 0.5 * (inner**2 + np.log(np.linalg.det(S))) - HUBER_WIDTH * outer
+
+    weighted = expected + R / np.where(weight > 0, weight, 1.0)[:, None, None]
+    K = (weight > 0)[:, None, None] * seen.transpose(0, 2, 1) @ np.linalg.inv(weighted)
+    covariance = bank.covariance - K @ seen
+    mean = bank.mean + np.einsum("hij,hj->hi", K, gap)
+    covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
+    return Bank(mean, covariance, log_weight - np.logaddexp.reduce(log_weight), bank.origin), Surprise(sigmas, weight)
+
+
+def thinned(bank: Bank) -> Bank:
+    """Without hypotheses that became hopeless, and with those that say what the best says counted as it."""
+    if len(bank) == 1:
+        return bank
+    pose = _apart(bank.mean, bank.mean[bank.best])[:, :3]
+    apart = np.einsum("hi,ij,hj->h", pose, np.linalg.inv(bank.covariance[bank.best, :3, :3]), pose)
+    same = apart < SAME**2
+    keep = ~same & (bank.log_weight > np.log(HOPELESS))
+    keep[bank.best] = True
+    log_weight = bank.log_weight.copy()
+    log_weight[bank.best] = np.logaddexp.reduce(log_weight[same])
+    return replace(bank, log_weight=log_weight).take(np.flatnonzero(keep))
+
+
+def _apart(mean: Array, other: Array) -> Array:
+    """Differences ``(h, 6)`` of states, that of headings wrapped."""
+    apart = mean - other
+    apart[:, 2] = wrap_angle(apart[:, 2])
+    return apart
