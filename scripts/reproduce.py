@@ -11,6 +11,7 @@ import cart
 import compass
 import fingerprints
 import floors as floors_by_step
+import gps_outage
 import heading
 import map_matching
 import numpy as np
@@ -21,7 +22,7 @@ import topology
 import wide_places
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, magnetic_headings, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, kalman_smoother, magnetic_headings, smooth
 from pdr_graph.estimation import preintegration
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.evaluation import circular_error, pair
@@ -85,6 +86,9 @@ METHODS = {
     "dead reckoning": lambda steps, fixes, headings, floor: smooth(WalkGraph(steps, fixes)).dead_reckoning,
     "filter (causal)": lambda steps, fixes, headings, floor: (
         kalman_filter(WalkGraph(steps, fixes, headings=headings)).trajectory
+    ),
+    "filter, smoothed (RTS)": lambda steps, fixes, headings, floor: (
+        kalman_smoother(WalkGraph(steps, fixes, headings=headings)).trajectory
     ),
     "graph": lambda steps, fixes, headings, floor: smooth(WalkGraph(steps, fixes, headings=headings)).trajectory,
     "graph with map": lambda steps, fixes, headings, floor: (
@@ -169,6 +173,7 @@ if __name__ == "__main__":
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}
+    tables |= {"gps-outage": gps_outage.gps_outage}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

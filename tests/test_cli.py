@@ -88,7 +88,7 @@ def test_summary_can_say_why(result):
 
 def test_smoothing_beats_dead_reckoning_and_evaluate_says_by_how_much(folder, result):
     scores = {}
-    for method in ("pdr", "filter"):
+    for method in ("pdr", "filter", "rts"):
         out = folder / method
         code, _, _ = run(
             "smooth", folder / "walk.txt", "--fixes", folder / "fixes.csv", "--method", method, "--out", out
