@@ -1,7 +1,8 @@
 """Gaussian hypotheses about one walker, and what a measurement makes of them.
 
-A direction that nobody knows is not Gaussian: as many extended Kalman filters as there are directions to try stand side
-by side, and measurements decide between them. What lies beyond a hypothesis' gate does not move it.
+A direction that nobody knows, or a compass only roughly, is too wide for one linearisation: as many extended Kalman
+filters as there are directions to try stand side by side, and measurements decide between them. What lies beyond a
+hypothesis' gate does not move it.
 """
 
 from __future__ import annotations
@@ -15,9 +16,10 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index
 
 DIRECTIONS = 12
-FAR = 1e3  # [m] standard deviation of a position that nobody knows
+FAR = 1e3  # [m, rad] standard deviation of a position or direction that nobody knows
 GATE = 5.0  # [σ] of a measurement, χ² of 25, beyond which it is refused: the graph, too, lets go of fixes there
 HOPELESS = 1e-6  # probability at which a hypothesis is given up
+EXACT = 1e-3  # [rad] as which a narrow direction is taken when its neighbours' probability is asked for
 SAME = 1.0  # [σ] from the best within which another hypothesis says the same
 
 
@@ -74,8 +76,7 @@ def measured(bank: Bank, H: Array, gap: Array, R: Array) -> tuple[Bank, Surprise
     S = expected + R
     sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
     weight = np.where(sigmas < GATE, gripping(sigmas, HUBER_WIDTH), 0.0)
-    inner, outer = np.minimum(sigmas, HUBER_WIDTH), np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH
-    log_weight = bank.log_weight - 0.5 * (inner**2 + np.log(np.linalg.det(S))) - HUBER_WIDTH * outer
+    log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
 
     weighted = expected + R / np.where(weight > 0, weight, 1.0)[:, None, None]
     K = (weight > 0)[:, None, None] * seen.transpose(0, 2, 1) @ np.linalg.inv(weighted)
@@ -97,6 +98,27 @@ def thinned(bank: Bank) -> Bank:
     log_weight = bank.log_weight.copy()
     log_weight[bank.best] = np.logaddexp.reduce(log_weight[same])
     return replace(bank, log_weight=log_weight).take(np.flatnonzero(keep))
+
+
+def by_direction(one: Bank) -> Bank:
+    """One hypothesis whose direction is not well known, as DIRECTIONS narrow ones around the circle.
+
+    Together they are the Gaussian that it was, with Huber's tails: those far from a direction that a compass told are
+    kept, with little probability. The first is in the direction that it had.
+    """
+    V, width = one.covariance[0, 2, 2], np.pi / DIRECTIONS
+    off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)))
+    wider, by_heading = max(V - width**2, 0.0), one.covariance[0, 2] / V
+    narrow = one.covariance[0] - wider * np.outer(by_heading, by_heading)
+    all_round = np.zeros(DIRECTIONS, dtype=np.intp)
+    log_weight = -_cost(np.abs(off) / np.sqrt(max(wider, EXACT**2)))
+    log_weight -= np.logaddexp.reduce(log_weight)
+    return Bank(one.mean + off[:, None] * by_heading, np.tile(narrow, (DIRECTIONS, 1, 1)), log_weight, all_round)
+
+
+def _cost(sigmas: Array) -> Array:
+    """What a gap of so many sigmas has against a hypothesis: Huber's loss up to the gate, no more beyond."""
+    return 0.5 * np.minimum(sigmas, HUBER_WIDTH) ** 2 + HUBER_WIDTH * (np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH)
 
 
 def _apart(mean: Array, other: Array) -> Array:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.bank import DIRECTIONS, FAR, GATE, Bank, Surprise, measured, thinned
+from pdr_graph.estimation.bank import FAR, GATE, Bank, Surprise, by_direction, measured, thinned
 from pdr_graph.estimation.graph import FRAME_SIGMA, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
 from pdr_graph.estimation.preintegration import SIGMA_STILL
@@ -30,7 +30,8 @@ from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
 PATIENCE = 5  # fixes in a row that are refused before the filter takes itself for lost
-OF_POSITION = np.eye(2, 6)
+UNLIKELY = 0.01  # probability below which a user is not told of another walk
+OF_POSITION, OF_HEADING = np.eye(2, 6), np.eye(1, 6, 2)
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def estimate_of(graph: WalkGraph, means: Array, covariances: Array, met: list[Me
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
     of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
     calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
-    probability = float(np.exp(last.log_weight.max()))
+    probability, walks = float(np.exp(last.log_weight.max())), int(np.sum(last.log_weight > np.log(UNLIKELY)))
     return Estimate(
         trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
@@ -94,7 +95,7 @@ def estimate_of(graph: WalkGraph, means: Array, covariances: Array, met: list[Me
         cost=float("nan"),
         converged=True,
         probability=probability,
-        warnings=(*warnings(graph, len(last), probability, True, calibration), *_lost(graph, met)),
+        warnings=(*warnings(graph, walks, probability, True, calibration), *_lost(graph, met)),
     )
 
 
@@ -110,39 +111,49 @@ def moments(graph: WalkGraph) -> Iterator[Moment]:
         if m < 0 or m == pieces.last[keyframe - 1]:
             for n in fixes_at[keyframe].tolist():
                 moment, refused = _fixed(moment, graph, n, refused)
+            known = moment.known
             for n in headings_at[keyframe].tolist():
-                moment = _pointed(moment, graph, n)
-            moment = replace(moment, known=thinned(moment.known))
+                known = _pointed(known, graph, n, OF_HEADING, float(graph.headings.sigma[n] ** 2))
+            moment = replace(moment, known=thinned(known))
         yield moment
 
 
 def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
-    """The fixes and the headings of each keyframe; the first heading is told at the start."""
+    """The fixes and the headings of each keyframe; the first heading is told before the start."""
     keyframes = np.arange(1, len(graph.pieces.last) + 1)
     used = np.flatnonzero(graph.fix_used)
     used = used[np.argsort(graph.fix_keyframe[used], kind="stable")]
     fixes_at = np.split(used, np.searchsorted(graph.fix_keyframe[used], keyframes))
-    told = graph.heading_keyframe.copy()
-    told[:1] = 0
-    return fixes_at, np.split(np.arange(len(told)), np.searchsorted(told, keyframes))
+    later = graph.heading_keyframe[1:]
+    return fixes_at, np.split(1 + np.arange(len(later)), np.searchsorted(later, keyframes))
 
 
 def _start(graph: WalkGraph) -> Moment:
-    """Before any measurement: everywhere near the first fix, in any direction; at (0, 0) without a fix, with heading 0
-    if no compass tells another.
+    """Before any fix: everywhere near the first, in the direction that the compass tells, or in any.
+
+    Without a fix at (0, 0), and without a compass with heading 0: the start is the frame.
     """
     fixed, told = graph.fix_used.any(), len(graph.headings) > 0
-    count = DIRECTIONS if fixed or told else 1
-    mean, covariance = np.zeros((count, 6)), np.zeros((6, 6))
-    mean[:, :2] = graph.fixes.position[graph.fix_used][0] if fixed else 0.0
-    mean[:, 2] = np.arange(count) * 2 * np.pi / count
-    mean[:, 3:] = graph.prior.mean
-    covariance[:2, :2] = np.square(FAR if fixed else FRAME_SIGMA) * np.eye(2)
-    covariance[2, 2] = np.square(np.pi / count if count > 1 else FRAME_SIGMA)
-    covariance[3:, 3:] = graph.prior.covariance
-    own = np.arange(count)
-    bank = Bank(mean, np.tile(covariance, (count, 1, 1)), np.full(count, -np.log(count)), own)
-    return Moment(own, np.tile(np.eye(6), (count, 1, 1)), bank, bank, ())
+    place = FAR if fixed else FRAME_SIGMA
+    mean, covariance = np.zeros(6), np.zeros((6, 6))
+    mean[:2] = graph.fixes.position[graph.fix_used][0] if fixed else 0.0
+    mean[3:], covariance[3:, 3:] = graph.prior.mean, graph.prior.covariance
+    covariance[:3, :3] = np.diag(np.square([place, place, FAR if fixed or told else FRAME_SIGMA]))
+    own = np.zeros(1, dtype=np.intp)
+    bank = Bank(mean[None], covariance[None], np.zeros(1), own)
+    if told:
+        bank = _first_heading(bank, graph)
+    return Moment(own, np.eye(6)[None], bank, by_direction(bank) if fixed or told else bank, ())
+
+
+def _first_heading(bank: Bank, graph: WalkGraph) -> Bank:
+    """The first heading, carried back to the start: it measures θ + R_d turn + b time to its own moment."""
+    pieces = graph.pieces
+    until = pieces.last[: graph.heading_keyframe[0]]
+    H = np.zeros((1, 6))
+    H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
+    on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
+    return _pointed(bank, graph, 0, H, float(graph.headings.sigma[0] ** 2 + on_the_way))
 
 
 def _predicted(bank: Bank, graph: WalkGraph, m: int) -> Moment:
@@ -199,31 +210,19 @@ def _meeting(n: int, distance: float, surprise: Surprise, best: int) -> Meeting:
 def _anew(moment: Moment) -> Moment:
     """A lost filter before the fix that it believes again: anywhere, in the direction that it has or in any other.
 
-    What it refused changed nothing, so that this is the prediction with its place forgotten.
+    What it refused changed nothing, so that this is the prediction with its pose forgotten.
     """
-    best = moment.predicted.take(np.full(1 + DIRECTIONS, moment.known.origin[moment.known.best]))
-    forget = np.tile(np.eye(6), (len(best), 1, 1))
-    forget[1:, 2, 2] = 0.0
-    mean = best.mean.copy()
-    mean[1:, 2] = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
-    covariance = forget @ best.covariance @ forget
-    covariance[:, [0, 1], [0, 1]] += FAR**2
-    covariance[1:, 2, 2] = np.square(np.pi / DIRECTIONS)
-    log_weight = np.log(np.append(0.5, np.full(DIRECTIONS, 0.5 / DIRECTIONS)))
-    bank = Bank(mean, covariance, log_weight, np.arange(len(mean)))
-    return Moment(moment.parent[best.origin], forget @ moment.motion[best.origin], bank, bank, moment.met)
+    own = moment.known.origin[[moment.known.best]]
+    lost = moment.predicted.take(own)
+    forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
+    anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
+    return Moment(moment.parent[own], moment.motion[own], anywhere, by_direction(anywhere), moment.met)
 
 
-def _pointed(moment: Moment, graph: WalkGraph, n: int) -> Moment:
-    """After heading ``n``. The first is told at the start: θ + R_d turn + b time to its own moment."""
-    pieces, H, variance = graph.pieces, np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]]), graph.headings.sigma[n] ** 2
-    if n == 0:
-        until = pieces.last[: graph.heading_keyframe[0]]
-        H[0, 4:] = pieces.to_end[:, until].sum(axis=1)
-        variance += pieces.variance[: len(until) and until[-1] + 1, 2].sum()
-    bank = moment.known
+def _pointed(bank: Bank, graph: WalkGraph, n: int, H: Array, variance: float) -> Bank:
+    """After heading ``n``, of which H ``(1, 6)`` depends on the state."""
     gap = np.asarray(wrap_angle(graph.headings.heading[n] - bank.mean @ H.T))
-    return replace(moment, known=measured(bank, H, gap, np.array([[variance]]))[0])
+    return measured(bank, H, gap, np.array([[variance]]))[0]
 
 
 def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:

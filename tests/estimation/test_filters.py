@@ -100,7 +100,7 @@ def test_the_first_magnetic_heading_is_told_at_the_start():
     truth = dead_reckon(steps, fixes_at([0.0], [[5.0, 5.0]]), heading=2.0)
     late = Headings(steps.time[[60]], truth.heading[[61]], np.full(1, 0.05))
     track = kalman_filter(WalkGraph(steps, fixes_at([0.0], [[5.0, 5.0]], 0.5), headings=late)).trajectory
-    assert np.hypot(*(track.position - truth.position).T).max() < 2.0
+    assert np.hypot(*(track.position - truth.position).T).max() < 0.5
     assert np.sqrt(track.covariance[0, 2, 2]) == pytest.approx(np.hypot(0.05, 0.02 * np.sqrt(61)), rel=0.2)
 
 
