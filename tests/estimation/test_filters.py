@@ -109,3 +109,11 @@ def test_without_fixes_it_is_dead_reckoning():
     track = kalman_filter(WalkGraph(steps)).trajectory
     assert track.position == pytest.approx(dead_reckon(steps).position, abs=1e-9)
     assert len(kalman_filter(WalkGraph(steps, fixes_at([2.0], [[5, 5]]))).trajectory) == 27
+
+
+def test_without_fixes_every_row_is_as_uncertain_as_the_graph_says():
+    """Prediction alone, over bends, with an unknown calibration: two propagations of the same errors."""
+    graph = WalkGraph(wandering_walk(40, seed=3))
+    ours, theirs = (estimate(graph).trajectory.covariance for estimate in (kalman_filter, smooth))
+    scale = np.sqrt(np.einsum("nii,njj->nij", theirs, theirs))
+    assert ours / scale == pytest.approx(theirs / scale, abs=1e-6)
