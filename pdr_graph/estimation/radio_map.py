@@ -24,7 +24,7 @@ NEAR = 5.0  # [m] from a fingerprint a place is one that the map knows
 ACCEPTED = (0.05, 0.95)  # of the scans at places that the map knows: less alike gives no fix, more is no surer
 FINEST = 0.5  # [m] σ of a place that was passed within seconds
 APART = 10.0  # [s] of a walk's own scans left out before and after
-SHARED = 2.0  # times σ is stated, since errors of scans 4, 8, 16 s apart are alike (0.5, 0.3, 0.2): 1 + 2 Σ ρ is 3 to 4
+SHARED = 1.5  # times σ is stated: a map errs alike at a place, however long one stays there
 ENOUGH = 20  # scans at known places, to tell from them how good the map is
 MOST_CHECKED = 1000  # scans, evenly chosen: more tell nothing new
 ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
@@ -87,7 +87,8 @@ class RadioMap:
         best = np.array([n for n in best if found.distance[n] <= self.range[1]], dtype=int)
         variance = self.variance[0] + self.variance[1] * found.distance[best].clip(self.range[0]) ** 2
         sigma = SHARED * np.sqrt(variance.clip(FINEST**2))
-        return Fixes(scans.time[best], found.position[best], sigma, tuple(found.floor[n] for n in best))
+        floor, source = tuple(found.floor[n] for n in best), ("radio map",) * len(best)
+        return Fixes(scans.time[best], found.position[best], sigma, floor, source=source)
 
     def save(self, path: str | Path) -> None:
         """Write the map as a numpy archive."""
