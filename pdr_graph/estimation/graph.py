@@ -23,7 +23,7 @@ from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.receivers import Receivers, receivers, repeated, together, velocities
-from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
+from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, outside, slipping
 from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
@@ -37,6 +37,7 @@ WALKING_SPEED = 1.4  # [m/s] at which an overhanging fix grows stale
 AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is not believed, and more starts are tried
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
 LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
+LOOSELY = 5.0  # times its sigma a fix holds where all places are about as likely
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 
@@ -48,6 +49,8 @@ class Prior:
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m]; corridors: see ``Use``.
+    fix_flat: within so many sigmas of a fix all places are about as likely, for receivers that tell a radius and no
+        more; what fixes of one source have in common is then left out.
     """
 
     mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
@@ -57,6 +60,7 @@ class Prior:
     wall_margin: float = 0.8
     wall_sigma: float = 1.0
     corridors: Use = field(default_factory=Use)
+    fix_flat: float = 0.0
 
     @property
     def covariance(self) -> Array:
@@ -304,8 +308,8 @@ class WalkGraph:
         other = copy(self)
         other.fix_wild = wild
         other.fix_held = self.fix_used & (not self.by_proximity)
-        used, sigma = self.fix_used, self.fix_sigma
-        other.receivers = receivers(self.fixes, used, sigma, self.fix_keyframe, self.velocity)
+        shared = self.fix_used & (self.prior.fix_flat == 0)
+        other.receivers = receivers(self.fixes, shared, self.fix_sigma, self.fix_keyframe, self.velocity)
         nodes = 0 if other.receivers is None else len(other.receivers.keep)
         other.start = replace(self.start, g=np.zeros((nodes, 3)))
         other.native = other._native_factors()
@@ -325,7 +329,9 @@ class WalkGraph:
     def fix_weight(self, values: gtsam.Values) -> Array:
         """The share ``(f,)`` of each fix's information that is used."""
         sigmas = self.fix_distance(values) / self.fix_sigma
-        weight = np.where(self.fix_wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
+        flat = self.prior.fix_flat
+        gripped = outside(sigmas, flat) if flat else gripping(sigmas, HUBER_WIDTH)
+        weight = np.where(self.fix_wild, slipping(sigmas), gripped)
         if self.receivers is not None:
             weight[self.receivers.fix] = self._observed(State.of(values))[0].weight
         return np.where(self.fix_held, weight, 0.0)
@@ -422,15 +428,19 @@ class WalkGraph:
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
         graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
-        huber = noise.mEstimator.Huber.Create(HUBER_WIDTH)
+        huber, flat = noise.mEstimator.Huber.Create(HUBER_WIDTH), self.prior.fix_flat
+        grip = noise.mEstimator.L2WithDeadZone.Create(flat) if flat else huber
         geman_mcclure = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
-        alone = self.fix_held.copy()
+        alone, sigma = self.fix_held.copy(), self.fix_sigma if flat else self.fix_sigma_together
         if self.receivers is not None:
             alone[self.receivers.fix] = False
         for n in np.flatnonzero(alone):
-            loss = geman_mcclure if self.fix_wild[n] else huber
-            robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, self.fix_sigma_together[n]))
+            loss = geman_mcclure if self.fix_wild[n] else grip
+            robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, sigma[n]))
             graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], robust))
+            if flat:  # or nothing would hold a walk of which all fixes are near enough
+                loosely = noise.Isotropic.Sigma(2, LOOSELY * self.fix_sigma_together[n])
+                graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], loosely))
 
         prior = self.prior
         graph.add(gtsam.PriorFactorVector(C(0), np.array(prior.mean), noise.Gaussian.Covariance(prior.covariance)))

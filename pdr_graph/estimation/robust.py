@@ -15,6 +15,11 @@ def gripping(sigmas: Array, width: float) -> Array:
     return np.minimum(1.0, width / np.maximum(sigmas, 1e-9))
 
 
+def outside(sigmas: Array, flat: float) -> Array:
+    """Weight ``(n,)`` of what says nothing within ``flat`` sigmas, as GTSAM's L2WithDeadZone has it."""
+    return np.maximum(0.0, 1 - flat / np.maximum(sigmas, 1e-9))
+
+
 def slipping(sigmas: Array) -> Array:
     """Geman and McClure's weight ``(n,)``: it lets go of what is far off."""
     return (WILD_WIDTH**2 / (WILD_WIDTH**2 + sigmas**2)) ** 2

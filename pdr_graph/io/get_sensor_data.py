@@ -88,12 +88,12 @@ def _gnss(rows: Rows | None, notes: list[str]) -> tuple[Fixes | None, float | No
     """Fixes on the app's clock, and the Unix time of its zero. Every epoch is written twice: once counts."""
     if rows is None:
         return None, None
-    app, sensor, lat, lon, accuracy = rows.floats((1, 2, 3, 4, 7)).T
+    app, sensor, lat, lon, accuracy, satellites = rows.floats((1, 2, 3, 4, 7, 10)).T
     _, first = np.unique(sensor, return_index=True)
     first = np.sort(first)
     if len(first) < len(app):
         notes.append(f"GNSS: {len(app) - len(first)} repeats of an epoch were left out")
-    fixes = receiver_fixes(np.column_stack([app, lat, lon, accuracy])[first], notes)
+    fixes = receiver_fixes(np.column_stack([app, lat, lon, accuracy])[first], notes, satellites=satellites[first])
     unix = (sensor > UNIX) & np.isfinite(app)
     return fixes, float(np.median((sensor - app)[unix])) if unix.any() else None
 

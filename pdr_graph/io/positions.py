@@ -7,15 +7,22 @@ import numpy as np
 from pdr_graph.types import LONLAT, Array, Fixes, Trajectory
 
 RADIUS_68 = 1.51  # [σ per axis] the radius that holds 68 % of a circular normal distribution: a phone's "accuracy"
+EXTRAPOLATED, FEWEST = 1.5, 4  # times as far off as it says is a position of fewer satellites than one takes
 USUAL_ACCURACY = 7.5  # [m] 68 % radius of a phone outdoors, where the log has none
 
 
-def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS") -> Fixes:
+def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS", satellites: Array | None = None) -> Fixes:
     """Fixes of a receiver's rows: time [s], latitude [deg], longitude [deg], accuracy (68 % radius) [m].
 
-    table: ``(n, 4)`` in any order. Left out and noted: rows without a position or off the globe, rows with a negative
-    accuracy, by which iOS marks a position as invalid, and repeats of an epoch. An accuracy of zero or none is unknown.
+    table: ``(n, 4)`` in any order. satellites: ``(n,)`` that each position was made of, NaN where unknown: beside a
+    stated accuracy their number tells no more on real walks, unless they were too few.
+
+    Left out and noted: rows without a position or off the globe, rows with a negative accuracy, by which iOS marks a
+    position as invalid, and repeats of an epoch. An accuracy of zero or none is unknown.
     """
+    if satellites is not None:
+        few = satellites < FEWEST
+        table = np.column_stack([table[:, :3], np.where(few, EXTRAPOLATED, 1.0) * table[:, 3]])
     time, lat, lon, accuracy = table.T
     valid = np.isfinite(table[:, :3]).all(axis=1) & (np.abs(lat) <= 90) & (np.abs(lon) <= 180)
     valid &= ~(accuracy < 0) & ~((lat == 0) & (lon == 0))

@@ -7,7 +7,7 @@ import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
 from pdr_graph.estimation import receivers
-from pdr_graph.estimation.graph import State, WalkGraph
+from pdr_graph.estimation.graph import Prior, State, WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.receivers import CORRELATED, NODE, WHITE
 from pdr_graph.estimation.smoothers import smooth
@@ -185,3 +185,14 @@ def test_sigmas_grow_with_the_number_of_fixes_that_err_alike():
     assert sigma[100] == pytest.approx(3.0 * np.sqrt(2 * CORRELATED), rel=0.02)
     independent = fixes_at(np.arange(200.0), np.zeros((200, 2)), 3.0)
     assert (receivers.together(independent, independent.sigma, np.ones(200, dtype=bool)) == 3.0).all()
+
+
+def test_a_flat_zone_leaves_the_walk_alone_within_the_radius():
+    """An option for receivers that tell a radius and no more: fixes 1 σ off, to alternate sides, bend nothing."""
+    said = meander(100)
+    truth = dead_reckon(said)
+    off = 3.0 * np.where(np.arange(20) % 4 < 2, 1.0, -1.0)[:, None] * np.array([1.0, 0.0])
+    fixes = fixes_at(truth.time[:100:5], truth.position[:100:5] + off, 3.0)
+    bent, flat = (smooth(WalkGraph(said, fixes, prior=Prior(fix_flat=zone))).trajectory for zone in (0.0, 1.5))
+    shape = [np.std(track.position - truth.position, axis=0).max() for track in (bent, flat)]
+    assert shape[1] < 0.5 * shape[0]
