@@ -25,6 +25,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.estimation.rts import kalman_smoother
 from pdr_graph.estimation.smoothers import smooth
+from pdr_graph.floor.areas import BEACON
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.route import read_route
 from pdr_graph.frames import Frame, enu, projected
@@ -36,7 +37,7 @@ from pdr_graph.gait.treads import on_treads
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
-from pdr_graph.io.beacons import beside, read_beacons
+from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
 from pdr_graph.io.tables import read_fixes, read_trajectory
 from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
 
@@ -96,7 +97,7 @@ def smooth_recording(
         notes = list(walk.notes)
         given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
         building = Building.load(plan) if plan else None
-        walk = _with_beacons(walk, beacons or (beside(recording) if use_recorded_fixes else None))
+        walk = _with_beacons(walk, beacons or (beside(recording) if use_recorded_fixes else None), building)
         places = _radio_map(radio_map, building) if radio_map else None
         recorded = walk.fixes if use_recorded_fixes else Fixes.none()
         frame, located = _locate(building, places, given, recorded, notes)
@@ -272,9 +273,12 @@ def _floors(
     return found
 
 
-def _with_beacons(walk: Recording, beacons: Path | None) -> Recording:
-    """The recording, with what a list says of where its beacons are."""
-    return walk if beacons is None else replace(walk, beacons=read_beacons(beacons, walk))
+def _with_beacons(walk: Recording, beacons: Path | None, building: Building | None) -> Recording:
+    """The recording, with what a list, or else the plan, says of where its beacons are."""
+    if beacons is not None:
+        return replace(walk, beacons=read_beacons(beacons, walk))
+    drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
+    return replace(walk, beacons=drawn_beacons(drawn, walk)) if drawn else walk
 
 
 def _levels(walk: Recording, steps: Steps | None, frame: Frame, notes: list[str]) -> Levels | None:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import shapely
 
 from pdr_graph.errors import InputError
+from pdr_graph.floor.areas import Area
 from pdr_graph.io.tables import check_geodetic, read_table
 from pdr_graph.types import LONLAT, Beacons, Recording
 
 BESIDE = "BLE_Locations.csv"  # the organisers of IPIN competitions put it beside their logs
-SURVEY_SIGMA = 1.0  # [m] per axis, where a list does not say
+SURVEY_SIGMA, LEAST_SIGMA = 1.0, 1e-3  # [m] per axis, where a list does not say; and at least
 NUMBER = re.compile(r"\d+$")
 
 
@@ -37,17 +40,30 @@ def read_beacons(path: str | Path, recording: Recording) -> Beacons:
     label = words["beacon"] if any(words["beacon"]) else words["bleid"]
     position = np.stack([numbers[n] for n in (("lon", "lat") if geodetic else ("x", "y"))], axis=1)
     sigma = np.nan_to_num(numbers.get("sigma", np.full(len(label), np.nan)), nan=SURVEY_SIGMA)
-    heard = recording.bluetooth
-    by_address, by_number = dict[str, str](), dict[str, str]()
-    if heard is not None:
-        by_address = {name.lower(): name for name in heard.transmitter}
-        by_number = dict(zip(heard.minor, heard.transmitter, strict=False))
     for n, of in enumerate(label):
         if not of or of in label[:n]:
             found = f"{of[:40]!r} twice" if of else "no name"
             raise InputError(path, f"data row {n + 1}", found, "a row for each beacon, by its name")
-    name = tuple(by_address.get(of.lower()) or by_number.get(_number(of), of) for of in label)
-    return Beacons(name, position, np.maximum(sigma, 1e-3), words["floor"], label, LONLAT if geodetic else None)
+    epsg = LONLAT if geodetic else None
+    return Beacons(_names(label, recording), position, np.maximum(sigma, LEAST_SIGMA), words["floor"], label, epsg)
+
+
+def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording) -> Beacons:
+    """Beacons of a plan, each with the label of its floor; their id or name is as ``beacon`` in a list."""
+    keys = ("id", "mac", "uuid")
+    label = tuple(str(next((a.properties[k] for k in keys if a.properties.get(k)), a.name)) for a, _ in drawn)
+    position = np.array([shapely.get_coordinates(area.shape).mean(axis=0) for area, _ in drawn])
+    sigma = np.full(len(label), SURVEY_SIGMA)
+    return Beacons(_names(label, recording), position, sigma, tuple(floor for _, floor in drawn), label)
+
+
+def _names(label: Sequence[str], recording: Recording) -> tuple[str, ...]:
+    """The transmitters in the recording that are called so."""
+    heard, by_address, by_number = recording.bluetooth, dict[str, str](), dict[str, str]()
+    if heard is not None:
+        by_address = {name.lower(): name for name in heard.transmitter}
+        by_number = dict(zip(heard.minor, heard.transmitter, strict=False))
+    return tuple(by_address.get(of.lower()) or by_number.get(_number(of), of) for of in label)
 
 
 def _number(label: str) -> str:
