@@ -50,9 +50,10 @@ class Rows:
         """As linear factors, weighted."""
         root, noise = np.sqrt(self.weight), gtsam.noiseModel.Unit.Create(self.value.shape[1])
         error, by = -root[:, None] * self.value, root[:, None, None, None] * self.by
-        for keys, blocks, b in zip(self.keys.tolist(), by, error, strict=True):
-            terms: list[Any] = [term for key, block in zip(keys, blocks, strict=True) for term in (key, block)]
-            graph.add(gtsam.JacobianFactor(*[*terms, b, noise]))
+        terms = [side for v in range(self.keys.shape[1]) for side in (self.keys[:, v].tolist(), by[:, v])]
+        add: Any = graph.add  # its overloads are of one, two and three variables
+        for factor in zip(*terms, error, strict=True):
+            add(*factor, noise)
 
     def noise(self, n: int) -> gtsam.noiseModel.Base:
         """What GTSAM takes of one of them: whitened errors under its loss."""

@@ -92,11 +92,12 @@ def receivers(fixes: Fixes, used: Mask, sigma: Array, keyframe: Index, velocity:
     chosen = np.flatnonzero(used & (names != ""))
     if not len(chosen):
         return None
-    offset = sigma.copy()
+    offset, parts = sigma.copy(), []
     for name in np.unique(names[chosen]):
         own = chosen[names[chosen] == name]
-        offset[own] = [sigma[own][np.abs(fixes.time[own] - t) < CORRELATED].min() for t in fixes.time[own]]
-    parts = [_of_source(chosen[names[chosen] == name], fixes.time) for name in np.unique(names[chosen])]
+        own = own[np.argsort(fixes.time[own], kind="stable")]
+        offset[own] = _least_around(fixes.time[own], sigma[own])
+        parts.append(_of_source(own, fixes.time))
     fix, node, share, keep, time_before = (list(column) for column in zip(*parts, strict=True))
     first = np.cumsum([0] + [len(k) for k in keep[:-1]])
     joined = np.concatenate(fix)
@@ -146,9 +147,14 @@ def together(fixes: Fixes, sigma: Array, used: Mask) -> Array:
     return result
 
 
+def _least_around(time: Array, sigma: Array) -> Array:
+    """The least of the sigmas ``(f,)`` within CORRELATED of each; what an epoch has above it is its own."""
+    first, after = np.searchsorted(time, time - CORRELATED), np.searchsorted(time, time + CORRELATED)
+    return np.array([sigma[a:b].min() for a, b in zip(first, after, strict=True)])
+
+
 def _of_source(fix: Index, time: Array) -> tuple[Index, Index, Array, Array, Array]:
-    """One source's fixes in order of time; their nodes and shares; of each node what is kept and the time before."""
-    fix = fix[np.argsort(time[fix], kind="stable")]
+    """One source's fixes, in order of time; their nodes and shares; of each node what is kept and the time before."""
     at = np.array(list(_node_times(time[fix])))
     node = np.clip(np.searchsorted(at, time[fix], side="right") - 1, 0, len(at) - 2)
     span = np.diff(at)[node]
