@@ -39,7 +39,7 @@ from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
 from pdr_graph.io.tables import read_fixes, read_trajectory
-from pdr_graph.types import LONLAT, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
+from pdr_graph.types import LONLAT, Beacons, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.radio_map import RadioMap
@@ -97,7 +97,8 @@ def smooth_recording(
         notes = list(walk.notes)
         given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
         building = Building.load(plan) if plan else None
-        walk = _with_beacons(walk, beacons or (beside(recording) if use_recorded_fixes else None), building)
+        listed = beside(recording) if use_recorded_fixes else None
+        walk = replace(walk, beacons=_beacons(walk, beacons, listed, building, notes))
         places = _radio_map(radio_map, building) if radio_map else None
         recorded = walk.fixes if use_recorded_fixes else Fixes.none()
         frame, located = _locate(building, places, given, recorded, notes)
@@ -273,12 +274,19 @@ def _floors(
     return found
 
 
-def _with_beacons(walk: Recording, beacons: Path | None, building: Building | None) -> Recording:
-    """The recording, with what a list, or else the plan, says of where its beacons are."""
-    if beacons is not None:
-        return replace(walk, beacons=read_beacons(beacons, walk))
+def _beacons(
+    walk: Recording, given: Path | None, beside: Path | None, building: Building | None, notes: list[str]
+) -> Beacons | None:
+    """Where beacons are: as a list that was given says, or one beside the recording, or the plan."""
+    if given is not None:
+        return read_beacons(given, walk)
+    if beside is not None and walk.bluetooth is not None:
+        try:
+            return read_beacons(beside, walk)
+        except InputError as error:  # nobody asked for it
+            notes.append(f"beacons were left out: {error}")
     drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
-    return replace(walk, beacons=drawn_beacons(drawn, walk)) if drawn else walk
+    return drawn_beacons(drawn, walk) if drawn else None
 
 
 def _levels(walk: Recording, steps: Steps | None, frame: Frame, notes: list[str]) -> Levels | None:
