@@ -21,7 +21,7 @@ from pdr_graph.types import Array, Estimate, Trajectory
 
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
 ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
-TRACK, BAND, GREY, FIX, TRUTH = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111"
+TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
 MOST_ELLIPSES = 400
 MANY = 50  # points above which their marks must not hide the track
@@ -47,7 +47,7 @@ def plot(
         several = len(floors) > 1
         _draw_walk(axes, estimate, truth, floors[n].label if several else None)
         axes.set_title(f"{floors[n].label}   {title}" if several else title, loc="left", fontsize=10)
-    columns = max(2, int(figure.get_figwidth() / 1.6))
+    columns = max(2, int(figure.get_figwidth() / 1.9))
     named = {text: mark for axes in canvases for mark, text in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(named.values(), named.keys(), loc="lower center", ncols=columns, frameon=False, fontsize=9)
     return figure
@@ -76,6 +76,8 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
         style: dict[str, Any] = {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0}
         axes.plot(*_on(truth, label).T, color=TRUTH, label="surveyed", zorder=8 if few else 6, **style)
     _draw_fixes(axes, estimate, label)
+    if label in (None, estimate.trajectory.floor[0]):
+        _draw_beacons(axes, estimate)
 
 
 def _on(track: Trajectory, label: str | None) -> Array:
@@ -172,12 +174,25 @@ def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
     at = interpolate(time[here], track.time, track.position)
     if not len(place):
         return
+    share = min(1.0, MANY / len(place))
     for p, q in zip(place, at, strict=True):
-        axes.plot(*np.stack([p, q]).T, color=FIX, lw=0.8, alpha=0.6, zorder=4.5)
+        axes.plot(*np.stack([p, q]).T, color=FIX, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5)
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
     label = "fixes" if weight.min() > 0.99 else "fixes (pale: weighted down)"
-    size = 42 * min(1.0, MANY / len(place))
-    axes.scatter(*place.T, s=max(size, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)
+    axes.scatter(*place.T, s=max(42 * share, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)
+
+
+def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
+    """Where the walk has the beacons that were heard, by name; in colour those that are not where their list says."""
+    for colour, moved, label in ((RADIO, False, "beacons"), (FIX, True, "misplaced beacons")):
+        group = [b for b in estimate.beacons if b.misplaced == moved]
+        if group:
+            place = np.array([(b.x, b.y) for b in group])
+            axes.scatter(
+                *place.T, s=46, marker="D", c="white", edgecolors=colour, linewidths=1.4, zorder=4.6, label=label
+            )
+            for b in group:
+                axes.annotate(b.label, (b.x, b.y), (5, 5), textcoords="offset points", fontsize=7, color=colour)
 
 
 def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:

@@ -323,7 +323,8 @@ class BeaconReport:
     """What the walk tells of one beacon.
 
     label: its name in messages; levels: how often it was heard, stretch by stretch; residual: mean distance of these
-    levels from those expected [dB]; x, y: where it is, as the walk has it [m].
+    levels from those expected [dB]; x, y: where it is, as the walk has it [m]; misplaced: True if that is not where it
+    is listed.
     """
 
     label: str
@@ -331,6 +332,7 @@ class BeaconReport:
     residual: float
     x: float
     y: float
+    misplaced: bool
     reason: str
 
 

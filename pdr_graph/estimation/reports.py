@@ -78,10 +78,11 @@ def beacon_reports(levels: Levels | None, graph: WalkGraph, state: State) -> tup
     reports = []
     for m, (x, y) in enumerate(state.b[:, :2].tolist()):
         own, listed = levels.beacon == m, levels.position[m]
+        moved = bool(np.isfinite(listed[0]) and np.isnan(graph.levels.position[m, 0]))
         distance = np.hypot(*(levels.position - (x, y)).T)
         if np.isnan(listed[0]):
             reason = "its place is learnt"
-        elif np.isnan(graph.levels.position[m, 0]):
+        elif moved:
             like = levels.label[int(np.nanargmin(distance))]
             reason = (
                 f"heard as if it were {distance[m]:.0f} m from where it is listed, nearest to the place of {like}: "
@@ -89,5 +90,7 @@ def beacon_reports(levels: Levels | None, graph: WalkGraph, state: State) -> tup
             reason += "moved or swapped, its place was not used"
         else:
             reason = "heard where it is listed"
-        reports.append(BeaconReport(levels.label[m], int(own.sum()), float(np.abs(off[own]).mean()), x, y, reason))
+        reports.append(
+            BeaconReport(levels.label[m], int(own.sum()), float(np.abs(off[own]).mean()), x, y, moved, reason)
+        )
     return tuple(reports)
