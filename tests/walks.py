@@ -1,9 +1,17 @@
 """Synthetic walks for tests: valid, seeded, with their truth."""
 
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.beacons import Levels
 
 PERIOD = 0.55  # [s] per step
 
@@ -83,4 +91,63 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
     return said, fixes, truth
 
 
-__all__ = ["dead_reckon", "drawn_from_the_model", "fixes_at", "fixes_on", "square_walk", "steps_of", "wandering_walk"]
+def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps, Fixes, Trajectory]:
+    """As `drawn_from_the_model`, with the fixes of one receiver: offsets, lag and white noise as the graph assumes.
+
+    period: of its fixes [s], at least that of the offset's nodes, between which it is no Gauss–Markov process.
+    """
+    from pdr_graph.estimation.graph import WalkGraph
+    from pdr_graph.estimation.receivers import CORRELATED, LAG, LAG_CHANGE, WHITE
+    from pdr_graph.geometry import interpolate, rotation
+
+    said, _, truth = drawn_from_the_model(n, seed)
+    random, sigma = np.random.default_rng([seed, 1]), 3.0
+    rows = np.unique(np.searchsorted(truth.time, np.arange(period, said.end - period, period)))
+    time = truth.time[rows]
+    keep = np.exp(-np.diff(time) / CORRELATED)[:, None]
+    offset = random.normal(0, 1, (len(time), 2))
+    for i in range(1, len(time)):
+        offset[i] = keep[i - 1] * offset[i - 1] + np.sqrt(1 - keep[i - 1] ** 2) * offset[i]
+    change = np.append(random.normal(0, LAG), random.normal(0, LAG_CHANGE * np.sqrt(np.diff(time))))
+    lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
+
+    graph = WalkGraph(said, fixes_at(time, where, sigma))
+    ahead = np.array(
+        [rotation(h) @ v for h, v in zip(truth.heading[rows], graph.velocity[graph.fix_keyframe], strict=True)]
+    )
+    white = WHITE * random.normal(0, 1, where.shape)
+    fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)
+    return said, replace(fixes, source=("GNSS",) * len(fixes)), truth
+
+
+def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, Fixes, Levels, Trajectory]:
+    """As `drawn_from_the_model`, with levels of four beacons: places, powers and path loss drawn from their priors.
+
+    ``wrong`` multiplies the levels' true errors.
+    """
+    from pdr_graph.estimation.beacons import LEVEL_SIGMA, LOSS, LOSS_SIGMA, OWN_SIGMA, Levels
+
+    said, fixes, truth = drawn_from_the_model(n, seed, every=30)
+    random, count, surveyed = np.random.default_rng([seed, 2]), 4, 0.5
+    low, high = truth.position.min(axis=0) - 8, truth.position.max(axis=0) + 8
+    listed = random.uniform(low, high, (count, 2))
+    b = np.column_stack([listed + random.normal(0, surveyed, (count, 2)), random.normal(0, OWN_SIGMA, count)])
+    row = np.repeat(np.arange(8, n, 8), count)
+    beacon = np.tile(np.arange(count), len(row) // count)
+    exact = Levels(truth.time[row], beacon, np.zeros(len(row)), tuple("abcd"), listed, np.full(count, surveyed))
+    poses = np.column_stack([truth.position, truth.heading])
+    expected = exact.heard(row, poses, b, random.normal(LOSS, LOSS_SIGMA)).value[:, 0] * LEVEL_SIGMA
+    return said, fixes, replace(exact, rssi=expected + random.normal(0, wrong * LEVEL_SIGMA, len(row))), truth
+
+
+__all__ = [
+    "dead_reckon",
+    "drawn_beside_beacons",
+    "drawn_from_the_model",
+    "drawn_with_a_receiver",
+    "fixes_at",
+    "fixes_on",
+    "square_walk",
+    "steps_of",
+    "wandering_walk",
+]
