@@ -97,14 +97,14 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     period: of its fixes [s], at least that of the offset's nodes, between which it is no Gauss–Markov process.
     """
     from pdr_graph.estimation.graph import WalkGraph
-    from pdr_graph.estimation.receivers import CORRELATED, LAG, LAG_CHANGE, WHITE
+    from pdr_graph.estimation.receivers import LAG, LAG_CHANGE, WHITE, drift
     from pdr_graph.geometry import interpolate, rotation
 
     said, _, truth = drawn_from_the_model(n, seed)
     random, sigma = np.random.default_rng([seed, 1]), 3.0
     rows = np.unique(np.searchsorted(truth.time, np.arange(period, said.end - period, period)))
     time = truth.time[rows]
-    keep = np.exp(-np.diff(time) / CORRELATED)[:, None]
+    keep = np.exp(-np.diff(drift(said, time)))[:, None]
     offset = random.normal(0, 1, (len(time), 2))
     for i in range(1, len(time)):
         offset[i] = keep[i - 1] * offset[i - 1] + np.sqrt(1 - keep[i - 1] ** 2) * offset[i]

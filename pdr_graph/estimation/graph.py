@@ -137,7 +137,7 @@ class WalkGraph:
         self.fix_repeats = repeated(self.fixes)
         fresh, self.fix_sigma = _freshness(self.fixes, steps)
         self.fix_used = fresh & ~self.fix_repeats
-        self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_used)
+        self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_used, steps)
         lost = steps.length == 0
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
@@ -308,8 +308,8 @@ class WalkGraph:
         other = copy(self)
         other.fix_wild = wild
         other.fix_held = self.fix_used & (not self.by_proximity)
-        shared = self.fix_used & (self.prior.fix_flat == 0)
-        other.receivers = receivers(self.fixes, shared, self.fix_sigma, self.fix_keyframe, self.velocity)
+        shared, sigma = self.fix_used & (self.prior.fix_flat == 0), self.fix_sigma
+        other.receivers = receivers(self.fixes, shared, sigma, self.fix_keyframe, self.velocity, self.steps)
         nodes = 0 if other.receivers is None else len(other.receivers.keep)
         other.start = replace(self.start, g=np.zeros((nodes, 3)))
         other.native = other._native_factors()

@@ -4,10 +4,12 @@
 it is correlated 0.9 after a second, 0.5 after ten), so that a minute of epochs is worth a few fixes, not sixty. With
 g = (g_x, g_y, lag) of the source as it was then, a fix of stated sigma σ says
 
-    z = p − R(θ) v lag + σ (g_x, g_y) + white noise of WHITE σ
+    z = p − R(θ) v lag + σ₀ (g_x, g_y) + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
 
 v the walking velocity seen from the body, in the mean over LATELY. (g_x, g_y) is a Gauss–Markov process of unit
-variance and correlation time CORRELATED, lag a slow random walk; both are linear between nodes NODE apart at most.
+variance, lag a slow random walk; both are linear between nodes NODE apart at most. Paths of the signals change with the
+place, and little where nobody moves: the process goes by its `drift`, in which 1 is the time in which it is correlated.
+σ₀ is the least sigma of those n fixes that err alike; what worse ones among them have beyond it they share as well.
 """
 
 from __future__ import annotations
@@ -20,9 +22,9 @@ from gtsam.symbol_shorthand import G, X
 
 from pdr_graph.estimation.observations import Rows
 from pdr_graph.geometry import pose_rotation, rotation
-from pdr_graph.types import Array, Complex, Fixes, Index, Mask
+from pdr_graph.types import Array, Complex, Fixes, Index, Mask, Steps
 
-CORRELATED = 20.0  # [s]
+STANDING, ALONG = 120.0, 60.0  # [s] and [m] walked in which errors stay alike: satellites move, and so do walkers
 WHITE = 0.3  # of the stated sigma
 NODE = 5.0  # [s]
 LAG, LAG_CHANGE = 1.0, 0.02  # [s] before any measurement; [s/√s]
@@ -83,7 +85,9 @@ class Receivers:
         return begun, Rows((g[later] - share * g[later - 1]) / sigma, G(0) + np.stack([later, later - 1], axis=1), by)
 
 
-def receivers(fixes: Fixes, used: Mask, sigma: Array, keyframe: Index, velocity: Array) -> Receivers | None:
+def receivers(
+    fixes: Fixes, used: Mask, sigma: Array, keyframe: Index, velocity: Array, steps: Steps
+) -> Receivers | None:
     """The used fixes that name a source, None without any.
 
     Of all fixes: sigma ``(f,)`` [m]; keyframe ``(f,)``. velocity: ``(k + 1, 2)`` of `velocities`.
@@ -92,12 +96,15 @@ def receivers(fixes: Fixes, used: Mask, sigma: Array, keyframe: Index, velocity:
     chosen = np.flatnonzero(used & (names != ""))
     if not len(chosen):
         return None
-    offset, parts = sigma.copy(), []
+    offset, white, parts = sigma.copy(), sigma.copy(), []
     for name in np.unique(names[chosen]):
         own = chosen[names[chosen] == name]
         own = own[np.argsort(fixes.time[own], kind="stable")]
-        offset[own] = _least_around(fixes.time[own], sigma[own])
-        parts.append(_of_source(own, fixes.time))
+        first, after = _alike(drift(steps, fixes.time[own]))
+        offset[own] = [sigma[own[a:b]].min() for a, b in zip(first, after, strict=True)]
+        beyond = sigma[own] ** 2 - offset[own] ** 2
+        white[own] = np.sqrt(WHITE**2 * offset[own] ** 2 + (after - first) * beyond)
+        parts.append(_of_source(own, fixes.time, steps))
     fix, node, share, keep, time_before = (list(column) for column in zip(*parts, strict=True))
     first = np.cumsum([0] + [len(k) for k in keep[:-1]])
     joined = np.concatenate(fix)
@@ -106,7 +113,7 @@ def receivers(fixes: Fixes, used: Mask, sigma: Array, keyframe: Index, velocity:
         keyframe=keyframe[joined],
         position=fixes.position[joined],
         offset=offset[joined],
-        white=np.sqrt(sigma[joined] ** 2 - (1 - WHITE**2) * offset[joined] ** 2),
+        white=white[joined],
         velocity=velocity[keyframe[joined]],
         node=np.concatenate([n + f for n, f in zip(node, first, strict=True)]),
         share=np.concatenate(share),
@@ -136,30 +143,35 @@ def repeated(fixes: Fixes) -> Mask:
     return result
 
 
-def together(fixes: Fixes, sigma: Array, used: Mask) -> Array:
+def together(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
     """Sigmas ``(f,)`` [m] with which fixes that err alike count for what they are worth, each taken for independent."""
     result, names = sigma.copy(), np.array(fixes.sources)
     for name in set(fixes.sources) - {""}:
-        order, own = np.sort(fixes.time[used & (names == name)]), names == name
-        time = fixes.time[own]
-        alike = np.searchsorted(order, time + CORRELATED) - np.searchsorted(order, time - CORRELATED)
-        result[own] *= np.sqrt(np.maximum(alike, 1))
+        own = np.flatnonzero(used & (names == name))
+        own = own[np.argsort(fixes.time[own], kind="stable")]
+        first, after = _alike(drift(steps, fixes.time[own]))
+        result[own] *= np.sqrt(after - first)
     return result
 
 
-def _least_around(time: Array, sigma: Array) -> Array:
-    """The least of the sigmas ``(f,)`` within CORRELATED of each; what an epoch has above it is its own."""
-    first, after = np.searchsorted(time, time - CORRELATED), np.searchsorted(time, time + CORRELATED)
-    return np.array([sigma[a:b].min() for a, b in zip(first, after, strict=True)])
+def drift(steps: Steps, time: Array) -> Array:
+    """How far errors have changed ``(n,)`` by some times: apart by 1, they are correlated 1/e."""
+    walked = np.interp(time, np.append(steps.start, steps.time), np.append(0.0, np.cumsum(steps.length)))
+    return time / STANDING + walked / ALONG
 
 
-def _of_source(fix: Index, time: Array) -> tuple[Index, Index, Array, Array, Array]:
+def _alike(drifted: Array) -> tuple[Index, Index]:
+    """The first fix that errs like each of a source's ``(f,)``, in order of time, and the one after the last."""
+    return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
+
+
+def _of_source(fix: Index, time: Array, steps: Steps) -> tuple[Index, Index, Array, Array, Array]:
     """One source's fixes, in order of time; their nodes and shares; of each node what is kept and the time before."""
     at = np.array(list(_node_times(time[fix])))
     node = np.clip(np.searchsorted(at, time[fix], side="right") - 1, 0, len(at) - 2)
     span = np.diff(at)[node]
     before = np.diff(at, prepend=at[0])
-    keep = np.where(before > 0, np.exp(-before / CORRELATED), 0.0)
+    keep = np.where(before > 0, np.exp(-np.diff(drift(steps, at), prepend=0.0)), 0.0)
     return fix, node, (time[fix] - at[node]) / span, keep, before
 
 

@@ -9,7 +9,7 @@ from walks import PERIOD, dead_reckon, fixes_at, steps_of
 from pdr_graph.estimation import receivers
 from pdr_graph.estimation.graph import Prior, State, WalkGraph
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.estimation.receivers import CORRELATED, NODE, WHITE
+from pdr_graph.estimation.receivers import NODE, STANDING, WHITE, drift
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import Fixes, Steps
@@ -26,12 +26,12 @@ def meander(n=300, seed=0):
     return steps_of(np.full(n, 0.7), turn)
 
 
-def gauss_markov(n, period, random):
-    """A process of unit variance and correlation time CORRELATED."""
-    keep = np.exp(-period / CORRELATED)
-    process = random.normal(0, 1, (n, 2))
-    for i in range(1, n):
-        process[i] = keep * process[i - 1] + np.sqrt(1 - keep**2) * process[i]
+def gauss_markov(steps, time, random):
+    """A process of unit variance ``(n, 2)``, correlated as a receiver's errors on a walk."""
+    keep = np.exp(-np.diff(drift(steps, time), prepend=0.0))
+    process = random.normal(0, 1, (len(time), 2))
+    for i in range(1, len(time)):
+        process[i] = keep[i] * process[i - 1] + np.sqrt(1 - keep[i] ** 2) * process[i]
     return process
 
 
@@ -101,11 +101,11 @@ def test_gtsam_sees_the_same_graph():
 def test_a_minute_of_alike_errors_is_worth_a_few_fixes():
     """Someone stands still: the position is the generalised mean of the fixes, as plain algebra has it."""
     time, sigma = np.arange(0, 61, NODE), 3.0
-    errors = sigma * gauss_markov(len(time), NODE, np.random.default_rng(2))
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
+    errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
     estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
 
-    alike = np.exp(-np.abs(time[:, None] - time) / CORRELATED)
+    alike = np.exp(-np.abs(time[:, None] - time) / STANDING)
     weight = np.linalg.solve(sigma**2 * (alike + WHITE**2 * np.eye(len(time))), np.ones(len(time)))
     assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
     assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(1 / weight.sum(), rel=0.01)
@@ -118,7 +118,7 @@ def test_an_offset_that_stays_for_a_minute_does_not_bend_the_walk():
         said, random = meander(300, seed), np.random.default_rng(seed)
         truth = dead_reckon(said)
         time = np.arange(1.0, said.end, 1.0)
-        errors = 3.0 * gauss_markov(len(time), 1.0, random)
+        errors = 3.0 * gauss_markov(said, time, random)
         fixes = fixes_at(time, interpolate(time, truth.time, truth.position) + errors, 3.0)
         shape = [np.std(smooth(WalkGraph(said, f)).trajectory.position - truth.position) for f in (fixes, named(fixes))]
         bent.append(shape[1] / shape[0])
@@ -180,11 +180,30 @@ def test_two_receivers_have_offsets_of_their_own():
 
 def test_sigmas_grow_with_the_number_of_fixes_that_err_alike():
     """A minute of epochs, each for itself, must not count as sixty."""
-    fixes = named(fixes_at(np.arange(200.0), np.zeros((200, 2)), 3.0))
-    sigma = receivers.together(fixes, fixes.sigma, np.ones(200, dtype=bool))
-    assert sigma[100] == pytest.approx(3.0 * np.sqrt(2 * CORRELATED), rel=0.02)
-    independent = fixes_at(np.arange(200.0), np.zeros((200, 2)), 3.0)
-    assert (receivers.together(independent, independent.sigma, np.ones(200, dtype=bool)) == 3.0).all()
+    fixes = named(fixes_at(np.arange(600.0), np.zeros((600, 2)), 3.0))
+    standing, used = Steps(0.0, 600.0, *np.empty((6, 0)), sigma_turn=np.empty(0)), np.ones(600, dtype=bool)
+    sigma = receivers.together(fixes, fixes.sigma, used, standing)
+    assert sigma[300] == pytest.approx(3.0 * np.sqrt(2 * STANDING), rel=0.02)
+    independent = replace(fixes, source=())
+    assert (receivers.together(independent, independent.sigma, used, standing) == 3.0).all()
+
+
+def test_errors_change_sooner_where_somebody_walks():
+    said = meander(300)
+    walking = drift(said, np.array([10.0, 70.0]))
+    assert np.diff(walking)[0] > 2 * 60.0 / STANDING
+
+
+def test_worse_fixes_beside_a_good_one_err_alike_too():
+    """A minute of fixes that say 20 m and all lie 20 m to the east does not outvote one that says 2 m."""
+    said, east = meander(120), np.array([20.0, 0.0])
+    truth = dead_reckon(said)
+    time = np.arange(1.0, said.end, 1.0)
+    fixes, good = fixes_at(time, interpolate(time, truth.time, truth.position) + east, 20.0), len(time) // 2
+    fixes.sigma[good], fixes.position[good] = 2.0, fixes.position[good] - east
+    track = smooth(WalkGraph(said, named(fixes))).trajectory
+    row = np.argmin(np.abs(truth.time - time[good]))
+    assert np.hypot(*(track.position[row] - truth.position[row])) < 2.0
 
 
 def test_a_flat_zone_leaves_the_walk_alone_within_the_radius():
