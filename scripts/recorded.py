@@ -1,52 +1,114 @@
 """Accuracy on walks that came with their own fixes, for docs/accuracy.md."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, read_fixes, smooth
-from pdr_graph.estimation.beacons import levels
+from pdr_graph.estimation.beacons import Levels, levels
+from pdr_graph.estimation.floors import floors_along
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
 from pdr_graph.gait.gait import gait_of
+from pdr_graph.gait.treads import on_treads
 from pdr_graph.io.beacons import read_beacons
-from pdr_graph.types import Fixes, Trajectory
+from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start
+WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the taps of Microsoft's surveyors
+INSIDE_90 = 4.605  # χ² of two degrees of freedom
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A walk as the front end saw it, what was measured beside it, and its truth."""
+
+    name: str
+    steps: Steps
+    headings: Headings
+    fixes: Fixes
+    truth: Trajectory
+    floor: FloorPlan | None = None
+    levels: Levels | None = None
 
 
 def percentiles(errors):
     return " / ".join(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95]))
 
 
-def coverage(track, truth):
-    """How often the truth lies in the stated 90 % region."""
+def gaps(track, truth, noise=0.0):
+    """Of each place of the truth: distance from the estimate [m], whether it lies in the stated 90 % region, and how
+    large that is [m], the radius of a circle of its area. noise: of the truth itself, per axis [m].
+    """
     pairs = pair(track, truth)
     parts = track.covariance[:, :2, :2].reshape(-1, 4).T
     covariance = np.stack([np.interp(pairs.time, track.time, v) for v in parts], 1).reshape(-1, 2, 2)
+    covariance = covariance + noise**2 * np.eye(2)
     gap = pairs.estimate - pairs.truth
-    inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < 4.605
-    return f"{100 * inside.mean():.0f} %"
+    inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < INSIDE_90
+    return np.hypot(*gap.T), inside, np.sqrt(INSIDE_90) * np.linalg.det(covariance) ** 0.25
+
+
+def coverage(track, truth):
+    """How often the truth lies in the stated 90 % region."""
+    return f"{100 * gaps(track, truth)[1].mean():.0f} %"
 
 
 def fixes_as_track(fixes):
     return Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor)
 
 
-def ipin21(data):
-    """The figure of eight with each set of simulated fixes, without and with the plan's walls."""
+def ipin21_walks(data):
+    """The figure of eight with the start alone and with each set of simulated fixes."""
     folder = data / "ipin21_hcu"
     walk, floor = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
-    gaits, truth, rows = gait_of(walk), floor.frame.place(walk.truth), []
+    gaits, truth = gait_of(walk), floor.frame.place(walk.truth)
     steps = detect_steps(gaits)
     paths = sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower())
     start = Fixes(truth.time[:1], truth.position[:1], np.array([START_SIGMA]), ("",))
     sets = [("the start, alone", start), *((path.stem, read_fixes(path, walk, floor.frame)) for path in paths)]
     for name, fixes in sets:
+        yield Walk(name, steps, magnetic_headings(gaits, floor.frame, fixes.position[0]), fixes, truth, floor)
+
+
+def ipin2023_walks(data):
+    """Three walks in a museum with the phone's own GNSS, and the beacons that it heard."""
+    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
+        walk = io.load(path)
+        lon, lat = walk.fixes.position[0]
+        frame = enu(lat, lon)
+        gaits, fixes = gait_of(walk), frame.place(walk.fixes)
+        headings, steps = magnetic_headings(gaits, frame, fixes.position[0]), detect_steps(gaits)
+        floors = floors_along(steps, walk.barometer, "", fixes, None)
+        steps = on_treads(steps, floors.climbs, floors.kinds)
+        heard = levels(walk.bluetooth, frame.place(read_beacons(path.parent / "BLE_Locations.csv", walk)), steps)
+        yield Walk(path.stem, steps, headings, fixes, frame.place(walk.truth), levels=heard)
+
+
+def nju_walks(data):
+    """A campus walk of which most positions are withheld: these are its truth."""
+    walk = io.load(data / "nju_phyphox_outdoor")
+    lon, lat = walk.fixes.position[0]
+    frame = enu(lat, lon)
+    fixes = frame.place(walk.fixes)
+    gaits = gait_of(walk)
+    steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
+    for every in (10, 30, 60, 120):
+        given = np.arange(0, len(fixes), every)
+        rest = fixes_as_track(fixes[np.setdiff1d(np.arange(len(fixes)), given)])
+        yield Walk(f"one in {every} s", steps, headings, fixes[given], rest)
+
+
+def ipin21(data):
+    """The figure of eight, without and with the plan's walls."""
+    rows = []
+    for walk in ipin21_walks(data):
+        fixes, truth, floor = walk.fixes, walk.truth, walk.floor
         own = percentiles(circular_error(pair(truth, fixes_as_track(fixes)))) if len(fixes) > 1 else "—"
-        cells = [name, own]
-        headings = magnetic_headings(gaits, floor.frame, fixes.position[0])
+        cells = [walk.name, own]
         for plan in (None, floor):
-            track = smooth(WalkGraph(steps, fixes, headings=headings, floor=plan)).trajectory
+            track = smooth(WalkGraph(walk.steps, fixes, headings=walk.headings, floor=plan)).trajectory
             crossing = 100 * floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
             cells += [percentiles(circular_error(pair(track, truth))), coverage(track, truth), f"{crossing:.0f} %"]
         rows.append(cells)
@@ -57,32 +119,16 @@ def ipin21(data):
 def gnss(data):
     """Phones with their own GNSS: a museum's landmarks, and a campus walk of which most positions were withheld."""
     rows = []
-    for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
-        walk = io.load(path)
-        lon, lat = walk.fixes.position[0]
-        frame = enu(lat, lon)
-        truth, fixes = frame.place(walk.truth), frame.place(walk.fixes)
-        gaits = gait_of(walk)
-        headings = magnetic_headings(gaits, frame, fixes.position[0])
-        steps, own = detect_steps(gaits), percentiles(circular_error(pair(fixes_as_track(fixes), truth)))
-        beacons = frame.place(read_beacons(path.parent / "BLE_Locations.csv", walk))
-        heard = levels(walk.bluetooth, beacons, steps)
-        for given, beside in (("GNSS", None), ("GNSS, beacons", heard)):
-            track = smooth(WalkGraph(steps, fixes, headings=headings, levels=beside)).trajectory
-            cells = [percentiles(circular_error(pair(track, truth))), coverage(track, truth)]
-            rows.append([path.stem, given, own, *cells])
-    walk = io.load(data / "nju_phyphox_outdoor")
-    lon, lat = walk.fixes.position[0]
-    frame = enu(lat, lon)
-    fixes = frame.place(walk.fixes)
-    gaits = gait_of(walk)
-    steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
-    for every in (10, 30, 60, 120):
-        given = np.arange(0, len(fixes), every)
-        rest = fixes_as_track(fixes[np.setdiff1d(np.arange(len(fixes)), given)])
-        between = percentiles(circular_error(pair(fixes_as_track(fixes[given]), rest)))
-        track = smooth(WalkGraph(steps, fixes[given], headings=headings)).trajectory
-        errors = percentiles(circular_error(pair(track, rest)))
-        rows.append(["NJU campus", f"one in {every} s", between, errors, coverage(track, rest)])
+    for walk in ipin2023_walks(data):
+        own = percentiles(circular_error(pair(fixes_as_track(walk.fixes), walk.truth)))
+        for given, beside in (("GNSS", None), ("GNSS, beacons", walk.levels)):
+            track = smooth(WalkGraph(walk.steps, walk.fixes, headings=walk.headings, levels=beside)).trajectory
+            errors = percentiles(circular_error(pair(track, walk.truth)))
+            rows.append([walk.name, given, own, errors, coverage(track, walk.truth)])
+    for walk in nju_walks(data):
+        between = percentiles(circular_error(pair(fixes_as_track(walk.fixes), walk.truth)))
+        track = smooth(WalkGraph(walk.steps, walk.fixes, headings=walk.headings)).trajectory
+        errors = percentiles(circular_error(pair(track, walk.truth)))
+        rows.append(["NJU campus", walk.name, between, errors, coverage(track, walk.truth)])
     header = ["walk", "given", "straight lines between fixes [m]", "graph [m]", "in 90 %"]
     publish("accuracy.md", "gnss", table(header, rows))

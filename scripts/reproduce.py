@@ -9,6 +9,7 @@ from pathlib import Path
 import calibration_walk
 import cart
 import compass
+import covariance
 import fingerprints
 import floors as floors_by_step
 import gps_outage
@@ -31,7 +32,6 @@ from pdr_graph.types import Fixes, Trajectory
 
 DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 SIGMA = 0.5  # [m] stated of a waypoint that is given
-WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the surveyor's taps
 HELP = {
     "every second waypoint": lambda n: np.unique(np.append(np.arange(0, n, 2), n - 1)),
     "first and last": lambda n: np.array([0, n - 1]),
@@ -67,16 +67,24 @@ def withheld_errors(walk, steps, headings, floor, which, method):
         return np.empty(0), np.empty(0, dtype=bool), np.nan
     fixes = Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
     track = method(steps, fixes, headings, floor)
-    pairs = pair(track, some(truth, rest))
+    withheld = some(truth, rest)
     inside = np.empty(0, dtype=bool)
     if track.covariance is not None:
-        of_position = track.covariance[:, :2, :2].reshape(-1, 4).T
-        covariance = np.stack([np.interp(pairs.time, track.time, v) for v in of_position], 1).reshape(-1, 2, 2)
-        gap = pairs.estimate - pairs.truth
-        covariance = covariance + WAYPOINT_NOISE**2 * np.eye(2)
-        inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < 4.605
+        _, inside, _ = recorded.gaps(track, withheld, recorded.WAYPOINT_NOISE)
     crossings = floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
-    return circular_error(pairs), inside, crossings
+    return circular_error(pair(track, withheld)), inside, crossings
+
+
+def microsoft_walks():
+    """The fifteen walks by what is given of them."""
+    for given, choose in HELP.items():
+        walks = []
+        for walk, said, headings, floor in recordings():
+            truth, which = walk.truth, choose(len(walk.truth))
+            rest = np.setdiff1d(np.arange(len(truth)), which)
+            fixes = Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
+            walks += [recorded.Walk(given, said, headings, fixes, some(truth, rest), floor)] if len(rest) else []
+        yield given, walks
 
 
 METHODS = {
@@ -174,6 +182,7 @@ if __name__ == "__main__":
     tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}
     tables |= {"gps-outage": gps_outage.gps_outage}
+    tables |= {"covariance": lambda: covariance.covariance(DATA, microsoft_walks())}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

@@ -1,0 +1,76 @@
+"""Errors of estimates in terms of their covariance (NEES), on walks drawn from the model: for tests and tables."""
+
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+from scipy.stats import chi2
+from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver
+
+from pdr_graph import smooth
+from pdr_graph.estimation import bank, observations, robust
+from pdr_graph.estimation import graph as walk_graph
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.geometry import wrap_angle
+
+SEEDS = 120
+STEPS = 90
+
+
+@contextmanager
+def gaussian():
+    """Without robust loss, which is not Gaussian."""
+    with ExitStack() as patches:
+        for module in (walk_graph, observations, robust, bank):
+            patches.enter_context(patch.object(module, "HUBER_WIDTH", 1e6))
+        yield
+
+
+def normalised_errors(drawn, method=smooth, seeds=SEEDS):
+    """NEES ``(seeds,)`` of the pose at one random row of each walk: independent draws, three degrees of freedom each.
+
+    drawn: of a seed, the graph and the truth.
+    """
+    nees = []
+    for seed in range(seeds):
+        graph, truth = drawn(seed)
+        track = method(graph).trajectory
+        row = np.random.default_rng(seed).integers(0, len(track))
+        gap = np.append(truth.position[row] - track.position[row], wrap_angle(truth.heading[row] - track.heading[row]))
+        nees.append(gap @ np.linalg.solve(track.covariance[row], gap))
+    return np.array(nees)
+
+
+def interval(seeds=SEEDS):
+    """Where the mean of that many lies, 95 times in a hundred."""
+    low, high = chi2.ppf([0.025, 0.975], 3 * seeds) / seeds
+    return low, high
+
+
+def independent_fixes(seed, wrong=1.0):
+    steps, fixes, truth = drawn_from_the_model(STEPS, seed, wrong=wrong)
+    return WalkGraph(steps, fixes), truth
+
+
+def twice_as_bad(seed):
+    return independent_fixes(seed, wrong=2.0)
+
+
+def a_receiver(seed):
+    steps, fixes, truth = drawn_with_a_receiver(STEPS, seed)
+    return WalkGraph(steps, fixes), truth
+
+
+def a_receiver_taken_for_independent(seed):
+    steps, fixes, truth = drawn_with_a_receiver(STEPS, seed)
+    return WalkGraph(steps, replace(fixes, source=())), truth
+
+
+def beacons(seed, wrong=1.0):
+    steps, fixes, levels, truth = drawn_beside_beacons(STEPS, seed, wrong=wrong)
+    return WalkGraph(steps, fixes, levels=levels), truth
+
+
+def twice_as_noisy(seed):
+    return beacons(seed, wrong=2.0)
