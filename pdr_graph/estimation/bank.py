@@ -65,10 +65,11 @@ class Surprise:
     weight: Array
 
 
-def measured(bank: Bank, H: Array, gap: Array, R: Array) -> tuple[Bank, Surprise]:
+def measured(bank: Bank, H: Array, gap: Array, R: Array, share: float = 1.0) -> tuple[Bank, Surprise]:
     """The bank after a measurement, with Huber's weight up to the gate and none beyond.
 
-    H: ``(d, 6)`` how the measurement depends on the state; gap: ``(h, d)`` measured less expected; R: ``(d, d)``.
+    H: ``(d, 6)`` how the measurement depends on the state; gap: ``(h, d)`` measured less expected; R: ``(d, d)``;
+    share: of its information that others do not say too. What is off for one is judged by R alone.
     A gap beyond the gate counts against a hypothesis as one at the gate: a wild fix decides nothing.
     """
     seen = H @ bank.covariance
@@ -78,7 +79,7 @@ def measured(bank: Bank, H: Array, gap: Array, R: Array) -> tuple[Bank, Surprise
     weight = np.where(sigmas < GATE, gripping(sigmas, HUBER_WIDTH), 0.0)
     log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
 
-    weighted = expected + R / np.where(weight > 0, weight, 1.0)[:, None, None]
+    weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
     K = (weight > 0)[:, None, None] * seen.transpose(0, 2, 1) @ np.linalg.inv(weighted)
     covariance = bank.covariance - K @ seen
     mean = bank.mean + np.einsum("hij,hj->hi", K, gap)

@@ -191,14 +191,15 @@ def _changed(graph: WalkGraph, m: int) -> Array:
 def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
     """After fix ``n``, where ``refused`` before it were refused in a row; and how many now are."""
     place, R = graph.fixes.position[n], graph.fix_sigma[n] ** 2 * np.eye(2)
+    share = float(graph.fix_sigma[n] / graph.fix_sigma_together[n]) ** 2
     bank = moment.known
-    known, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R)
+    known, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
     meeting = _meeting(n, np.hypot(*(place - bank.mean[known.best, :2])), surprise, known.best)
     refused = refused + 1 if meeting.weight == 0.0 else 0
     if refused == PATIENCE:
         moment, refused = _anew(moment), 0
         bank = moment.known
-        known, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R)
+        known, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
         meeting = replace(meeting, weight=1.0, anew=True)
     return replace(moment, known=known, met=(*moment.met, meeting)), refused
 
