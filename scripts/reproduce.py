@@ -16,6 +16,7 @@ import gps_outage
 import heading
 import map_matching
 import numpy as np
+import outliers
 import realism
 import recorded
 import steps
@@ -181,7 +182,7 @@ if __name__ == "__main__":
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}
-    tables |= {"gps-outage": gps_outage.gps_outage}
+    tables |= {"gps-outage": gps_outage.gps_outage, "outliers": lambda: outliers.outliers(DATA)}
     tables |= {"covariance": lambda: covariance.covariance(DATA, microsoft_walks())}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
