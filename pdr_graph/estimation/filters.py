@@ -88,7 +88,7 @@ def estimate_of(graph: WalkGraph, means: Array, covariances: Array, met: list[Me
     probability, walks = float(np.exp(last.log_weight.max())), int(np.sum(last.log_weight > np.log(UNLIKELY)))
     return Estimate(
         trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
-        dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
+        dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_believed]),
         calibration=calibration,
         fixes=_reports(graph, met),
         iterations=1,

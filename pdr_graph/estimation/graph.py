@@ -22,6 +22,7 @@ from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
+from pdr_graph.estimation.reach import within_reach
 from pdr_graph.estimation.receivers import Receivers, receivers, repeated, together, velocities
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, outside, slipping
 from pdr_graph.estimation.turns import Turns
@@ -137,7 +138,8 @@ class WalkGraph:
         self.fix_repeats = repeated(self.fixes)
         fresh, self.fix_sigma = _freshness(self.fixes, steps)
         self.fix_used = fresh & ~self.fix_repeats
-        self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_used, steps)
+        self.fix_run, self.fix_believed = within_reach(steps, self.fixes, self.fix_sigma, self.fix_used)
+        self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_believed, steps)
         lost = steps.length == 0
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
@@ -159,7 +161,7 @@ class WalkGraph:
         self.track, heading = _track(increments.delta[self.pieces.last])
         self.velocity = velocities(self.track, heading, self.pieces.keyframe_time)
         self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(heading))
-        self.fix_wild, self.fix_held = np.zeros(len(self.fixes), dtype=bool), self.fix_used
+        self.fix_wild, self.fix_held = np.zeros(len(self.fixes), dtype=bool), self.fix_believed
         self.corridors: Corridors | None = None
         self.receivers: Receivers | None = None
         if self.levels is not None:
@@ -301,14 +303,15 @@ class WalkGraph:
         other.walls = replace(self.walls, sigma=times * self.walls.sigma)
         return other
 
-    def with_offsets(self, wild: Mask) -> WalkGraph:
-        """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are, and those of
-        one source share an offset, instead of each counting for less. Fixes that only told where to start are let go.
+    def with_offsets(self, wild: Mask, held: Mask) -> WalkGraph:
+        """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are, those not
+        in ``held (f,)`` have none, and those of one source share an offset, instead of each counting for less. Fixes
+        that only told where to start are let go.
         """
         other = copy(self)
         other.fix_wild = wild
-        other.fix_held = self.fix_used & (not self.by_proximity)
-        shared, sigma = self.fix_used & (self.prior.fix_flat == 0), self.fix_sigma
+        other.fix_held = held & (not self.by_proximity)
+        shared, sigma = other.fix_held & (self.prior.fix_flat == 0), self.fix_sigma
         other.receivers = receivers(self.fixes, shared, sigma, self.fix_keyframe, self.velocity, self.steps)
         nodes = 0 if other.receivers is None else len(other.receivers.keep)
         other.start = replace(self.start, g=np.zeros((nodes, 3)))
@@ -346,7 +349,7 @@ class WalkGraph:
         """The start: the dead-reckoned track, of headings ``(k + 1,)``, laid on the fixes; and how well these determine
         its direction [rad].
         """
-        track, used = self.track, self.fix_used
+        track, used = self.track, self.fix_believed
         at, sigma = self.fix_keyframe[used], self.fix_sigma_together[used]
         fix = as_complex(self.fixes.position[used])
         uncertain = sigma_direction(track[at], sigma, float(np.sum(self.pieces.length)))
@@ -385,7 +388,7 @@ class WalkGraph:
 
     def _pivot(self, start: State) -> Array:
         """The point ``(2,)`` about which the fixes let a start be turned. [m]"""
-        held = self.fix_keyframe[self.fix_used] if self.fix_used.any() else [0]
+        held = self.fix_keyframe[self.fix_believed] if self.fix_used.any() else [0]
         return start.poses[held, :2].mean(axis=0)
 
     def _gaps(self) -> Array:

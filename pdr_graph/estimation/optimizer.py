@@ -10,7 +10,7 @@ import numpy as np
 from pdr_graph.estimation.factors import Evaluation
 from pdr_graph.estimation.graph import AMBIGUOUS, State, WalkGraph
 from pdr_graph.estimation.hypotheses import hypotheses
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, Mask
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
@@ -138,15 +138,24 @@ def _turned(graph: WalkGraph) -> list[WalkGraph]:
 
 
 def _robustly(graph: WalkGraph) -> Optimum:
-    """The optimum under Huber's loss, every fix for itself; then again from there, without the grip of those that it
-    left far off, and with what the others have in common.
+    """The optimum under Huber's loss, every fix that is within reach of the others for itself; then again from there,
+    without the grip of those that it left far off, and with what the others have in common.
     """
     first = optimize(graph, graph.start.to_values())
-    wild = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
-    if not (wild.any() or any(graph.fixes.sources) or graph.by_proximity):
+    far = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
+    held = graph.fix_used & (graph.fix_believed | ~_mostly(far, graph.fix_run))
+    if not (far.any() or any(graph.fixes.sources) or graph.by_proximity) and (held == graph.fix_held).all():
         return first
-    again = graph.with_offsets(wild)
+    again = graph.with_offsets(far, held)
     return optimize(again, replace(State.of(first.values), g=again.start.g).to_values())
+
+
+def _mostly(far: Mask, run: Index) -> Mask:
+    """Whether most fixes of each one's run are far off ``(f,)``: the others of a run in one wild place do not become
+    right where the walk happens to pass it.
+    """
+    share = np.bincount(run + 1, far) / np.maximum(np.bincount(run + 1), 1)
+    return share[run + 1] > 0.5
 
 
 def _in_the_building(graph: WalkGraph) -> list[Optimum]:
@@ -155,7 +164,8 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     Which fixes are wild is asked of the walk without walls: a walk that they lead astray would blame the fixes.
     """
     in_the_open = _robustly(graph.without_walls())
-    robust, expected = graph.with_offsets(in_the_open.graph.fix_wild), USUAL * in_the_open.cost
+    held = in_the_open.graph.fix_held
+    robust, expected = graph.with_offsets(in_the_open.graph.fix_wild, held), USUAL * in_the_open.cost
     as_laid, found = [robust.start, State.of(in_the_open.values)], list[Optimum]()
     for attempt in range(ATTEMPTS):
         ways = hypotheses(robust, attempt) + (as_laid if attempt == 0 else [])

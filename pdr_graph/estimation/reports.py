@@ -25,9 +25,8 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
         elif not graph.fix_used[n]:
             reason = "outside the recording: not used"
         else:
-            trust = {0.0: "refused", 1.0: "full weight"}.get(
-                weight[n], "taken for wild" if graph.fix_wild[n] else "weighted down"
-            )
+            trust = {0.0: "refused", 1.0: "full weight"}.get(weight[n], "weighted down")
+            trust = "taken for wild" if graph.fix_wild[n] else trust
             reason = f"{sigmas[n]:.1f} sigma from {from_}: {trust}"
         time, sigma = float(graph.fixes.time[n]), float(graph.fixes.sigma[n])
         reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))

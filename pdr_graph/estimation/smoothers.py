@@ -39,7 +39,7 @@ def smooth(graph: WalkGraph) -> Estimate:
     weight = best.graph.fix_weight(best.values)
     return Estimate(
         trajectory=trajectory,
-        dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_used]),
+        dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_believed]),
         calibration=calibration,
         beacons=beacon_reports(graph.levels, best.graph, State.of(best.values)),
         fixes=fix_reports(best.graph, distance, distance / graph.fix_sigma, weight, "the walk"),

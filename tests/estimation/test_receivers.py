@@ -85,7 +85,7 @@ def test_jacobians():
     """At random states, of fixes with offsets and a lag, and of the process that these follow."""
     said = meander(40)
     graph = WalkGraph(said, named(fixes_at(np.arange(0, 20, 1.5), np.zeros((14, 2)), 3.0)))
-    graph = graph.with_offsets(np.zeros(14, dtype=bool))
+    graph = graph.with_offsets(np.zeros(14, dtype=bool), graph.fix_used)
     assert_derivatives(graph, random_state(graph, np.random.default_rng(0)))
 
 
@@ -93,7 +93,7 @@ def test_gtsam_sees_the_same_graph():
     said = meander(40)
     track = dead_reckon(said)
     fixes = named(fixes_at(track.time[::3], track.position[::3] + np.array([8.0, -3.0]), 3.0))
-    graph = WalkGraph(said, fixes).with_offsets(np.arange(len(fixes)) == 4)
+    graph = WalkGraph(said, fixes).with_offsets(np.arange(len(fixes)) == 4, np.ones(len(fixes), dtype=bool))
     values = random_state(graph, np.random.default_rng(1)).to_values()
     assert graph.to_gtsam().error(values) == pytest.approx(graph.error(values))
 
@@ -135,7 +135,7 @@ def test_a_receiver_that_lags_is_found_out(monkeypatch):
     def error():
         return np.hypot(*(smooth(WalkGraph(said, late)).trajectory.position - truth.position).T).mean()
 
-    graph = WalkGraph(said, late).with_offsets(np.zeros(len(late), dtype=bool))
+    graph = WalkGraph(said, late).with_offsets(np.zeros(len(late), dtype=bool), np.ones(len(late), dtype=bool))
     lag = State.of(optimize(graph, graph.start.to_values()).values).g[:, 2]
     assert 0.5 < np.median(lag) < 2.5
     aware = error()
@@ -171,7 +171,7 @@ def test_two_receivers_have_offsets_of_their_own():
         ("",) * (2 * len(place)),
         source=("one",) * len(place) + ("other",) * len(place),
     )
-    graph = WalkGraph(said, both).with_offsets(np.zeros(len(both), dtype=bool))
+    graph = WalkGraph(said, both).with_offsets(np.zeros(len(both), dtype=bool), np.ones(len(both), dtype=bool))
     state = State.of(optimize(graph, graph.start.to_values()).values)
     half = len(state.g) // 2
     assert (np.sign(state.g[:, 0]) == np.repeat([1, -1], half)).all()
