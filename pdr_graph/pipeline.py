@@ -23,6 +23,7 @@ from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
+from pdr_graph.estimation.reports import is_a_guess
 from pdr_graph.estimation.rts import kalman_smoother
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.floor.areas import BEACON
@@ -323,12 +324,20 @@ def _smoothed(graph: WalkGraph, method: str) -> tuple[Estimate, tuple[str, ...]]
     if method == "pdr":
         return _dead_reckoned(graph), ()
     if method in ("filter", "rts"):
-        return (kalman_filter if method == "filter" else kalman_smoother)(graph), ()
+        estimate = (kalman_filter if method == "filter" else kalman_smoother)(graph)
+        return estimate, _unplaced(graph, estimate)
     try:
         estimate = smooth(graph)
     except RuntimeError as error:  # GTSAM's, of a system it cannot solve
         return kalman_filter(graph), (f"the graph ({str(error).splitlines()[0]}): this is the filter's walk",)
-    return estimate, () if estimate.converged else ("a settled optimum",)
+    return estimate, (*_unplaced(graph, estimate), *(() if estimate.converged else ("a settled optimum",)))
+
+
+def _unplaced(graph: WalkGraph, estimate: Estimate) -> tuple[str, ...]:
+    """Whether there are fixes, and no place to be had from them."""
+    if len(graph.fixes) and not graph.fix_used.any():
+        return ("a place: no fix lies within the recording",)
+    return ("a place: the fixes contradict the steps and one another",) if is_a_guess(graph, estimate.fixes) else ()
 
 
 def _dead_reckoned(graph: WalkGraph) -> Estimate:

@@ -9,6 +9,8 @@ from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.types import Array, BeaconReport, Calibration, FixReport
 
 SURE = 0.9  # probability below which a user is warned
+DOUBTED = 0.1  # weight below which a fix counts for nothing
+MANY = 0.1  # share of doubted fixes at which a user is warned
 
 
 def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array, from_: str) -> tuple[FixReport, ...]:
@@ -55,7 +57,8 @@ def warnings(
         and not graph.walls
         and not len(graph.headings),
         "no fix lies near the floor plan: its walls were not used": bool(used and graph.ground and not graph.walls),
-        f"{given - used} fixes lie outside the recording and were not used": used < given,
+        f"{given - used} fixes lie outside the recording, by {_beside(graph):.0f} s or more, and were not used": used
+        < given,
         f"{walks} different walks explain the measurements, this way with a probability of {probability:.0%}; the "
         "covariance spans them": walks > 1,
         f"the walk fits the plan poorly, this way with a probability of {probability:.0%}: it may have been another": (
@@ -66,6 +69,31 @@ def warnings(
     for n, name in enumerate(calibration.names):
         warned[f"{name} is the prior's: the measurements do not determine it"] = not calibration.learnt[:, n].any()
     return tuple(text for text, holds in warned.items() if holds)
+
+
+def contradicted(graph: WalkGraph, fixes: tuple[FixReport, ...]) -> tuple[str, ...]:
+    """What a user must know of fixes that the steps and the other fixes contradict; see `is_a_guess`."""
+    doubted, used = _doubted(graph, fixes), int(graph.fix_used.sum())
+    if doubted <= MANY * used:
+        return ()
+    guess = ": where the walk was is a guess" if is_a_guess(graph, fixes) else ""
+    return (f"{doubted} of {used} fixes contradict the steps and the other fixes and counted for nothing{guess}",)
+
+
+def is_a_guess(graph: WalkGraph, fixes: tuple[FixReport, ...]) -> bool:
+    """Whether as many fixes say that the walk was elsewhere as say that it was where it is."""
+    return 2 * _doubted(graph, fixes) >= max(int(graph.fix_used.sum()), 1)
+
+
+def _doubted(graph: WalkGraph, fixes: tuple[FixReport, ...]) -> int:
+    """How many of the used fixes counted for nothing; none of loud beacons, which are let go of on purpose."""
+    return 0 if graph.by_proximity else int(np.sum(graph.fix_used & ([fix.weight < DOUBTED for fix in fixes])))
+
+
+def _beside(graph: WalkGraph) -> float:
+    """By how much the nearest of the fixes that lie outside the recording do. [s]"""
+    time = graph.fixes.time[~graph.fix_used & ~graph.fix_repeats]
+    return float(np.min(np.maximum(graph.steps.start - time, time - graph.steps.end), initial=np.inf))
 
 
 def beacon_reports(levels: Levels | None, graph: WalkGraph, state: State) -> tuple[BeaconReport, ...]:

@@ -1,0 +1,197 @@
+"""Fixes that are missing, wild or contradict one another: every walk ends with a trajectory and an honest status."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from walks import dead_reckon, fixes_at, fixes_on, steps_of, wandering_walk
+
+from pdr_graph import kalman_filter, kalman_smoother, smooth
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.reach import within_reach
+from pdr_graph.gait.gaps import join
+from pdr_graph.geometry import unit
+from pdr_graph.types import Fixes, Steps
+
+METHODS = pytest.mark.parametrize("method", [smooth, kalman_filter, kalman_smoother])
+
+
+def honest(estimate):
+    """The estimate, if it is finite and its covariance is one."""
+    track = estimate.trajectory
+    assert np.isfinite(track.position).all()
+    assert np.isfinite(track.heading).all()
+    assert np.linalg.eigvalsh(track.covariance).min() > 0
+    assert all(0 <= fix.weight <= 1 for fix in estimate.fixes)
+    return estimate
+
+
+def warned(estimate, text):
+    return any(text in warning for warning in estimate.warnings)
+
+
+def shape_error(track, steps):
+    """Greatest distance [m] between a track and that of the steps, laid on it by a turn, a shift and a scale."""
+    z, w = (xy[:, 0] + 1j * xy[:, 1] for xy in (dead_reckon(steps).position, track.position))
+    z, w = z - z.mean(), w - w.mean()
+    return np.abs(w - z * np.vdot(z, w) / np.vdot(z, z)).max()
+
+
+def later(steps, by):
+    return replace(steps, start=steps.start + by, end=steps.end + by, time=steps.time + by)
+
+
+def both(one, other):
+    return Fixes(
+        np.append(one.time, other.time),
+        np.concatenate([one.position, other.position]),
+        np.append(one.sigma, other.sigma),
+        one.floor + other.floor,
+        source=one.sources + other.sources,
+    )
+
+
+@METHODS
+@pytest.mark.parametrize("n", [3000, 10_000])
+def test_an_outage_of_thousands_of_steps_is_bridged(n, method):
+    """Four fixes before, four after: exact for exact steps and fixes (of the graph), and as unsure as it must be."""
+    steps = wandering_walk(n)
+    truth = dead_reckon(steps, fixes_at([0], [[50.0, -30.0]]), heading=2.0)
+    rows = np.r_[0:40:10, n - 40 : n : 10]
+    estimate = honest(method(WalkGraph(steps, fixes_at(truth.time[rows], truth.position[rows]))))
+    sigma = np.sqrt(np.linalg.eigvalsh(estimate.trajectory.covariance[:, :2, :2])[:, -1])
+    assert np.all(np.hypot(*(estimate.trajectory.position - truth.position).T) < 3 * sigma)
+    assert sigma.max() > 10 * sigma[-1]
+
+
+@METHODS
+def test_without_any_fix_the_walk_is_the_steps(method):
+    steps = wandering_walk(200)
+    estimate = honest(method(WalkGraph(steps)))
+    assert estimate.trajectory.position == pytest.approx(dead_reckon(steps).position, abs=0.01)
+    assert warned(estimate, "no position fix")
+
+
+@METHODS
+@pytest.mark.parametrize("by", [-60.0, 60.0], ids=["before", "after"])
+def test_fixes_before_or_after_the_walk_do_not_say_where_it_was(by, method):
+    steps = wandering_walk(200)
+    end = steps.start if by < 0 else steps.end
+    estimate = honest(method(WalkGraph(steps, fixes_at([end + by, end + 2 * by], [[5.0, 5.0], [9.0, 9.0]]))))
+    assert warned(estimate, "no position fix")
+    assert warned(estimate, "2 fixes lie outside the recording, by 60 s or more")
+    assert [fix.weight for fix in estimate.fixes] == [0, 0]
+
+
+@METHODS
+def test_what_follows_a_long_gap_is_anywhere_until_a_fix(method):
+    """An hour between two walks, fixes in the first alone: the second keeps its shape and has no place."""
+    first, second = wandering_walk(200), later(wandering_walk(200, seed=1), 3600.0)
+    steps = join([first, second])
+    estimate = honest(method(WalkGraph(steps, fixes_on(dead_reckon(first), every=20))))
+    sigma = np.sqrt(estimate.trajectory.covariance[:, 0, 0])
+    assert sigma[200] < 3
+    assert sigma[202:].min() > 500
+    assert any("gap" in text for text in steps.unknown)
+
+
+def test_pieces_with_fixes_of_their_own_are_each_where_these_say():
+    """An hour and 5 km apart: nothing is wild, and both are right to a metre."""
+    first, second = wandering_walk(200), later(wandering_walk(200, seed=1), 3600.0)
+    here, there = dead_reckon(first), dead_reckon(second, fixes_at([0], [[4000.0, 3000.0]]), heading=1.0)
+    fixes = both(fixes_on(here, every=20), fixes_on(there, every=20))
+    estimate = honest(smooth(WalkGraph(join([first, second]), fixes)))
+    found, rows = estimate.trajectory.position, np.arange(1, 201)
+    assert np.hypot(*(found[rows] - here.position[rows]).T).max() < 1
+    assert np.hypot(*(found[rows + 201] - there.position[rows]).T).max() < 1
+    assert min(fix.weight for fix in estimate.fixes) == 1
+
+
+@pytest.mark.parametrize("every", [1, 20])
+def test_fixes_that_are_all_wrong_do_not_bend_the_walk(every):
+    steps = wandering_walk(200)
+    rows = np.arange(0, 200, every)
+    scattered = np.random.default_rng(3).uniform(-500, 500, (len(rows), 2))
+    estimate = honest(smooth(WalkGraph(steps, fixes_at(dead_reckon(steps).time[rows], scattered))))
+    assert shape_error(estimate.trajectory, steps) < 5, "of a walk of 140 m"
+    assert warned(estimate, "contradict the steps and the other fixes")
+    assert warned(estimate, "where the walk was is a guess")
+
+
+@pytest.mark.parametrize("off", [60.0, 200.0, 500.0])
+def test_a_receiver_that_is_wrong_for_a_third_of_the_walk_is_not_followed(off):
+    """All in one place: no steps lead there and back. The walk is as it is where these fixes are left out."""
+    steps = wandering_walk(300)
+    truth = dead_reckon(steps)
+    fixes = fixes_on(truth, every=3, seed=1)
+    wild = (np.arange(len(fixes)) >= 40) & (np.arange(len(fixes)) < 73)
+    place = fixes.position[wild].mean(axis=0) + off * unit(np.array(0.7))
+    lying = replace(fixes, position=np.where(wild[:, None], place, fixes.position))
+    estimate, without = honest(smooth(WalkGraph(steps, lying))), smooth(WalkGraph(steps, fixes[~wild]))
+    assert [fix.weight < 0.1 for fix in estimate.fixes] == wild.tolist()
+    assert np.hypot(*(estimate.trajectory.position - without.trajectory.position).T).max() < 0.3
+    assert warned(estimate, f"{wild.sum()} of {len(fixes)} fixes contradict the steps")
+    assert not warned(estimate, "is a guess")
+
+
+def test_two_fixes_that_contradict_each_other_leave_a_guess():
+    steps = wandering_walk(200)
+    estimate = honest(smooth(WalkGraph(steps, fixes_at([1.0, 60.0], [[0.0, 0.0], [800.0, 0.0]]))))
+    assert shape_error(estimate.trajectory, steps) < 5
+    assert warned(estimate, "where the walk was is a guess")
+
+
+def test_two_sources_that_disagree_are_not_averaged():
+    """300 m between them: the walk is where one says, not between, and a user is told."""
+    steps = wandering_walk(200)
+    fixes = fixes_on(dead_reckon(steps), every=10)
+    one, other = (replace(fixes, source=(name,) * len(fixes)) for name in ("GNSS", "beacons"))
+    other = replace(other, position=other.position + np.array([300.0, 0.0]))
+    estimate = honest(smooth(WalkGraph(steps, both(one, other))))
+    believed = np.array([fix.weight > 0.5 for fix in estimate.fixes])
+    assert sorted([believed[: len(one)].mean(), believed[len(one) :].mean()]) == [0, 1]
+    assert warned(estimate, "where the walk was is a guess")
+
+
+@METHODS
+def test_fixes_given_thrice_are_no_harm(method):
+    steps = wandering_walk(200)
+    truth = dead_reckon(steps)
+    fixes = fixes_on(truth, every=20)
+    estimate = honest(method(WalkGraph(steps, fixes[np.repeat(np.arange(len(fixes)), 3)])))
+    assert np.hypot(*(estimate.trajectory.position - truth.position).T).max() < 0.1
+    assert len(estimate.fixes) == 3 * len(fixes)
+
+
+def test_a_fix_that_is_nan_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"Fixes.position: found row 1: \[nan"):
+        fixes_at([0.0, 1.0], [[0.0, 0.0], [np.nan, 1.0]])
+
+
+def straight(n=50):
+    return steps_of(np.full(n, 0.7), np.zeros(n))
+
+
+def reached(steps: Steps, fixes):
+    return within_reach(steps, fixes, fixes.sigma, np.ones(len(fixes), dtype=bool))
+
+
+def test_who_jumps_there_and_back_was_not_there():
+    steps = straight()
+    fixes = fixes_at(np.arange(6) * 4.0, [[0, 0], [5, 0], [10, 90], [15, 90], [20, 0], [25, 0]])
+    run, believed = reached(steps, fixes)
+    assert run.tolist() == [0, 0, 1, 1, 2, 2]
+    assert believed.tolist() == [True, True, False, False, True, True]
+
+
+def test_fixes_in_any_order_are_judged_alike():
+    steps = straight()
+    fixes = fixes_at(np.arange(6) * 4.0, [[0, 0], [5, 0], [10, 90], [15, 90], [20, 0], [25, 0]])
+    shuffled = np.random.default_rng(0).permutation(6)
+    assert reached(steps, fixes[shuffled])[1].tolist() == reached(steps, fixes)[1][shuffled].tolist()
+
+
+def test_in_a_gap_anyone_may_be_driven():
+    steps = join([straight(), later(straight(), 600.0)])
+    fixes = fixes_at([1.0, 10.0, 605.0, 615.0], [[0, 0], [6, 0], [9000, 0], [9006, 0]])
+    assert reached(steps, fixes)[1].all()
