@@ -24,7 +24,7 @@ from pdr_graph.estimation.observations import Rows
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array, Complex, Fixes, Index, Mask, Steps
 
-STANDING, ALONG = 120.0, 60.0  # [s] and [m] walked in which errors stay alike: satellites move, and so do walkers
+STANDING, ALONG = 120.0, 30.0  # [s] and [m] walked in which errors stay alike: satellites move, and so do walkers
 WHITE = 0.3  # of the stated sigma
 NODE = 5.0  # [s]
 LAG, LAG_CHANGE = 1.0, 0.02  # [s] before any measurement; [s/√s]
