@@ -8,8 +8,6 @@ the one before, the longest is believed first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from pdr_graph.geometry import row_times
@@ -22,7 +20,7 @@ MOST_RUNS = 1000  # that are looked back
 
 
 def within_reach(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[Index, Mask]:
-    """Of every fix ``(f,)`` its run, and whether it is of the longest chain.
+    """Of every fix ``(f,)`` its run, and whether it is of the longest chain that one walk can have made.
 
     A run is of used fixes that follow one another within reach: they are believed or not together. Others are of
     run -1. sigma: ``(f,)`` [m] per axis.
@@ -30,36 +28,38 @@ def within_reach(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[
     run, believed = np.full(len(fixes), -1), np.zeros(len(fixes), dtype=bool)
     order = np.flatnonzero(used)
     order = order[np.argsort(fixes.time[order], kind="stable")]
-    if not len(order):
-        return run, believed
-    position, sigma, walked = fixes.position[order], sigma[order], _walked(steps, fixes.time[order])
-
-    def reaches(one: Index, other: Index) -> Mask:
-        apart = np.hypot(*(position[other] - position[one]).T)
-        return apart <= STRETCHED * (walked[other] - walked[one]) + WITHIN * np.hypot(sigma[one], sigma[other])
-
-    every = np.arange(len(order))
-    begins = np.append(True, ~reaches(every[:-1], every[1:]))
-    first = np.flatnonzero(begins)
-    last = np.append(first[1:], len(order)) - 1
-    run[order] = np.cumsum(begins) - 1
-    believed[order] = np.isin(run[order], _longest_chain(first, last, reaches))
+    if len(order):
+        way = STRETCHED * _walked(steps, fixes.time[order])
+        run[order], believed[order] = chained(fixes.position[order], WITHIN * sigma[order], way, jump=np.inf)
     return run, believed
 
 
-def _longest_chain(first: Index, last: Index, reaches: Callable[[Index, Index], Mask]) -> list[int]:
-    """The runs, from ``first`` to ``last`` fix ``(r,)``, of the chain that holds most fixes; the earliest of equals."""
-    fixes, before = last - first + 1, np.full(len(first), -1)
-    for run in range(1, len(first)):
-        earlier = np.arange(max(0, run - MOST_RUNS), run)
-        earlier = earlier[reaches(last[earlier], first[run])]
-        if len(earlier):
-            before[run] = earlier[np.argmax(fixes[earlier])]
-            fixes[run] += fixes[before[run]]
-    chain = [int(np.argmax(fixes))]
+def chained(position: Array, error: Array, way: Array, jump: float) -> tuple[Index, Mask]:
+    """The run of each of at least one fix ``(f,)``, and whether it is of the longest chain.
+
+    position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` at most [m]; way: ``(f,)`` at most, since the start [m].
+    jump: as how many fixes it counts against a chain to go where nobody could.
+    """
+
+    def reaches(one: Index, other: Index) -> Mask:
+        apart = np.hypot(*(position[other] - position[one]).T)
+        return apart <= way[other] - way[one] + np.hypot(error[one], error[other])
+
+    every = np.arange(len(position))
+    begins = np.append(True, ~reaches(every[:-1], every[1:]))
+    first, run = np.flatnonzero(begins), np.cumsum(begins) - 1
+    last = np.append(first[1:], len(position)) - 1
+    length, before = (last - first + 1).astype(float), np.full(len(first), -1)
+    for n in range(1, len(first)):
+        earlier = np.arange(max(0, n - MOST_RUNS), n)
+        gain = length[earlier] - np.where(reaches(last[earlier], first[n]), 0.0, jump)
+        if gain.max() > 0:
+            before[n] = earlier[np.argmax(gain)]
+            length[n] += gain.max()
+    chain = [int(np.argmax(length))]
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))
-    return chain
+    return run, np.isin(run, chain)
 
 
 def _walked(steps: Steps, time: Array) -> Array:
