@@ -36,7 +36,7 @@ def follow(fixes: Fixes) -> Estimate:
         trajectory=track,
         dead_reckoning=track,
         calibration=None,
-        fixes=tuple(FixReport(*row, REASON[row[-1]]) for row in columns),
+        fixes=tuple(FixReport(t, x, y, s, d, w, REASON[w]) for t, x, y, s, d, w in columns),
         iterations=0,
         cost=0.0,
         converged=True,

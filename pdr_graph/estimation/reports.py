@@ -87,9 +87,8 @@ def is_a_guess(graph: WalkGraph, fixes: tuple[FixReport, ...]) -> bool:
 
 def _doubted(graph: WalkGraph, fixes: tuple[FixReport, ...]) -> int:
     """How many of the used fixes counted for nothing; none of loud beacons, which are let go of on purpose."""
-    return (
-        0 if graph.by_proximity else int(np.sum(graph.fix_used & (np.array([fix.weight for fix in fixes]) < DOUBTED)))
-    )
+    weight = np.array([fix.weight for fix in fixes])
+    return 0 if graph.by_proximity else int(np.sum(graph.fix_used & (weight < DOUBTED)))
 
 
 def _beside(graph: WalkGraph) -> float:

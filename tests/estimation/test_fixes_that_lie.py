@@ -7,6 +7,7 @@ import pytest
 from walks import dead_reckon, fixes_at, fixes_on, steps_of, wandering_walk
 
 from pdr_graph import kalman_filter, kalman_smoother, smooth
+from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.reach import within_reach
 from pdr_graph.gait.gaps import join
@@ -195,3 +196,26 @@ def test_in_a_gap_anyone_may_be_driven():
     steps = join([straight(), later(straight(), 600.0)])
     fixes = fixes_at([1.0, 10.0, 605.0, 615.0], [[0, 0], [6, 0], [9000, 0], [9006, 0]])
     assert reached(steps, fixes)[1].all()
+
+
+def by_bus(n=60):
+    """Fixes every second at 10 m/s."""
+    return fixes_at(np.arange(float(n)), np.column_stack([10.0 * np.arange(n), np.zeros(n)]), 5.0)
+
+
+@pytest.mark.parametrize("off", [100.0, 1000.0])
+def test_without_steps_a_jump_there_and_back_is_passed_by_and_reported(off):
+    fixes = by_bus()
+    fixes.position[30:33, 1] = off
+    estimate = honest(follow(fixes))
+    assert np.abs(estimate.trajectory.position[:, 1]).max() == 0
+    assert [fix.weight for fix in estimate.fixes] == [1] * 30 + [0] * 3 + [1] * 27
+    assert estimate.fixes[31].residual == pytest.approx(off)
+    assert warned(estimate, "3 of 60 fixes lie where nobody gets so fast")
+
+
+def test_without_steps_a_flight_is_believed():
+    """Thirty fixes before and after: someone went there, however fast."""
+    fixes = by_bus()
+    fixes.position[30:] += 500_000.0
+    assert all(fix.weight == 1 for fix in follow(fixes).fixes)
