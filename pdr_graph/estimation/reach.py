@@ -17,6 +17,7 @@ STRETCHED = 1.5  # times as far as strides say that a walk may lead
 WITHIN = 5.0  # [σ] of both fixes
 DRIVEN = 30.0  # [m/s] while the recording has a gap, who knows how
 MOST_RUNS = 1000  # that are looked back
+ENDS = 3  # fixes at the end of a run that may lead to the next: a wild one just within reach must not part two runs
 
 
 def within_reach(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[Index, Mask]:
@@ -30,19 +31,20 @@ def within_reach(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[
     order = order[np.argsort(fixes.time[order], kind="stable")]
     if len(order):
         way = STRETCHED * _walked(steps, fixes.time[order])
-        run[order], believed[order] = chained(fixes.position[order], WITHIN * sigma[order], way, jump=np.inf)
+        run[order], believed[order] = chained(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS)
     return run, believed
 
 
-def chained(position: Array, error: Array, way: Array, jump: float) -> tuple[Index, Mask]:
+def chained(position: Array, error: Array, way: Array, jump: float, ends: int = 1) -> tuple[Index, Mask]:
     """The run of each of at least one fix ``(f,)``, and whether it is of the longest chain.
 
     position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` at most [m]; way: ``(f,)`` at most, since the start [m].
-    jump: as how many fixes it counts against a chain to go where nobody could.
+    jump: as how many fixes it counts against a chain to go where nobody could; ends: how many fixes at a run's end,
+        and at the start of the next, may lead on.
     """
 
     def reaches(one: Index, other: Index) -> Mask:
-        apart = np.hypot(*(position[other] - position[one]).T)
+        apart = np.linalg.norm(position[other] - position[one], axis=-1)
         return apart <= way[other] - way[one] + np.hypot(error[one], error[other])
 
     every = np.arange(len(position))
@@ -52,7 +54,10 @@ def chained(position: Array, error: Array, way: Array, jump: float) -> tuple[Ind
     length, before = (last - first + 1).astype(float), np.full(len(first), -1)
     for n in range(1, len(first)):
         earlier = np.arange(max(0, n - MOST_RUNS), n)
-        gain = length[earlier] - np.where(reaches(last[earlier], first[n]), 0.0, jump)
+        leaving = np.maximum(last[earlier, None] - np.arange(ends), first[earlier, None])
+        entering = np.minimum(first[n] + np.arange(ends), last[n])
+        led = np.any([reaches(leaving, np.full_like(leaving, at)) for at in entering], axis=(0, 2))
+        gain = length[earlier] - np.where(led, 0.0, jump)
         if gain.max() > 0:
             before[n] = earlier[np.argmax(gain)]
             length[n] += gain.max()
