@@ -219,3 +219,14 @@ def test_without_steps_a_flight_is_believed():
     fixes = by_bus()
     fixes.position[30:] += 500_000.0
     assert all(fix.weight == 1 for fix in follow(fixes).fixes)
+
+
+def test_a_wild_fix_just_within_reach_does_not_part_the_walk():
+    """22.2 m back is within reach of the fix before (5 σ of both and the way), and the next is not of it."""
+    steps = steps_of(np.full(100, 0.7), np.zeros(100))
+    track = dead_reckon(steps)
+    place = track.position[::2].copy()
+    place[20, 0] -= 22.2
+    graph = WalkGraph(steps, fixes_at(track.time[::2], place, 3.0))
+    assert len(np.unique(graph.fix_run)) == 2
+    assert graph.fix_believed.all()
