@@ -1,0 +1,1 @@
+"""The live walk: navigator, journal, the competition's client."""
