@@ -13,6 +13,7 @@ over the pieces of the whole walk, so that all keyframes are evaluated at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,35 +72,65 @@ class Pieces:
             row_end=np.empty(0, dtype=np.intp),
         )
 
+    @classmethod
+    def together(cls, one_by_one: Sequence[Pieces]) -> Pieces:
+        """Intervals, one each, as many; their keyframes need not follow one another."""
+        sizes = [len(pieces.length) for pieces in one_by_one]
+        last = np.cumsum(sizes) - 1
+        return cls(
+            length=np.concatenate([pieces.length for pieces in one_by_one]),
+            to_middle=np.concatenate([pieces.to_middle for pieces in one_by_one], axis=1),
+            to_end=np.concatenate([pieces.to_end for pieces in one_by_one], axis=1),
+            variance=np.concatenate([pieces.variance for pieces in one_by_one]),
+            interval=np.repeat(np.arange(len(sizes)), sizes),
+            first=last + 1 - sizes,
+            last=last,
+            keyframe_time=np.array([one_by_one[0].keyframe_time[0], *(p.keyframe_time[1] for p in one_by_one)]),
+            row_end=np.empty(0, dtype=np.intp),
+        )
+
 
 def cut(steps: Steps, at: Array) -> Pieces:
     """Cut a walk into pieces, with a keyframe at the start, the end and each of the times ``at`` [s] within.
 
     Between these, a keyframe follows at least every ``PIECES_PER_KEYFRAME`` pieces.
     """
-    start, whole = round(steps.start, DECIMALS), _whole_pieces(steps)
+    start, whole = round(steps.start, DECIMALS), whole_pieces(steps)
     required = np.round(np.clip(np.append(at, steps.end), start, steps.end), DECIMALS)
     required = np.unique(required[required > start])
 
-    # Every piece is a share of one whole piece
     end = np.union1d(whole[:, 0], required)
-    begin = np.append(start, end[:-1])
-    of = np.searchsorted(whole[:, 0], end)
-    share = (end - begin) / np.diff(whole[:, 0], prepend=start)[of]
-    length, turn = whole[of, 1] * share, whole[of, 2] * share
-
     interval, first = _intervals(np.searchsorted(required, end))
-    last = np.append(first[1:], len(end)) - 1
-    empty = np.empty((2, 0))
     row_end = np.searchsorted(end, np.round(np.append(steps.time, steps.end), DECIMALS))
-    keyframe_time = np.append(start, end[last])
-    pieces = Pieces(length, empty, empty, whole[of, 3:] * share[:, None], interval, first, last, keyframe_time, row_end)
-    turn_and_time = np.stack([turn, end - begin])
+    return _pieces(whole, start, end, interval, first, row_end)
+
+
+def one_interval(whole: Array, start: float, begin: float, end: float) -> Pieces:
+    """What of the pieces ``whole``, of which the first begins at ``start``, lies between two keyframes [s]."""
+    within = whole[(whole[:, 0] > begin) & (whole[:, 0] < end), 0]
+    ends = np.append(within, end)
+    rows = np.empty(0, dtype=np.intp)
+    return _pieces(whole, start, ends, np.zeros(len(ends), dtype=np.intp), np.zeros(1, dtype=np.intp), rows, begin)
+
+
+def _pieces(
+    whole: Array, start: float, end: Array, interval: Index, first: Index, row_end: Index, begin: float | None = None
+) -> Pieces:
+    """Pieces that end at ``end (m,)``, each a share of one whole piece; the first begins at ``begin``, or ``start``."""
+    begins = np.append(start if begin is None else begin, end[:-1])
+    of = np.searchsorted(whole[:, 0], end)
+    share = (end - begins) / np.diff(whole[:, 0], prepend=start)[of]
+    length, turn = whole[of, 1] * share, whole[of, 2] * share
+    last = np.append(first[1:], len(end)) - 1
+    empty, keyframe_time = np.empty((2, 0)), np.append(begins[0], end[last])
+    variance = whole[of, 3:6] * share[:, None]
+    pieces = Pieces(length, empty, empty, variance, interval, first, last, keyframe_time, row_end)
+    turn_and_time = np.stack([turn, end - begins])
     to_end = pieces.running(turn_and_time)
     return replace(pieces, to_end=to_end, to_middle=to_end - turn_and_time / 2)
 
 
-def _whole_pieces(steps: Steps) -> Array:
+def whole_pieces(steps: Steps) -> Array:
     """Pauses and steps before any split, the last until the recording's end.
 
     Rows: end [s], length [m], turn [rad], variances of length, sway and turn.
@@ -175,6 +206,12 @@ class Bridge:
         """Interval ``i`` of ``pieces`` alone."""
         here = slice(pieces.first[i], pieces.last[i] + 1)
         return Bridge(self.root[i : i + 1], self.gain[here], self.spread[here])
+
+    @classmethod
+    def together(cls, one_by_one: Sequence[Bridge]) -> Bridge:
+        """Those of many intervals."""
+        columns = zip(*((b.root, b.gain, b.spread) for b in one_by_one), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
 
 
 def bridge(pieces: Pieces, increments: Increments) -> Bridge:

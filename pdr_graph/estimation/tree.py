@@ -1,0 +1,164 @@
+"""iSAM2 that cannot be corrupted: named factors, and a shadow of all that it holds.
+
+``ISAM2.update`` is not transactional (gtsam 4.3.0): after an exception the object may crash or go on with stale
+estimates, and a NaN passes without a word. So whatever goes in is kept here too, under a name; when an update fails the
+object is thrown away and a new one is made of the shadow. What marginalised variables left behind are factors of
+GTSAM's own, and are kept with the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Mapping
+
+import gtsam
+import numpy as np
+
+from pdr_graph.types import Array
+
+Name = Hashable
+RELINEARISE = 0.01  # [m, rad, -] that a variable moves before GTSAM's own factors of it are linearised again
+HELD = 1e3  # [m, rad, -] standard deviation of a hold on what nothing determines
+DROPPED = "left out, not finite"
+
+
+class Tree:
+    """The variables of a walk under way, and its factors by name; those older than ``lag`` [s] are marginalised."""
+
+    def __init__(self, lag: float = np.inf, relinearise: float = RELINEARISE):
+        self.lag, self.relinearise = lag, relinearise
+        self.values = gtsam.Values()
+        self.factors: dict[Name, gtsam.NonlinearFactor] = {}
+        self.rebuilds: list[str] = []
+        self.updates = 0
+        self._slots: dict[Name, int] = {}
+        self._keys: dict[Name, frozenset[int]] = {}
+        self._past: list[gtsam.NonlinearFactor] = []
+        self._times: dict[int, float] = {}
+        self._smoother = _smoother(lag, relinearise)
+
+    def __contains__(self, key: int) -> bool:
+        """True if a variable is alive."""
+        return self.values.exists(key)
+
+    def update(
+        self,
+        add: Mapping[Name, gtsam.NonlinearFactor],
+        remove: Iterable[Name] = (),
+        values: gtsam.Values | None = None,
+        times: Mapping[int, float] | None = None,
+    ) -> None:
+        """One incremental update: factors of known names are replaced.
+
+        values: of new variables; times: of these, and of those that must stay alive [s].
+        """
+        values, times = values or gtsam.Values(), dict(times or {})
+        gone = [name for name in {*remove, *add} if name in self.factors]
+        slots = [self._slots[name] for name in gone]
+        for name in gone:
+            del self.factors[name], self._slots[name], self._keys[name]
+        self.factors.update(add)
+        self._keys |= {name: frozenset(factor.keys()) for name, factor in add.items()}
+        self._times.update(times)
+        try:
+            self._smoother.update(_graph(add.values()), values, times, slots)
+            self._accept(list(add))
+        except (RuntimeError, ValueError, IndexError) as error:
+            self._rebuild(values, f"{type(error).__name__}: {str(error).strip().splitlines()[0][:100]}")
+
+    def covariance(self, keys: list[int]) -> Array:
+        """Joint covariance of some variables, in GTSAM's local coordinates."""
+        return np.asarray(self._smoother.getISAM2().jointMarginalCovariance(keys).fullMatrix())
+
+    def graph(self) -> gtsam.NonlinearFactorGraph:
+        """All factors, those of what was marginalised too."""
+        return _graph([*self.factors.values(), *self._past])
+
+    def settled(self) -> Tree:
+        """The same, started anew at the estimate and with every variable linearised where it is, until it rests."""
+        again = Tree(self.lag, relinearise=0.0)
+        again.factors, again._past, again._times = dict(self.factors), self._past, self._times
+        again._keys = dict(self._keys)
+        again.rebuilds, again.updates = self.rebuilds, self.updates
+        again._start(gtsam.Values(self.values))
+        return again
+
+    def _accept(self, added: list[Name]) -> None:
+        """Take over what an update has found; RuntimeError if it is not finite."""
+        found = self._smoother.calculateEstimate()
+        poses = gtsam.utilities.extractPose2(found)
+        if not (np.isfinite(poses).all() and all(np.isfinite(v).all() for v in _vectors(found))):
+            raise RuntimeError("the estimate is not finite")
+        slots = dict(zip(added, self._smoother.getISAM2Result().getNewFactorsIndices(), strict=True))
+        self._slots |= {name: slot for name, slot in slots.items() if name in self.factors}
+        if found.size() < len(self._times):
+            self._forget(found)
+        self.values = found
+        self.updates += 1
+
+    def _forget(self, found: gtsam.Values) -> None:
+        """What was marginalised is no longer known by name."""
+        self._times = {key: time for key, time in self._times.items() if found.exists(key)}
+        for name in [n for n, keys in self._keys.items() if not self._times.keys() >= keys]:
+            del self.factors[name], self._slots[name], self._keys[name]
+        held, ours = self._smoother.getFactors(), set(self._slots.values())
+        self._past = [held.at(slot) for slot in range(held.size()) if slot not in ours and held.exists(slot)]
+
+    def _rebuild(self, values: gtsam.Values, why: str) -> None:
+        """A new object of the shadow; factors that are not finite are left out, and what nothing determines is held."""
+        known = gtsam.Values(self.values)
+        known.insert(values)
+        bad = [name for name, factor in self.factors.items() if not _finite(factor, known)]
+        for name in bad:
+            del self.factors[name], self._keys[name]
+        self.rebuilds.append(f"{why}; {len(bad)} factors {DROPPED}" if bad else why)
+        try:
+            self._start(known)
+        except (RuntimeError, ValueError, IndexError):
+            for key in known.keys():
+                self.factors[("held", key)], self._keys[("held", key)] = _hold(known, key), frozenset([key])
+            self._start(known)
+
+    def _start(self, known: gtsam.Values) -> None:
+        self._smoother = _smoother(self.lag, self.relinearise)
+        self._slots = {}
+        graph = _graph([*self.factors.values(), *self._past])
+        self._smoother.update(graph, known, {key: self._times[key] for key in known.keys()}, [])
+        self._accept([*self.factors, *(("past", n) for n in range(len(self._past)))])
+
+
+def _smoother(lag: float, relinearise: float) -> gtsam.IncrementalFixedLagSmoother:
+    """GTSAM's fixed-lag smoother; the settings that are not its defaults leak or jump otherwise (design section 3)."""
+    parameters = gtsam.ISAM2Params()
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
+    parameters.setRelinearizeThreshold(relinearise)
+    parameters.relinearizeSkip = 1
+    parameters.enablePartialRelinearizationCheck = relinearise > 0
+    parameters.findUnusedFactorSlots = True
+    parameters.setFactorization("QR")
+    return gtsam.IncrementalFixedLagSmoother(min(lag, 1e12), parameters)
+
+
+def _graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    return graph
+
+
+def _vectors(values: gtsam.Values) -> list[Array]:
+    return [gtsam.utilities.extractVectors(values, symbol) for symbol in "cg"]
+
+
+def _finite(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> bool:
+    """Whether a factor is, linearised."""
+    try:
+        return bool(np.isfinite(factor.linearize(values).augmentedJacobian()).all())
+    except (RuntimeError, ValueError):
+        return False
+
+
+def _hold(values: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, HELD)
+    if gtsam.Symbol(key).chr() == ord("x"):
+        return gtsam.PriorFactorPose2(key, values.atPose2(key), noise)
+    return gtsam.PriorFactorVector(key, values.atVector(key), noise)
