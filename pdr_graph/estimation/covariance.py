@@ -14,6 +14,7 @@ are done at once; METIS keeps the tree about 2 log₂ N deep.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
@@ -31,17 +32,27 @@ def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBay
     Between keyframes: the joint of x_i, x_j and c through the derivatives of ``steps_between``, plus the spread that
     a step keeps when both ends are known. own, net: the own factors at the optimum, and the graph factorised there.
     """
-    blocks = CovarianceBlocks(net)
-    joint = blocks.joint([(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)])
-    placed, pieces, rows = own.poses, graph.pieces, graph.pieces.row_end
-    interval = pieces.interval[rows]
-    D = np.concatenate([placed.by_i[rows], placed.by_j[rows], placed.by_c[rows]], axis=2)
-    R = pose_rotation(own.pose_i[interval, 2])
-    of_steps = D @ joint[interval] @ D.transpose(0, 2, 1) + R @ graph.bridge.spread[rows] @ R.transpose(0, 2, 1)
+    blocks, rows = CovarianceBlocks(net), graph.pieces.row_end
+    keys = [(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)]
+    of_steps = covariance_of_pieces(blocks, keys, own, rows)
     R_0 = pose_rotation(own.pose_i[:1, 2])
     of_start = R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
     of_c = blocks.joint([(C(s),) for s in range(len(graph.start.c))])
     return np.concatenate([of_start, of_steps]), of_c
+
+
+def covariance_of_pieces(
+    blocks: CovarianceBlocks, keys: Sequence[tuple[int, ...]], own: Evaluation, which: Index
+) -> Array:
+    """Covariance ``(n, 3, 3)`` of the poses at the ends of some pieces, in the output axes.
+
+    keys: of x_i, x_j and c of each interval.
+    """
+    joint, placed, interval = blocks.joint(keys), own.poses, own.pieces.interval[which]
+    D = np.concatenate([placed.by_i[which], placed.by_j[which], placed.by_c[which]], axis=2)
+    R = pose_rotation(own.pose_i[interval, 2])
+    spread = own.bridge.spread[which]
+    return D @ joint[interval] @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
 
 
 class CovarianceBlocks:
@@ -71,7 +82,7 @@ class CovarianceBlocks:
             R, S = np.array([c.R() for c in own]), np.array([c.S() for c in own])
             self._solve(members[batch], np.linalg.inv(R).astype(float), S)
 
-    def joint(self, keys: list[tuple[int, ...]]) -> Array:
+    def joint(self, keys: Sequence[tuple[int, ...]]) -> Array:
         """Joint covariances ``(n, 3 d, 3 d)`` of n tuples of d keys that share a conditional."""
         return self._among(np.array([[self._place[key] for key in group] for group in keys]))
 

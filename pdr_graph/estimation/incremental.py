@@ -18,8 +18,17 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
+from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate
-from pdr_graph.estimation.graph import AMBIGUOUS, ANY_HEADING, FRAME_SIGMA, STEPS_PER_SEGMENT, Prior
+from pdr_graph.estimation.graph import (
+    AMBIGUOUS,
+    ANY_HEADING,
+    FRAME_SIGMA,
+    LONGEST_OVERHANG,
+    STEPS_PER_SEGMENT,
+    WALKING_SPEED,
+    Prior,
+)
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.optimizer import WILD
 from pdr_graph.estimation.prediction import Belief
@@ -163,15 +172,23 @@ class IncrementalGraph:
 
     def add_fix(self, time: float, position: Array, sigma: float, floor: str = "") -> LiveFix | None:
         """A fix of a moment after the start of the window, or None if it is too late."""
-        if self.times and time < self.times[0] - INSTANT:
-            self.too_late += 1
-            return None
         fix = LiveFix(self._fix_count, round(time, DECIMALS), np.asarray(position, dtype=float), float(sigma), floor)
+        if self.times and not self._hold_at(fix, self.times[0]):
+            return None
         self._fix_count += 1
         self.fixes.append(fix)
         if self.keyframes and fix.time <= self.covered:
             self._close()
         return fix
+
+    def _hold_at(self, fix: LiveFix, time: float) -> bool:
+        """Whether a fix counts: one shortly before a moment holds at it, less exactly."""
+        overhang = time - fix.time
+        if overhang > LONGEST_OVERHANG:
+            self.too_late += 1
+        elif overhang > 0:
+            fix.time, fix.sigma = time, float(np.hypot(fix.sigma, WALKING_SPEED * overhang))
+        return overhang <= LONGEST_OVERHANG
 
     @property
     def covered(self) -> float:
@@ -211,6 +228,36 @@ class IncrementalGraph:
                 at = fix.time
         return belief.after(whole, self._whole_start, at, end)
 
+    def rows(self) -> Rows:
+        """The start of the window, and every step in it until its last keyframe."""
+        first = Rows(np.array(self.times[:1]), self.pose[:1], self._covariance(0)[None], [self._label])
+        if not self.intervals:
+            return first
+        own, values = self.evaluate(self.intervals), self.tree.values
+        linear = self.tree.graph().linearize(values)
+        net = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear))
+        keys = [(X(one.i), X(one.j), C(one.segment)) for one in self.intervals]
+        begins = own.pieces.first.tolist()
+        which = np.concatenate([begin + one.row_piece for begin, one in zip(begins, self.intervals, strict=True)])
+        covariance = covariance_of_pieces(CovarianceBlocks(net), keys, own, which)
+        time = np.concatenate([one.row_time for one in self.intervals])
+        return Rows(time, own.poses.value[which], covariance, [f for one in self.intervals for f in one.labels])
+
+    def rows_ahead(self, tail: Steps | None = None) -> Rows:
+        """The steps since the last keyframe, and what they are likely to be; the last is the present."""
+        whole = self._whole if tail is None else np.concatenate([self._whole, _rows(tail)])
+        ends = whole[(whole[:, END] > self.times[-1] + INSTANT) & (whole[:, ROW] > 0), END]
+        moments = np.append(ends, whole[-1:, END]) if len(whole) else ends
+        beliefs = [self.belief(tail, until) for until in moments.tolist()]
+        pose = np.array([one.mean[:3] for one in beliefs]).reshape(-1, 3)
+        covariance = np.array([one.covariance[:3, :3] for one in beliefs]).reshape(-1, 3, 3)
+        return Rows(moments, pose, covariance, [self._label] * len(moments))
+
+    def hand_out(self) -> list[Rows]:
+        """The rows that are settled, once."""
+        handed, self.settled = self.settled, []
+        return handed
+
     def _last_belief(self) -> Belief:
         """Of the last keyframe and its calibration, as the tree has it now."""
         if self._last is None or self._last[0] != self.tree.updates:
@@ -241,6 +288,7 @@ class IncrementalGraph:
         values.insert(X(0), gtsam.Pose2())
         values.insert(C(0), self.c[0])
         times = {X(0): self._whole_start, C(0): self._whole_start}
+        self.fixes = [fix for fix in self.fixes if self._hold_at(fix, self._whole_start)]
         self.tree.update({"frame": self._frame(), "c": self._c_factor(0)}, values=values, times=times)
 
     def _close(self) -> bool:
