@@ -68,6 +68,12 @@ def courses(steps: Steps) -> Array:
     return before + (steps.turn + steps.pause_turn) / 2
 
 
+def walked(steps: Steps, time: Array, length: Array | None = None) -> Array:
+    """How far the steps have led ``(m,)`` [m] by ``time (m,)``; length: ``(n,)`` of each [m], if not their own."""
+    length = steps.length if length is None else length
+    return np.interp(time, row_times(steps)[:-1], np.append(0.0, np.cumsum(length)))
+
+
 def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) -> Trajectory:
     """The track that the steps alone draw: [heading] Sec. 1, p_k = p_{k-1} + L_k (cos θ_k, sin θ_k).
 

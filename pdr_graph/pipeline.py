@@ -276,14 +276,14 @@ def _floors(
 
 
 def _beacons(
-    walk: Recording, given: Path | None, beside: Path | None, building: Building | None, notes: list[str]
+    walk: Recording, given: Path | None, listed: Path | None, building: Building | None, notes: list[str]
 ) -> Beacons | None:
     """Where beacons are: as a list that was given says, or one beside the recording, or the plan."""
     if given is not None:
         return read_beacons(given, walk)
-    if beside is not None and walk.bluetooth is not None:
+    if listed is not None and walk.bluetooth is not None:
         try:
-            return read_beacons(beside, walk)
+            return read_beacons(listed, walk)
         except InputError as error:  # nobody asked for it
             notes.append(f"beacons were left out: {error}")
     drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []

@@ -132,11 +132,12 @@ class WalkGraph:
 
         # Variables: a pose per keyframe, a calibration per segment
         self.levels = levels if levels is not None and len(levels) else None
-        self.by_proximity = self.levels is not None and not _freshness(self.fixes, steps)[0].any()
+        fresh, self.fix_sigma = _freshness(self.fixes, steps)
+        self.by_proximity = self.levels is not None and not fresh.any()
         if self.levels is not None and self.by_proximity:
             self.fixes = self.levels.proximity()
+            fresh, self.fix_sigma = _freshness(self.fixes, steps)
         self.fix_repeats = repeated(self.fixes)
-        fresh, self.fix_sigma = _freshness(self.fixes, steps)
         self.fix_used = fresh & ~self.fix_repeats
         self.fix_run, self.fix_believed = within_reach(steps, self.fixes, self.fix_sigma, self.fix_used)
         self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_believed, steps)

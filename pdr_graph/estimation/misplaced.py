@@ -7,8 +7,6 @@ IPIN walks it is what finds the two entries that were swapped.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.special import log_ndtr
 
@@ -22,16 +20,7 @@ GRID, BESIDE = 5.0, 20.0  # [m] between places that are tried, and how far besid
 OFFSETS = np.arange(-12.0, 12.5, 3.0)  # [dB] of a beacon's own power
 
 
-@dataclass(frozen=True)
-class Misplaced:
-    """A beacon (its index) that is heard as if it were at ``place (2,)`` [m]; ``gain`` in log-odds over its own."""
-
-    beacon: int
-    place: Array
-    gain: float
-
-
-def misplaced(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[Misplaced]:
+def misplaced(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
     """The surveyed beacons that must be elsewhere. position: ``(k, 2)`` of the walk at its keyframes; q: (P, n, k)."""
     stretch, of = np.unique(levels.time, return_inverse=True)
     track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
@@ -39,16 +28,15 @@ def misplaced(levels: Levels, keyframe_time: Array, position: Array, q: Array) -
     places = np.concatenate([listed[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + HIGH**2
     expected = q[0] - 5 * q[1] * np.log10(square)
-    found = list[Misplaced]()
+    found = list[int]()
     for m in surveyed:
         level = np.full(len(stretch), np.nan)
         own = levels.beacon == m
         level[of[own]] = levels.rssi[own]
         surprise = np.array([_surprise(level, at) for at in expected])
-        best, near = int(np.argmin(surprise)), np.hypot(*(places - listed[m]).T) < APART
-        gain = float(surprise[near].min() - surprise[best])
-        if gain > MOVED:
-            found.append(Misplaced(int(m), places[best], gain))
+        near = np.hypot(*(places - listed[m]).T) < APART
+        if surprise[near].min() - surprise.min() > MOVED:
+            found.append(int(m))
     return found
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_graph.geometry import row_times
+from pdr_graph.geometry import walked
 from pdr_graph.types import Array, Fixes, Index, Mask, Steps
 
 STRETCHED = 1.5  # times as far as strides say that a walk may lead
@@ -30,7 +30,8 @@ def within_reach(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[
     order = np.flatnonzero(used)
     order = order[np.argsort(fixes.time[order], kind="stable")]
     if len(order):
-        way = STRETCHED * _walked(steps, fixes.time[order])
+        moved = np.where(steps.length == 0, DRIVEN * steps.duration, steps.length)
+        way = STRETCHED * walked(steps, fixes.time[order], moved)
         run[order], believed[order] = chained(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS)
     return run, believed
 
@@ -65,9 +66,3 @@ def chained(position: Array, error: Array, way: Array, jump: float, ends: int = 
     while before[chain[-1]] >= 0:
         chain.append(int(before[chain[-1]]))
     return run, np.isin(run, chain)
-
-
-def _walked(steps: Steps, time: Array) -> Array:
-    """How far the steps have led by ``time (n,)``. [m]"""
-    moved = np.where(steps.length == 0, DRIVEN * steps.duration, steps.length)
-    return np.interp(time, row_times(steps)[:-1], np.append(0.0, np.cumsum(moved)))

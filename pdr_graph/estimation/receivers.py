@@ -21,7 +21,7 @@ import numpy as np
 from gtsam.symbol_shorthand import G, X
 
 from pdr_graph.estimation.observations import Rows
-from pdr_graph.geometry import pose_rotation, rotation
+from pdr_graph.geometry import pose_rotation, rotation, walked
 from pdr_graph.types import Array, Complex, Fixes, Index, Mask, Steps
 
 STANDING, ALONG = 120.0, 30.0  # [s] and [m] walked in which errors stay alike: satellites move, and so do walkers
@@ -92,22 +92,19 @@ def receivers(
 
     Of all fixes: sigma ``(f,)`` [m]; keyframe ``(f,)``. velocity: ``(k + 1, 2)`` of `velocities`.
     """
-    names = np.array(fixes.sources)
-    chosen = np.flatnonzero(used & (names != ""))
-    if not len(chosen):
+    of_source = list(_by_source(fixes, used))
+    if not of_source:
         return None
-    offset, white, parts = sigma.copy(), sigma.copy(), []
-    for name in np.unique(names[chosen]):
-        own = chosen[names[chosen] == name]
-        own = own[np.argsort(fixes.time[own], kind="stable")]
+    offset, white = sigma.copy(), sigma.copy()
+    for own in of_source:
         first, after = _alike(drift(steps, fixes.time[own]))
         offset[own] = [sigma[own[a:b]].min() for a, b in zip(first, after, strict=True)]
         beyond = sigma[own] ** 2 - offset[own] ** 2
         white[own] = np.sqrt(WHITE**2 * offset[own] ** 2 + (after - first) * beyond)
-        parts.append(_of_source(own, fixes.time, steps))
-    fix, node, share, keep, time_before = (list(column) for column in zip(*parts, strict=True))
+    nodes = [_nodes(fixes.time[own], steps) for own in of_source]
+    node, share, keep, time_before = (list(column) for column in zip(*nodes, strict=True))
     first = np.cumsum([0] + [len(k) for k in keep[:-1]])
-    joined = np.concatenate(fix)
+    joined = np.concatenate(of_source)
     return Receivers(
         fix=joined,
         keyframe=keyframe[joined],
@@ -135,20 +132,16 @@ def repeated(fixes: Fixes) -> Mask:
     """True ``(f,)`` where a receiver says again what it said last: it holds its position while it thinks it is still,
     or has seen nothing new.
     """
-    result, names = np.zeros(len(fixes), dtype=bool), np.array(fixes.sources)
-    for name in set(fixes.sources) - {""}:
-        own = np.flatnonzero(names == name)
-        own = own[np.argsort(fixes.time[own], kind="stable")]
+    result = np.zeros(len(fixes), dtype=bool)
+    for own in _by_source(fixes, np.ones(len(fixes), dtype=bool)):
         result[own[1:]] = (np.diff(fixes.position[own], axis=0) == 0).all(axis=1)
     return result
 
 
 def together(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
     """Sigmas ``(f,)`` [m] with which fixes that err alike count for what they are worth, each taken for independent."""
-    result, names = sigma.copy(), np.array(fixes.sources)
-    for name in set(fixes.sources) - {""}:
-        own = np.flatnonzero(used & (names == name))
-        own = own[np.argsort(fixes.time[own], kind="stable")]
+    result = sigma.copy()
+    for own in _by_source(fixes, used):
         first, after = _alike(drift(steps, fixes.time[own]))
         result[own] *= np.sqrt(after - first)
     return result
@@ -156,8 +149,15 @@ def together(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
 
 def drift(steps: Steps, time: Array) -> Array:
     """How far errors have changed ``(n,)`` by some times: apart by 1, they are correlated 1/e."""
-    walked = np.interp(time, np.append(steps.start, steps.time), np.append(0.0, np.cumsum(steps.length)))
-    return time / STANDING + walked / ALONG
+    return time / STANDING + walked(steps, time) / ALONG
+
+
+def _by_source(fixes: Fixes, used: Mask) -> Iterator[Index]:
+    """Of each source that has a name, the used fixes in order of time."""
+    names = np.where(used, np.array(fixes.sources, dtype=str), "")
+    order = np.argsort(fixes.time, kind="stable")
+    for name in np.unique(names[names != ""]):
+        yield order[names[order] == name]
 
 
 def _alike(drifted: Array) -> tuple[Index, Index]:
@@ -165,14 +165,14 @@ def _alike(drifted: Array) -> tuple[Index, Index]:
     return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
 
 
-def _of_source(fix: Index, time: Array, steps: Steps) -> tuple[Index, Index, Array, Array, Array]:
-    """One source's fixes, in order of time; their nodes and shares; of each node what is kept and the time before."""
-    at = np.array(list(_node_times(time[fix])))
-    node = np.clip(np.searchsorted(at, time[fix], side="right") - 1, 0, len(at) - 2)
+def _nodes(time: Array, steps: Steps) -> tuple[Index, Array, Array, Array]:
+    """Of one source's fixes, at ``time (f,)``, nodes and shares; of each node what is kept and the time before."""
+    at = np.array(list(_node_times(time)))
+    node = np.clip(np.searchsorted(at, time, side="right") - 1, 0, len(at) - 2)
     span = np.diff(at)[node]
     before = np.diff(at, prepend=at[0])
     keep = np.where(before > 0, np.exp(-np.diff(drift(steps, at), prepend=0.0)), 0.0)
-    return fix, node, (time[fix] - at[node]) / span, keep, before
+    return node, (time - at[node]) / span, keep, before
 
 
 def _node_times(time: Array) -> Iterator[float]:

@@ -60,7 +60,7 @@ def _misplaced(optimum: Optimum) -> list[int]:
     graph, state = optimum.graph, State.of(optimum.values)
     if graph.levels is None:
         return []
-    return [m.beacon for m in misplaced(graph.levels, graph.pieces.keyframe_time, state.poses[:, :2], state.q[0])]
+    return misplaced(graph.levels, graph.pieces.keyframe_time, state.poses[:, :2], state.q[0])
 
 
 def _rows(optimum: Optimum) -> Array:
