@@ -3,20 +3,17 @@
 import sys
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
-from recorded import WAYPOINT_NOISE, Walk, gaps, ipin21_walks, ipin2023_walks, nju_walks
+from recorded import WAYPOINT_NOISE, gaps, ipin21_walks, ipin2023_walks, nju_walks
+from simulations import EVERY, simulated
 from tables import publish, table
 
-from pdr_graph import WalkGraph, detect_steps, io, kalman_filter, kalman_smoother, magnetic_headings, smooth
-from pdr_graph.gait.gait import gait_of
-from pdr_graph.geometry import interpolate, unit
+from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
+from pdr_graph.geometry import unit
 from pdr_graph.settings import read_toml
-from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Trajectory
+from pdr_graph.types import Fixes
 
 ROOT = Path(__file__).resolve().parents[1]
 SEEDS = range(3)  # of each scenario
@@ -24,7 +21,6 @@ INDOORS, OUTDOORS = ("mall", "arcade", "office"), "outdoors"
 SIGMA, OFF = 1.5, 8.0  # [m] of simulated fixes, and [σ] by which a wild one is off
 PERIODS = {"sparse": 12.0, "dense": 2.0}  # [s]
 WILD = (0.0, 0.1, 0.3)  # shares
-EVERY = 1.0  # [s] at which simulated walks are scored
 METHODS = {
     "EKF": lambda walk: kalman_filter(graph_of(walk)),
     "RTS": lambda walk: kalman_smoother(graph_of(walk)),
@@ -37,7 +33,7 @@ def covariance(data, microsoft):
     """Both tables. microsoft: what is given, and the walks."""
     gaussian_case()
     rows = []
-    for name, walks in simulated():
+    for name, walks in indoors():
         rows += regions(name, walks)
     rows += regions("simulated outdoors, GNSS that errs alike for 50 s", list(outdoors()))
     for walk in ipin21_walks(data):
@@ -91,9 +87,9 @@ def graph_of(walk, floor=None):
     return WalkGraph(walk.steps, walk.fixes, headings=walk.headings, floor=floor, levels=walk.levels)
 
 
-def simulated():
+def indoors():
     """Walks between walls by what fixes are given."""
-    walks = [walked(scenario, seed) for scenario in INDOORS for seed in SEEDS]
+    walks = [simulated(drawn(scenario, seed)) for scenario in INDOORS for seed in SEEDS]
     for pace, period in PERIODS.items():
         for wild in WILD:
             name = f"simulated indoors, {pace} fixes" + (f", {wild:.0%} wild" if wild else "")
@@ -103,23 +99,13 @@ def simulated():
 def outdoors():
     """Walks by the simulator's own receiver."""
     for seed in SEEDS:
-        yield walked(OUTDOORS, seed)
+        yield simulated(drawn(OUTDOORS, seed))
 
 
-def walked(scenario, seed):
-    """A scenario by another walker, as a recorder has it."""
-    path = ROOT / "scenarios" / f"{scenario}.toml"
-    walk = simulate(Scenario.of(read_toml(path) | {"seed": seed, "recorder": "sensor_logger"}, path))
-    with TemporaryDirectory() as folder:
-        write(walk, Path(folder))
-        recording = io.load(folder)
-    gaits, fixes = gait_of(recording), walk.frame.place(recording.fixes)
-    time = np.arange(0.0, walk.truth.time[-1], EVERY)
-    place = interpolate(time, walk.truth.time, walk.truth.position)
-    time = time + walk.scenario.start - recording.clock_origin
-    truth = Trajectory(time, place, np.zeros(len(time)), ("",) * len(time))
-    headings, floor = magnetic_headings(gaits, walk.frame, place[0]), next(iter(walk.scenario.plans.values()), None)
-    return Walk(scenario, detect_steps(gaits), headings, fixes, truth, floor)
+def drawn(name, seed):
+    """A scenario by another walker and phone, as one recorder writes them all."""
+    path = ROOT / "scenarios" / f"{name}.toml"
+    return Scenario.of(read_toml(path) | {"seed": seed, "recorder": "sensor_logger"}, path)
 
 
 def with_fixes(walk, period, wild, seed):

@@ -1,18 +1,16 @@
 """Walks with no waypoint given, only what other walks of the floor heard: for docs/accuracy.md."""
 
 import numpy as np
+from recorded import INSIDE_90, WAYPOINT_NOISE, gaps
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
 from pdr_graph.estimation.radio_map import SHARED, RadioMap
-from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.gait import gait_of
 from pdr_graph.geometry import interpolate, nearest
-from pdr_graph.types import Fixes, Trajectory
+from pdr_graph.types import Fixes
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given to a walk of the map
-WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the surveyor's taps
-IN_90 = 4.605  # squared Mahalanobis distance, two axes
 METHODS = ("fingerprints: nearest in time", "fingerprints: straight lines between", "graph", "graph with the plan")
 
 
@@ -33,14 +31,6 @@ def observed(folder):
     return floor, walks
 
 
-def inside(track, pairs):
-    """Whether each waypoint lies in the stated 90 % region, the waypoints' own noise added."""
-    of_position = track.covariance[:, :2, :2].reshape(-1, 4).T
-    covariance = np.stack([np.interp(pairs.time, track.time, v) for v in of_position], 1).reshape(-1, 2, 2)
-    gap = pairs.estimate - pairs.truth
-    return np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance + WAYPOINT_NOISE**2 * np.eye(2)), gap) < IN_90
-
-
 def four_ways(walk, steps, headings, floor, fixes):
     """Errors [m] at the waypoints and whether they are in the 90 % region, by method."""
     truth = walk.truth
@@ -49,8 +39,7 @@ def four_ways(walk, steps, headings, floor, fixes):
     yield from ((np.hypot(*(at - truth.position).T), None) for at in (stays, lines))
     for plan in (None, floor):
         track = smooth(WalkGraph(steps, fixes, headings=headings, floor=plan)).trajectory
-        pairs = pair(track, Trajectory(truth.time, truth.position, truth.heading, ("",) * len(truth)))
-        yield circular_error(pairs), inside(track, pairs)
+        yield gaps(track, truth, WAYPOINT_NOISE)[:2]
 
 
 def of_floor(folder):
@@ -90,7 +79,7 @@ def fingerprints(data):
         coverage = "—" if within[0] is None else f"{100 * np.concatenate(within).mean():.0f} %"
         rows.append([method, len(errors), *percentiles(errors), coverage])
     header = ["walks with fixes, no waypoint given", "waypoints", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region"]
-    one, ninety = (np.abs(shares) < 1).mean(), ((shares**2).sum(axis=1) < IN_90).mean()
+    one, ninety = (np.abs(shares) < 1).mean(), ((shares**2).sum(axis=1) < INSIDE_90).mean()
     said = f"Of {len(shares)} fixes {100 * one:.0f} % are, per axis, within their own sigma of the walk smoothed with"
     said += f" its waypoints (68 % if normal), {100 * ninety:.0f} % in their 90 % region; rms {rms(shares):.2f} sigma."
     by_walk = ["walk", "waypoints", "fixes", "their sigma [m]", "error / sigma (rms)"]

@@ -2,20 +2,17 @@
 
 import sys
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from recorded import fixes_as_track, gaps
+from simulations import EVERY, simulated
 from tables import DOCS, publish, table
 
-from pdr_graph import WalkGraph, detect_steps, io, kalman_filter, kalman_smoother, magnetic_headings, smooth
-from pdr_graph.gait.gait import gait_of
+from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
 from pdr_graph.geometry import interpolate
-from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Trajectory
 
 WALKS = 20
@@ -26,7 +23,6 @@ BEGINS = 180.0  # [s] from the start of the walk, of every outage
 OUTAGES = {"20 s": 20.0, "2 min": 120.0, "5 min": 300.0, "10 min": 600.0}
 ACROSS, HELD, PDR = "GPS alone, straight across", "GPS alone, last position", "dead reckoning, laid on the GPS"
 EKF, RTS, OURS = "EKF", "EKF, smoothed (RTS)", "**the graph**"
-EVERY = 1.0  # [s] at which errors are taken
 SHOWN, SHOWN_OUTAGE = 0, "2 min"  # the walk of the figure
 
 
@@ -60,28 +56,19 @@ def share(inside):
 
 @cache
 def walked(seed):
-    """What a phone recorded of the walk: steps, magnetic headings and its GPS fixes; and the truth, in one frame."""
+    """The paper's walk by another walker and phone."""
     route = [[0, 0], {"stand": 5}, {"to": CORNERS, "manner": "fast"}, {"stand": 5}]
     given = {"seed": seed, "route": route, "phone": {"rate": 50}, "gnss": {"accuracy": ACCURACY}}
-    walk = simulate(Scenario.of(given))
-    with TemporaryDirectory() as folder:
-        write(walk, Path(folder))
-        recording = io.load(folder)
-    gaits, fixes = gait_of(recording), walk.frame.place(recording.fixes)
-    headings = magnetic_headings(gaits, walk.frame, fixes.position[0])
-    time = np.arange(0.0, walk.truth.time[-1], EVERY)
-    place = interpolate(time, walk.truth.time, walk.truth.position)
-    time = time + walk.scenario.start - recording.clock_origin
-    return detect_steps(gaits), headings, fixes, Trajectory(time, place, np.zeros(len(time)), ("",) * len(time))
+    return simulated(Scenario.of(given))
 
 
 def tracks(seed, seconds):
     """The walk by every method, without the fixes of an outage."""
-    steps, headings, fixes, _ = walked(seed)
-    left = fixes[(fixes.time < BEGINS) | (fixes.time >= BEGINS + seconds)]
-    graph = WalkGraph(steps, left, headings=headings)
+    walk = walked(seed)
+    left = walk.fixes[(walk.fixes.time < BEGINS) | (walk.fixes.time >= BEGINS + seconds)]
+    graph = WalkGraph(walk.steps, left, headings=walk.headings)
     ours = smooth(graph)
-    alone = Trajectory(left.time, left.position, np.zeros(len(left)), left.floor)
+    alone = fixes_as_track(left)
     methods = {ACROSS: alone, HELD: held(alone), PDR: ours.dead_reckoning}
     return methods | {
         EKF: kalman_filter(graph).trajectory,
@@ -99,23 +86,21 @@ def held(alone):
 
 def scores(seed, seconds):
     """By method: errors [m] in the outage and over the walk, and which of them lie in the stated 90 % region."""
-    *_, truth = walked(seed)
+    truth = walked(seed).truth
     cut = (truth.time >= BEGINS) & (truth.time < BEGINS + seconds)
     found = {}
     for name, track in tracks(seed, seconds).items():
-        gap = interpolate(truth.time, track.time, track.position) - truth.position
-        error, inside = np.hypot(*gap.T), np.empty((0, len(truth)), dtype=bool)
+        error = np.hypot(*(interpolate(truth.time, track.time, track.position) - truth.position).T)
+        inside = np.empty((0, len(truth)), dtype=bool)
         if name in (EKF, RTS, OURS):
-            parts = interpolate(truth.time, track.time, track.covariance[:, :2, :2].reshape(-1, 4))
-            covariance = parts.reshape(-1, 2, 2)
-            inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap)[None] < 4.605
+            inside = gaps(track, truth)[1][None]
         found[name] = error[cut], error, inside[:, cut].ravel(), inside.ravel()
     return found
 
 
 def draw():
     """One walk and its outage, as the paper's figure 3."""
-    *_, truth = walked(SHOWN)
+    truth = walked(SHOWN).truth
     own = tracks(SHOWN, OUTAGES[SHOWN_OUTAGE])
     cut = (truth.time >= BEGINS) & (truth.time < BEGINS + OUTAGES[SHOWN_OUTAGE])
     figure = Figure(figsize=(12.5, 6.5), layout="constrained")

@@ -47,7 +47,7 @@ def map_matching():
         "method 2": lambda steps: correct(straightened(steps), plan, START, HEADING, 2).trajectory,
         "dead reckoning, gyroscope as it is": reckoned,
         "method 1, gyroscope as it is": lambda steps: correct(steps, plan, START, HEADING, 1).trajectory,
-        OURS: lambda steps: graph_track(steps, plan, START, HEADING),
+        OURS: lambda steps: graph_track(steps, plan, known_start(steps), HEADING),
     }
     tracks = {name: [method(steps) for steps, _ in walks] for name, method in methods.items()}
     found = {
@@ -117,10 +117,10 @@ def reckoned(steps):
     return dead_reckon(steps, known_start(steps), HEADING)
 
 
-def graph_track(steps, plan, start, heading):
-    """The graph's walk from a known start and heading: no other fix, and walls."""
+def graph_track(steps, plan, fixes, heading):
+    """The graph's walk between walls, by the few places that are known and the heading at the start."""
     there = Headings(np.array([steps.start]), np.array([heading]), np.array([SIGMA_HEADING]))
-    return smooth(WalkGraph(steps, known_start(steps, start), headings=there, floor=plan)).trajectory
+    return smooth(WalkGraph(steps, fixes, headings=there, floor=plan)).trajectory
 
 
 def known_start(steps, start=START):

@@ -2,42 +2,24 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import gps_outage
 import numpy as np
-from recorded import fixes_as_track
+from recorded import ipin21_walks, nju_walk
+from simulations import simulated
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, kalman_smoother, magnetic_headings, smooth
+from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
 from pdr_graph.evaluation import circular_error, pair
-from pdr_graph.frames import enu
-from pdr_graph.gait.gait import gait_of
-from pdr_graph.geometry import interpolate, unit
-from pdr_graph.io.tables import read_fixes
-from pdr_graph.simulation.recorders import write
+from pdr_graph.geometry import unit
 from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
 SHARES = (0.1, 0.2, 0.3, 0.4)
 NEAR, FAR = 50.0, 500.0  # [m] that a wild fix is off
 SEEDS, OF_MANY, MANY = 4, 2, 200  # draws of wild fixes for each walk, and for one with more fixes than so many
 SEEN = 0.1  # weight below which a fix was taken for wild
-WAYPOINT_SIGMA = 0.5  # [m]
-EVERY = 1.0  # [s] at which a simulated walk is scored
 METHODS = {"graph": smooth, "RTS": kalman_smoother, "EKF": kalman_filter}
 OUTDOORS = Path(__file__).resolve().parent.parent / "scenarios" / "outdoors.toml"
-
-
-@dataclass(frozen=True)
-class Walk:
-    """What was recorded of a walk, and what it is scored against, in one frame."""
-
-    steps: Steps
-    headings: Headings
-    fixes: Fixes
-    truth: Trajectory
 
 
 @dataclass(frozen=True)
@@ -70,10 +52,10 @@ def in_one_place(fixes, share, random):
 KINDS = {"scattered": scattered, "in a row, in one place": in_one_place}
 
 
-def outliers(data):
-    """The table: by walk, kind and share of wild fixes."""
+def outliers(data, malls):
+    """The table: by walk, kind and share of wild fixes. malls: Microsoft's walks with every second waypoint."""
     rows = []
-    for name, walks in walks_of(data).items():
+    for name, walks in walks_of(data, malls).items():
         seeds = OF_MANY if len(walks[0].fixes) > MANY else SEEDS
         clean = {method: run(walks, scattered, 0.0, estimate, seeds=1) for method, estimate in METHODS.items()}
         rows.append([name, "none", "0 %", *(cells(clean[method], None) for method in METHODS)])
@@ -135,63 +117,14 @@ def seen(scores, column):
     return f"{100 * values.mean():.1f} %" if len(values) else "—"
 
 
-def walks_of(data):
+def walks_of(data, malls):
     """All walks by the name of their kind."""
     ipin = {"every 10 s, 5 m": "freq10_s_err5m", "every 5 s, 3 m": "Freq5_err3m", "every 1 s, 1 m": "Freq1_s_err1m"}
+    eights = {walk.name: walk for walk in ipin21_walks(data)}
     return {
-        "NJU campus, GPS at 1 Hz": [campus(data)],
-        **{f"IPIN21's eight, {said}": [eight(data, file)] for said, file in ipin.items()},
-        "Microsoft, every second waypoint": list(malls(data)),
-        "simulated, outdoors.toml": [outdoors(seed) for seed in range(2)],
-        "simulated, [gps-dr]'s walk": [Walk(*gps_outage.walked(0))],
+        "NJU campus, GPS at 1 Hz": [nju_walk(data)],
+        **{f"IPIN21's eight, {said}": [eights[file]] for said, file in ipin.items()},
+        "Microsoft, every second waypoint": malls,
+        "simulated, outdoors.toml": [simulated(replace(Scenario.load(OUTDOORS), seed=seed)) for seed in range(2)],
+        "simulated, [gps-dr]'s walk": [gps_outage.walked(0)],
     }
-
-
-def campus(data):
-    """The walk at NJU; the truth is its GPS as it was."""
-    walk = io.load(data / "nju_phyphox_outdoor")
-    lon, lat = walk.fixes.position[0]
-    frame = enu(lat, lon)
-    gaits, fixes = gait_of(walk), frame.place(walk.fixes)
-    return Walk(detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0]), fixes, fixes_as_track(fixes))
-
-
-def eight(data, file):
-    """IPIN21's figure of eight with one of its sets of fixes."""
-    folder = data / "ipin21_hcu"
-    walk, frame = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson").frame
-    fixes = read_fixes(folder / "eight" / "simulated_fixes" / f"{file}.csv", walk, frame)
-    gaits = gait_of(walk)
-    headings = magnetic_headings(gaits, frame, fixes.position[0])
-    return Walk(detect_steps(gaits), headings, fixes, frame.place(walk.truth))
-
-
-def malls(data):
-    """Microsoft's walks with every second waypoint, and the last; scored at the others."""
-    for path in sorted((data / "ms_indoor20").glob("site*/*/*.txt")):
-        walk, frame = io.load(path), FloorPlan.load(path.parent).frame
-        truth, gaits = walk.truth, gait_of(walk)
-        given = np.arange(len(truth)) % 2 == 0
-        given[-1] = True
-        if given.all():
-            continue
-        floor = ("",) * int(given.sum())
-        fixes = Fixes(truth.time[given], truth.position[given], np.full(len(floor), WAYPOINT_SIGMA), floor)
-        rest = ~given
-        scored = Trajectory(truth.time[rest], truth.position[rest], truth.heading[rest], ("",) * int(rest.sum()))
-        yield Walk(detect_steps(gaits), magnetic_headings(gaits, frame, np.zeros(2)), fixes, scored)
-
-
-def outdoors(seed):
-    """The scenario, by another walker and phone."""
-    walk = simulate(replace(Scenario.load(OUTDOORS), seed=seed))
-    with TemporaryDirectory() as folder:
-        write(walk, Path(folder))
-        recording = io.load(folder)
-    gaits, fixes = gait_of(recording), walk.frame.place(recording.fixes)
-    time = np.arange(0.0, walk.truth.time[-1], EVERY)
-    place = interpolate(time, walk.truth.time, walk.truth.position)
-    truth = Trajectory(
-        time + walk.scenario.start - recording.clock_origin, place, np.zeros(len(time)), ("",) * len(time)
-    )
-    return Walk(detect_steps(gaits), magnetic_headings(gaits, walk.frame, fixes.position[0]), fixes, truth)

@@ -182,7 +182,8 @@ if __name__ == "__main__":
     tables |= {"floors": lambda: floors_by_step.floors(DATA)}
     tables |= {"topology": lambda: topology.topology(DATA)}
     tables |= {"map-matching": map_matching.map_matching, "wide-places": wide_places.wide_places}
-    tables |= {"gps-outage": gps_outage.gps_outage, "outliers": lambda: outliers.outliers(DATA)}
+    tables |= {"gps-outage": gps_outage.gps_outage}
+    tables |= {"outliers": lambda: outliers.outliers(DATA, dict(microsoft_walks())["every second waypoint"])}
     tables |= {"covariance": lambda: covariance.covariance(DATA, microsoft_walks())}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]

@@ -5,12 +5,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from map_matching import SIGMA_HEADING, SIGMA_START, graph_track, known_start, told
+from map_matching import SIGMA_START, graph_track, known_start, told
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
-from pdr_graph import FloorPlan, Headings, WalkGraph, smooth
+from pdr_graph import FloorPlan
 from pdr_graph.floor.links import straightened
 from pdr_graph.floor.matching import correct, match
 from pdr_graph.geometry import dead_reckon, interpolate
@@ -34,8 +34,8 @@ def wide_places():
         "dead reckoning": lambda steps: dead_reckon(steps, known_start(steps, START), HEADING),
         "projection on links": lambda steps: match(straightened(steps), plan.network, START, HEADING).trajectory,
         "method 1": lambda steps: correct(straightened(steps), plan, START, HEADING, 1).trajectory,
-        ALONE: lambda steps: graph_track(steps, plan, START, HEADING),
-        OURS: lambda steps: between(steps, plan),
+        ALONE: lambda steps: graph_track(steps, plan, known_start(steps, START), HEADING),
+        OURS: lambda steps: graph_track(steps, plan, known_ends(steps), HEADING),
     }
     tracks = {name: [method(steps) for steps, _ in walks] for name, method in methods.items()}
     rows = []
@@ -74,11 +74,9 @@ def walked(seed):
     return told(CAMPUS, route, seed)
 
 
-def between(steps, plan):
-    """The graph's walk from the known start and heading to the known end."""
-    there = Headings(np.array([steps.start]), np.array([HEADING]), np.array([SIGMA_HEADING]))
-    ends = Fixes(np.array([steps.start, steps.end]), np.stack([START, END]), np.full(2, SIGMA_START), ("", ""))
-    return smooth(WalkGraph(steps, ends, headings=there, floor=plan)).trajectory
+def known_ends(steps):
+    """The start and the end as fixes."""
+    return Fixes(np.array([steps.start, steps.end]), np.stack([START, END]), np.full(2, SIGMA_START), ("", ""))
 
 
 def errors(track, truth, place):
