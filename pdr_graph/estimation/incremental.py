@@ -86,6 +86,11 @@ class Interval:
     at: Array = field(default_factory=lambda: np.full(9, np.nan))
 
     @property
+    def is_gap(self) -> bool:
+        """Whether nobody knows where the walker went meanwhile."""
+        return len(self.pieces.length) == 1 and self.pieces.length[0] == 0 and len(self.row_time) == 1
+
+    @property
     def begin(self) -> float:
         """[s]"""
         return float(self.pieces.keyframe_time[0])
@@ -109,6 +114,7 @@ class LiveFix:
     position: Array
     sigma: float
     floor: str
+    source: str = ""
     keyframe: int | None = None
     walked: float = 0.0
     believed: bool = True
@@ -142,9 +148,10 @@ class IncrementalGraph:
         self.fixes: list[LiveFix] = []
         self.too_late = 0
         self.restarts = 0
+        self._rebuilds: list[str] = []
         self.walls = plan is not None
         self.settled: list[Rows] = []
-        self._left: list[Rows] = []  # of rows that left since, with the spread about their keyframes alone
+        self.left: list[Rows] = []  # of rows that left since, with the spread about their keyframes alone
         self._edge = 0.0, np.zeros((3, 3))  # when the covariance of the first keyframe was asked for, and what it was
         self._last: tuple[int, Belief] | None = None  # what is believed of the last keyframe, after so many updates
         self._whole = np.empty((0, 8))
@@ -154,9 +161,9 @@ class IncrementalGraph:
         self._segment, self._in_segment = 0, 0
         self._fix_count = 0
         self._c_prior = np.array(self.prior.mean), self.prior.covariance
-        self._sure = False
+        self.sure = False
         self._walls_due, self._rounds_due = False, 0
-        self._label = plan.labels[0] if plan is not None and len(plan.labels) == 1 else ""
+        self.floor = plan.labels[0] if plan is not None and len(plan.labels) == 1 else ""
 
     # What comes in
 
@@ -165,14 +172,15 @@ class IncrementalGraph:
         if not self.keyframes:
             self._begin(steps.start)
         if floor is not None:
-            self._label = floor
+            self.floor = floor
         self._whole = np.concatenate([self._whole, _rows(steps)])
         if not self._close():
             self._refine()
 
-    def add_fix(self, time: float, position: Array, sigma: float, floor: str = "") -> LiveFix | None:
+    def add_fix(self, time: float, position: Array, sigma: float, floor: str = "", source: str = "") -> LiveFix | None:
         """A fix of a moment after the start of the window, or None if it is too late."""
-        fix = LiveFix(self._fix_count, round(time, DECIMALS), np.asarray(position, dtype=float), float(sigma), floor)
+        place, stated = np.asarray(position, dtype=float), float(sigma)
+        fix = LiveFix(self._fix_count, round(time, DECIMALS), place, stated, floor, source)
         if self.times and not self._hold_at(fix, self.times[0]):
             return None
         self._fix_count += 1
@@ -203,9 +211,9 @@ class IncrementalGraph:
     # What is known
 
     @property
-    def values(self) -> gtsam.Values:
-        """The estimate."""
-        return self.tree.values
+    def rebuilds(self) -> list[str]:
+        """Why the tree was made anew, each time."""
+        return self._rebuilds + self.tree.rebuilds
 
     def evaluate(self, intervals: list[Interval]) -> Evaluation:
         """The own factors of some intervals."""
@@ -230,7 +238,7 @@ class IncrementalGraph:
 
     def rows(self) -> Rows:
         """The start of the window, and every step in it until its last keyframe."""
-        first = Rows(np.array(self.times[:1]), self.pose[:1], self._covariance(0)[None], [self._label])
+        first = Rows(np.array(self.times[:1]), self.pose[:1], self._covariance(0)[None], [self.floor])
         if not self.intervals:
             return first
         own, values = self.evaluate(self.intervals), self.tree.values
@@ -251,12 +259,16 @@ class IncrementalGraph:
         beliefs = [self.belief(tail, until) for until in moments.tolist()]
         pose = np.array([one.mean[:3] for one in beliefs]).reshape(-1, 3)
         covariance = np.array([one.covariance[:3, :3] for one in beliefs]).reshape(-1, 3, 3)
-        return Rows(moments, pose, covariance, [self._label] * len(moments))
+        return Rows(moments, pose, covariance, [self.floor] * len(moments))
 
     def hand_out(self) -> list[Rows]:
         """The rows that are settled, once."""
         handed, self.settled = self.settled, []
         return handed
+
+    def estimate(self) -> Estimate:
+        """The walk, when it is finished."""
+        raise NotImplementedError
 
     def _last_belief(self) -> Belief:
         """Of the last keyframe and its calibration, as the tree has it now."""
@@ -267,10 +279,16 @@ class IncrementalGraph:
             self._last = self.tree.updates, Belief(np.append(self.pose[-1], self.c[self._segment]), T @ joint @ T.T)
         return self._last[1]
 
-    def flush(self) -> None:
-        """Linearise everything where it is, until nothing moves."""
-        self.tree = self.tree.settled()
-        self._read()
+    def finish(self) -> None:
+        """The walk ends here: its last keyframe, and everything linearised where it is until nothing moves."""
+        if not self.keyframes:
+            return
+        for fix in self.waiting:
+            overhang = fix.time - self.covered
+            if 0 < overhang <= LONGEST_OVERHANG:
+                fix.time, fix.sigma = self.covered, float(np.hypot(fix.sigma, WALKING_SPEED * overhang))
+        self._close(at_end=True)
+        self._build(Tree(self.tree.lag, relinearise=0.0, past=self.tree.past))
         for _ in range(4 * MOST_ROUNDS):
             if not self._relinearise(SETTLED):
                 break
@@ -291,14 +309,14 @@ class IncrementalGraph:
         self.fixes = [fix for fix in self.fixes if self._hold_at(fix, self._whole_start)]
         self.tree.update({"frame": self._frame(), "c": self._c_factor(0)}, values=values, times=times)
 
-    def _close(self) -> bool:
+    def _close(self, at_end: bool = False) -> bool:
         """Close the keyframes that the steps and fixes have made, and update the estimate; whether there were any."""
-        new, changed = self._cut_new(), self._reach_fixes()
+        new, changed = self._cut_new(at_end), self._reach_fixes()
         if not new and not changed:
             return False
         if changed:
             self._believe()
-        if changed and not self._sure:
+        if changed and not self.sure:
             self._lay()
         else:
             self._add(new, changed)
@@ -307,17 +325,17 @@ class IncrementalGraph:
         self._walls_due, self._rounds_due = self.plan is not None, ROUNDS
         return True
 
-    def _cut_new(self) -> list[Interval]:
+    def _cut_new(self, at_end: bool) -> list[Interval]:
         """The intervals that are complete since the last keyframe."""
         made: list[Interval] = []
-        for end in self._ends():
+        for end in self._ends(at_end):
             made.append(
                 self._interval(self.keyframes[-1], self._number(), self.times[-1], end, self._next_segment(end))
             )
             self._place_last(made[-1])
         return made
 
-    def _ends(self) -> list[float]:
+    def _ends(self, at_end: bool) -> list[float]:
         """The times of the next keyframes."""
         last = self.times[-1]
         rows = self._whole[self._whole[:, END] > last + INSTANT]
@@ -326,6 +344,7 @@ class IncrementalGraph:
         gaps = rows[rows[:, GAP] > 0]
         starts = self._whole[np.searchsorted(self._whole[:, END], gaps[:, END]) - 1, END] if len(gaps) else []
         at_fixes = [fix.time for fix in self.waiting if last + INSTANT < fix.time <= self.covered]
+        at_fixes += [self.covered] if at_end else []
         required = np.unique([*at_fixes, *(t for t in starts if t > last + INSTANT), *gaps[:, END]])
         ends: list[float] = []
         for stop in (*required.tolist(), None):
@@ -346,7 +365,7 @@ class IncrementalGraph:
         rows = rows[(rows > begin + INSTANT) & (rows <= end + INSTANT)]
         own = bridge(pieces, preintegrate(pieces, np.array(self.prior.mean)[None]))
         which = np.minimum(np.searchsorted(ends, rows - INSTANT), len(ends) - 1)
-        return Interval(i, j, segment, pieces, own, rows, which, [None] * len(ends), [self._label] * len(rows))
+        return Interval(i, j, segment, pieces, own, rows, which, [None] * len(ends), [self.floor] * len(rows))
 
     def _place_last(self, one: Interval) -> None:
         """A keyframe where the steps lead from the one before."""
@@ -426,7 +445,7 @@ class IncrementalGraph:
 
     def _refine(self) -> None:
         """One thing at a time, in the steps between keyframes: the walls, and whatever has moved linearised again."""
-        if self._walls_due and self._sure:
+        if self._walls_due and self.sure:
             self._walls_due = False
             self._find_walls()
         elif self._rounds_due:
@@ -436,16 +455,24 @@ class IncrementalGraph:
         """Begin again with the track laid on all fixes of the window, as a batch would."""
         self._point()
         for one in self.intervals:
-            one.at = np.full(9, np.nan)
             one.fields = [None] * len(one.fields)
-        lag = self.lag if self._sure else np.inf
-        self.tree = Tree(lag)
+        self._build(Tree(self.lag if self.sure else np.inf))
+        for _ in range(MOST_ROUNDS):
+            if not self._relinearise(MOVED):
+                break
+
+    def _build(self, tree: Tree) -> None:
+        """All factors of the window, in a tree that is new."""
+        self._rebuilds += self.tree.rebuilds
+        self.tree = tree
         values, times = gtsam.Values(), dict[int, float]()
         for number, time, pose in zip(self.keyframes, self.times, self.pose, strict=True):
             values.insert(X(number), gtsam.Pose2(*pose))
             times[X(number)] = time
         segments = sorted({one.segment for one in self.intervals}) or [self._segment]
-        factors: dict[Name, gtsam.NonlinearFactor] = {"frame": self._frame(), "c": self._c_factor(segments[0])}
+        factors: dict[Name, gtsam.NonlinearFactor] = {}
+        if not tree.past:
+            factors = {"frame": self._frame(), "c": self._c_factor(segments[0])}
         for segment in segments:
             values.insert(C(segment), self.c[segment])
             times[C(segment)] = max(one.end for one in self.intervals if one.segment == segment)
@@ -454,9 +481,6 @@ class IncrementalGraph:
         factors |= self._own(self.intervals)
         factors |= {("fix", f.number): self._fix(f) for f in self.fixes if f.keyframe is not None and f.kind != "none"}
         self._update(factors, values=values, times=times)
-        for _ in range(MOST_ROUNDS):
-            if not self._relinearise(MOVED):
-                break
 
     def _point(self) -> None:
         """Poses of all keyframes, as the believed fixes lay the track of the steps."""
@@ -471,7 +495,7 @@ class IncrementalGraph:
         at = np.array([place[fix.keyframe] for fix in fixes if fix.keyframe is not None], dtype=np.intp)
         fix, sigma = as_complex(np.array([f.position for f in fixes])), np.array([f.sigma for f in fixes])
         walked = float(np.sum(pieces.length))
-        self._sure = sigma_direction(track[at], sigma, walked) < AMBIGUOUS
+        self.sure = sigma_direction(track[at], sigma, walked) < AMBIGUOUS
         before = self.pose[0].copy()
         if len(fixes) < 2:
             track, turned = track + (fix - track[at])[0], np.zeros(len(track))
@@ -480,7 +504,7 @@ class IncrementalGraph:
             numbers = np.unique(np.append(segment[:1], segment), return_inverse=True)[1]
             laid = align(track, numbers, at, fix, sigma, self._gap_lengths())
             track, turned = laid.position, laid.turned
-            if self._sure:
+            if self.sure:
                 limits = self._c_prior[0][0] + np.array([-2, 2]) * self.prior.sigma[0]
                 for segment_, scale in zip(np.unique(segment), laid.scale, strict=True):
                     self.c[int(segment_)] = np.append(np.clip(scale, *limits), self.c[int(segment_)][1:])
@@ -492,10 +516,9 @@ class IncrementalGraph:
         segments = sorted({one.segment for one in self.intervals})
         gap = np.zeros(len(segments) - 1)
         for one in self.intervals:
-            if len(one.pieces.length) == 1 and one.pieces.length[0] == 0 and one.row_time.size and one.segment:
-                which = segments.index(one.segment) - 1
-                if which >= 0:
-                    gap[which] = max(gap[which], np.sqrt(one.pieces.variance[0, 0]))
+            which = segments.index(one.segment)
+            if one.is_gap and which < len(gap):
+                gap[which] = max(gap[which], np.sqrt(one.pieces.variance[0, 0]))
         return gap
 
     def _believe(self) -> None:
@@ -512,7 +535,7 @@ class IncrementalGraph:
             fix.believed = now
             if not now and fix.kind == "grip":
                 fix.kind = "none"
-        if turned and self._sure and believed.sum() > 1:
+        if turned and self.sure and believed.sum() > 1:
             self._restart()
 
     def _restart(self) -> None:
@@ -521,7 +544,7 @@ class IncrementalGraph:
         covariance = self.tree.covariance([C(first)]) + np.diag(np.square(self.prior.change))
         self._c_prior = self.c[first], covariance
         self.restarts += 1
-        self._sure = False
+        self.sure = False
 
     def _judge(self) -> None:
         """Fixes that are far off lose their grip; those that are near again have it."""
@@ -584,7 +607,7 @@ class IncrementalGraph:
             first += len(one.pieces.length)
             R = pose_rotation(np.full(len(pose), self.pose[n, 2]))
             spread = R @ one.bridge.spread[one.row_piece] @ R.transpose(0, 2, 1)
-            self._left.append(Rows(one.row_time, pose, spread, one.labels))
+            self.left.append(Rows(one.row_time, pose, spread, one.labels))
         before = self._walked_by(self.times[gone])
         keep = self._whole[:, END] > self.times[gone] + INSTANT
         first = int(np.argmax(keep)) if keep.any() else len(self._whole)
@@ -602,10 +625,10 @@ class IncrementalGraph:
     def _settle(self) -> None:
         """Give the rows that have left their covariance: between two keyframes that left, it changes evenly."""
         (before, one), (after, other) = self._edge, (self.times[0], self._covariance(0))
-        for rows in self._left:
+        for rows in self.left:
             share = ((rows.time - before) / (after - before))[:, None, None]
             self.settled.append(replace(rows, covariance=(1 - share) * one + share * other + rows.covariance))
-        self._left, self._edge = [], (after, other)
+        self.left, self._edge = [], (after, other)
 
     def _read(self) -> None:
         """Poses and calibrations of the window."""
@@ -630,7 +653,7 @@ class IncrementalGraph:
         """What has left the window was in a frame of its own until now."""
         turn = after[2] - before[2]
         R = pose_rotation(np.array([turn]))[0]
-        for past in (self.settled, self._left):
+        for past in (self.settled, self.left):
             for k, rows in enumerate(past):
                 moved = (rows.pose[:, :2] - before[:2]) @ R[:2, :2].T + after[:2]
                 pose = np.column_stack([moved, rows.pose[:, 2] + turn])
@@ -708,7 +731,7 @@ class IncrementalGraph:
             if count > LOOKED_BACK:
                 break
         own = self.evaluate(last)
-        labels = [self._label] * count
+        labels = [self.floor] * count
         ground = Ground.of(self.plan, labels)
         fields, of_piece, _ = ground.walls_along(own.poses.value[:, :2], own.pieces.length > 0)
         named = [fields[n] if n >= 0 else None for n in of_piece.tolist()]

@@ -8,7 +8,7 @@ GTSAM's own, and are kept with the others.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -22,17 +22,21 @@ DROPPED = "left out, not finite"
 
 
 class Tree:
-    """The variables of a walk under way, and its factors by name; those older than ``lag`` [s] are marginalised."""
+    """The variables of a walk under way, and its factors by name; those older than ``lag`` [s] are marginalised.
 
-    def __init__(self, lag: float = np.inf, relinearise: float = RELINEARISE):
-        self.lag, self.relinearise = lag, relinearise
+    past: what variables that were marginalised have left behind.
+    """
+
+    def __init__(
+        self, lag: float = np.inf, relinearise: float = RELINEARISE, past: Sequence[gtsam.NonlinearFactor] = ()
+    ):
+        self.lag, self.relinearise, self.past = lag, relinearise, list(past)
         self.values = gtsam.Values()
         self.factors: dict[Name, gtsam.NonlinearFactor] = {}
         self.rebuilds: list[str] = []
         self.updates = 0
         self._slots: dict[Name, int] = {}
         self._keys: dict[Name, frozenset[int]] = {}
-        self._past: list[gtsam.NonlinearFactor] = []
         self._times: dict[int, float] = {}
         self._smoother = _smoother(lag, relinearise)
 
@@ -59,8 +63,9 @@ class Tree:
         self.factors.update(add)
         self._keys |= {name: frozenset(factor.keys()) for name, factor in add.items()}
         self._times.update(times)
+        new = [*add.values(), *(self.past if not self.updates else [])]
         try:
-            self._smoother.update(_graph(add.values()), values, times, slots)
+            self._smoother.update(_graph(new), values, times, slots)
             self._accept(list(add))
         except (RuntimeError, ValueError, IndexError) as error:
             self._rebuild(values, f"{type(error).__name__}: {str(error).strip().splitlines()[0][:100]}")
@@ -71,16 +76,7 @@ class Tree:
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """All factors, those of what was marginalised too."""
-        return _graph([*self.factors.values(), *self._past])
-
-    def settled(self) -> Tree:
-        """The same, started anew at the estimate and with every variable linearised where it is, until it rests."""
-        again = Tree(self.lag, relinearise=0.0)
-        again.factors, again._past, again._times = dict(self.factors), self._past, self._times
-        again._keys = dict(self._keys)
-        again.rebuilds, again.updates = self.rebuilds, self.updates
-        again._start(gtsam.Values(self.values))
-        return again
+        return _graph([*self.factors.values(), *self.past])
 
     def _accept(self, added: list[Name]) -> None:
         """Take over what an update has found; RuntimeError if it is not finite."""
@@ -88,8 +84,8 @@ class Tree:
         poses = gtsam.utilities.extractPose2(found)
         if not (np.isfinite(poses).all() and all(np.isfinite(v).all() for v in _vectors(found))):
             raise RuntimeError("the estimate is not finite")
-        slots = dict(zip(added, self._smoother.getISAM2Result().getNewFactorsIndices(), strict=True))
-        self._slots |= {name: slot for name, slot in slots.items() if name in self.factors}
+        slots = dict(zip(added, self._smoother.getISAM2Result().getNewFactorsIndices(), strict=False))
+        self._slots |= slots
         if found.size() < len(self._times):
             self._forget(found)
         self.values = found
@@ -101,7 +97,7 @@ class Tree:
         for name in [n for n, keys in self._keys.items() if not self._times.keys() >= keys]:
             del self.factors[name], self._slots[name], self._keys[name]
         held, ours = self._smoother.getFactors(), set(self._slots.values())
-        self._past = [held.at(slot) for slot in range(held.size()) if slot not in ours and held.exists(slot)]
+        self.past = [held.at(slot) for slot in range(held.size()) if slot not in ours and held.exists(slot)]
 
     def _rebuild(self, values: gtsam.Values, why: str) -> None:
         """A new object of the shadow; factors that are not finite are left out, and what nothing determines is held."""
@@ -121,9 +117,9 @@ class Tree:
     def _start(self, known: gtsam.Values) -> None:
         self._smoother = _smoother(self.lag, self.relinearise)
         self._slots = {}
-        graph = _graph([*self.factors.values(), *self._past])
+        graph = _graph([*self.factors.values(), *self.past])
         self._smoother.update(graph, known, {key: self._times[key] for key in known.keys()}, [])
-        self._accept([*self.factors, *(("past", n) for n in range(len(self._past)))])
+        self._accept(list(self.factors))
 
 
 def _smoother(lag: float, relinearise: float) -> gtsam.IncrementalFixedLagSmoother:

@@ -8,23 +8,22 @@ Nothing that is pushed can end the walk: what cannot be used is counted, and the
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.incremental import IncrementalGraph
-from pdr_graph.estimation.prediction import Belief
 from pdr_graph.estimation.profiles import prior_of
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame, enu
+from pdr_graph.frames import Frame
 from pdr_graph.gait.live import LiveGait
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.stream import Health
-from pdr_graph.online.events import Event, Samples, Scan
-from pdr_graph.types import LONLAT, Array, Estimate, Fixes, Steps, Trajectory
+from pdr_graph.online.events import Event, Samples
+from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
 SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
@@ -90,43 +89,118 @@ class Navigator:
         prior = prior or prior_of(self.walker.profile)
         self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building)
         self._tail: Steps | None = None
-        self._early, self._fixes = list[Fixes](), 0
-        self._said = dict[str, tuple[float, float]]()  # the last position of each receiver
-        self._refused = 0
+        self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
+        self._taken, self._early = 0, 0
 
     def push(self, event: Event) -> None:
         """Take in an event, in the order in which they arrive."""
         if isinstance(event, Samples):
             self._gait.push(event.sensor, event.time, event.values)
-            self._walk()
+            certain, self._tail = self._gait.advance()
+            if certain is not None:
+                self._graph.extend(certain)
+        elif isinstance(event, Steps):
+            self._graph.extend(event)
         elif isinstance(event, Fixes):
             self._fix(event)
-        elif isinstance(event, Steps):
-            self._extend(event)
-        elif isinstance(event, Scan):
-            pass
 
     @property
     def pose(self) -> Pose | None:
-        """Where the walker is, by all that has come in; None before the first second of samples."""
+        """Where the walker is, by all that has come in; None before there are steps, or a second of standing."""
         if not self._graph.keyframes:
             return None
         belief = self._graph.belief(self._tail)
-        time = self._tail.end if self._tail is not None else self._graph.covered
-        return Pose(
-            time, *belief.mean[:2].tolist(), float(wrap_angle(belief.mean[2])), self._floor, belief.covariance[:3, :3]
-        )
+        x, y, heading = belief.mean[:3].tolist()
+        return Pose(self._now, x, y, float(wrap_angle(heading)), self._graph.floor, belief.covariance[:3, :3])
 
     @property
     def trajectory(self) -> Trajectory:
-        """The walk smoothed so far: its start, the end of every step, its end now; without rows that were handed out."""
-        raise NotImplementedError
+        """The walk smoothed so far: every step's end, and the present; without rows that `settled` handed out."""
+        if not self._graph.keyframes:
+            return _trajectory([])
+        return _trajectory(
+            [*self._graph.settled, *self._graph.left, self._graph.rows(), self._graph.rows_ahead(self._tail)]
+        )
 
-    def _walk(self) -> None:
-        certain, self._tail = self._gait.advance()
-        if certain is not None:
-            self._extend(certain)
+    @property
+    def status(self) -> Status:
+        """How well it does."""
+        graph = self._graph
+        state = (
+            "waiting" if not graph.keyframes else "running" if graph.sure else "turning" if self._taken else "adrift"
+        )
+        return Status(
+            state=state,
+            ailments=tuple(self._ailments()),
+            sensors=self._gait.health,
+            keyframes=len(graph.keyframes),
+            fixes=self._taken,
+            late=graph.too_late,
+            early=self._early,
+            restarts=graph.restarts,
+            rebuilds=tuple(graph.rebuilds),
+        )
 
-    def _extend(self, steps: Steps) -> None:
-        self._graph.extend(steps)
-        self._take_waiting()
+    def settled(self) -> Trajectory:
+        """The rows that will not change any more, each handed out once and then forgotten."""
+        return _trajectory(self._graph.hand_out())
+
+    def finish(self) -> Estimate:
+        """The walk, no more events coming: the rows that were not handed out."""
+        last = self._gait.finish()
+        self._tail = None
+        if last is not None:
+            self._graph.extend(last)
+        self._graph.finish()
+        return self._graph.estimate()
+
+    @property
+    def _now(self) -> float:
+        return self._tail.end if self._tail is not None else self._graph.covered
+
+    def _fix(self, fixes: Fixes) -> None:
+        """Fixes in the frame of the walk; the first may define it."""
+        if self.frame is None:
+            lon, lat = fixes.position[0].tolist() if len(fixes) else (0.0, 0.0)
+            self.frame = enu(lat, lon) if fixes.epsg == LONLAT else projected(fixes.epsg) if fixes.epsg else Frame()
+        if fixes.epsg is not None and not self.frame.georeferenced:
+            return
+        fixes = self.frame.place(fixes)
+        for n in range(len(fixes)):
+            source, place = fixes.sources[n], tuple(fixes.position[n].tolist())
+            if source and self._said.get(source) == place:
+                continue  # a receiver says again what it had said: it saw nothing new
+            self._said[source] = place
+            if self._graph.keyframes and fixes.time[n] > self._now + AHEAD:
+                self._early += 1
+                continue
+            self._taken += 1
+            self._graph.add_fix(float(fixes.time[n]), fixes.position[n], float(fixes.sigma[n]), fixes.floor[n], source)
+
+    def _ailments(self) -> Iterator[str]:
+        """What is amiss now."""
+        health = self._gait.health
+        latest = max((one.last for one in health.values() if np.isfinite(one.last)), default=np.nan)
+        for name, one in health.items():
+            if one.samples and latest - one.last > SILENT:
+                yield f"{name}: silent for {latest - one.last:.0f} s"
+            elif not one.samples and np.isfinite(latest):
+                yield f"{name}: never heard of"
+            if one.dropped:
+                yield f"{name}: {one.dropped} samples could not be used"
+            if one.put_back:
+                yield f"{name}: its clock was put back {one.put_back} times"
+
+
+def _trajectory(parts: Sequence[Rows]) -> Trajectory:
+    """Rows that follow one another."""
+    if not parts:
+        return Trajectory(np.empty(0), np.empty((0, 2)), np.empty(0), (), np.empty((0, 3, 3)))
+    pose = np.concatenate([rows.pose for rows in parts])
+    return Trajectory(
+        time=np.concatenate([rows.time for rows in parts]),
+        position=pose[:, :2],
+        heading=wrap_angle(pose[:, 2]),
+        floor=tuple(label for rows in parts for label in rows.floor),
+        covariance=np.concatenate([rows.covariance for rows in parts]),
+    )
