@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_graph.gait.landings import LONGEST_STEP, Landings
-from pdr_graph.gait.rhythm import LOOK_AHEAD, Candidates, candidates, every
+from pdr_graph.gait.rhythm import LOOK_AHEAD, REACH, Candidates, candidates, candidates_of, every, felt
 from pdr_graph.types import Array
 
 CLOSEST_SHARE = 0.55  # of a step's duration, between two
@@ -29,7 +29,7 @@ def walking_steps(time: Array, acceleration: Array, look_ahead: float = LOOK_AHE
     time ``(n,)`` [s] uniform; acceleration ``(n, 3)`` with gravity [m/s²]; look_ahead: see `StepDetector`.
     """
     start, period = float(time[0]), float(time[-1] - time[0]) / (len(time) - 1)
-    landed, amplitude = _Bout().steps(candidates(acceleration, period, look_ahead))
+    landed, amplitude = Bout().steps(candidates(acceleration, period, look_ahead))
     return Landings.at(start + landed, amplitude, start)
 
 
@@ -42,40 +42,68 @@ class StepDetector:
 
     def __init__(self, period: float, start: float = 0.0, look_ahead: float = LOOK_AHEAD):
         self.period, self.start, self.look_ahead = period, start, look_ahead
-        self._samples, self._first, self._decided = np.empty((0, 3)), 0, -np.inf
-        self._bout = _Bout()
+        self.decided = -np.inf  # [s] after the start, up to which steps are certain
+        self.bout = Bout()
+        self._samples, self._first, self._taken = np.empty((0, 3)), 0, 0  # the last of them, and which they are
+        self._felt, self._felt_first, self._settled = np.empty((0, 2)), 0, 0  # what was felt, up to where for good
+        self._open: Candidates | None = None  # after what is decided
 
     def update(self, acceleration: Array) -> tuple[Array, Array]:
         """Take in samples ``(n, 3)``; times ``(m,)`` [s] and amplitudes ``(m,)`` of the steps that are certain now."""
         self._samples = np.concatenate([self._samples, acceleration])
-        return self._decide((self._first + len(self._samples)) * self.period - FUTURE - self.look_ahead)
+        self._taken += len(acceleration)
+        self._feel()
+        return self._decide(self._taken * self.period - FUTURE - self.look_ahead)
 
     def finish(self) -> tuple[Array, Array]:
         """The last steps, when no more samples come."""
         return self._decide(np.inf)
 
-    def _decide(self, until: float) -> tuple[Array, Array]:
-        """What lies before ``until`` [s] after the start, and was not decided before."""
-        found = candidates(self._samples, self.period, self.look_ahead)
-        found = replace(found, time=found.time + self._first * self.period)
-        landed, amplitude = self._bout.steps(found[(found.time > self._decided) & (found.time <= until)])
-        self._decided = max(self._decided, until)
-        self._forget(until - PAST)
+    def provisional(self) -> tuple[Array, Array]:
+        """Times and amplitudes of the steps after those that are certain, as far as can be said by now."""
+        if self._open is None:
+            return np.empty(0), np.empty(0)
+        landed, amplitude = replace(self.bout).steps(self._open)
         return self.start + landed, amplitude
 
-    def _forget(self, before: float) -> None:
-        """Drop samples that no later step depends on."""
-        if np.isfinite(before):
-            drop = max(0, int(before / self.period) - self._first)
-            drop -= drop % every(self.period)
-            self._samples, self._first = self._samples[drop:], self._first + drop
+    @property
+    def earliest(self) -> float:
+        """Before this no landing can be found any more. [s]"""
+        late = [time for time, _ in self.bout.waiting if time > self.decided - LATE]
+        return self.start + min([self.decided, *late])
+
+    def _feel(self) -> None:
+        """What is felt of the new samples, and of the last ones anew: it changes with those that follow them."""
+        if not len(self._samples):
+            return
+        stride = every(self.period)
+        reach = int(REACH / self.period / stride) + 1
+        fresh = np.stack(felt(self._samples, self.period), axis=1)
+        first = self._first // stride
+        self._felt = np.concatenate([self._felt[: self._settled - self._felt_first], fresh[self._settled - first :]])
+        self._settled = max(self._settled, first + len(fresh) - reach)
+        drop = max(0, self._settled - reach - first)
+        self._samples, self._first = self._samples[drop * stride :], self._first + drop * stride
+
+    def _decide(self, until: float) -> tuple[Array, Array]:
+        """What lies before ``until`` [s] after the start, and was not decided before."""
+        sampling = self.period * every(self.period)
+        found = candidates_of(self._felt[:, 0], self._felt[:, 1], sampling, self.look_ahead)
+        found = replace(found, time=found.time + self._felt_first * sampling)
+        landed, amplitude = self.bout.steps(found[(found.time > self.decided) & (found.time <= until)])
+        self.decided = max(self.decided, until)
+        self._open = found[found.time > self.decided]
+        if np.isfinite(until):  # no later step depends on more than PAST
+            drop = max(0, int((until - PAST) / sampling) - self._felt_first)
+            self._felt, self._felt_first = self._felt[drop:], self._felt_first + drop
+        return self.start + landed, amplitude
 
 
 _Steps = list[tuple[float, float]]  # times and amplitudes
 
 
 @dataclass
-class _Bout:
+class Bout:
     """Who sets out is believed once their steps are regular; then every step counts until they stop."""
 
     walking: bool = False

@@ -8,9 +8,9 @@ little one leg moves the arm that holds it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from scipy import fft
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from pdr_graph.gait.landings import USUAL_STEP
@@ -29,6 +29,7 @@ WEAKEST = 0.35  # [m/s²] peak to peak; a phone in a standing person's hand stay
 WEAKEST_SHARE = 0.23  # of the steps about it; feet shuffle while turning
 HIGHEST_BOUNCE = 0.14  # [m] peak to peak; walkers bob by 0.02–0.10, arms that shake a phone move it by 0.15
 UPRIGHT_SMOOTH, UPRIGHT_WINDOW, UPRIGHT = 0.2, 1.5, 0.96  # [s], [s], and the length of the mean direction of gravity
+REACH = 4 * UPRIGHT_SMOOTH + UPRIGHT_WINDOW / 2 + 0.1  # [s] to either side of a sample on which what was felt depends
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,21 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
 
     acceleration ``(n, 3)`` [m/s²], period [s] between samples; look_ahead [s] of samples after a moment that count.
     """
+    smooth, upright = felt(acceleration, period)
+    return candidates_of(smooth, upright, period * every(period), look_ahead)
+
+
+def felt(acceleration: Array, period: float) -> tuple[Array, Array]:
+    """At `every` sample: |a| without knocks [m/s²], and how steadily the device was held. Both see REACH to either side."""
     stride = every(period)
-    if period > SLOWEST or len(acceleration) * period < 2.5 * STEPS[-1]:
+    smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), SMOOTH / period)
+    return smooth[::stride], _upright(acceleration, period)[::stride]
+
+
+def candidates_of(smooth: Array, upright: Array, sampling: float, look_ahead: float) -> Candidates:
+    """`candidates`, of what was `felt` ``(n,)``, every ``sampling`` [s]."""
+    if sampling > SLOWEST or len(smooth) * sampling < 2.5 * STEPS[-1]:
         return Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
-    smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), SMOOTH / period)[::stride]
-    sampling = period * stride
     level = smooth - gaussian_filter1d(smooth, LEVEL / sampling)
     which, regular = _rhythm(level, sampling, look_ahead)
     wave = _at_frequency(level, which, sampling)
@@ -71,7 +82,7 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
     peaks, time = peaks[strong[peaks]], time[strong[peaks]]
     step = STEPS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < HIGHEST_BOUNCE
-    bodily &= _upright(acceleration, period)[::stride][peaks] > UPRIGHT
+    bodily &= upright[peaks] > UPRIGHT
     return Candidates(time, step, amplitude[peaks], regular[peaks], bodily)
 
 
@@ -81,7 +92,7 @@ def _rhythm(level: Array, sampling: float, look_ahead: float) -> tuple[Index, Ar
     It must repeat itself after a stride, and the better if after a step too: no duration but the right one, its half
     and its double does. An unusual one has to fit better.
     """
-    once, twice = (np.array([_correlation(level, s, sampling) for s in d]) for d in (STEPS, 2 * STEPS))
+    once, twice = (_correlations(level, durations, sampling) for durations in (STEPS, 2 * STEPS))
     unusual = (np.log(STEPS / USUAL_STEP) / USUAL_SPREAD) ** 2 / 2
     which = np.argmax(twice + once / 2 - USUAL_WEIGHT * unusual[:, None], axis=0)
     samples = np.arange(len(level))
@@ -90,33 +101,37 @@ def _rhythm(level: Array, sampling: float, look_ahead: float) -> tuple[Index, Ar
     return which[seen], regular[seen]
 
 
-def _correlation(level: Array, lag: float, sampling: float) -> Array:
-    """Correlation ``(n,)`` of a signal with itself ``lag`` [s] earlier, over RHYTHM."""
-    apart = max(1, round(lag / sampling))
-    product, power = np.zeros(len(level)), np.zeros(len(level))
-    middle = slice(apart // 2, len(level) - (apart - apart // 2))
-    product[middle] = level[:-apart] * level[apart:]
-    power[middle] = (level[:-apart] ** 2 + level[apart:] ** 2) / 2
+def _correlations(level: Array, lags: Array, sampling: float) -> Array:
+    """Correlation ``(k, n)`` of a signal with itself each of ``lags (k,)`` [s] earlier, over RHYTHM."""
+    product, power = np.zeros((2, len(lags), len(level)))
+    square = level**2 / 2
+    for row, apart in enumerate(np.maximum(1, np.round(lags / sampling)).astype(int).tolist()):
+        middle = slice(apart // 2, len(level) - (apart - apart // 2))
+        np.multiply(level[:-apart], level[apart:], out=product[row, middle])
+        np.add(square[:-apart], square[apart:], out=power[row, middle])
     window = max(1, round(RHYTHM / sampling))
-    return uniform_filter1d(product, window, mode="constant") / (
-        uniform_filter1d(power, window, mode="constant") + 1e-4
-    )
+    product = uniform_filter1d(product, window, axis=1, mode="constant")
+    return product / (uniform_filter1d(power, window, axis=1, mode="constant") + 1e-4)
 
 
 def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
     """What of a signal has the frequency of the steps ``which (n,)``, under a Gaussian of SHAPE steps. ``(n,)``"""
     wave = np.zeros(len(level), dtype=complex)
-    reaches = np.round(2.5 * SHAPE * STEPS / sampling).astype(int)
-    count = fft.next_fast_len(len(level) + 2 * int(reaches.max())) or 0
-    spectrum = np.asarray(fft.fft(level, count))
-    for n in np.unique(which):
-        here, reach = which == n, int(reaches[n])
-        at = np.arange(-reach, reach + 1) * sampling / STEPS[n]
-        window = np.exp(-((at / SHAPE) ** 2) / 2)
-        kernel = 2 / window.sum() * window * np.exp(2j * np.pi * at)
-        filtered = np.asarray(fft.ifft(spectrum * np.asarray(fft.fft(kernel, count))))
-        wave[here] = filtered[reach : reach + len(level)][here]
+    for n in np.unique(which).tolist():
+        here, kernel = which == n, _kernel(n, sampling)
+        reach = len(kernel) // 2
+        for part, response in ((wave.real, kernel.real), (wave.imag, kernel.imag)):
+            part[here] = np.convolve(level, response)[reach : reach + len(level)][here]
     return wave
+
+
+@lru_cache(maxsize=256)
+def _kernel(which: int, sampling: float) -> Complex:
+    """Of a step's frequency. ``(2 reach + 1,)``"""
+    reach = round(2.5 * SHAPE * STEPS[which] / sampling)
+    at = np.arange(-reach, reach + 1) * sampling / STEPS[which]
+    window = np.exp(-((at / SHAPE) ** 2) / 2)
+    return 2 / window.sum() * window * np.exp(2j * np.pi * at)
 
 
 def _crossings(wave: Complex, sampling: float) -> tuple[Index, Array]:
