@@ -7,6 +7,7 @@ bobs, is no step: shaking, gestures, vehicles, standing about.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -40,20 +41,22 @@ class StepDetector:
     count too; a step is certain FUTURE later than that. Less than the default costs a step here and there.
     """
 
+    kept = ("decided", "bout", "samples", "first", "taken", "felt", "felt_first", "settled", "open")
+
     def __init__(self, period: float, start: float = 0.0, look_ahead: float = LOOK_AHEAD):
         self.period, self.start, self.look_ahead = period, start, look_ahead
         self.decided = -np.inf  # [s] after the start, up to which steps are certain
         self.bout = Bout()
-        self._samples, self._first, self._taken = np.empty((0, 3)), 0, 0  # the last of them, and which they are
-        self._felt, self._felt_first, self._settled = np.empty((0, 2)), 0, 0  # what was felt, up to where for good
-        self._open: Candidates | None = None  # after what is decided
+        self.samples, self.first, self.taken = np.empty((0, 3)), 0, 0  # the last of them, and which they are
+        self.felt, self.felt_first, self.settled = np.empty((0, 2)), 0, 0  # what was felt, up to where for good
+        self.open = np.empty((0, 5))  # candidates after what is decided
 
     def update(self, acceleration: Array) -> tuple[Array, Array]:
         """Take in samples ``(n, 3)``; times ``(m,)`` [s] and amplitudes ``(m,)`` of the steps that are certain now."""
-        self._samples = np.concatenate([self._samples, acceleration])
-        self._taken += len(acceleration)
+        self.samples = np.concatenate([self.samples, acceleration])
+        self.taken += len(acceleration)
         self._feel()
-        return self._decide(self._taken * self.period - FUTURE - self.look_ahead)
+        return self._decide(self.taken * self.period - FUTURE - self.look_ahead)
 
     def finish(self) -> tuple[Array, Array]:
         """The last steps, when no more samples come."""
@@ -61,9 +64,8 @@ class StepDetector:
 
     def provisional(self) -> tuple[Array, Array]:
         """Times and amplitudes of the steps after those that are certain, as far as can be said by now."""
-        if self._open is None:
-            return np.empty(0), np.empty(0)
-        landed, amplitude = replace(self.bout).steps(self._open)
+        *columns, bodily = self.open.T
+        landed, amplitude = replace(self.bout).steps(Candidates(*columns, bodily=bodily > 0))
         return self.start + landed, amplitude
 
     @property
@@ -74,28 +76,28 @@ class StepDetector:
 
     def _feel(self) -> None:
         """What is felt of the new samples, and of the last ones anew: it changes with those that follow them."""
-        if not len(self._samples):
+        if not len(self.samples):
             return
         stride = every(self.period)
         reach = int(REACH / self.period / stride) + 1
-        fresh = np.stack(felt(self._samples, self.period), axis=1)
-        first = self._first // stride
-        self._felt = np.concatenate([self._felt[: self._settled - self._felt_first], fresh[self._settled - first :]])
-        self._settled = max(self._settled, first + len(fresh) - reach)
-        drop = max(0, self._settled - reach - first)
-        self._samples, self._first = self._samples[drop * stride :], self._first + drop * stride
+        fresh = np.stack(felt(self.samples, self.period), axis=1)
+        first = self.first // stride
+        self.felt = np.concatenate([self.felt[: self.settled - self.felt_first], fresh[self.settled - first :]])
+        self.settled = max(self.settled, first + len(fresh) - reach)
+        drop = max(0, self.settled - reach - first)
+        self.samples, self.first = self.samples[drop * stride :], self.first + drop * stride
 
     def _decide(self, until: float) -> tuple[Array, Array]:
         """What lies before ``until`` [s] after the start, and was not decided before."""
         sampling = self.period * every(self.period)
-        found = candidates_of(self._felt[:, 0], self._felt[:, 1], sampling, self.look_ahead)
-        found = replace(found, time=found.time + self._felt_first * sampling)
+        found = candidates_of(self.felt[:, 0], self.felt[:, 1], sampling, self.look_ahead)
+        found = replace(found, time=found.time + self.felt_first * sampling)
         landed, amplitude = self.bout.steps(found[(found.time > self.decided) & (found.time <= until)])
         self.decided = max(self.decided, until)
-        self._open = found[found.time > self.decided]
+        self.open = np.stack([values[found.time > self.decided] for values in vars(found).values()], axis=1)
         if np.isfinite(until):  # no later step depends on more than PAST
-            drop = max(0, int((until - PAST) / sampling) - self._felt_first)
-            self._felt, self._felt_first = self._felt[drop:], self._felt_first + drop
+            drop = max(0, int((until - PAST) / sampling) - self.felt_first)
+            self.felt, self.felt_first = self.felt[drop:], self.felt_first + drop
         return self.start + landed, amplitude
 
 
@@ -109,6 +111,8 @@ class Bout:
     walking: bool = False
     last: float = -np.inf
     waiting: _Steps = field(default_factory=list)
+
+    kept: ClassVar = ("walking", "last", "waiting")
 
     def steps(self, found: Candidates) -> tuple[Array, Array]:
         """Times ``(m,)`` and amplitudes ``(m,)`` of the steps among the next candidates."""

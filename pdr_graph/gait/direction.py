@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.gait.reholds import reholds
+from pdr_graph.gait.reholds import Rehold, reholds
 from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.windows import running_mean
@@ -52,7 +52,9 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     rate_integral = _rate_integral(attitude)
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
     heading = without_gait(rate_integral, samples) - coning
-    return _without_reholds(heading - heading[0], attitude, steady, step)
+    heading -= heading[0]
+    turn, doubt = without_reholds(heading, reholds(attitude, steady.inv().apply([0.0, 0.0, 1.0]), heading, step))
+    return Direction(np.cumsum(turn), np.cumsum(doubt))
 
 
 def accumulate_turn(attitude: Attitude, step: float) -> Direction:
@@ -125,12 +127,12 @@ def _mean_attitude(attitude: Rotation, samples: int) -> Rotation:
     return Rotation.from_quat(uniform_filter1d(quaternion, samples, axis=0, mode="nearest"))
 
 
-def _without_reholds(heading: Array, attitude: Attitude, steady: Rotation, step: float) -> Direction:
-    """As the walker turned, and unsure, wherever the phone was taken otherwise."""
-    turn, doubt = np.diff(heading, prepend=heading[0]), np.zeros(len(heading))
-    for rehold in reholds(attitude, steady, heading, step):
+def without_reholds(heading: Array, found: list[Rehold]) -> tuple[Array, Array]:
+    """The walker's turn since the sample before, and what is unsure of it, both ``(n,)``. [rad], [rad²]"""
+    turn, doubt = np.diff(heading, prepend=heading[:1]), np.zeros(len(heading))
+    for rehold in found:
         during = slice(rehold.first + 1, rehold.last + 1)
         count = rehold.last - rehold.first
         turn[during] = rehold.turn / count
         doubt[during] = REHOLD_SIGMA**2 / count
-    return Direction(np.cumsum(turn), np.cumsum(doubt))
+    return turn, doubt

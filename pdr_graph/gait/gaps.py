@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.inertial.samples import SHORTEST_WALK
+from pdr_graph.inertial.samples import LONGEST_BRIDGED, SHORTEST_WALK
 from pdr_graph.types import Array, Recording, Signal, Steps
 
-LONGEST_BRIDGED = 1.0  # [s] of missing samples that are interpolated: a step or two
 SPEED = 1.0  # [m/s] standard deviation per axis of where a gap takes the walker: they stand or walk
 SIGMA_TURN = 1.2  # [rad] of the heading over a gap: as good as unknown, and still a slope to follow
 
@@ -46,23 +45,41 @@ def join(parts: Sequence[Steps]) -> Steps:
     """The steps of the parts of a walk, a row of length 0 for each gap between them."""
     joined = parts[0]
     for part in parts[1:]:
-        gap = part.start - joined.end
-        joined = Steps(
-            start=joined.start,
-            end=part.end,
-            time=np.concatenate([joined.time, [part.start], part.time]),
-            duration=np.concatenate([joined.duration, [gap], part.duration]),
-            length=np.concatenate([joined.length, [0.0], part.length]),
-            turn=np.concatenate([joined.turn, [joined.final_turn], part.turn]),
-            pause_turn=np.concatenate([joined.pause_turn, [joined.final_turn], part.pause_turn]),
-            sigma_length=np.concatenate([joined.sigma_length, [SPEED * gap], part.sigma_length]),
-            sigma_turn=np.concatenate([joined.sigma_turn, [SIGMA_TURN], part.sigma_turn]),
-            final_turn=part.final_turn,
-            unknown=joined.unknown,
-        )
+        joined = follow(follow(joined, gap(joined.end, part.start)), part)
     if len(parts) > 1:
         joined = replace(joined, unknown=(*joined.unknown, f"{len(parts) - 1} gaps in the recording"))
     return joined
+
+
+def gap(start: float, end: float) -> Steps:
+    """A row of length 0, for what nobody saw between two times [s]."""
+    long, nothing = np.array([end - start]), np.zeros(1)
+    return Steps(
+        start,
+        end,
+        time=np.array([end]),
+        duration=long,
+        length=nothing,
+        turn=nothing,
+        pause_turn=nothing,
+        sigma_length=SPEED * long,
+        sigma_turn=np.array([SIGMA_TURN]),
+    )
+
+
+def follow(first: Steps, then: Steps) -> Steps:
+    """A walk of two chunks, the second of which starts where the first ends."""
+    turn, pause_turn, final_turn = then.turn.copy(), then.pause_turn.copy(), then.final_turn
+    if len(then):
+        turn[0] += first.final_turn
+        pause_turn[0] += first.final_turn
+    else:
+        final_turn += first.final_turn
+    names = ("time", "duration", "length", "sigma_length", "sigma_turn")
+    columns = {name: np.concatenate([getattr(first, name), getattr(then, name)]) for name in names}
+    columns |= {"turn": np.append(first.turn, turn), "pause_turn": np.append(first.pause_turn, pause_turn)}
+    unknown = (*first.unknown, *(line for line in then.unknown if line not in first.unknown))
+    return Steps(first.start, then.end, **columns, final_turn=final_turn, unknown=unknown)
 
 
 def _gaps(signal: Signal) -> Array:

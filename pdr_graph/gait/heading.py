@@ -11,11 +11,11 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.direction import Direction
 from pdr_graph.gait.forward import forward_axis
 from pdr_graph.gait.gait import Gait, gait_of
-from pdr_graph.gait.gaps import LONGEST_BRIDGED
 from pdr_graph.geometry import interpolate, nearest, wrap_angle
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.magnetometer import fit_iron
 from pdr_graph.inertial.north import North, magnetic_north
+from pdr_graph.inertial.samples import LONGEST_BRIDGED
 from pdr_graph.inertial.windows import runs
 from pdr_graph.types import Array, Headings, Index, Recording
 

@@ -26,14 +26,19 @@ def detect_steps(recording: Recording | list[Gait], walker: Walker | None = None
     Raises InputError if there is no accelerometer.
     """
     walker = walker or Walker()
-    steps = join([_uninterrupted_steps(part, walker) for part in gait_of(recording)])
+    steps = join([steps_of(part, walker) for part in gait_of(recording)])
     return walker.profile.corrected(steps) if walker.profile else steps
 
 
-def _uninterrupted_steps(gait: Gait, walker: Walker) -> Steps:
+def steps_of(gait: Gait, walker: Walker, start: float | None = None) -> Steps:
+    """The steps of an uninterrupted part, before any profile.
+
+    start: [s] where not its first sample; the landings are later.
+    """
     # When the feet landed
     attitude, landings = gait.attitude, gait.landings
-    since_last = np.diff(landings.time, prepend=attitude.time[0])
+    start = float(attitude.time[0]) if start is None else start
+    since_last = np.diff(landings.time, prepend=start)
     duration = np.minimum(landings.period, since_last)
 
     # How far
@@ -44,10 +49,10 @@ def _uninterrupted_steps(gait: Gait, walker: Walker) -> Steps:
     heading = gait.direction.heading
     landed = np.interp(landings.time, attitude.time, heading)
     set_off = np.interp(landings.time - duration, attitude.time, heading)
-    before = np.concatenate([heading[:1], landed[:-1]])
+    before = np.append(np.interp(start, attitude.time, heading), landed[:-1])[: len(landed)]
 
     return Steps(
-        start=float(attitude.time[0]),
+        start=start,
         end=float(attitude.time[-1]),
         time=landings.time,
         duration=duration,
@@ -55,14 +60,14 @@ def _uninterrupted_steps(gait: Gait, walker: Walker) -> Steps:
         turn=landed - before,
         pause_turn=set_off - before,
         sigma_length=sigma_length,
-        sigma_turn=_sigma_turn(gait, walker),
-        final_turn=float(heading[-1] - landed[-1]) if len(landed) else float(heading[-1] - heading[0]),
+        sigma_turn=_sigma_turn(gait, walker, start),
+        final_turn=float(heading[-1] - (landed[-1] if len(landed) else np.interp(start, attitude.time, heading))),
         unknown=attitude.unknown,
     )
 
 
-def _sigma_turn(gait: Gait, walker: Walker) -> Array:
+def _sigma_turn(gait: Gait, walker: Walker, start: float) -> Array:
     """Standard deviation ``(n,)`` of each step's turn. [rad]"""
     usual = walker.sigma_turn if gait.attitude.angular_rate is not None else UNSEEN_TURN
-    doubt = np.interp(gait.landings.time, gait.attitude.time, gait.direction.variance)
-    return np.sqrt(usual**2 + np.diff(doubt, prepend=0.0))
+    doubt = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
+    return np.sqrt(usual**2 + np.diff(doubt))

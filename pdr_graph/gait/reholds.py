@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.forward import at_step_frequency, push
 from pdr_graph.geometry import wrap_angle
@@ -32,10 +31,25 @@ class Rehold:
     turn: float
 
 
-def reholds(attitude: Attitude, steady: Rotation, heading: Array, step: float) -> list[Rehold]:
-    """Every re-hold of a walk. steady: the attitude without gait; heading: ``(n,)`` as if there were none [rad]."""
-    tilted = _to_another_tilt(steady, step, attitude.period)
-    fast = [span for span in _fast_turns(heading, attitude.period) if not _meets(span, tilted)]
+Spans = list[tuple[int, int]]  # first and last samples
+
+
+def reholds(attitude: Attitude, up: Array, heading: Array, step: float) -> list[Rehold]:
+    """Every re-hold of a walk.
+
+    up: ``(n, 3)`` the vertical in the device without gait; heading: ``(n,)`` as if there were none [rad].
+    """
+    return decided(attitude, heading, step, *suspected(up, heading, step, attitude.period))
+
+
+def suspected(up: Array, heading: Array, step: float, period: float) -> tuple[Spans, Spans]:
+    """Where the device came to another tilt, and other turns that a wrist could have made."""
+    tilted = _to_another_tilt(up, step, period)
+    return tilted, [span for span in _fast_turns(heading, period) if not _meets(span, tilted)]
+
+
+def decided(attitude: Attitude, heading: Array, step: float, tilted: Spans, fast: Spans) -> list[Rehold]:
+    """Which of the suspected were re-holds, and what the walker turned meanwhile, by the steps before and after."""
     if not tilted and not fast:
         return []
     gait = _Gait(*at_step_frequency(attitude, heading, step), round(step / attitude.period))
@@ -62,10 +76,9 @@ class _Gait:
         return float(np.angle(ahead[1] * np.conj(ahead[0])))
 
 
-def _to_another_tilt(steady: Rotation, step: float, period: float) -> list[tuple[int, int]]:
-    """Where the vertical comes to lie elsewhere in the device: first and last samples."""
+def _to_another_tilt(up: Array, step: float, period: float) -> Spans:
+    """Where the vertical comes to lie elsewhere in the device."""
     samples = max(1, round(step / period))
-    up = steady.inv().apply([0.0, 0.0, 1.0])
     found = []
     for first, after in np.transpose(runs(np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period)).tolist():
         begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
@@ -80,8 +93,8 @@ def _of_walker(gait: _Gait, heading: Array, span: tuple[int, int]) -> float:
     return turn if abs(turn) > TURNED else 0.0
 
 
-def _fast_turns(heading: Array, period: float) -> list[tuple[int, int]]:
-    """Turns that a wrist could have made: first and last samples."""
+def _fast_turns(heading: Array, period: float) -> Spans:
+    """Turns that a wrist could have made."""
     samples = max(1, round(WITHIN / period))
     fast = runs(np.abs(heading[samples:] - heading[:-samples]) > FAST)
     return [(first, after - 1 + samples) for first, after in np.transpose(fast).tolist()]
@@ -93,5 +106,5 @@ def _in_hand(gait: _Gait, heading: Array, span: tuple[int, int]) -> bool:
     return -gait.moved(*span, STEPS_BESIDE, COHERENT) * np.sign(turned) > TOLD_APART
 
 
-def _meets(one: tuple[int, int], others: list[tuple[int, int]]) -> bool:
+def _meets(one: tuple[int, int], others: Spans) -> bool:
     return any(one[0] < other[1] and other[0] < one[1] for other in others)

@@ -60,7 +60,7 @@ def candidates(acceleration: Array, period: float, look_ahead: float) -> Candida
 
 
 def felt(acceleration: Array, period: float) -> tuple[Array, Array]:
-    """At `every` sample: |a| without knocks [m/s²], and how steadily the device was held. Both see REACH to either side."""
+    """At `every` sample, by what is within REACH: |a| without knocks [m/s²], and how steadily the device was held."""
     stride = every(period)
     smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), SMOOTH / period)
     return smooth[::stride], _upright(acceleration, period)[::stride]
@@ -119,9 +119,8 @@ def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
     wave = np.zeros(len(level), dtype=complex)
     for n in np.unique(which).tolist():
         here, kernel = which == n, _kernel(n, sampling)
-        reach = len(kernel) // 2
-        for part, response in ((wave.real, kernel.real), (wave.imag, kernel.imag)):
-            part[here] = np.convolve(level, response)[reach : reach + len(level)][here]
+        filtered = np.convolve(level, np.real(kernel)) + 1j * np.convolve(level, np.imag(kernel))
+        wave[here] = filtered[len(kernel) // 2 :][: len(level)][here]
     return wave
 
 

@@ -9,6 +9,7 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.types import Array, Recording, Signal
 
 SHORTEST_WALK = 1.0  # [s]
+LONGEST_BRIDGED = 1.0  # [s] of missing samples that are interpolated: a step or two
 LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|; walking raises it a little, other units by far
 MOST_SAMPLES = 40_000_000  # a day at 400 Hz
 
