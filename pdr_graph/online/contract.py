@@ -1,0 +1,73 @@
+"""What a navigator must offer to be journalled and replayed."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from pdr_graph.online.events import Event
+from pdr_graph.types import Array, Estimate, Trajectory
+
+
+class Pose(Protocol):
+    """Where the walker is now.
+
+    time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
+    (x, y, heading) in the output axes [m, m, rad].
+    """
+
+    @property
+    def time(self) -> float: ...  # noqa: D102
+    @property
+    def x(self) -> float: ...  # noqa: D102
+    @property
+    def y(self) -> float: ...  # noqa: D102
+    @property
+    def heading(self) -> float: ...  # noqa: D102
+    @property
+    def floor(self) -> str: ...  # noqa: D102
+    @property
+    def covariance(self) -> Array: ...  # noqa: D102
+
+
+class Live(Protocol):
+    """A navigator: events in, in order of arrival; a pose at once, and the walk smoothed so far."""
+
+    def push(self, event: Event) -> None:
+        """Take in an event. Bad data lowers the status; an exception means that the event was not taken."""
+        ...
+
+    @property
+    def pose(self) -> Pose | None:
+        """The causal pose, None before there is one."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """How many steps there have been, those that may still turn out not to be any among them."""
+        ...
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The walk smoothed so far; of a journalled navigator those rows that `settled` has not yet handed out."""
+        ...
+
+    @property
+    def status(self) -> Any:
+        """How well it does."""
+        ...
+
+    def finish(self) -> Estimate:
+        """The walk, no more events coming."""
+        ...
+
+
+class Journalled(Live, Protocol):
+    """A navigator that a journal can keep."""
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that the rest of the walk depends on, as `codec.pack` takes it; `settled` rows are not part of it."""
+        ...
+
+    def settled(self) -> Trajectory:
+        """The rows that will not change any more, each handed out once and then forgotten."""
+        ...

@@ -1,0 +1,236 @@
+"""The journal of a live walk: an event is acknowledged when it would outlive kill -9, and a walk goes on from it.
+
+One SQLite file. ``push`` writes the event, commits, and only then tells the navigator. Every so many events the
+navigator's state is kept instead of the events before, so that size and time to resume are bounded, and the running
+navigator is *rebuilt from these very bytes*: it goes on exactly as one that is resumed there. For the same reason it is
+told the event that was read back, with the layout in memory of one that is resumed, and moments are by number of events
+and bytes, never by the clock.
+
+A process that is killed loses nothing of what it wrote; for power cuts see ``durable``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Generic, Literal, TypeVar
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.online.codec import EVENTS, decode, encode, pack, unpack
+from pdr_graph.online.contract import Journalled, Pose
+from pdr_graph.online.events import Event
+from pdr_graph.online.store import explained, open_store, read
+from pdr_graph.types import Estimate, Trajectory
+
+EVERY = 2000  # events between snapshots: a minute of a phone's sensors
+LARGEST = 4 << 20  # [bytes] of events between snapshots; part of the VERSION, as it says when they are
+INTERVAL = "events between snapshots"  # a setting of the journal's own
+SYNCHRONOUS = {"process": "OFF", "snapshot": "NORMAL", "power": "FULL"}
+Navigator = TypeVar("Navigator", bound=Journalled)
+
+
+class Journal(Generic[Navigator]):
+    """A navigator whose events outlive the process. One thread at a time.
+
+    navigator: rebuilt at every snapshot, not to be kept. count: events acknowledged so far, over all processes.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        database: sqlite3.Connection,
+        make: Callable[[], Navigator],
+        restored: Callable[[dict[str, Any]], Navigator],
+        every: int,
+    ):
+        self._path, self._database, self._every = path, database, every
+        self._make, self._restored = make, restored
+        self._resume()
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        make: Callable[[], Navigator],
+        restored: Callable[[dict[str, Any]], Navigator],
+        settings: Mapping[str, Any] | None = None,
+        *,
+        durable: Literal["process", "snapshot", "power"] = "process",
+        every: int = EVERY,
+    ) -> Journal[Navigator]:
+        """Begin a journal, or go on with the walk of one that exists.
+
+        make: a navigator at the start of a walk; restored: one with the state of a snapshot.
+        settings: what the navigator was made with, as JSON has it; must be the same when the walk goes on.
+        durable: what outlives what. "process": every event the end of the process, but a power cut may damage the file,
+            which is then told; "snapshot": a power cut costs the events since the last snapshot, which waits for the
+            disk; "power": it costs nothing, and each event waits for the disk.
+        every: events between snapshots; of a journal that exists its own.
+
+        Raises InputError if the file is no journal, is damaged, of another version or other settings, or in use;
+        OSError if it cannot be written.
+        """
+        path, given = Path(path), settings or {}
+        database, found = open_store(path, {INTERVAL: every, **given}, SYNCHRONOUS[durable])
+        try:
+            every = found.pop(INTERVAL, every)
+            _compare(path, found, given)
+            return cls(path, database, make, restored, every)
+        except BaseException:
+            database.close()
+            raise
+
+    def push(self, event: Event) -> None:
+        """Take in an event; once this returns, it is in the journal.
+
+        If it raises, the event is not in the journal and the navigator as it was before: OSError if the disk is full
+        or fails, TypeError if the event is malformed, or what the navigator raises.
+        """
+        blob = encode(event)
+        event = decode(blob, EVENTS)
+        self._execute("INSERT INTO event VALUES (?, ?)", self.count + 1, blob)
+        try:
+            self.navigator.push(event)
+        except BaseException:  # or Ctrl-C: it may have taken half of it
+            self._execute("DELETE FROM event WHERE number > ?", self.count)
+            self._resume()
+            raise
+        self._took(blob)
+
+    @property
+    def pose(self) -> Pose | None:
+        """The causal pose, None before there is one."""
+        return self.navigator.pose
+
+    @property
+    def steps(self) -> int:
+        """How many there have been."""
+        return self.navigator.steps
+
+    @property
+    def status(self) -> Any:
+        """The navigator's."""
+        return self.navigator.status
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The walk smoothed so far, from its beginning."""
+        return self._from_the_beginning(self.navigator.trajectory)
+
+    def finish(self) -> Estimate:
+        """The walk, no more events coming; its trajectory from the beginning."""
+        estimate = self.navigator.finish()
+        return replace(estimate, trajectory=self._from_the_beginning(estimate.trajectory))
+
+    def close(self) -> None:
+        """Let another process go on with it."""
+        self._database.close()
+
+    def __enter__(self) -> Journal[Navigator]:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _resume(self) -> None:
+        """The navigator after all the events in the file."""
+        kept = self._execute("SELECT number, bytes FROM snapshot").fetchone()
+        if kept is None:
+            self.count, self.navigator = 0, self._make()
+        else:
+            self.count, state = kept
+            try:
+                self.navigator = self._restored(read(self._path, f"snapshot {self.count}", state))
+            except LookupError as error:  # another version's, with other names
+                raise InputError(self._path, f"snapshot {self.count}", f"no {error}", "one of this pdr_graph") from None
+        self._kept, self._bytes = self.count, 0
+        self._settled: dict[int, bytes] = {}
+        while (blob := self._blob_of(self.count + 1)) is not None:
+            event = read(self._path, f"event {self.count + 1}", blob, EVENTS)
+            try:
+                self.navigator.push(event)
+            except Exception:  # killed before it could be taken out again, as `push` does: not acknowledged
+                if self._blob_of(self.count + 2) is not None:
+                    raise
+                self._execute("DELETE FROM event WHERE number > ?", self.count)
+                return self._resume()
+            self._took(blob)
+        (last,) = self._execute("SELECT max(number) FROM event").fetchone()
+        if last is not None and last > self.count:
+            raise InputError(self._path, f"event {self.count + 1}", "none", f"all the events up to {last}")
+
+    def _blob_of(self, number: int) -> bytes | None:
+        row = self._execute("SELECT bytes FROM event WHERE number = ?", number).fetchone()
+        return row and row[0]
+
+    def _execute(self, statement: str, *values: int | bytes) -> sqlite3.Cursor:
+        with explained(self._path):
+            return self._database.execute(statement, values)
+
+    def _took(self, blob: bytes) -> None:
+        self.count += 1
+        self._bytes += len(blob)
+        if self.count - self._kept >= self._every or self._bytes >= LARGEST:
+            self._shorten()
+
+    def _shorten(self) -> None:
+        """Go on from a snapshot, and keep it instead of the events before."""
+        settled = self.navigator.settled()
+        state = pack(self.navigator.snapshot())
+        self.navigator = self._restored(unpack(state))
+        self._kept, self._bytes = self.count, 0
+        if len(settled):
+            self._settled[self.count] = encode(settled)
+        try:
+            self._keep(state)
+        except sqlite3.OperationalError:  # a full disk: the events are still there, the next snapshot stands for these
+            if self._database.in_transaction:
+                self._database.execute("ROLLBACK")
+        else:
+            self._settled.clear()
+
+    def _keep(self, state: bytes) -> None:
+        execute = self._database.execute
+        execute("BEGIN")
+        self._database.executemany("INSERT OR REPLACE INTO trajectory VALUES (?, ?)", self._settled.items())
+        execute("DELETE FROM snapshot")
+        execute("INSERT INTO snapshot VALUES (?, ?)", (self.count, state))
+        execute("DELETE FROM event WHERE number <= ?", (self.count,))
+        execute("COMMIT")
+        execute("PRAGMA wal_checkpoint(RESTART)")  # room is used again and not given back, which would take longer
+
+    def _from_the_beginning(self, latest: Trajectory) -> Trajectory:
+        kept = dict(self._execute("SELECT number, bytes FROM trajectory ORDER BY number").fetchall())
+        parts = (kept | self._settled).items()
+        return _joined([*(read(self._path, f"trajectory {n}", blob, (Trajectory,)) for n, blob in parts), latest])
+
+
+def fingerprint(path: Path) -> str:
+    """A floor plan's name and what tells its content from another's, for the settings of a journal."""
+    digest = hashlib.sha256()
+    for file in sorted(path.glob("*.json")) if path.is_dir() else [path]:
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
+    return f"{path.name}, sha256 {digest.hexdigest()}"
+
+
+def _joined(parts: list[Trajectory]) -> Trajectory:
+    covariances = [part.covariance for part in parts if part.covariance is not None]
+    return replace(
+        parts[-1],
+        time=np.concatenate([part.time for part in parts]),
+        position=np.concatenate([part.position for part in parts]),
+        heading=np.concatenate([part.heading for part in parts]),
+        floor=tuple(label for part in parts for label in part.floor),
+        covariance=np.concatenate(covariances) if len(covariances) == len(parts) else None,
+    )
+
+
+def _compare(path: Path, found: dict[str, Any], given: Mapping[str, Any]) -> None:
+    for name in sorted(found.keys() | given.keys()):
+        if found.get(name) != (wanted := unpack(pack(given.get(name)))):
+            raise InputError(path, name, f"{found.get(name)}", f"{wanted}, or that with which the walk began")

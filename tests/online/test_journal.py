@@ -1,0 +1,290 @@
+"""A walk outlives its process: acknowledged events are there, and it goes on as if nothing had been."""
+
+import random
+import resource
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from standin import StandIn, event
+
+from pdr_graph import InputError
+from pdr_graph.online.codec import encode
+from pdr_graph.online.events import Samples
+from pdr_graph.online.journal import Journal, fingerprint
+from pdr_graph.types import Fixes
+
+HERE = Path(__file__).parent
+EVERY = 47  # events between snapshots
+
+
+def opened(path, settings=None, **options):
+    return Journal.open(path, StandIn, StandIn.restored, settings, **{"every": EVERY} | options)
+
+
+def walked(path, n, restarts=()):
+    """The journal at n events, its process having ended after some of them."""
+    journal = opened(path)
+    for number in range(n):
+        if number in restarts:
+            journal.close()
+            journal = opened(path)
+        journal.push(event(number))
+    return journal
+
+
+def told(journal):
+    """All that a walk is, bit by bit."""
+    track = journal.finish().trajectory
+    parts = [
+        np.array([journal.navigator.place, journal.steps]),
+        track.time,
+        track.position,
+        track.heading,
+        track.covariance,
+    ]
+    return [part.tobytes() for part in parts], track.floor
+
+
+def files(folder):
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def test_a_walk_goes_on_as_if_nothing_had_been(tmp_path):
+    restarts = random.Random(1).sample(range(300), 20)
+    whole, parted = walked(tmp_path / "whole", 300), walked(tmp_path / "parted", 300, restarts)
+    assert told(parted) == told(whole)
+    assert whole.trajectory.time.tolist() == [0.5 * n for n in range(1, 301)], "rows that settled are there, each once"
+    whole.navigator.place *= 1 + 1e-15
+    assert told(parted) != told(whole), "a control: a bit is told"
+
+
+def test_a_running_navigator_goes_on_from_its_snapshots(tmp_path):
+    plain = StandIn()
+    for number in range(300):
+        plain.push(event(number))
+    journal = walked(tmp_path / "walk", 300)
+    assert plain.place != journal.navigator.place, "a control: snapshots are coarser than the state"
+
+
+CHILD = """
+import os, struct, sys
+sys.path.insert(0, sys.argv[2])
+from test_journal import event, opened
+journal = opened(sys.argv[1])
+for number in range(journal.count, 10**9):
+    os.write(1, struct.pack("<q", number))
+    journal.push(event(number))
+os.write(1, struct.pack("<q", number))
+"""
+
+
+def life(path, luck):
+    """A process that walks on until it is killed: the count at every moment at which it told it, the first as found."""
+    child = subprocess.Popen([sys.executable, "-c", CHILD, path, HERE], stdout=subprocess.PIPE, bufsize=0)
+    assert child.stdout is not None
+    said, wanted = b"", 8 * luck.choice([0, luck.randrange(EVERY), luck.randrange(5 * EVERY)])
+    while len(said) < wanted:
+        said += child.stdout.read(wanted - len(said))
+    time.sleep(luck.uniform(0, 0.001 if wanted else 0.5))  # while it starts, or opens, or goes on
+    child.kill()
+    said += child.stdout.read()
+    assert child.wait() == -9, "a control: it did not end by itself"
+    return np.frombuffer(said, np.int64)
+
+
+def test_fifty_kills_lose_no_acknowledged_event(tmp_path):
+    luck, acknowledged, found = random.Random(9), 0, []
+    for _ in range(50):
+        counts = life(tmp_path / "walk", luck)
+        if len(counts):
+            found.append(counts[0])
+            assert acknowledged <= counts[0] <= acknowledged + 1, "every one, and perhaps one that was under way"
+            acknowledged = counts[-1]
+    assert len(found) > 25, "a control: most lived long enough to begin"
+    assert acknowledged > 20 * EVERY, "a control: they did walk"
+    journal = opened(tmp_path / "walk")
+    assert acknowledged <= journal.count <= acknowledged + 1
+    assert told(journal) == told(walked(tmp_path / "whole", journal.count))
+
+
+def test_size_and_replay_are_bounded(tmp_path):
+    with opened(tmp_path / "walk") as journal:
+        sizes = []
+        for number in range(60 * EVERY):
+            journal.push(event(number))
+            sizes.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
+        assert not journal._settled, "all is in the file"
+    rows = 8 * (2 + 1 + 1 + 9) * EVERY + 4096  # of a trajectory, that is kept for good, and a page cut short
+    assert max(sizes[-EVERY:]) < max(sizes[EVERY : 2 * EVERY]) + 60 * rows
+    with sqlite3.connect(tmp_path / "walk") as database:
+        assert database.execute("SELECT count(*) FROM event").fetchone()[0] < EVERY
+
+
+def test_a_flood_is_bounded_by_its_bytes(tmp_path):
+    flood = Samples("accelerometer", np.arange(2e5), np.zeros((200_000, 3)))  # 6.4 MB
+    with opened(tmp_path / "walk", every=10**9) as journal:
+        for _ in range(5):
+            journal.push(flood)
+    assert sum(map(len, files(tmp_path).values())) < 3 * 6.4e6
+
+
+def test_an_event_that_is_refused_leaves_no_trace(tmp_path):
+    journal = walked(tmp_path / "walk", 60)
+    before = told(journal)
+    with pytest.raises(ValueError, match="no fix at all"):
+        journal.push(Fixes.none())
+    with pytest.raises(TypeError, match=r"Samples\.time"):
+        journal.push(Samples("accelerometer", [0.0], np.zeros((1, 3))))
+    assert (journal.count, told(journal)) == (60, before)
+    journal.push(event(60))
+    assert told(journal) == told(walked(tmp_path / "other", 61))
+
+
+def test_a_refused_event_that_a_kill_left_behind_is_passed_by(tmp_path):
+    journal = walked(tmp_path / "walk", 60)
+    before = told(journal)
+    journal._database.execute("INSERT INTO event VALUES (61, ?)", (encode(Fixes.none()),))
+    journal.close()
+    again = opened(tmp_path / "walk")
+    assert (again.count, told(again)) == (60, before)
+
+
+def test_a_full_disk_costs_the_event_and_nothing_else(tmp_path):
+    path = tmp_path / "walk"
+    journal, limits = walked(path, EVERY - 10), resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = told(journal)
+    written = max(map(len, files(tmp_path).values()))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (written + 100, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"disk") as failure:
+            journal.push(event(EVERY - 10))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert failure.value.filename == str(path)
+    assert (journal.count, told(journal)) == (EVERY - 10, before)
+    for number in range(EVERY - 10, 100):
+        journal.push(event(number))
+    assert told(journal) == told(walked(tmp_path / "whole", 100))
+
+
+def test_a_snapshot_that_finds_no_room_is_made_up_for(tmp_path):
+    path, limits = tmp_path / "walk", resource.getrlimit(resource.RLIMIT_FSIZE)
+    journal = walked(path, EVERY - 1)
+    written = (tmp_path / "walk-wal").stat().st_size
+    resource.setrlimit(resource.RLIMIT_FSIZE, (written + 2 * 4120 + 100, limits[1]))  # room for the event's pages
+    try:
+        journal.push(event(EVERY - 1))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    snapshots = journal._database.execute("SELECT count(*) FROM snapshot").fetchone()[0]
+    assert snapshots == 0, "a control: there was no room"
+    for number in range(EVERY, 3 * EVERY + 5):
+        journal.push(event(number))
+    whole = told(walked(tmp_path / "whole", 3 * EVERY + 5))
+    assert told(journal) == whole
+    journal.close()
+    assert told(opened(path)) == whole
+
+
+def test_one_process_writes(tmp_path):
+    with walked(tmp_path / "walk", 3):
+        other = subprocess.run(
+            [sys.executable, "-c", CHILD, tmp_path / "walk", HERE], capture_output=True, text=True, timeout=60
+        )
+        assert "InputError" in other.stderr.splitlines()[-1]
+        assert "found a journal that another process writes" in other.stderr.splitlines()[-1]
+    assert opened(tmp_path / "walk").count == 3
+
+
+def test_another_plan_is_refused(tmp_path):
+    plan, path = tmp_path / "plan.geojson", tmp_path / "walk"
+    plan.write_text("{}")
+    settings = {"map": fingerprint(plan), "lag": 60.0, "walker": {"height": 1.8}}
+    opened(path, settings).close()
+    opened(path, settings).close()
+    plan.write_text("{} ")
+    for other in (settings | {"map": fingerprint(plan)}, settings | {"lag": None}, {}):
+        with pytest.raises(InputError, match="or that with which the walk began"):
+            opened(path, other)
+    opened(path, settings).close()
+
+
+def refused(path, match):
+    """One line, and nothing is overwritten."""
+    before = files(path.parent)
+    with pytest.raises(InputError, match=match) as refusal:
+        opened(path)
+    assert str(path) in str(refusal.value)
+    assert str(refusal.value).isprintable()
+    assert files(path.parent) == before
+
+
+def test_other_files_are_refused(tmp_path):
+    path = tmp_path / "walk"
+    path.write_text("time,x,y\n")
+    refused(path, "another kind of file")
+    path.unlink()
+    other = sqlite3.connect(path)
+    other.executescript("PRAGMA journal_mode = WAL; CREATE TABLE bookmark (name TEXT)")
+    refused(path, "another kind of file")
+
+
+def test_a_newer_version_is_refused(tmp_path):
+    walked(tmp_path / "walk", 3).close()
+    with sqlite3.connect(tmp_path / "walk") as database:
+        database.execute("PRAGMA user_version = 2")
+        database.execute("PRAGMA journal_mode = DELETE")
+    database.close()
+    refused(tmp_path / "walk", "version: found 2")
+
+
+def test_an_empty_file_is_a_journal_not_yet_begun(tmp_path):
+    (tmp_path / "walk").touch()
+    assert told(walked(tmp_path / "walk", 60)) == told(walked(tmp_path / "other", 60))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_damaged_journal_is_refused_or_as_it_was(tmp_path, seed):
+    """Pages that are not in use may be damaged; an event is not lost in silence, but for the last of a cut WAL."""
+    luck, path = random.Random(seed), tmp_path / "walk"
+    whole = walked(path, 120)
+    expected = told(whole)
+    whole.close()
+    content = bytearray(path.read_bytes())
+    if seed % 2:
+        del content[luck.randrange(100, len(content) - 1) :]
+    else:
+        at = luck.randrange(100, len(content) - 64)
+        content[at : at + 64] = luck.randbytes(64)
+    path.write_bytes(content)
+    said = ""
+    try:
+        assert told(opened(path)) == expected
+    except InputError as refusal:
+        said = str(refusal)
+    assert said.isprintable()
+    assert said or not seed % 2, "a file cut short is told"
+    assert not said or path.read_bytes() == content
+
+
+def test_a_missing_event_is_told(tmp_path):
+    walked(tmp_path / "walk", 20).close()
+    with sqlite3.connect(tmp_path / "walk") as database:
+        database.execute("DELETE FROM event WHERE number = 7")
+    database.close()
+    with pytest.raises(InputError, match="event 7: found none, needed all the events up to 20"):
+        opened(tmp_path / "walk")
+
+
+@pytest.mark.parametrize(("durable", "synchronous"), [("process", 0), ("snapshot", 1), ("power", 2)])
+def test_the_disk_is_waited_for_as_asked(tmp_path, durable, synchronous):
+    with opened(tmp_path / "walk", durable=durable) as journal:
+        assert journal._database.execute("PRAGMA synchronous").fetchone() == (synchronous,)
+        for number in range(2 * EVERY + 9):
+            journal.push(event(number))
+        assert told(journal) == told(walked(tmp_path / "other", 2 * EVERY + 9))
