@@ -58,8 +58,9 @@ BESIDE_WALLS = 0.15  # [m]
 RECENT = 150  # intervals that are looked at each time; all are when EVERY so many keyframes have closed
 EVERY = 25
 SETTLED = np.array([1e-4, 1e-4, 1e-5] * 2 + [1e-4, 1e-4, 1e-6])
-MOST_ROUNDS = 12  # of linearising again, when all is laid anew
-ROUNDS = 4  # after a keyframe, one with each of the next steps
+ROUNDS = 4  # of linearising again after a keyframe, one with each of the next steps
+MOST_ROUNDS = 50  # at the end
+AGAIN = 3.0  # [s] before the track is laid on fixes again
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 INSTANT = 2e-6  # [s]: see DECIMALS
 END, LENGTH, TURN, ROW, GAP = 0, 1, 2, 6, 7  # columns of whole pieces
@@ -153,7 +154,7 @@ class IncrementalGraph:
         self.settled: list[Rows] = []
         self.left: list[Rows] = []  # of rows that left since, with the spread about their keyframes alone
         self._edge = 0.0, np.zeros((3, 3))  # when the covariance of the first keyframe was asked for, and what it was
-        self._last: tuple[int, Belief] | None = None  # what is believed of the last keyframe, after so many updates
+        self._last: tuple[gtsam.Values, Belief] | None = None  # what is believed of the last keyframe at an estimate
         self._whole = np.empty((0, 8))
         self._whole_start = 0.0
         self._walked = 0.0  # [m] before the first whole piece
@@ -163,6 +164,7 @@ class IncrementalGraph:
         self._c_prior = np.array(self.prior.mean), self.prior.covariance
         self.sure = False
         self._walls_due, self._rounds_due = False, 0
+        self._laid = -np.inf  # [s] when the track was
         self.floor = plan.labels[0] if plan is not None and len(plan.labels) == 1 else ""
 
     # What comes in
@@ -180,7 +182,7 @@ class IncrementalGraph:
     def add_fix(self, time: float, position: Array, sigma: float, floor: str = "", source: str = "") -> LiveFix | None:
         """A fix of a moment after the start of the window, or None if it is too late."""
         place, stated = np.asarray(position, dtype=float), float(sigma)
-        fix = LiveFix(self._fix_count, round(time, DECIMALS), place, stated, floor, source)
+        fix = LiveFix(self._fix_count, round(float(time), DECIMALS), place, stated, floor, source)
         if self.times and not self._hold_at(fix, self.times[0]):
             return None
         self._fix_count += 1
@@ -232,7 +234,8 @@ class IncrementalGraph:
         belief, at = self._last_belief(), self.times[-1]
         for fix in self.waiting:
             if at <= fix.time <= end:
-                belief = belief.after(whole, self._whole_start, at, fix.time).seen(fix.position, fix.sigma)
+                belief = belief.after(whole, self._whole_start, at, fix.time)
+                belief = (belief if self.sure else belief.anywhere()).seen(fix.position, fix.sigma)
                 at = fix.time
         return belief.after(whole, self._whole_start, at, end)
 
@@ -266,17 +269,18 @@ class IncrementalGraph:
         handed, self.settled = self.settled, []
         return handed
 
-    def estimate(self) -> Estimate:
-        """The walk, when it is finished."""
-        raise NotImplementedError
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared, robustly weighted errors of the window."""
+        return float(self.tree.graph().error(self.tree.values))
 
     def _last_belief(self) -> Belief:
         """Of the last keyframe and its calibration, as the tree has it now."""
-        if self._last is None or self._last[0] != self.tree.updates:
+        if self._last is None or self._last[0] is not self.tree.values:
             joint = self.tree.covariance([X(self.keyframes[-1]), C(self._segment)])
             T = np.eye(6)
             T[:3, :3] = pose_rotation(self.pose[-1:, 2])[0]
-            self._last = self.tree.updates, Belief(np.append(self.pose[-1], self.c[self._segment]), T @ joint @ T.T)
+            self._last = self.tree.values, Belief(np.append(self.pose[-1], self.c[self._segment]), T @ joint @ T.T)
         return self._last[1]
 
     def finish(self) -> None:
@@ -289,7 +293,7 @@ class IncrementalGraph:
                 fix.time, fix.sigma = self.covered, float(np.hypot(fix.sigma, WALKING_SPEED * overhang))
         self._close(at_end=True)
         self._build(Tree(self.tree.lag, relinearise=0.0, past=self.tree.past))
-        for _ in range(4 * MOST_ROUNDS):
+        for _ in range(MOST_ROUNDS):
             if not self._relinearise(SETTLED):
                 break
 
@@ -316,7 +320,7 @@ class IncrementalGraph:
             return False
         if changed:
             self._believe()
-        if changed and not self.sure:
+        if changed and not self.sure and self.times[-1] >= self._laid + AGAIN:
             self._lay()
         else:
             self._add(new, changed)
@@ -456,8 +460,9 @@ class IncrementalGraph:
         self._point()
         for one in self.intervals:
             one.fields = [None] * len(one.fields)
+        self._laid = self.times[-1]
         self._build(Tree(self.lag if self.sure else np.inf))
-        for _ in range(MOST_ROUNDS):
+        for _ in range(ROUNDS):
             if not self._relinearise(MOVED):
                 break
 

@@ -8,22 +8,23 @@ Nothing that is pushed can end the walk: what cannot be used is counted, and the
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_graph.estimation.graph import Prior
-from pdr_graph.estimation.incremental import IncrementalGraph
+from pdr_graph.estimation.incremental import IncrementalGraph, Rows
 from pdr_graph.estimation.profiles import prior_of
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
+from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.gait.live import LiveGait
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.stream import Health
 from pdr_graph.online.events import Event, Samples
-from pdr_graph.types import Array, Fixes, Steps, Trajectory
+from pdr_graph.types import LONLAT, Array, Estimate, Fixes, Steps, Trajectory
 
 AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
 SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
@@ -152,7 +153,16 @@ class Navigator:
         if last is not None:
             self._graph.extend(last)
         self._graph.finish()
-        return self._graph.estimate()
+        graph = self._graph
+        return Estimate(
+            trajectory=self.trajectory,
+            dead_reckoning=_trajectory([]),
+            calibration=None,
+            fixes=(),
+            iterations=graph.tree.updates,
+            cost=graph.cost,
+            converged=True,
+        )
 
     @property
     def _now(self) -> float:
