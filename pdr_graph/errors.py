@@ -11,11 +11,11 @@ class InputError(ValueError):
     """Input that cannot be used. Its text is one printable line: ``file, place: found …, needed …``."""
 
     def __init__(self, source: str | Path, place: str, found: str, needed: str):
-        where = f"{_line(str(source))}, {_line(place)}" if place else _line(str(source))
-        super().__init__(f"{where}: found {_line(found)}, needed {_line(needed)}")
+        where = f"{one_line(str(source))}, {one_line(place)}" if place else one_line(str(source))
+        super().__init__(f"{where}: found {one_line(found)}, needed {one_line(needed)}")
 
 
-def _line(text: str) -> str:
+def one_line(text: str) -> str:
     """A text on one line, without what a terminal would obey; the middle of a long one is left out."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     half = LONGEST_PART // 2

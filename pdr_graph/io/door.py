@@ -137,36 +137,50 @@ def _units(path: str, signals: dict[str, Signal], said: list[str]) -> dict[str, 
     """All sensors in SI units, hPa and µT."""
     signals = dict(signals)
     if "accelerometer" in signals:
-        sensor, signal = _acceleration(path, signals.pop("accelerometer"), said)
-        signals.setdefault(sensor, signal)
-    if "gyroscope" in signals:
-        usual = float(np.median(np.linalg.norm(signals["gyroscope"].values, axis=1)))
-        if usual > FASTEST_TURN:
-            said.append(f"gyroscope: a median of {usual:.1f} must be degrees per second and was converted")
-            signals["gyroscope"] = _scaled(signals["gyroscope"], np.pi / 180)
-    if "barometer" in signals:
-        usual = float(np.median(signals["barometer"].values))
-        factor = 0.01 if usual > PASCAL else 10.0 if usual < KILOPASCAL else 1.0
-        if factor != 1.0:
-            said.append(f"barometer: a median of {usual:.5g} was taken for {'Pa' if factor < 1 else 'kPa'}")
-            signals["barometer"] = _scaled(signals["barometer"], factor)
+        signal = signals.pop("accelerometer")
+        sensor, factor = unit_of(path, "accelerometer", signal, said)
+        signals.setdefault(sensor, _scaled(signal, factor))
+    for sensor in ("gyroscope", "barometer"):
+        if sensor in signals:
+            signals[sensor] = _scaled(signals[sensor], unit_of(path, sensor, signals[sensor], said)[1])
     return signals
 
 
-def _acceleration(path: str, signal: Signal, said: list[str]) -> tuple[str, Signal]:
-    """The accelerometer in m/s², and what it is: with gravity or without it.
+def unit_of(path: str, sensor: str, signal: Signal, said: list[str]) -> tuple[str, float]:
+    """What a sensor is, by its values, and by what to multiply them for SI units, hPa and µT.
+
+    Raises InputError if an accelerometer's unit cannot be told.
+    """
+    if sensor == "accelerometer":
+        return _acceleration(path, signal, said)
+    if sensor == "gyroscope":
+        usual = float(np.median(np.linalg.norm(signal.values, axis=1)))
+        if usual > FASTEST_TURN:
+            said.append(f"gyroscope: a median of {usual:.1f} must be degrees per second and was converted")
+            return sensor, np.pi / 180
+    if sensor == "barometer":
+        usual = float(np.median(signal.values))
+        factor = 0.01 if usual > PASCAL else 10.0 if usual < KILOPASCAL else 1.0
+        if factor != 1.0:
+            said.append(f"barometer: a median of {usual:.5g} was taken for {'Pa' if factor < 1 else 'kPa'}")
+        return sensor, factor
+    return sensor, 1.0
+
+
+def _acceleration(path: str, signal: Signal, said: list[str]) -> tuple[str, float]:
+    """Whether an accelerometer feels gravity, and what takes it to m/s².
 
     Over a stride a walker's own acceleration averages out and what is left is gravity.
     """
     gravity, usual = _mean_of_windows(signal), float(np.median(np.linalg.norm(signal.values, axis=1)))
     if GRAVITY[0] <= gravity <= GRAVITY[1]:
-        return "accelerometer", signal
+        return "accelerometer", 1.0
     if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * usual:
         said.append(f"accelerometer: gravity reads {gravity:.3f}, so that it is in g and was converted")
-        return "accelerometer", _scaled(signal, STANDARD_GRAVITY)
+        return "accelerometer", STANDARD_GRAVITY
     if gravity < 0.5 * usual and usual < GRAVITY[0]:
         said.append(f"accelerometer: gravity reads {gravity:.3f} m/s², so that it was removed by the recorder")
-        return "linear_acceleration", signal
+        return "linear_acceleration", 1.0
     needed = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
     raise InputError(path, "accelerometer", f"gravity of {gravity:.3f} (mean over {WINDOW:.0f} s, median)", needed)
 

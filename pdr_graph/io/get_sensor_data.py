@@ -3,12 +3,14 @@
 One text file: ``%`` comments, then ``TAG;AppTimestamp;SensorTimestamp;…``. AppTimestamp [s] runs from the log's start
 and is common to all sensors, but it says when the app got a sample, not when it was taken; SensorTimestamp [s] says
 that, in a clock of its own (since boot; GNSS: Unix). Samples are therefore timed by the sensor and laid on the app's
-clock as a whole. The xDR dialect has the accelerometer in g, which the door tells by its size.
+clock as a whole. The xDR dialect has the accelerometer in g, which the door tells by its size. A competition's server
+may separate the cells by commas or tabs instead. ``online.rows`` reads the same rows while they come.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import PurePosixPath
 
 import numpy as np
@@ -22,7 +24,8 @@ from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajecto
 NAME = "GetSensorData, IPIN and xDR (.txt)"
 SENSORS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
 TAGS = (*SENSORS, "GNSS", "POSI", "BLE4", "WIFI")
-FIRST_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb");\s*-?[0-9.]+;", re.MULTILINE)
+SEPARATORS = (";", ",", "\t")
+FIRST_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb")([;,\t])\s*-?[0-9.]+\1", re.MULTILINE)
 LARGEST_WANDER = 1.0  # [s] between the clocks of app and sensor; 0.35 s was seen
 UNIX = 1e9  # [s] a larger time is a Unix time: later than 2001
 MINOR = 3  # of the fields after a beacon's address: rssi, power, major, minor
@@ -41,7 +44,7 @@ def recognizes(source: Source) -> bool:
 def read(source: Source) -> Recording:
     """Read one log. POSI rows, where the surveyor pressed a button on a landmark, become ``truth``."""
     name = source.single or ""
-    rows = _rows_by_tag(source.where(name), source.text(name, errors="replace"))
+    rows = rows_by_tag(source.where(name), source.text(name, errors="replace").split("\n"))
     notes: list[str] = []
     tables = {sensor: _sensor(tag, rows[tag], notes) for tag, sensor in SENSORS.items() if tag in rows}
     fixes, unix_zero = _gnss(rows.get("GNSS"), notes)
@@ -51,29 +54,64 @@ def read(source: Source) -> Recording:
         tables,
         unix_zero,
         fixes,
-        bluetooth=_sightings(rows.get("BLE4")),
-        wifi=_sightings(rows.get("WIFI")),
+        bluetooth=_heard(rows.get("BLE4")),
+        wifi=_heard(rows.get("WIFI")),
         truth=_landmarks(rows.get("POSI")),
         notes=notes,
     )
 
 
-def _rows_by_tag(where: str, text: str) -> dict[str, Rows]:
+def rows_by_tag(where: str, lines: Sequence[str]) -> dict[str, Rows]:
     """The rows that are used, with their line numbers."""
-    lines: dict[str, list[str]] = {tag: [] for tag in TAGS}
+    found: dict[str, list[str]] = {tag: [] for tag in TAGS}
     numbers: dict[str, list[int]] = {tag: [] for tag in TAGS}
-    for number, line in enumerate(text.split("\n"), start=1):
-        tag = line[:4]
-        if tag in lines and line[4:5] == ";":
-            lines[tag].append(line)
+    for number, line in enumerate(lines, start=1):
+        tag, separator = line[:4], line[4:5]
+        if tag in found and separator in SEPARATORS:
+            found[tag].append(line if separator == ";" else line.replace(separator, ";"))
             numbers[tag].append(number)
-    return {tag: Rows(where, lines[tag], numbers[tag], ";") for tag in TAGS if lines[tag]}
+    return {tag: Rows(where, found[tag], numbers[tag], ";") for tag in TAGS if found[tag]}
+
+
+def samples(tag: str, rows: Rows) -> Array:
+    """The app's time [s], the sensor's [s] and the values of each row of one sensor."""
+    return rows.floats(range(1, 4 if tag == "PRES" else 6))
+
+
+def epochs(rows: Rows) -> Array:
+    """The app's time [s], the receiver's [s], latitude, longitude [deg], accuracy [m] and satellites of GNSS rows."""
+    return rows.floats((1, 2, 3, 4, 7, 10))
+
+
+def fixes_of(epochs: Array, notes: list[str]) -> Fixes:
+    """Fixes on the app's clock of rows of `epochs`, each epoch once."""
+    return receiver_fixes(epochs[:, [0, 2, 3, 4]], notes, satellites=epochs[:, 5])
+
+
+def sightings(rows: Rows) -> Sightings:
+    """Who was heard, by MAC, and how loud. Network names may hold anything, the delimiter too."""
+    beacons = rows.lines[0].startswith("BLE4")
+    heard: list[tuple[float, str, float, str]] = []
+    for line in rows.lines:
+        mac = MAC.search(line)
+        fields = line[mac.end() + 1 :].rstrip(";\r ").split(";") if mac else []
+        level = fields[0 if beacons else -1] if fields else ""
+        minor = fields[MINOR].strip() if beacons and len(fields) > MINOR else ""
+        try:
+            heard.append((float(line.split(";", 2)[1]), mac.group() if mac else "", float(level), minor))
+        except (ValueError, IndexError):
+            continue
+    time, level = (np.array([row[n] for row in heard]) for n in (0, 2))
+    return Sightings(time, tuple(row[1] for row in heard), level, tuple(row[3] for row in heard))
+
+
+def _heard(rows: Rows | None) -> Sightings | None:
+    return None if rows is None else sightings(rows)
 
 
 def _sensor(tag: str, rows: Rows, notes: list[str]) -> Array:
     """Time on the app's clock and values of one sensor."""
-    values = 1 if tag == "PRES" else 3
-    table = rows.floats(range(1, 3 + values))
+    table = samples(tag, rows)
     app, sensor = table[:, 0], table[:, 1]
     lag = (app - sensor)[np.isfinite(app - sensor)]
     usual = float(np.median(lag)) if len(lag) else 0.0
@@ -88,14 +126,14 @@ def _gnss(rows: Rows | None, notes: list[str]) -> tuple[Fixes | None, float | No
     """Fixes on the app's clock, and the Unix time of its zero. Every epoch is written twice: once counts."""
     if rows is None:
         return None, None
-    app, sensor, lat, lon, accuracy, satellites = rows.floats((1, 2, 3, 4, 7, 10)).T
+    table = epochs(rows)
+    app, sensor = table[:, 0], table[:, 1]
     _, first = np.unique(sensor, return_index=True)
     first = np.sort(first)
     if len(first) < len(app):
         notes.append(f"GNSS: {len(app) - len(first)} repeats of an epoch were left out")
-    fixes = receiver_fixes(np.column_stack([app, lat, lon, accuracy])[first], notes, satellites=satellites[first])
     unix = (sensor > UNIX) & np.isfinite(app)
-    return fixes, float(np.median((sensor - app)[unix])) if unix.any() else None
+    return fixes_of(table[first], notes), float(np.median((sensor - app)[unix])) if unix.any() else None
 
 
 def _landmarks(rows: Rows | None) -> Trajectory | None:
@@ -106,22 +144,3 @@ def _landmarks(rows: Rows | None) -> Trajectory | None:
     whole = whole[np.argsort(table[whole, 0], kind="stable")]
     floors = rows.words(5)
     return surveyed(table[whole, 0], table[whole][:, [2, 1]], tuple(floors[n] for n in whole), LONLAT)
-
-
-def _sightings(rows: Rows | None) -> Sightings | None:
-    """Who was heard, by MAC, and how loud. Network names may hold anything, the delimiter too."""
-    if rows is None:
-        return None
-    beacons = rows.lines[0].startswith("BLE4")
-    heard: list[tuple[float, str, float, str]] = []
-    for line in rows.lines:
-        mac = MAC.search(line)
-        fields = line[mac.end() + 1 :].rstrip(";\r ").split(";") if mac else []
-        level = fields[0 if beacons else -1] if fields else ""
-        minor = fields[MINOR].strip() if beacons and len(fields) > MINOR else ""
-        try:
-            heard.append((float(line.split(";", 2)[1]), mac.group() if mac else "", float(level), minor))
-        except (ValueError, IndexError):
-            continue
-    time, level = (np.array([row[n] for row in heard]) for n in (0, 2))
-    return Sightings(time, tuple(row[1] for row in heard), level, tuple(row[3] for row in heard))
