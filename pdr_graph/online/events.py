@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -54,8 +55,8 @@ def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:
 def _packets(time: Array, packet: float) -> Iterator[tuple[float, slice]]:
     """When each packet of times ``(n,)``, in order, is complete [s], and its rows."""
     number = np.floor(time / packet).astype(np.int64)
-    first = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
-    for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(time)], strict=True):
+    bounds = np.flatnonzero(np.diff(number, prepend=number[:1] - 1, append=number[-1:] + 1)).tolist()
+    for begin, end in pairwise(bounds):
         yield float(number[begin] + 1) * packet, slice(begin, end)
 
 
