@@ -34,6 +34,13 @@ class Method(StrEnum):
     pdr = "pdr"
 
 
+class Coordinates(StrEnum):
+    """What a competition's positions are in."""
+
+    lonlat = "lonlat"
+    xy = "xy"
+
+
 class Pairing(StrEnum):
     """How truth and estimate are brought to the same time."""
 
@@ -158,6 +165,62 @@ def radio_map(
         raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its folder")
     found = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
     typer.echo(f"{len(found)} scans of {len(found.transmitter)} transmitters -> {out}")
+
+
+@app.command()
+def evaal(
+    url: Annotated[str, typer.Argument(metavar="URL", help="The server's base URL, which ends in /evaalapi/.")],
+    trial: Annotated[str, typer.Argument(metavar="TRIAL", help="The trial's name.")],
+    map_: MapPath = None,
+    format_: Annotated[
+        Coordinates, typer.Option("--format", help="Positions as lon,lat,floor or as x,y,floor in the output frame.")
+    ] = Coordinates.lonlat,
+    ignore_initial: Annotated[
+        bool, typer.Option("--ignore-initial", help="Do not start from the trial's initial position.")
+    ] = False,
+    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="As of smooth; for offline trials.")] = None,
+    walker: WalkerPath = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where results go; default: evaal-TRIAL.")
+    ] = None,
+) -> None:
+    """Take part in a competition's trial over the EvAAL API, or go on with one that was interrupted (same --out).
+
+    pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
+    """
+    from functools import partial
+    from urllib.parse import quote
+
+    from pdr_graph.floor.building import Building
+    from pdr_graph.gait.walker import Walker
+    from pdr_graph.online.evaal import Api
+    from pdr_graph.online.form import Form
+    from pdr_graph.online.protocol import Navigator as Live
+    from pdr_graph.online.trial import take_part
+    from pdr_graph.pipeline import smooth_recording
+
+    api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
+    building, known = Building.load(map_) if map_ else None, Walker.load(walker) if walker else Walker()
+
+    def navigator() -> Live:
+        from pdr_graph.online.navigator import Navigator  # pyright: ignore
+
+        return Navigator(building, walker=known)  # pyright: ignore
+
+    def smoothed(recording: Path, fixes: Path | None) -> tuple[str, ...]:
+        return smooth_recording(recording, folder, map_, fixes, walker, beacons=beacons)
+
+    def say(said: str) -> None:
+        typer.echo(f"\r{said} ", nl=False, err=True)
+
+    form = partial(Form, format_ is Coordinates.lonlat, ignored=ignore_initial)
+    labels = building.labels if building else ()
+    ending = take_part(api, folder, navigator, smoothed, form, labels, say if sys.stderr.isatty() else None)
+    typer.echo(f"{ending.said} -> {folder}", err=not ending.normal)
+    if not ending.normal:
+        for part in ending.missing:
+            typer.echo(f"pdr-graph: without {part}", err=True)
+        raise typer.Exit(DegradedExit)
 
 
 @app.command()
