@@ -292,7 +292,8 @@ class IncrementalGraph:
             if 0 < overhang <= LONGEST_OVERHANG:
                 fix.time, fix.sigma = self.covered, float(np.hypot(fix.sigma, WALKING_SPEED * overhang))
         self._close(at_end=True)
-        self._build(Tree(self.tree.lag, relinearise=0.0, past=self.tree.past))
+        self.tree = self.tree.anew(relinearise=0.0)
+        self._read()
         for _ in range(MOST_ROUNDS):
             if not self._relinearise(SETTLED):
                 break
@@ -475,9 +476,7 @@ class IncrementalGraph:
             values.insert(X(number), gtsam.Pose2(*pose))
             times[X(number)] = time
         segments = sorted({one.segment for one in self.intervals}) or [self._segment]
-        factors: dict[Name, gtsam.NonlinearFactor] = {}
-        if not tree.past:
-            factors = {"frame": self._frame(), "c": self._c_factor(segments[0])}
+        factors: dict[Name, gtsam.NonlinearFactor] = {"frame": self._frame(), "c": self._c_factor(segments[0])}
         for segment in segments:
             values.insert(C(segment), self.c[segment])
             times[C(segment)] = max(one.end for one in self.intervals if one.segment == segment)

@@ -8,7 +8,7 @@ GTSAM's own, and are kept with the others.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping
 
 import gtsam
 import numpy as np
@@ -24,19 +24,18 @@ DROPPED = "left out, not finite"
 class Tree:
     """The variables of a walk under way, and its factors by name; those older than ``lag`` [s] are marginalised.
 
-    past: what variables that were marginalised have left behind.
+    values: the estimate; past: what variables that were marginalised have left behind; rebuilds: why it was made anew.
     """
 
-    def __init__(
-        self, lag: float = np.inf, relinearise: float = RELINEARISE, past: Sequence[gtsam.NonlinearFactor] = ()
-    ):
-        self.lag, self.relinearise, self.past = lag, relinearise, list(past)
+    def __init__(self, lag: float = np.inf, relinearise: float = RELINEARISE):
+        self.lag, self.relinearise = lag, relinearise
         self.values = gtsam.Values()
         self.factors: dict[Name, gtsam.NonlinearFactor] = {}
         self.rebuilds: list[str] = []
         self.updates = 0
         self._slots: dict[Name, int] = {}
         self._keys: dict[Name, frozenset[int]] = {}
+        self.past: list[gtsam.NonlinearFactor] = []
         self._times: dict[int, float] = {}
         self._smoother = _smoother(lag, relinearise)
 
@@ -63,9 +62,8 @@ class Tree:
         self.factors.update(add)
         self._keys |= {name: frozenset(factor.keys()) for name, factor in add.items()}
         self._times.update(times)
-        new = [*add.values(), *(self.past if not self.updates else [])]
         try:
-            self._smoother.update(_graph(new), values, times, slots)
+            self._smoother.update(_graph(add.values()), values, times, slots)
             self._accept(list(add))
         except (RuntimeError, ValueError, IndexError) as error:
             self._rebuild(values, f"{type(error).__name__}: {str(error).strip().splitlines()[0][:100]}")
@@ -77,6 +75,14 @@ class Tree:
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """All factors, those of what was marginalised too."""
         return _graph([*self.factors.values(), *self.past])
+
+    def anew(self, relinearise: float) -> Tree:
+        """The same in a new object, linearised again whenever a variable has moved so far."""
+        again = Tree(self.lag, relinearise)
+        again.factors, again.past, again.rebuilds = dict(self.factors), self.past, self.rebuilds
+        again._keys, again._times = dict(self._keys), dict(self._times)
+        again._start(gtsam.Values(self.values))
+        return again
 
     def _accept(self, added: list[Name]) -> None:
         """Take over what an update has found; RuntimeError if it is not finite."""
