@@ -11,8 +11,9 @@ on them anew, in closed form (`initial`), and nothing leaves the window.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import gtsam
 import numpy as np
@@ -28,9 +29,11 @@ from pdr_graph.estimation.graph import (
     STEPS_PER_SEGMENT,
     WALKING_SPEED,
     Prior,
+    State,
+    WalkGraph,
 )
-from pdr_graph.estimation.initial import align, as_complex, sigma_direction
-from pdr_graph.estimation.optimizer import WILD
+from pdr_graph.estimation.live_observations import LiveBeacons, LiveReceivers, SeenFix, SeenLevel, linearised
+from pdr_graph.estimation.optimizer import WILD, Optimum, probabilities, solutions, ways
 from pdr_graph.estimation.prediction import Belief
 from pdr_graph.estimation.preintegration import (
     DECIMALS,
@@ -43,13 +46,16 @@ from pdr_graph.estimation.preintegration import (
     whole_pieces,
 )
 from pdr_graph.estimation.reach import DRIVEN, ENDS, STRETCHED, WITHIN, chained
+from pdr_graph.estimation.receivers import LATELY
+from pdr_graph.estimation.reports import SURE
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH
-from pdr_graph.estimation.tree import Name, Tree
+from pdr_graph.estimation.tree import Name, Tree, linear
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.ground import Ground
-from pdr_graph.geometry import pose_rotation, rotation, wrap_angle
-from pdr_graph.types import Array, Index, Steps
+from pdr_graph.gait.gaps import follow
+from pdr_graph.geometry import interpolate, pose_rotation, rotation, wrap_angle
+from pdr_graph.types import Array, Beacons, Fixes, Index, Sightings, Steps
 
 # Of x_i, x_j, c, before an interval is linearised again: the steps' factor is linear in translations, that of walls not
 MOVED = np.array([0.5, 0.5, 0.02] * 2 + [0.01, 0.01, 0.002])
@@ -60,7 +66,7 @@ EVERY = 25
 SETTLED = np.array([1e-4, 1e-4, 1e-5] * 2 + [1e-4, 1e-4, 1e-6])
 ROUNDS = 4  # of linearising again after a keyframe, one with each of the next steps
 MOST_ROUNDS = 50  # at the end
-AGAIN = 3.0  # [s] before the track is laid on fixes again
+AGAIN, SPACED = 3.0, 0.3  # [s], and share of its duration, before the track is laid on fixes again
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 INSTANT = 2e-6  # [s]: see DECIMALS
 END, LENGTH, TURN, ROW, GAP = 0, 1, 2, 6, 7  # columns of whole pieces
@@ -138,7 +144,12 @@ class IncrementalGraph:
     lag: keyframes older than this leave the window [s]; prior, plan: as of ``WalkGraph``.
     """
 
-    def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None):
+    def __init__(
+        self,
+        prior: Prior | None = None,
+        lag: float = np.inf,
+        plan: Building | None = None,
+    ):
         self.prior, self.lag, self.plan = prior or Prior(), lag, plan
         self.tree = Tree()
         self.keyframes: list[int] = []
@@ -147,6 +158,8 @@ class IncrementalGraph:
         self.pose = np.empty((0, 3))  # of each keyframe
         self.c: dict[int, Array] = {}
         self.fixes: list[LiveFix] = []
+        self.receivers = LiveReceivers()
+        self.beacons: LiveBeacons | None = None
         self.too_late = 0
         self.restarts = 0
         self._rebuilds: list[str] = []
@@ -164,7 +177,8 @@ class IncrementalGraph:
         self._c_prior = np.array(self.prior.mean), self.prior.covariance
         self.sure = False
         self._walls_due, self._rounds_due = False, 0
-        self._laid = -np.inf  # [s] when the track was
+        self._lay_next = -np.inf  # [s] when the track is, while the direction is not sure
+        self._steps: list[Steps] = []  # of the window
         self.floor = plan.labels[0] if plan is not None and len(plan.labels) == 1 else ""
 
     # What comes in
@@ -175,6 +189,7 @@ class IncrementalGraph:
             self._begin(steps.start)
         if floor is not None:
             self.floor = floor
+        self._steps.append(steps)
         self._whole = np.concatenate([self._whole, _rows(steps)])
         if not self._close():
             self._refine()
@@ -190,6 +205,11 @@ class IncrementalGraph:
         if self.keyframes and fix.time <= self.covered:
             self._close()
         return fix
+
+    def hear(self, heard: Sightings, beacons: Beacons) -> None:
+        """What a radio heard, of beacons that were surveyed."""
+        self.beacons = self.beacons or LiveBeacons(beacons)
+        self.beacons.hear(heard)
 
     def _hold_at(self, fix: LiveFix, time: float) -> bool:
         """Whether a fix counts: one shortly before a moment holds at it, less exactly."""
@@ -316,32 +336,39 @@ class IncrementalGraph:
 
     def _close(self, at_end: bool = False) -> bool:
         """Close the keyframes that the steps and fixes have made, and update the estimate; whether there were any."""
-        new, changed = self._cut_new(at_end), self._reach_fixes()
+        levels = self.beacons.due(self.covered, self._walked_by) if self.beacons else []
+        new, changed = self._cut_new([level.time for level in levels], at_end), self._reach_fixes()
         if not new and not changed:
             return False
+        for level in levels:
+            level.keyframe = self.keyframes[self._keyframe_at(level.time)]
         if changed:
             self._believe()
-        if changed and not self.sure and self.times[-1] >= self._laid + AGAIN:
+        if not self.sure and self.times[-1] >= self._lay_next and self._placed():
             self._lay()
         else:
-            self._add(new, changed)
+            self._add(new, changed, levels)
         if changed:
             self._judge()
         self._walls_due, self._rounds_due = self.plan is not None, ROUNDS
         return True
 
-    def _cut_new(self, at_end: bool) -> list[Interval]:
+    def _placed(self) -> bool:
+        """Whether anything tells where the walk was."""
+        return bool(self.beacons and self.beacons.levels) or any(fix.keyframe is not None for fix in self.fixes)
+
+    def _cut_new(self, marks: list[float], at_end: bool) -> list[Interval]:
         """The intervals that are complete since the last keyframe."""
         made: list[Interval] = []
-        for end in self._ends(at_end):
+        for end in self._ends([*marks, self.covered] if at_end else marks):
             made.append(
                 self._interval(self.keyframes[-1], self._number(), self.times[-1], end, self._next_segment(end))
             )
             self._place_last(made[-1])
         return made
 
-    def _ends(self, at_end: bool) -> list[float]:
-        """The times of the next keyframes."""
+    def _ends(self, marks: list[float]) -> list[float]:
+        """The times of the next keyframes, of which some are asked for."""
         last = self.times[-1]
         rows = self._whole[self._whole[:, END] > last + INSTANT]
         if not len(rows):
@@ -349,7 +376,7 @@ class IncrementalGraph:
         gaps = rows[rows[:, GAP] > 0]
         starts = self._whole[np.searchsorted(self._whole[:, END], gaps[:, END]) - 1, END] if len(gaps) else []
         at_fixes = [fix.time for fix in self.waiting if last + INSTANT < fix.time <= self.covered]
-        at_fixes += [self.covered] if at_end else []
+        at_fixes += [mark for mark in marks if last + INSTANT < mark]
         required = np.unique([*at_fixes, *(t for t in starts if t > last + INSTANT), *gaps[:, END]])
         ends: list[float] = []
         for stop in (*required.tolist(), None):
@@ -401,11 +428,14 @@ class IncrementalGraph:
         """Give fixes that the steps have reached their keyframe; those that got one."""
         reached = [fix for fix in self.waiting if fix.time <= self.times[-1] + INSTANT]
         for fix in reached:
-            at = int(np.argmin(np.abs(np.array(self.times) - fix.time)))
-            if abs(self.times[at] - fix.time) > INSTANT:
-                at = self._split(fix.time)
-            fix.keyframe, fix.walked = self.keyframes[at], self._walked_by(fix.time)
+            fix.keyframe = self.keyframes[self._keyframe_at(fix.time)]
+            fix.walked = float(self._walked_by(fix.time))
         return reached
+
+    def _keyframe_at(self, time: float) -> int:
+        """The place in order of the keyframe at a moment of the window; it is made if there is none."""
+        at = int(np.argmin(np.abs(np.array(self.times) - time)))
+        return at if abs(self.times[at] - time) <= INSTANT else self._split(time)
 
     def _split(self, time: float) -> int:
         """A keyframe in an interval that was closed; its place in order."""
@@ -424,14 +454,15 @@ class IncrementalGraph:
         self.pose = np.insert(self.pose, at, pose, axis=0)
         return at
 
-    def _walked_by(self, time: float) -> float:
+    def _walked_by(self, time: float | Array) -> Array:
+        """How far the steps have led. [m]"""
         moved = np.where(self._whole[:, GAP] > 0, DRIVEN * np.diff(self._whole[:, END], prepend=self._whole_start), 0)
         way = np.append(0.0, np.cumsum(self._whole[:, LENGTH] + moved))
-        return self._walked + float(np.interp(time, np.append(self._whole_start, self._whole[:, END]), way))
+        return self._walked + np.interp(time, np.append(self._whole_start, self._whole[:, END]), way)
 
     # Estimates
 
-    def _add(self, new: list[Interval], reached: list[LiveFix]) -> None:
+    def _add(self, new: list[Interval], reached: list[LiveFix], levels: list[SeenLevel]) -> None:
         """One update with what is new."""
         values, times = gtsam.Values(), dict[int, float]()
         for number, time, pose in zip(self.keyframes, self.times, self.pose, strict=True):
@@ -444,8 +475,10 @@ class IncrementalGraph:
                 values.insert(C(segment), self.c[segment])
                 factors["change", segment] = self._change(segment)
             times[C(segment)] = self.times[-1]
-        factors |= self._own([one for one in self.intervals if np.isnan(one.at[0])])
-        factors |= {("fix", fix.number): self._fix(fix) for fix in reached if fix.kind != "none"}
+        known = gtsam.Values(self.tree.values)
+        known.insert(values)
+        factors |= self._own([one for one in self.intervals if np.isnan(one.at[0])], known)
+        factors |= self._observe(reached, levels, known, values, times)
         self._update(factors, values=values, times=times)
 
     def _refine(self) -> None:
@@ -458,10 +491,11 @@ class IncrementalGraph:
 
     def _lay(self) -> None:
         """Begin again with the track laid on all fixes of the window, as a batch would."""
-        self._point()
+        self._laid_out()
         for one in self.intervals:
             one.fields = [None] * len(one.fields)
-        self._laid = self.times[-1]
+        elapsed = self.times[-1] - self._steps[0].start
+        self._lay_next = self.times[-1] + max(AGAIN, SPACED * elapsed)
         self._build(Tree(self.lag if self.sure else np.inf))
         for _ in range(ROUNDS):
             if not self._relinearise(MOVED):
@@ -482,48 +516,88 @@ class IncrementalGraph:
             times[C(segment)] = max(one.end for one in self.intervals if one.segment == segment)
             if segment != segments[0]:
                 factors["change", segment] = self._change(segment)
-        factors |= self._own(self.intervals)
-        factors |= {("fix", f.number): self._fix(f) for f in self.fixes if f.keyframe is not None and f.kind != "none"}
+        known = gtsam.Values(values)
+        factors |= self._own(self.intervals, known)
+        self.receivers = LiveReceivers()
+        reached = sorted((fix for fix in self.fixes if fix.keyframe is not None), key=lambda fix: fix.time)
+        levels = self.beacons.again() if self.beacons else []
+        factors |= self._observe(reached, levels, known, values, times)
         self._update(factors, values=values, times=times)
 
-    def _point(self) -> None:
-        """Poses of all keyframes, as the believed fixes lay the track of the steps."""
-        pieces = Pieces.together([one.pieces for one in self.intervals])
-        mean = np.tile(self._c_prior[0], (len(self.intervals), 1))
-        delta = preintegrate(pieces, mean).delta[pieces.last]
-        heading = np.append(0.0, np.cumsum(delta[:, 2]))
-        moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
-        track = np.append(0.0, np.cumsum(moves))
-        fixes = [fix for fix in self.fixes if fix.keyframe is not None and fix.believed]
-        place = {number: n for n, number in enumerate(self.keyframes)}
-        at = np.array([place[fix.keyframe] for fix in fixes if fix.keyframe is not None], dtype=np.intp)
-        fix, sigma = as_complex(np.array([f.position for f in fixes])), np.array([f.sigma for f in fixes])
-        walked = float(np.sum(pieces.length))
-        self.sure = sigma_direction(track[at], sigma, walked) < AMBIGUOUS
-        before = self.pose[0].copy()
-        if len(fixes) < 2:
-            track, turned = track + (fix - track[at])[0], np.zeros(len(track))
-        else:
-            segment = np.array([one.segment for one in self.intervals])
-            numbers = np.unique(np.append(segment[:1], segment), return_inverse=True)[1]
-            laid = align(track, numbers, at, fix, sigma, self._gap_lengths())
-            track, turned = laid.position, laid.turned
-            if self.sure:
-                limits = self._c_prior[0][0] + np.array([-2, 2]) * self.prior.sigma[0]
-                for segment_, scale in zip(np.unique(segment), laid.scale, strict=True):
-                    self.c[int(segment_)] = np.append(np.clip(scale, *limits), self.c[int(segment_)][1:])
-        self.pose = np.stack([track.real, track.imag, heading + turned], axis=1)
-        self._move_settled(before, self.pose[0])
+    def _observe(
+        self,
+        fixes: list[LiveFix],
+        levels: list[SeenLevel],
+        known: gtsam.Values,
+        values: gtsam.Values,
+        times: dict[int, float],
+    ) -> dict[Name, gtsam.NonlinearFactor]:
+        """The factors of fixes and levels that have their keyframe; their variables go into all three."""
+        factors: dict[Name, gtsam.NonlinearFactor] = {}
 
-    def _gap_lengths(self) -> Array:
-        """How far the walker may have gone unrecorded from each segment of the window to the next. [m]"""
-        segments = sorted({one.segment for one in self.intervals})
-        gap = np.zeros(len(segments) - 1)
+        def new(added: dict[Name, gtsam.NonlinearFactor], variables: gtsam.Values) -> None:
+            factors.update(added)
+            values.insert(variables)
+            known.insert(variables)
+
+        for fix in fixes:
+            assert fix.keyframe is not None, "it was reached"
+            if fix.kind == "none":
+                continue
+            if fix.source and not self.prior.fix_flat:
+                speed = (fix.walked - float(self._walked_by(fix.time - LATELY))) / LATELY
+                one = SeenFix(fix.keyframe, position=fix.position, velocity=speed, wild=fix.kind == "wild")
+                nodes, variables, alive = self.receivers.add(
+                    fix.number, fix.source, one, fix.time, fix.sigma, fix.walked, known
+                )
+                new(nodes, variables)
+                times |= alive
+            else:
+                factors["fix", fix.number] = self._fix(fix)
+        for level in levels:
+            assert self.beacons is not None, "it was heard"
+            new(*self.beacons.add(level))
+        for key in self.beacons.keys if self.beacons else ():
+            times[key] = self.times[-1]
+        return factors | self._seen(known)
+
+    def _seen(self, known: gtsam.Values) -> dict[Name, gtsam.NonlinearFactor]:
+        """The factors of receivers and beacons that have changed since they were linearised."""
+        factors: dict[Name, gtsam.NonlinearFactor] = {}
+        place = {number: n for n, number in enumerate(self.keyframes)}
+        if self.receivers.fixes:
+            pose = self.pose[[place[one.keyframe] for one in self.receivers.fixes.values()]]
+            rows = self.receivers.rows(list(self.receivers.fixes.values()), pose, known)
+            factors |= linearised("fix", self.receivers.fixes, rows, pose, known)
+        if self.beacons is not None and self.beacons.levels:
+            pose = self.pose[[place[one.keyframe] for one in self.beacons.levels.values()]]
+            rows = self.beacons.rows(list(self.beacons.levels.values()), pose, known)
+            factors |= linearised("level", self.beacons.levels, rows, pose, known)
+        return factors
+
+    def _laid_out(self) -> None:
+        """Poses and calibrations of the window as a batch has them, and whether these are sure."""
+        steps = reduce(follow, self._steps)
+        fixes = [fix for fix in self.fixes if fix.keyframe is not None]
+        graph = WalkGraph(
+            steps,
+            _as_fixes(fixes),
+            floor=self.plan,
+            floors=[self.floor] * (len(steps) + 2),
+            levels=self.beacons.so_far(steps) if self.beacons else None,
+            prior=replace(self.prior, mean=tuple(self._c_prior[0].tolist())),
+        )
+        found = solutions(graph)
+        best, before = found[0], self.pose[0].copy()
+        track = Track.of(best)
+        self.pose = track.at(np.array(self.times))
         for one in self.intervals:
-            which = segments.index(one.segment)
-            if one.is_gap and which < len(gap):
-                gap[which] = max(gap[which], np.sqrt(one.pieces.variance[0, 0]))
-        return gap
+            self.c[one.segment] = track.calibration(one.end)
+        weight = probabilities(found, ways(found))
+        self.sure = bool(weight[ways(found) == 0].sum() > SURE and track.sigma_heading < AMBIGUOUS)
+        for fix, held, wild in zip(fixes, best.graph.fix_held.tolist(), best.graph.fix_wild.tolist(), strict=True):
+            fix.kind = "none" if not held else "wild" if wild else "grip"
+        self._move_settled(before, self.pose[0])
 
     def _believe(self) -> None:
         """Which fixes of the window can be of one walk."""
@@ -548,7 +622,7 @@ class IncrementalGraph:
         covariance = self.tree.covariance([C(first)]) + np.diag(np.square(self.prior.change))
         self._c_prior = self.c[first], covariance
         self.restarts += 1
-        self.sure = False
+        self.sure, self._lay_next = False, -np.inf
 
     def _judge(self) -> None:
         """Fixes that are far off lose their grip; those that are near again have it."""
@@ -563,8 +637,12 @@ class IncrementalGraph:
             kind = ("wild" if fix.believed else "none") if is_far else "grip"
             if kind != fix.kind:
                 fix.kind = kind
+                seen = self.receivers.fixes.get(fix.number)
                 if kind == "none":
                     remove.append(("fix", fix.number))
+                    self.receivers.fixes.pop(fix.number, None)
+                elif seen is not None:
+                    seen.wild, seen.at = kind == "wild", np.full(4, np.nan)
                 else:
                     factors["fix", fix.number] = self._fix(fix)
         if factors or remove:
@@ -582,9 +660,10 @@ class IncrementalGraph:
             near = [any(one.fields) for one in looked]
             limit[np.ix_(near, [0, 1, 3, 4])] = np.minimum(moved[0], BESIDE_WALLS)
         stale = np.flatnonzero(~(apart <= limit).all(axis=1))
-        if len(stale):
-            self._update(self._own([looked[n] for n in stale]))
-        return len(stale) > 0
+        factors = self._own([looked[n] for n in stale], self.tree.values) | self._seen(self.tree.values)
+        if factors:
+            self._update(factors)
+        return len(factors) > 0
 
     def _update(
         self,
@@ -612,17 +691,19 @@ class IncrementalGraph:
             R = pose_rotation(np.full(len(pose), self.pose[n, 2]))
             spread = R @ one.bridge.spread[one.row_piece] @ R.transpose(0, 2, 1)
             self.left.append(Rows(one.row_time, pose, spread, one.labels))
-        before = self._walked_by(self.times[gone])
         keep = self._whole[:, END] > self.times[gone] + INSTANT
         first = int(np.argmax(keep)) if keep.any() else len(self._whole)
         start = float(self._whole[first - 1, END]) if first else self._whole_start
-        self._walked = self._walked_by(start)
+        self._walked = float(self._walked_by(start))
         self._whole, self._whole_start = self._whole[first:], start
-        assert before >= self._walked
         del self.keyframes[:gone], self.times[:gone], self.intervals[:gone]
         self.pose = self.pose[gone:]
+        self._steps = [steps for steps in self._steps if steps.end > self.times[0]]
         alive = set(self.keyframes)
         self.fixes = [fix for fix in self.fixes if fix.keyframe is None or fix.keyframe in alive]
+        self.receivers.forget(alive)
+        if self.beacons is not None:
+            self.beacons.forget(alive, self.times[0])
         segments = {one.segment for one in self.intervals} | {self._segment}
         self.c = {s: value for s, value in self.c.items() if s in segments}
 
@@ -665,7 +746,7 @@ class IncrementalGraph:
 
     # Factors
 
-    def _own(self, intervals: list[Interval]) -> dict[Name, gtsam.NonlinearFactor]:
+    def _own(self, intervals: list[Interval], known: gtsam.Values) -> dict[Name, gtsam.NonlinearFactor]:
         """Steps and walls of some intervals, linearised where they are."""
         if not intervals:
             return {}
@@ -684,13 +765,7 @@ class IncrementalGraph:
                 others = (rows.by_i[:, 0], rows.by_j[:, 0], rows.by_c[:, 0])
                 blocks = [np.vstack(pair) for pair in zip(blocks, others, strict=True)]
             keys = X(one.i), X(one.j), C(one.segment)
-            noise = gtsam.noiseModel.Unit.Create(len(error))
-            terms = [side for pair in zip(keys, blocks, strict=True) for side in pair]
-            values = gtsam.Values()
-            values.insert(keys[0], gtsam.Pose2(*at[n, :3]))
-            values.insert(keys[1], gtsam.Pose2(*at[n, 3:6]))
-            values.insert(keys[2], at[n, 6:])
-            factors["own", one.j] = gtsam.LinearContainerFactor(gtsam.JacobianFactor(*terms, -error, noise), values)
+            factors["own", one.j] = linear(keys, blocks, error, known)
         return factors
 
     def _fix(self, fix: LiveFix) -> gtsam.NonlinearFactor:
@@ -744,6 +819,54 @@ class IncrementalGraph:
             if any(a is not b for a, b in zip(now, one.fields, strict=True)):
                 one.fields = now
                 one.at = np.full(9, np.nan)
+
+
+@dataclass(frozen=True)
+class Track:
+    """A batch's walk: time ``(m + 1,)`` and pose ``(m + 1, 3)`` of the ends of its pieces; segment_start ``(s,)`` [s] and
+    c ``(s, 3)``; sigma_heading: of its end [rad].
+    """
+
+    time: Array
+    pose: Array
+    segment_start: Array
+    c: Array
+    sigma_heading: float
+
+    @classmethod
+    def of(cls, optimum: Optimum) -> Track:
+        """The walk of an optimum."""
+        pieces, own, graph = optimum.graph.pieces, optimum.own, optimum.graph
+        ends = pieces.keyframe_time[:-1][pieces.interval] + pieces.to_end[1]
+        pose = np.vstack([own.pose_i[:1], own.poses.value])
+        first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
+        last = CovarianceBlocks(optimum.net).joint([(X(len(graph.segment)),)])[0]
+        start = pieces.keyframe_time[:1]
+        return cls(
+            np.append(start, ends),
+            pose,
+            pieces.keyframe_time[first],
+            State.of(optimum.values).c,
+            float(np.sqrt(last[2, 2])),
+        )
+
+    def at(self, time: Array) -> Array:
+        """Poses ``(n, 3)`` at some times; before its start as at it."""
+        return interpolate(time, self.time, np.column_stack([self.pose[:, :2], np.unwrap(self.pose[:, 2])]))
+
+    def calibration(self, time: float) -> Array:
+        """c at a moment [s]."""
+        return self.c[max(int(np.searchsorted(self.segment_start, time)) - 1, 0)]
+
+
+def _as_fixes(fixes: Sequence[LiveFix]) -> Fixes:
+    return Fixes(
+        np.array([fix.time for fix in fixes]),
+        np.array([fix.position for fix in fixes]).reshape(-1, 2),
+        np.array([fix.sigma for fix in fixes]),
+        tuple(fix.floor for fix in fixes),
+        source=tuple(fix.source for fix in fixes),
+    )
 
 
 def _rows(steps: Steps) -> Array:

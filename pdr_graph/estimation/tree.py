@@ -8,7 +8,8 @@ GTSAM's own, and are kept with the others.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -18,6 +19,7 @@ from pdr_graph.types import Array
 Name = Hashable
 RELINEARISE = 0.01  # [m, rad, -] that a variable moves before GTSAM's own factors of it are linearised again
 HELD = 1e3  # [m, rad, -] standard deviation of a hold on what nothing determines
+POSE = ord("x")
 DROPPED = "left out, not finite"
 
 
@@ -128,6 +130,19 @@ class Tree:
         self._accept(list(self.factors))
 
 
+def linear(keys: Sequence[int], blocks: Sequence[Array], error: Array, at: gtsam.Values) -> gtsam.NonlinearFactor:
+    """A factor that was linearised ``at`` some values: whitened errors ``(r,)``, and a block ``(r, 3)`` per key."""
+    values = gtsam.Values()
+    for key in keys:
+        if gtsam.Symbol(key).chr() == POSE:
+            values.insert(key, at.atPose2(key))
+        else:
+            values.insert(key, at.atVector(key))
+    terms: list[Any] = [side for pair in zip(keys, blocks, strict=True) for side in pair]
+    factor = gtsam.JacobianFactor(*terms, -error, gtsam.noiseModel.Unit.Create(len(error)))
+    return gtsam.LinearContainerFactor(factor, values)
+
+
 def _smoother(lag: float, relinearise: float) -> gtsam.IncrementalFixedLagSmoother:
     """GTSAM's fixed-lag smoother; the settings that are not its defaults leak or jump otherwise (design section 3)."""
     parameters = gtsam.ISAM2Params()
@@ -148,7 +163,7 @@ def _graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGra
 
 
 def _vectors(values: gtsam.Values) -> list[Array]:
-    return [gtsam.utilities.extractVectors(values, symbol) for symbol in "cg"]
+    return [gtsam.utilities.extractVectors(values, symbol) for symbol in "cgbq"]
 
 
 def _finite(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> bool:
@@ -161,6 +176,6 @@ def _finite(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> bool:
 
 def _hold(values: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
     noise = gtsam.noiseModel.Isotropic.Sigma(3, HELD)
-    if gtsam.Symbol(key).chr() == ord("x"):
+    if gtsam.Symbol(key).chr() == POSE:
         return gtsam.PriorFactorPose2(key, values.atPose2(key), noise)
     return gtsam.PriorFactorVector(key, values.atVector(key), noise)

@@ -24,7 +24,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.stream import Health
 from pdr_graph.online.events import Event, Samples
-from pdr_graph.types import LONLAT, Array, Estimate, Fixes, Steps, Trajectory
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Steps, Trajectory
 
 AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
 SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
@@ -82,6 +82,7 @@ class Navigator:
         walker: Walker | None = None,
         frame: Frame | None = None,
         prior: Prior | None = None,
+        beacons: Beacons | None = None,
     ):
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
@@ -89,6 +90,7 @@ class Navigator:
         self._gait = LiveGait(self.walker)
         prior = prior or prior_of(self.walker.profile)
         self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building)
+        self._beacons = beacons
         self._tail: Steps | None = None
         self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._taken, self._early = 0, 0
@@ -104,6 +106,8 @@ class Navigator:
             self._graph.extend(event)
         elif isinstance(event, Fixes):
             self._fix(event)
+        elif event.radio == "bluetooth" and self._beacons is not None and self.frame is not None:
+            self._graph.hear(event.heard, self.frame.place(self._beacons))
 
     @property
     def pose(self) -> Pose | None:
