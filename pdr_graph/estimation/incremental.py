@@ -11,7 +11,7 @@ on them anew, in closed form (`initial`), and nothing leaves the window.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 
@@ -32,7 +32,7 @@ from pdr_graph.estimation.graph import (
     State,
     WalkGraph,
 )
-from pdr_graph.estimation.live_observations import LiveBeacons, LiveReceivers, SeenFix, SeenLevel, linearised
+from pdr_graph.estimation.live_observations import LiveBeacons, LiveReceivers, Seen, SeenFix, SeenLevel, linearised
 from pdr_graph.estimation.optimizer import WILD, Optimum, probabilities, solutions, ways
 from pdr_graph.estimation.prediction import Belief
 from pdr_graph.estimation.preintegration import (
@@ -65,7 +65,7 @@ RECENT = 150  # intervals that are looked at each time; all are when EVERY so ma
 EVERY = 25
 SETTLED = np.array([1e-4, 1e-4, 1e-5] * 2 + [1e-4, 1e-4, 1e-6])
 ROUNDS = 4  # of linearising again after a keyframe, one with each of the next steps
-MOST_ROUNDS = 50  # at the end
+SETTLES = 1e-4  # at the end: when a round takes less than this share off the cost
 AGAIN, SPACED = 3.0, 0.3  # [s], and share of its duration, before the track is laid on fixes again
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 INSTANT = 2e-6  # [s]: see DECIMALS
@@ -292,7 +292,13 @@ class IncrementalGraph:
     @property
     def cost(self) -> float:
         """Half the sum of squared, robustly weighted errors of the window."""
-        return float(self.tree.graph().error(self.tree.values))
+        values = self.tree.values
+        own = self.evaluate(self.intervals).cost if self.intervals else 0.0
+        observed = sum(rows.cost for _, _, rows, _ in self._observed(values))
+        linear = {("own", one.j) for one in self.intervals} | {("fix", n) for n in self.receivers.fixes}
+        linear |= {("level", n) for n in self.beacons.levels} if self.beacons else set()
+        others = [factor for name, factor in self.tree.factors.items() if name not in linear]
+        return own + observed + float(sum(factor.error(values) for factor in [*others, *self.tree.past]))
 
     def _last_belief(self) -> Belief:
         """Of the last keyframe and its calibration, as the tree has it now."""
@@ -312,11 +318,15 @@ class IncrementalGraph:
             if 0 < overhang <= LONGEST_OVERHANG:
                 fix.time, fix.sigma = self.covered, float(np.hypot(fix.sigma, WALKING_SPEED * overhang))
         self._close(at_end=True)
-        self.tree = self.tree.anew(relinearise=0.0)
+        if not self.sure and self._placed():
+            self._lay()
+        best, least = self.tree, self.cost
+        self.tree = best.anew(relinearise=0.0)
+        while self._relinearise(SETTLED) and self.cost < least * (1 - SETTLES):
+            best, least = self.tree.anew(relinearise=0.0), self.cost
+        if self.cost > least:
+            self.tree = best
         self._read()
-        for _ in range(MOST_ROUNDS):
-            if not self._relinearise(SETTLED):
-                break
 
     # Keyframes
 
@@ -564,16 +574,20 @@ class IncrementalGraph:
     def _seen(self, known: gtsam.Values) -> dict[Name, gtsam.NonlinearFactor]:
         """The factors of receivers and beacons that have changed since they were linearised."""
         factors: dict[Name, gtsam.NonlinearFactor] = {}
-        place = {number: n for n, number in enumerate(self.keyframes)}
-        if self.receivers.fixes:
-            pose = self.pose[[place[one.keyframe] for one in self.receivers.fixes.values()]]
-            rows = self.receivers.rows(list(self.receivers.fixes.values()), pose, known)
-            factors |= linearised("fix", self.receivers.fixes, rows, pose, known)
-        if self.beacons is not None and self.beacons.levels:
-            pose = self.pose[[place[one.keyframe] for one in self.beacons.levels.values()]]
-            rows = self.beacons.rows(list(self.beacons.levels.values()), pose, known)
-            factors |= linearised("level", self.beacons.levels, rows, pose, known)
+        for kind, seen, rows, pose in self._observed(known):
+            factors |= linearised(kind, seen, rows, pose, known)
         return factors
+
+    def _observed(self, known: gtsam.Values) -> Iterator[tuple[str, dict[int, Seen], Rows, Array]]:
+        """What receivers and beacons saw, their factors and the poses of their keyframes."""
+        place = {number: n for n, number in enumerate(self.keyframes)}
+        for kind, seen, model in (
+            ("fix", self.receivers.fixes, self.receivers),
+            ("level", self.beacons.levels if self.beacons else {}, self.beacons),
+        ):
+            if seen and model is not None:
+                pose = self.pose[[place[one.keyframe] for one in seen.values()]]
+                yield kind, seen, model.rows(list(seen.values()), pose, known), pose
 
     def _laid_out(self) -> None:
         """Poses and calibrations of the window as a batch has them, and whether these are sure."""
