@@ -107,7 +107,7 @@ class LiveGait:
         """Up to where samples can be used: of both sensors, unless the gyroscope stopped. [s]"""
         accelerometer, gyroscope = self._sensors.values()
         patience = LONGEST_BRIDGED + max(accelerometer.longest_packet, gyroscope.longest_packet)
-        if gyroscope.last < accelerometer.last - patience:
+        if max(gyroscope.last, accelerometer.began) < accelerometer.last - patience:
             return accelerometer.last
         return min(accelerometer.last, gyroscope.last)
 

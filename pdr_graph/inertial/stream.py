@@ -41,11 +41,13 @@ class Health:
 class SensorStream:
     """The usable samples of one sensor, times increasing.
 
-    time ``(n,)`` [s], values ``(n, 3)``: those not used yet and the last before them. longest_packet: [s]
+    time ``(n,)`` [s], values ``(n, 3)``: those not used yet and the last before them. began: with the first of all [s];
+    longest_packet: lately [s].
     """
 
     time: Array = field(default_factory=lambda: np.empty(0))
     values: Array = field(default_factory=lambda: np.empty((0, 3)))
+    began: float = np.inf
     samples: int = 0
     dropped: int = 0
     gaps: int = 0
@@ -57,7 +59,7 @@ class SensorStream:
     arrived: list[tuple[Array, Array]] = field(default_factory=list)
 
     kept: ClassVar = (
-        *("time", "values", "samples", "dropped", "gaps", "put_back"),
+        *("time", "values", "began", "samples", "dropped", "gaps", "put_back"),
         *("offset", "longest_packet", "suspect_time", "suspect_values"),
     )
 
@@ -92,7 +94,7 @@ class SensorStream:
         if not self.arrived:
             return
         time, values = (np.concatenate(column) for column in zip(*self.arrived, strict=True))
-        longest = max(float(packet[-1] - packet[0]) for packet, _ in self.arrived)
+        self.longest_packet = max(0.9 * self.longest_packet, *(_span(packet) for packet, _ in self.arrived))
         self.arrived.clear()
         good = (np.abs(time) < LATEST) & (np.abs(values) < LARGEST).all(axis=1)
         if not good.all():
@@ -103,11 +105,8 @@ class SensorStream:
         if not len(self.suspect_time) and self._follows(time + self.offset):
             self._accept(time + self.offset, values)
         else:
-            longest = 0.0
             for one, value in zip(time.tolist(), values, strict=True):
                 self._take(one, value, offset)
-        if np.isfinite(longest):
-            self.longest_packet = max(self.longest_packet, longest)
 
     def forget(self, before: float) -> None:
         """Drop samples that have been used, but for the last seconds."""
@@ -146,6 +145,7 @@ class SensorStream:
 
     def _accept(self, time: Array, values: Array) -> None:
         self.gaps += int(len(self.time) > 0 and time[0] - self.last > LONGEST_BRIDGED)
+        self.began = min(self.began, float(time[0]))
         self.samples += len(time)
         self.time, self.values = np.concatenate([self.time, time]), np.concatenate([self.values, values])
 
@@ -155,7 +155,11 @@ class SensorStream:
             self._doubt_nothing()
             self._accept(np.array([time + self.offset]), value[None])
             return
-        if len(self.suspect_time) and not 0 < time - self.suspect_time[-1] <= LONGEST_BRIDGED:
+        since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else LONGEST_BRIDGED
+        if -PERSISTS < since <= 0:
+            self.dropped += 1
+            return
+        if not 0 < since <= LONGEST_BRIDGED:
             self._doubt_nothing()
         self.suspect_time = np.append(self.suspect_time, time)
         self.suspect_values = np.concatenate([self.suspect_values, value[None]])
@@ -173,9 +177,15 @@ class SensorStream:
         begin, end = self.suspect_time[[0, -1]]
         if not (end + offset > self.last and begin + offset <= self.last + LONGEST_BRIDGED):
             offset = self.last - begin + float(np.median(np.diff(self.suspect_time)))
-        self.offset, self.put_back = offset, self.put_back + 1
+        self.offset, self.put_back = float(offset), self.put_back + 1
 
     def _doubt_nothing(self) -> None:
         """Nothing came of the suspects."""
         self.dropped += len(self.suspect_time)
         self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
+
+
+def _span(time: Array) -> float:
+    """What a packet's samples last, whatever is wrong with their times. [s]"""
+    apart = time[1:] - time[:-1]
+    return float(apart[(apart > 0) & (apart <= LONGEST_BRIDGED)].sum())

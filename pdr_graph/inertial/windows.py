@@ -16,5 +16,7 @@ def running_mean(values: Array, count: int) -> Array:
 
 def runs(mask: Mask) -> tuple[Index, Index]:
     """First samples ``(r,)``, and those after the last ``(r,)``, of each run of True."""
+    if not mask.any():
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     edges = np.diff(mask.astype(np.int8), prepend=0, append=0)
     return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
