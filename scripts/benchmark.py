@@ -27,6 +27,7 @@ from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.preintegration import SIGMA_LATERAL
 from pdr_graph.gait.detection import StepDetector, walking_steps
+from pdr_graph.gait.live import LiveGait
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.inertial.published import METHODS, switching
@@ -281,6 +282,7 @@ def attitude_rows():
         "steps alone, `walking_steps`": lambda: walking_steps(time_, samples),
         "steps, live, packets of 0.2 s, `StepDetector`": lambda: live_steps(samples),
         "**recording to `Steps`, all stages**": lambda: detect_steps(recording),
+        "**the same live, packets of 0.1 s, `LiveGait`**": lambda: live_gait(recording),
     }
     times = {name: median_time(stage, 3) for name, stage in stages.items()}
     rows = [[name, f"{t:.2f} s"] for name, t in times.items()]
@@ -293,6 +295,17 @@ def live_steps(samples):
     for first in range(0, len(samples), 20):
         detector.update(samples[first : first + 20])
     detector.finish()
+
+
+def live_gait(recording):
+    """All samples of accelerometer and gyroscope, ten at a time."""
+    gait = LiveGait()
+    for first in range(0, HOUR, 10):
+        for sensor in ("accelerometer", "gyroscope"):
+            signal = recording.signals[sensor]
+            gait.push(sensor, signal.time[first : first + 10], signal.values[first : first + 10])
+        gait.advance()
+    gait.finish()
 
 
 if __name__ == "__main__":

@@ -63,9 +63,9 @@ class LiveDirection:
         return self.origin + self.period * (self.first + self.certain - 1)
 
     def attitude(self, part: slice) -> Attitude:
-        """A stretch of the samples that are kept; its angular rate is not."""
-        level = Rotation.from_quat(self.quaternion[part])
-        return Attitude(self.time[part], self.period, level, self.acceleration[part], None)
+        """A stretch of the samples that are kept; their angular rates are not, and nothing of a walk needs them."""
+        level, acceleration = Rotation.from_quat(self.quaternion[part]), self.acceleration[part]
+        return Attitude(self.time[part], self.period, level, acceleration, np.zeros_like(acceleration))
 
     def update(self, quaternion: Array, acceleration: Array, angular_rate: Array, seen: Mask) -> None:
         """Take in samples: quaternions ``(m, 4)``, accelerations and rates ``(m, 3)``, whether there is a rate."""

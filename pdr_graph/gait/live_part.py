@@ -19,7 +19,7 @@ from pdr_graph.inertial.online import OnlineAttitude
 from pdr_graph.inertial.stream import SensorStream
 from pdr_graph.types import Array, Recording, Steps
 
-BLOCK = 0.4  # [s] of samples that are looked at together
+BLOCK = 0.5  # [s] of samples that are looked at together
 CONTEXT = 4  # certain landings that the duration of the next depends on
 USUAL = 40  # of the last steps' durations are the usual one's
 CHANGED = 0.08  # of it, by which it must differ to count
@@ -121,11 +121,11 @@ class LivePart:
         first = max(0, int((self.end - MARGIN - self.origin) / self.period) - self.direction.first)
         part, course = slice(first, None), self.direction
         attitude = course.attitude(part)
-        attitude = replace(attitude, angular_rate=attitude.acceleration)  # there is one; how it was does not matter
         gait = Gait(NOBODY, attitude, landings, Direction(course.course[part], course.doubt[part]))
         steps = steps_of(gait, self.walker, self.end)
-        unseen = np.interp(np.append(self.end, steps.time), attitude.time, course.blind[part])
-        blind = np.diff(unseen) > 0
+        if course.blind[-1] == course.blind[first]:
+            return steps
+        blind = np.diff(np.interp(np.append(self.end, steps.time), attitude.time, course.blind[part])) > 0
         if not blind.any():
             return steps
         return replace(steps, sigma_turn=np.where(blind, UNSEEN_TURN, steps.sigma_turn), unknown=(NO_GYROSCOPE,))

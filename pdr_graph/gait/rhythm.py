@@ -142,10 +142,10 @@ def _crossings(wave: Complex, sampling: float) -> tuple[Index, Array]:
 
 def _upright(acceleration: Array, period: float) -> Array:
     """Length ``(n,)`` of the mean of gravity's direction in the device: 1 if it does not tilt."""
-    gravity = gaussian_filter1d(acceleration, UPRIGHT_SMOOTH / period, axis=0)
+    gravity = gaussian_filter1d(np.ascontiguousarray(acceleration.T), UPRIGHT_SMOOTH / period, axis=1)
     window = max(1, round(UPRIGHT_WINDOW / period))
-    mean = np.linalg.norm(uniform_filter1d(gravity, window, axis=0), axis=1)
-    return mean / np.maximum(uniform_filter1d(np.linalg.norm(gravity, axis=1), window), 1e-9)
+    mean = np.linalg.norm(uniform_filter1d(gravity, window, axis=1), axis=0)
+    return mean / np.maximum(uniform_filter1d(np.linalg.norm(gravity, axis=0), window), 1e-9)
 
 
 def every(period: float) -> int:

@@ -15,6 +15,7 @@ LARGEST = 1000.0  # [m/s²], [rad/s] that phones measure: 16 g and 2000°/s, wit
 LATEST = 1e12  # [s] of any clock
 CONFIRM = 3  # samples after a jump ahead: one wrong time is no gap
 PERSISTS = 2.0  # [s] of samples from earlier, until the clock is believed to have been put back
+LONGEST_PACKET = 60.0  # [s] of samples that a phone keeps back
 HELD = 0.1  # [s] that a sensor's last sample speaks for
 KEPT = 1.0  # [s] of samples that have been used already
 
@@ -94,7 +95,8 @@ class SensorStream:
         if not self.arrived:
             return
         time, values = (np.concatenate(column) for column in zip(*self.arrived, strict=True))
-        self.longest_packet = max(0.9 * self.longest_packet, *(_span(packet) for packet, _ in self.arrived))
+        spans = [min(max(0.0, float(packet[-1] - packet[0])), LONGEST_PACKET) for packet, _ in self.arrived]
+        self.longest_packet = max(0.9 * self.longest_packet, *spans)
         self.arrived.clear()
         good = (np.abs(time) < LATEST) & (np.abs(values) < LARGEST).all(axis=1)
         if not good.all():
@@ -183,9 +185,3 @@ class SensorStream:
         """Nothing came of the suspects."""
         self.dropped += len(self.suspect_time)
         self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
-
-
-def _span(time: Array) -> float:
-    """What a packet's samples last, whatever is wrong with their times. [s]"""
-    apart = time[1:] - time[:-1]
-    return float(apart[(apart > 0) & (apart <= LONGEST_BRIDGED)].sum())
