@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import reduce
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 from pdr_graph.gait.gaps import follow, gap
 from pdr_graph.gait.live_part import LivePart
 from pdr_graph.gait.walker import Walker
+from pdr_graph.inertial.attitude import NO_GRAVITY
+from pdr_graph.inertial.online import Gravity
 from pdr_graph.inertial.samples import LONGEST_BRIDGED, SHORTEST_WALK
 from pdr_graph.inertial.stream import Health, SensorStream
 from pdr_graph.state import restore, state_of
@@ -29,6 +32,7 @@ class LiveGait:
     def __init__(self, walker: Walker | None = None):
         self.walker = walker or Walker()
         self._sensors = {name: SensorStream() for name in ("accelerometer", "gyroscope")}
+        self._real, self._gravity = False, Gravity()  # whether there is an accelerometer, and what stands in for it
         self._part: LivePart | None = None
         self._end, self._bias = np.nan, np.zeros(3)  # of the parts before
         self._tail: Steps | None = None  # as the profile has it
@@ -49,8 +53,12 @@ class LiveGait:
     def push(self, sensor: str, time: Array, values: Array) -> None:
         """Samples of a sensor, named as of ``Recording.signals``, at times ``(n,)`` [s]; as of `Signal`.
 
-        Others than accelerometer and gyroscope tell nothing of steps.
+        Others than accelerometer and gyroscope tell nothing of steps. ``linear_acceleration`` stands in for an
+        accelerometer until there is one.
         """
+        self._real |= sensor == "accelerometer"
+        if sensor == "linear_acceleration" and not self._real:
+            sensor, values = "accelerometer", self._gravity.added(np.asarray(values, dtype=float))
         if sensor in self._sensors:
             self._sensors[sensor].push(time, values)
 
@@ -75,14 +83,16 @@ class LiveGait:
     def state(self) -> dict[str, Any]:
         """All that it knows, as numbers and arrays; what follows a `restore` is the same to the bit."""
         self._take_in()
-        parts = {**self._sensors, "part": self._part}
+        parts = {**self._sensors, "gravity": self._gravity, "part": self._part}
         inner = {f"{n}.{k}": v for n, part in parts.items() if part is not None for k, v in state_of(part).items()}
         grid = {} if self._part is None else {"origin": self._part.origin, "period": self._part.period}
-        return {"end": self._end, "bias": self._bias, **grid, **inner}
+        return {"end": self._end, "bias": self._bias, "real": self._real, **grid, **inner}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`, of the same walker."""
         self._end, self._bias = float(state["end"]), np.array(state["bias"], dtype=float)
+        self._real = bool(state["real"])
+        restore(self._gravity, state, "gravity.")
         for name, sensor in self._sensors.items():
             restore(sensor, state, f"{name}.")
             sensor.arrived.clear()
@@ -160,6 +170,8 @@ class LiveGait:
         self._part = LivePart(origin, max(FASTEST, period), self.walker, self._bias)
 
     def _corrected(self, steps: Steps | None) -> Steps | None:
-        """As the walker's profile has it."""
+        """As the walker's profile has it, and what the recorder kept back."""
+        if steps is not None and self._gravity.needed:
+            steps = replace(steps, unknown=(NO_GRAVITY, *steps.unknown))
         profile = self.walker.profile
         return profile.corrected(steps) if profile is not None and steps is not None else steps

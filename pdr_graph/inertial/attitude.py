@@ -108,9 +108,13 @@ def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
     linear = recording.linear_acceleration
     if recording.accelerometer is not None or linear is None:
         return recording, ()
-    _, axes = np.linalg.eigh(np.cov(linear.values.T)) if len(linear) > 1 else (None, np.eye(3))
-    vertical = axes[:, -1]
-    up = vertical * np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)
+    up = vertical_of(np.cov(linear.values.T)) if len(linear) > 1 else np.array([0.0, 0.0, 1.0])
     return replace(recording, accelerometer=replace(linear, values=linear.values + STANDARD_GRAVITY * up)), (
         NO_GRAVITY,
     )
+
+
+def vertical_of(covariance: Array) -> Array:
+    """The vertical ``(3,)`` in a device that shakes with this covariance ``(3, 3)``, as of a walker's phone."""
+    vertical = np.linalg.eigh(covariance)[1][:, -1]
+    return vertical * np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)

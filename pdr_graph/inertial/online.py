@@ -7,11 +7,34 @@ from typing import Any
 import numpy as np
 import vqf
 
-from pdr_graph.inertial.attitude import PHONE
+from pdr_graph.inertial.attitude import PHONE, vertical_of
 from pdr_graph.inertial.stationary import LARGEST_BIAS, SHORTEST_REST, STILL_ACCELERATION, STILL_RATE
-from pdr_graph.types import Array, Mask
+from pdr_graph.inertial.stream import LARGEST
+from pdr_graph.types import STANDARD_GRAVITY, Array, Mask
 
 FOLLOWED = np.radians(1.0)  # [rad/s] of bias that VQF finds by itself; it stops at twice that
+
+
+class Gravity:
+    """Where a recorder removed it: along the axis that shook most by now, as `attitude_of` has it in the end."""
+
+    kept = ("moments",)
+
+    def __init__(self):
+        self.moments = np.zeros((4, 4))  # sums of products of (1, x, y, z)
+
+    @property
+    def needed(self) -> bool:
+        """True once it was."""
+        return bool(self.moments[0, 0] > 0)
+
+    def added(self, values: Array) -> Array:
+        """Accelerations with gravity ``(n, 3)`` of some without. [m/s²]"""
+        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[(np.abs(values) < LARGEST).all(axis=1)]
+        self.moments += ones.T @ ones
+        count, total = self.moments[0, 0], self.moments[0, 1:]
+        covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
+        return values + STANDARD_GRAVITY * vertical_of(covariance)
 
 
 class OnlineAttitude:

@@ -95,7 +95,7 @@ class SensorStream:
         if not self.arrived:
             return
         time, values = (np.concatenate(column) for column in zip(*self.arrived, strict=True))
-        spans = [min(max(0.0, float(packet[-1] - packet[0])), LONGEST_PACKET) for packet, _ in self.arrived]
+        spans = [min(max(0.0, float(packet[-1]) - float(packet[0])), LONGEST_PACKET) for packet, _ in self.arrived]
         self.longest_packet = max(0.9 * self.longest_packet, *spans)
         self.arrived.clear()
         good = (np.abs(time) < LATEST) & (np.abs(values) < LARGEST).all(axis=1)

@@ -14,6 +14,8 @@ from pdr_graph.gait.live import LiveGait
 from pdr_graph.gait.pdr import UNSEEN_TURN, detect_steps
 from pdr_graph.gait.profile import Profile
 from pdr_graph.gait.walker import Walker
+from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
 from pdr_graph.inertial.stream import PERSISTS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -260,6 +262,25 @@ def test_without_a_gyroscope_from_the_start():
     assert np.all(found.sigma_turn == UNSEEN_TURN)
 
 
+def test_a_recorder_that_removed_gravity():
+    """The axis that shook most stands for the vertical: as many steps, and the result says so."""
+    packets = sent(walk())
+    attitude = attitude_of(walk())
+    gravity = attitude.R_world_device.inv().apply([0, 0, 9.81])
+    linear = []
+    for sensor, time, values in packets:
+        if sensor == "accelerometer":
+            sensor, values = "linear_acceleration", values - interpolate(time, attitude.time, gravity)
+        linear.append((sensor, time, values))
+    chunks, _, _ = live(linear)
+    steps, found = detect_steps(walk()), whole(chunks)
+    assert len(found) == pytest.approx(len(steps), abs=2)
+    assert found.unknown == (NO_GRAVITY,)
+    assert np.sum(np.abs(found.turn) * (found.time > 10)) > 1  # they walked round
+    both = [one for pair in zip(packets, linear, strict=True) for one in pair]
+    assert same(whole(live(both)[0]), whole(live(packets)[0]))  # where there is an accelerometer it is not asked
+
+
 def test_without_an_accelerometer_nothing_is_known():
     chunks, tails, gait = live(sent(walk(), sensors=("gyroscope",)))
     assert (chunks, tails) == ([], [])
@@ -301,3 +322,27 @@ def test_a_slow_sensor_is_no_obstacle(rate):
 def test_samples_of_another_shape_are_refused():
     with pytest.raises(ValueError, match=r"found shape \(4, 2\) at 4 times, needed \(4, 3\)"):
         LiveGait().push("gyroscope", np.arange(4.0), np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_comes_the_chunks_are_a_walk(seed):
+    """Clocks that jump to and fro, lost, repeated and swapped packets, floods, wild values and times: all at random."""
+    random, shift, packets = np.random.default_rng(seed), 0.0, []
+    for sensor, time, values in sent(walk(), 10 ** random.uniform(-2, 1)):
+        time, values = time.copy(), values.copy()
+        fault, row = random.integers(100), random.integers(len(time))
+        if fault == 0:
+            shift += random.choice([-3600, 3600, -2.5, 2.5, -0.5, 1e5])
+        elif fault < 3:
+            values[row] = random.choice([np.nan, np.inf, 1e300, 900, 0])
+        elif fault < 5:
+            time[row] = random.choice([np.nan, -np.inf, 1e300, time[0] + 3, time[0] - 3])
+        elif fault < 7:
+            time, values = np.sort(random.uniform(time[0], time[-1] + 1e-3, 3000)), np.resize(values, (3000, 3))
+        packets += [(sensor, time + shift, values)] * random.choice([0, 1, 2], p=[0.03, 0.95, 0.02])
+        if fault == 7:
+            packets[-2:] = packets[:-3:-1]
+    chunks, tails, _ = live(packets)
+    assert all(one.end == then.start for one, then in pairwise(chunks))
+    assert {tail.start for tail in tails} <= {chunk.end for chunk in chunks} | {chunks[0].start}
+    assert len(whole(chunks)) > 20
