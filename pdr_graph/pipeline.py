@@ -26,10 +26,9 @@ from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.estimation.reports import is_a_guess
 from pdr_graph.estimation.rts import kalman_smoother
 from pdr_graph.estimation.smoothers import smooth
-from pdr_graph.floor.areas import BEACON
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.route import read_route
-from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.frames import Frame
 from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.heading import magnetic_headings
 from pdr_graph.gait.pdr import detect_steps
@@ -37,10 +36,10 @@ from pdr_graph.gait.profile import Profile
 from pdr_graph.gait.treads import on_treads
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
+from pdr_graph.inputs import placed_beacons, read_inputs
 from pdr_graph.io import gpx, writers
-from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
-from pdr_graph.io.tables import read_fixes, read_trajectory
-from pdr_graph.types import LONLAT, Beacons, Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
+from pdr_graph.io.tables import read_trajectory
+from pdr_graph.types import Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.radio_map import RadioMap
@@ -87,34 +86,23 @@ def smooth_recording(
     Arguments as of ``pdr-graph smooth``. Returns what could not be estimated or written; empty if all went well.
     Raises InputError if an input cannot be used.
     """
-    if rate is not None and not 0 < rate <= FASTEST_RATE:
-        raise InputError("--rate", "", f"{rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
+    check_rate(rate)
     out.mkdir(parents=True, exist_ok=True)
     stage = Stages()
 
     with stage("reading"):
-        walk = io.load(recording, gnss_latency)
-        known = Walker.load(walker) if walker else Walker()
-        notes = list(walk.notes)
-        given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
-        building = Building.load(plan) if plan else None
-        listed = beside(recording) if use_recorded_fixes else None
-        walk = replace(walk, beacons=_beacons(walk, beacons, listed, building, notes))
-        places = _radio_map(radio_map, building) if radio_map else None
-        recorded = walk.fixes if use_recorded_fixes else Fixes.none()
-        frame, located = _locate(building, places, given, recorded, notes)
-        if places is not None:
-            located = _merge(located, _radio_fixes(places, walk, frame, radio_map, notes))
+        given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, gnss_latency, beacons, radio_map)
+    walk, known, building, frame, located = given.walk, given.walker, given.building, given.frame, given.fixes
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, building)
         floors = _floors(walk, steps, located, building, floor_label, plan)
         if steps is not None and floors is not None:
             steps = on_treads(steps, floors.climbs, floors.kinds)
     with stage("estimate"):
-        heard = _levels(walk, steps, frame, notes)
+        heard = _levels(walk, steps, frame, given.notes)
         estimate, missing = _estimate(steps, located, headings, building, floors, heard, known, method)
     with stage("write"):
-        missing += _write(out, walk, building, frame, estimate, rate)
+        missing += write_results(out, walk, building, frame, estimate, rate)
         if steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
             learnt = replace(known, profile=posterior_profile(estimate, steps, known.profile))
             learnt.save(out / "walker.toml", f"what {walk.source} taught of its walker, for --walker of the next walk")
@@ -125,9 +113,15 @@ def smooth_recording(
     settings |= {name: str(path) if path else None for name, path in paths.items()}
     summary = summarize(walk, steps, headings, building, floors, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
-    summary["warnings"] = [*notes, *estimate.warnings]
+    summary["warnings"] = [*given.notes, *estimate.warnings]
     writers.write_summary(out / "summary.json", summary)
     return missing
+
+
+def check_rate(rate: float | None) -> None:
+    """Raise InputError where a trajectory cannot be resampled so often."""
+    if rate is not None and not 0 < rate <= FASTEST_RATE:
+        raise InputError("--rate", "", f"{rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
 
 
 def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | None = None) -> tuple[Profile, int]:
@@ -150,26 +144,6 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | Non
     title = f"{walk.source} along {route.name}   {profile.residual:.2f} m from it (rms)"
     plot(replace(estimate, fixes=()), truth=said, title=title).savefig(out.with_suffix(".png"), dpi=120)
     return profile, laps
-
-
-def _radio_map(path: Path, building: Building | None) -> RadioMap:
-    """A radio map that has a frame: its own, or that of the plan it was learnt on."""
-    from pdr_graph.estimation.radio_map import RadioMap  # it takes scipy.optimize, long to import
-
-    heard = RadioMap.load(path)
-    if building is None and heard.frame["kind"] == "plan":
-        raise InputError(path, "frame", "that of a floor plan", "--map, the plan of the walks that it was learnt from")
-    return heard
-
-
-def _radio_fixes(heard: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
-    """What a radio map says of a walk in the output frame, which must be its own."""
-    if heard.frame != frame.describe():
-        raise InputError(path or "--radio-map", "frame", f"{heard.frame}", f"that of the walk, {frame.describe()}")
-    fixes = heard.fixes(walk)
-    if not len(fixes):
-        notes.append("radio map: nothing that was heard is like what it knows, so that it gives no fix")
-    return fixes
 
 
 def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
@@ -207,45 +181,6 @@ def _frame_of(summary: Path) -> dict[str, Any]:
     return frame
 
 
-def _locate(
-    building: Building | None, heard: RadioMap | None, given: Fixes, recorded: Fixes, notes: list[str]
-) -> tuple[Frame, Fixes]:
-    """The output frame and all fixes in it; a note on fixes that have no place in it.
-
-    The plan's frame; else a radio map's; else that of metric fixes; else east-north about the first geodetic fix.
-    """
-    if building is not None:
-        frame = building.floors[0].frame
-    elif heard is not None:
-        frame = Frame.described(heard.frame)
-    elif len(given) and given.epsg != LONLAT:
-        frame = Frame() if given.epsg is None else projected(given.epsg)
-    elif not len(given) + len(recorded):
-        frame = Frame()
-    else:
-        first = min((f for f in (given, recorded) if len(f)), key=lambda f: f.time[0])
-        lon, lat = first.position[0].tolist()
-        frame = enu(lat, lon)
-    if not frame.georeferenced and len(recorded):
-        notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
-        recorded = Fixes.none()
-    return frame, _merge(frame.place(given), frame.place(recorded))
-
-
-def _merge(one: Fixes, other: Fixes) -> Fixes:
-    """Both, in time order."""
-    if not len(one) or not len(other):
-        return one if len(one) else other
-    joined = Fixes(
-        np.concatenate([one.time, other.time]),
-        np.concatenate([one.position, other.position]),
-        np.concatenate([one.sigma, other.sigma]),
-        one.floor + other.floor,
-        source=one.sources + other.sources,
-    )
-    return joined[np.argsort(joined.time, kind="stable")]
-
-
 def _observe(
     walk: Recording, walker: Walker, frame: Frame, fixes: Fixes, building: Building | None
 ) -> tuple[Steps | None, Headings]:
@@ -275,29 +210,11 @@ def _floors(
     return found
 
 
-def _beacons(
-    walk: Recording, given: Path | None, listed: Path | None, building: Building | None, notes: list[str]
-) -> Beacons | None:
-    """Where beacons are: as a list that was given says, or one beside the recording, or the plan."""
-    if given is not None:
-        return read_beacons(given, walk)
-    if listed is not None and walk.bluetooth is not None:
-        try:
-            return read_beacons(listed, walk)
-        except InputError as error:  # nobody asked for it
-            notes.append(f"beacons were left out: {error}")
-    drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
-    return drawn_beacons(drawn, walk) if drawn else None
-
-
 def _levels(walk: Recording, steps: Steps | None, frame: Frame, notes: list[str]) -> Levels | None:
     """How loud the surveyed beacons were along the walk."""
-    if walk.beacons is None or walk.bluetooth is None or steps is None:
+    if steps is None or walk.bluetooth is None or (beacons := placed_beacons(walk, frame, notes)) is None:
         return None
-    if walk.beacons.epsg is not None and not frame.georeferenced:
-        notes.append(f"{len(walk.beacons)} beacons were left out: the frame of --fixes has no latitude")
-        return None
-    return levels(walk.bluetooth, frame.place(walk.beacons), steps)
+    return levels(walk.bluetooth, beacons, steps)
 
 
 def _estimate(
@@ -357,7 +274,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     return replace(alone, trajectory=replace(track, floor=graph.floors), fixes=tuple(reports))
 
 
-def _write(
+def write_results(
     out: Path, walk: Recording, building: Building | None, frame: Frame, estimate: Estimate, rate: float | None
 ) -> tuple[str, ...]:
     """All files but the summary; returns what could not be written."""
