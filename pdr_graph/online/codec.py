@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import fields
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -119,27 +120,30 @@ OF_TYPE: dict[Any, Callable[[Any], bool]] = {  # by what the field's declaration
 }
 
 
+@cache
+def _declared(kind: Any) -> dict[str, Any]:
+    return {field.name: field.type for field in fields(kind)}
+
+
 def _values(noun: object) -> dict[str, Any]:
     """What the fields of a noun hold, each of its type."""
     values = {}
-    for field in fields(noun):  # pyright: ignore[reportArgumentType]
-        value = getattr(noun, field.name)
-        if not OF_TYPE[field.type](value):
-            raise TypeError(f"{type(noun).__name__}.{field.name}: found {value!r:.80}, needed {field.type}")
-        values[field.name] = _values(value) if isinstance(value, Sightings) else value
+    for name, declared in _declared(type(noun)).items():
+        value = getattr(noun, name)
+        if not OF_TYPE[declared](value):
+            raise TypeError(f"{type(noun).__name__}.{name}: found {value!r:.80}, needed {declared}")
+        values[name] = _values(value) if isinstance(value, Sightings) else value
     return values
 
 
 def _made(kind: Callable[..., Noun], values: dict[str, Any]) -> Noun:
-    declared = {field.name: field.type for field in fields(kind)}  # pyright: ignore[reportArgumentType]
-    given = {
-        name: _made(Sightings, value)
-        if declared[name] == "Sightings"
-        else tuple(value)
-        if isinstance(value, list)
-        else value
-        for name, value in values.items()
-    }
+    """A noun of the fields' values, which JSON has as lists where they are tuples."""
+    given, declared = {}, _declared(kind)
+    for name, value in values.items():
+        if declared[name] == "Sightings":
+            given[name] = _made(Sightings, value)
+        else:
+            given[name] = tuple(value) if isinstance(value, list) else value
     noun = kind(**given)
     _values(noun)
     return noun
