@@ -53,39 +53,42 @@ RecordingPath = Annotated[
 ]
 WalkerPath = Annotated[Path | None, typer.Option("--walker", metavar="TOML", help="What is known of the walker.")]
 MapPath = Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="A floor plan; its frame is the output's.")]
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")]
+FixesPath = Annotated[
+    Path | None,
+    typer.Option("--fixes", metavar="CSV", help="time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor]."),
+]
+RecordedFixes = Annotated[
+    bool, typer.Option("--recorded-fixes/--no-recorded-fixes", help="Use positions inside the recording too.")
+]
+Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Resample the trajectory; default: a row per step.")]
+FloorLabel = Annotated[
+    str | None,
+    typer.Option(metavar="LABEL", help="Where the walk begins, of a plan with several; default: as fixes say."),
+]
+BeaconsPath = Annotated[
+    Path | None,
+    typer.Option(metavar="CSV", help="beacon,x,y or beacon,lat,lon; default: BLE_Locations.csv beside the log."),
+]
 
 
 @app.command()
 def smooth(
     recording: RecordingPath,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")],
+    out: OutFolder,
     map_: MapPath = None,
-    fixes: Annotated[
-        Path | None,
-        typer.Option("--fixes", metavar="CSV", help="time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor]."),
-    ] = None,
+    fixes: FixesPath = None,
     walker: WalkerPath = None,
     method: Annotated[
         Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
     ] = Method.graph,
-    recorded_fixes: Annotated[
-        bool,
-        typer.Option("--recorded-fixes/--no-recorded-fixes", help="Use positions inside the recording too."),
-    ] = True,
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="Resample the trajectory; default: a row per step.")
-    ] = None,
+    recorded_fixes: RecordedFixes = True,
+    rate: Rate = None,
     gnss_latency: Annotated[
         float, typer.Option(metavar="S", min=-60, max=60, help="How late the phone's own positions are, 0–3 s.")
     ] = 0.0,
-    floor: Annotated[
-        str | None,
-        typer.Option(metavar="LABEL", help="Where the walk begins, of a plan with several; default: as fixes say."),
-    ] = None,
-    beacons: Annotated[
-        Path | None,
-        typer.Option(metavar="CSV", help="beacon,x,y or beacon,lat,lon; default: BLE_Locations.csv beside the log."),
-    ] = None,
+    floor: FloorLabel = None,
+    beacons: BeaconsPath = None,
     radio_map: Annotated[
         Path | None,
         typer.Option("--radio-map", metavar="FILE", help="What earlier walks heard where: fixes by Wi-Fi and BLE."),
@@ -100,9 +103,38 @@ def smooth(
     missing = smooth_recording(
         recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor, beacons, radio_map
     )
-    if missing:
-        typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
-        raise typer.Exit(DegradedExit)
+    _end(missing, out)
+
+
+@app.command()
+def replay(
+    recording: RecordingPath,
+    out: OutFolder,
+    map_: MapPath = None,
+    fixes: FixesPath = None,
+    walker: WalkerPath = None,
+    recorded_fixes: RecordedFixes = True,
+    rate: Rate = None,
+    floor: FloorLabel = None,
+    beacons: BeaconsPath = None,
+    lag: Annotated[
+        str, typer.Option(metavar="S", help="Steps older than this are settled; inf or none: keep all of them open.")
+    ] = "60",
+    journal: Annotated[
+        Path | None,
+        typer.Option("--journal", metavar="FILE", help="Keep the walk in it, or go on with the one that it has."),
+    ] = None,
+) -> None:
+    """Walk through a recording as if it were live, step by step, and say how long each step took.
+
+    pdr-graph replay walk.txt --map maps/arcade.geojson --fixes fixes.csv --out live
+    """
+    from pdr_graph.online.replay import replay_recording
+
+    missing = replay_recording(
+        recording, out, map_, fixes, walker, recorded_fixes, rate, floor, beacons, _lag(lag), journal
+    )
+    _end(missing, out)
 
 
 @app.command()
@@ -321,6 +353,23 @@ def map_check(plan: PlanPath) -> None:
     if found:
         raise typer.Exit(DegradedExit)
     typer.echo("no problems found")
+
+
+def _lag(said: str) -> float | None:
+    """Seconds, None for no end."""
+    try:
+        seconds = float("inf" if said.lower() == "none" else said)
+    except ValueError:
+        seconds = 0.0
+    if not seconds > 0:
+        raise InputError("--lag", "", said, "seconds above 0, inf or none")
+    return None if seconds == float("inf") else seconds
+
+
+def _end(missing: tuple[str, ...], out: Path) -> None:
+    if missing:
+        typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+        raise typer.Exit(DegradedExit)
 
 
 def main() -> None:

@@ -180,7 +180,7 @@ def test_map_show(tmp_path):
 def test_help_names_the_verbs():
     code, printed, _ = run("--help")
     assert code == 0
-    assert all(verb in printed for verb in ("smooth", "steps", "evaluate", "map"))
+    assert all(verb in printed for verb in ("smooth", "replay", "steps", "evaluate", "map"))
 
 
 @pytest.mark.parametrize(
@@ -194,6 +194,8 @@ def test_help_names_the_verbs():
         (("smooth", "fixes.csv", "--out", "o"), "supported recorder"),
         (("smooth", "walk.txt", "--rate", "-1", "--out", "o"), "--rate"),
         (("smooth", "walk.txt", "--out", "walk.txt"), "walk.txt"),
+        (("replay", "nowhere.txt", "--out", "o"), "nowhere.txt: found no such file"),
+        (("replay", "walk.txt", "--lag", "soon", "--out", "o"), "--lag: found soon, needed seconds"),
         (("steps", "truth.csv", "--out", "o.csv"), "supported recorder"),
         (("steps", "walk.txt", "--out", "no/such/folder/o.csv"), "no/such/folder"),
         (("evaluate", "walk.txt", "truth.csv"), "header"),

@@ -29,6 +29,13 @@ class Pose(Protocol):
     def covariance(self) -> Array: ...  # noqa: D102
 
 
+class Status(Protocol):
+    """How well a navigator does. ailments: what is amiss now, a line each."""
+
+    @property
+    def ailments(self) -> tuple[str, ...]: ...  # noqa: D102
+
+
 class Live(Protocol):
     """A navigator: events in, in order of arrival; a pose at once, and the walk smoothed so far."""
 
@@ -52,7 +59,7 @@ class Live(Protocol):
         ...
 
     @property
-    def status(self) -> Any:
+    def status(self) -> Status:
         """How well it does."""
         ...
 

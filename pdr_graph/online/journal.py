@@ -22,7 +22,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError
 from pdr_graph.online.codec import EVENTS, decode, encode, pack, unpack
-from pdr_graph.online.contract import Journalled, Pose
+from pdr_graph.online.contract import Journalled, Pose, Status
 from pdr_graph.online.events import Event
 from pdr_graph.online.store import explained, open_store, read
 from pdr_graph.types import Estimate, Trajectory
@@ -113,7 +113,7 @@ class Journal(Generic[Navigator]):
         return self.navigator.steps
 
     @property
-    def status(self) -> Any:
+    def status(self) -> Status:
         """The navigator's."""
         return self.navigator.status
 

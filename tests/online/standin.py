@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.online.events import Samples, Scan
-from pdr_graph.types import Estimate, Fixes, Steps, Trajectory
+from pdr_graph.types import Estimate, Fixes, FixReport, Steps, Trajectory
 
 WINDOW = 30  # rows that may still change
 
@@ -20,12 +20,17 @@ class Pose:
     covariance: np.ndarray
 
 
+@dataclass(frozen=True)
+class Status:
+    ailments: tuple[str, ...] = ()
+
+
 class StandIn:
     """Turns a point by what an event says and shifts it, so that nothing is forgotten and the order tells. Like
     iSAM2's, its state is not quite that of its snapshots: float64 while it runs, float32 when restored.
     """
 
-    status = "fine"
+    status = Status()
 
     def __init__(self, place=0j, rows=(), count=0):
         self.place, self.count = complex(place), count
@@ -69,6 +74,50 @@ class StandIn:
 
     def finish(self):
         return Estimate(self.trajectory, self.trajectory, None, (), 0, 0.0, True)
+
+
+class Metronome:
+    """A step of 0.7 m to the east each half a second of the accelerometer's samples; a fix tells where that was."""
+
+    status = Status(("the compass is broken",))
+
+    def __init__(self, floor=None, *, lag=60.0, walker=None, frame=None, beacons=None, begins=None, rows=(), steps=0):
+        self.steps, self.lag, self.rows, self.fixes = steps, lag, [tuple(row) for row in rows], []
+
+    @classmethod
+    def restored(cls, snapshot, **options):
+        return cls(**options, rows=snapshot["rows"].tolist(), steps=snapshot["steps"])
+
+    def snapshot(self):
+        return {"rows": table(self.rows), "steps": self.steps}
+
+    def settled(self):
+        older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]
+        return track(older)
+
+    def push(self, event):
+        if isinstance(event, Samples) and event.sensor == "accelerometer":
+            for time in event.time.tolist():
+                if not self.rows:
+                    self.rows.append((time, 0.0, 0.0))
+                elif time >= self.rows[-1][0] + 0.5:
+                    self.rows.append((time, self.rows[-1][1] + 0.7, self.rows[-1][2]))
+                    self.steps += 1
+        elif isinstance(event, Fixes) and self.rows:
+            x, y = event.position[-1].tolist()
+            self.rows[-1] = (self.rows[-1][0], x, y)
+            self.fixes.append(FixReport(float(event.time[-1]), x, y, 3.0, 0.0, 1.0, "it is so"))
+
+    @property
+    def pose(self):
+        return Pose(*self.rows[-1], 0.0, "", np.eye(3)) if self.rows else None
+
+    @property
+    def trajectory(self):
+        return track(self.rows)
+
+    def finish(self):
+        return Estimate(self.trajectory, self.trajectory, None, tuple(self.fixes), 0, 0.0, True)
 
 
 def numbers(event):

@@ -1,0 +1,163 @@
+"""``pdr-graph replay`` with a stand-in for the navigator: what it is told, and what is written of what it says."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import simulated
+from standin import Metronome
+from typer.testing import CliRunner
+
+from pdr_graph import InputError
+from pdr_graph.cli import app
+from pdr_graph.online import replay
+from pdr_graph.online.latency import Latency
+from pdr_graph.online.replay import replay_recording
+
+ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 10.0)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    assert replay_recording(folder / "walk.txt", folder / "live", fixes=folder / "fixes.csv", kind=Metronome) == ()
+    return folder / "live"
+
+
+def rows(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_it_writes_what_the_contract_names(result):
+    written = {path.name for path in result.iterdir()}
+    assert {"causal.csv", "latency.json", "trajectory.csv", "figure.png", "summary.json"} <= written
+    causal, summary = rows(result / "causal.csv"), json.loads((result / "summary.json").read_text())
+    assert list(causal[0]) == list(rows(result / "trajectory.csv")[0])
+    assert len(causal) == summary["steps"] + 1, "the first pose and one of each step"
+    assert np.diff([float(row["time"]) for row in causal]) == pytest.approx(0.5, abs=0.03)
+    assert float(causal[0]["time"]) == pytest.approx(simulated.START, abs=0.03), "the recorder's clock"
+    assert "the compass is broken" in summary["warnings"]
+    assert summary["settings"]["lag"] == 60.0
+    assert {"reading", "replay", "finish", "write"} <= set(summary["seconds"])
+
+
+def test_poses_know_nothing_of_what_comes_later(folder, result, tmp_path):
+    lines = (folder / "fixes.csv").read_text().splitlines()
+    (tmp_path / "fixes.csv").write_text("\n".join(lines[:3]) + "\n")
+    later = float(lines[3].split(",")[0])
+    replay_recording(folder / "walk.txt", tmp_path, fixes=tmp_path / "fixes.csv", kind=Metronome)
+    few, all_ = rows(tmp_path / "causal.csv"), rows(result / "causal.csv")
+    assert [row for row in few if float(row["time"]) < later] == [row for row in all_ if float(row["time"]) < later]
+    assert few[-1] != all_[-1], "a control: they differ in the end"
+
+
+def test_latency_is_of_all_that_came_between_two_steps(monkeypatch):
+    ticks = iter(np.cumsum([0, 1, 0, 2, 0, 7, 0, 4, 0, 5]) / 1000.0)
+    monkeypatch.setattr("time.perf_counter", lambda: next(ticks))
+    latency = Latency()
+    latency.push(lambda event: None, "1 ms")
+    latency.push(lambda event: None, "2 ms")
+    assert latency.step(lambda: "7 ms") == "7 ms"
+    latency.push(lambda event: None, "4 ms")
+    latency.step(lambda: "5 ms")
+    said = latency.describe()
+    assert (said["steps"], said["push"]["median"], said["push"]["max"]) == (2, 3.5, 4.0)
+    assert (said["pose"]["median"], said["pose"]["max"]) == (6.0, 7.0)
+
+
+def test_latency_of_a_replay(result):
+    said = json.loads((result / "latency.json").read_text())
+    assert list(said["push"]) == ["median", "p95", "p99", "p99.9", "max"]
+    assert list(said["push"].values()) == sorted(said["push"].values())
+    assert said["steps"] == json.loads((result / "summary.json").read_text())["steps"]
+    assert said["peak_memory"] is None or said["peak_memory"] > 10
+    assert all(look["resident"] > 10 for look in said["memory"])
+
+
+def test_long_walks_are_looked_at_as_often_as_short_ones(monkeypatch):
+    monkeypatch.setattr("pdr_graph.online.latency._resident", lambda: 100.0)
+    latency = Latency()
+    for now in range(100_000):
+        latency.look(float(now))
+    assert 50 < len(latency.memory) <= 200
+    assert latency.memory[0][0] == 0
+    assert latency.memory[-1][0] > 99_000
+
+
+class Dies(Metronome):
+    """Of Ctrl-C, half-way."""
+
+    def push(self, event):
+        super().push(event)
+        if self.steps == 25:
+            raise KeyboardInterrupt
+
+
+def test_a_journal_goes_on_where_it_was_interrupted(folder, result, tmp_path):
+    given = {"fixes": folder / "fixes.csv", "journal": tmp_path / "walk.journal"}
+    with pytest.raises(KeyboardInterrupt):
+        replay_recording(folder / "walk.txt", tmp_path, **given, kind=Dies)
+    replay_recording(folder / "walk.txt", tmp_path, **given, kind=Metronome)
+    assert (tmp_path / "trajectory.csv").read_text() == (result / "trajectory.csv").read_text()
+    assert "events were in the journal" in " ".join(json.loads((tmp_path / "summary.json").read_text())["warnings"])
+    causal = rows(tmp_path / "causal.csv")
+    assert causal == rows(result / "causal.csv")[-len(causal) :]
+    with pytest.raises(InputError, match="lag"):
+        replay_recording(folder / "walk.txt", tmp_path, **given, lag=None, kind=Metronome)
+
+
+def invoked(monkeypatch, *arguments, kind=Metronome):
+    monkeypatch.setattr(replay, "_navigator", lambda: kind)
+    return CliRunner().invoke(app, ["replay", *map(str, arguments)])
+
+
+@pytest.mark.parametrize(("said", "lag"), [("30", 30.0), ("inf", None), ("none", None)])
+def test_the_command_line(folder, tmp_path, monkeypatch, said, lag):
+    seen = []
+
+    class Seen(Metronome):
+        def __init__(self, *given, **options):
+            super().__init__(*given, **options)
+            seen.append(self.lag)
+
+    arguments = (folder / "walk.txt", "--fixes", folder / "fixes.csv", "--lag", said, "--out", tmp_path)
+    done = invoked(monkeypatch, *arguments, kind=Seen)
+    assert (done.exit_code, done.output) == (0, ""), "nothing in a pipe"
+    assert seen == [lag]
+
+
+@pytest.mark.parametrize("said", ["-1", "0", "nan", "long"])
+def test_other_lags_are_refused(folder, tmp_path, monkeypatch, said):
+    done = invoked(monkeypatch, folder / "walk.txt", "--lag", said, "--out", tmp_path)
+    assert isinstance(done.exception, InputError)
+    assert str(done.exception).startswith("--lag: found")
+
+
+GPX = """<gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1" creator="t"><trk><trkseg>
+<trkpt lat="35" lon="135"><time>2024-01-01T00:00:00Z</time></trkpt>
+<trkpt lat="35.0001" lon="135"><time>2024-01-01T00:00:10Z</time></trkpt>
+</trkseg></trk></gpx>"""
+
+
+def test_without_steps_the_fixes_are_the_walk_and_the_exit_says_so(tmp_path, monkeypatch):
+    (tmp_path / "walk.gpx").write_text(GPX)
+    done = invoked(monkeypatch, tmp_path / "walk.gpx", "--out", tmp_path / "live")
+    assert done.exit_code == 3
+    assert "finished without steps" in done.output
+    assert len(rows(tmp_path / "live" / "trajectory.csv")) == 2
+    assert rows(tmp_path / "live" / "causal.csv") == []
+
+
+def test_without_steps_and_fixes_it_is_refused(folder, tmp_path):
+    class Nothing(Metronome):
+        def push(self, event):
+            pass
+
+    with pytest.raises(InputError, match="neither steps nor fixes"):
+        replay_recording(folder / "walk.txt", tmp_path, use_recorded_fixes=False, kind=Nothing)
