@@ -8,7 +8,7 @@ GTSAM's own, and are kept with the others.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
 import gtsam
@@ -86,6 +86,40 @@ class Tree:
         again._start(gtsam.Values(self.values))
         return again
 
+    def state(self, leave_out: Collection[Name]) -> dict[str, Any]:
+        """The variables, and all factors but those named, as numbers: linear where they are not already."""
+        factors = {name: factor for name, factor in self.factors.items() if name not in leave_out}
+        named = [(*name, 0)[:2] if isinstance(name, tuple) else (name, -1) for name in factors]
+        return {
+            "lag": self.lag,
+            "keys": [(key, self._times[key]) for key in self.values.keys()],
+            "variables": np.array([_numbers(self.values, key) for key in self.values.keys()]),
+            "names": [list(name) for name in named],
+            "factors": [_packed(factor, self.values) for factor in (*factors.values(), *self.past)],
+        }
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> Tree:
+        """What `state` told of, not yet started: `update` with the factors that were left out does."""
+        tree = cls(float(state["lag"]))
+        values = gtsam.Values()
+        for (key, time), numbers in zip(state["keys"], state["variables"], strict=True):
+            _insert(values, int(key), numbers)
+            tree._times[int(key)] = float(time)
+        factors = [_unpacked(one, values) for one in state["factors"]]
+        names = [(kind, int(number)) if number >= 0 else kind for kind, number in state["names"]]
+        tree.past = factors[len(names) :]
+        tree.factors = dict(zip(names, factors, strict=False))
+        tree._keys = {name: frozenset(factor.keys()) for name, factor in tree.factors.items()}
+        tree.values = values
+        return tree
+
+    def start(self, factors: Mapping[Name, gtsam.NonlinearFactor]) -> None:
+        """Begin with these factors too, after `restored`."""
+        self.factors.update(factors)
+        self._keys |= {name: frozenset(factor.keys()) for name, factor in factors.items()}
+        self._start(gtsam.Values(self.values))
+
     def _accept(self, added: list[Name]) -> None:
         """Take over what an update has found; RuntimeError if it is not finite."""
         found = self._smoother.calculateEstimate()
@@ -134,13 +168,45 @@ def linear(keys: Sequence[int], blocks: Sequence[Array], error: Array, at: gtsam
     """A factor that was linearised ``at`` some values: whitened errors ``(r,)``, and a block ``(r, 3)`` per key."""
     values = gtsam.Values()
     for key in keys:
-        if gtsam.Symbol(key).chr() == POSE:
-            values.insert(key, at.atPose2(key))
-        else:
-            values.insert(key, at.atVector(key))
+        _insert(values, key, _numbers(at, key))
     terms: list[Any] = [side for pair in zip(keys, blocks, strict=True) for side in pair]
     factor = gtsam.JacobianFactor(*terms, -error, gtsam.noiseModel.Unit.Create(len(error)))
     return gtsam.LinearContainerFactor(factor, values)
+
+
+def _packed(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> dict[str, Any]:
+    """A factor, linear at these values: its keys and its information, that of the error in the last row."""
+    gaussian = factor.linearize(values)
+    return {"keys": list(gaussian.keys()), "information": gaussian.augmentedInformation()}
+
+
+def _unpacked(packed: dict[str, Any], values: gtsam.Values) -> gtsam.NonlinearFactor:
+    """The sum of what each pair of keys has; GTSAM's own constructors take no more than three."""
+    keys, information = [int(key) for key in packed["keys"]], np.asarray(packed["information"])
+    graph, zero, nothing = gtsam.GaussianFactorGraph(), np.zeros((3, 3)), np.zeros(3)
+    block = [slice(3 * n, 3 * n + 3) for n in range(len(keys))]
+    for n, key in enumerate(keys):
+        squared = float(information[-1, -1]) if n == 0 else 0.0
+        graph.push_back(gtsam.HessianFactor(key, information[block[n], block[n]], information[block[n], -1], squared))
+        for m in range(n + 1, len(keys)):
+            across = information[block[n], block[m]]
+            graph.push_back(gtsam.HessianFactor(key, keys[m], zero, across, nothing, zero, nothing, 0.0))
+    at = gtsam.Values()
+    for key in keys:
+        _insert(at, key, _numbers(values, key))
+    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(gtsam.HessianFactor(graph)), at)
+
+
+def _numbers(values: gtsam.Values, key: int) -> Array:
+    """A variable as three numbers."""
+    if gtsam.Symbol(key).chr() != POSE:
+        return values.atVector(key)
+    pose = values.atPose2(key)
+    return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+def _insert(values: gtsam.Values, key: int, numbers: Array) -> None:
+    values.insert(key, gtsam.Pose2(*numbers) if gtsam.Symbol(key).chr() == POSE else np.asarray(numbers))
 
 
 def _smoother(lag: float, relinearise: float) -> gtsam.IncrementalFixedLagSmoother:

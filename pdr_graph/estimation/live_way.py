@@ -1,0 +1,160 @@
+"""The steps of a walk under way, cut into intervals between keyframes as they come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.estimation.preintegration import (
+    DECIMALS,
+    PIECES_PER_KEYFRAME,
+    Bridge,
+    Pieces,
+    bridge,
+    one_interval,
+    preintegrate,
+    whole_pieces,
+)
+from pdr_graph.estimation.reach import DRIVEN
+from pdr_graph.floor.distance import DistanceField
+from pdr_graph.gait.gaps import follow
+from pdr_graph.types import Array, Index, Steps
+
+CLOSE = 2e-6  # [s]: see DECIMALS
+END, LENGTH, ROW, GAP = 0, 1, 6, 7  # columns of whole pieces
+
+
+@dataclass
+class Interval:
+    """Between two keyframes.
+
+    i, j: numbers of these; segment: of its calibration; pieces, bridge: of itself; row_time, row_piece: of the rows of
+    the trajectory that end in it; fields: of the walls about each piece, None of none; label: of its floor; at:
+    ``(9,)`` x_i, x_j, c where it was linearised.
+    """
+
+    i: int
+    j: int
+    segment: int
+    pieces: Pieces
+    bridge: Bridge
+    row_time: Array
+    row_piece: Index
+    fields: list[DistanceField | None]
+    label: str
+    at: Array = field(default_factory=lambda: np.full(9, np.nan))
+
+    @property
+    def begin(self) -> float:
+        """[s]"""
+        return float(self.pieces.keyframe_time[0])
+
+    @property
+    def end(self) -> float:
+        """[s]"""
+        return float(self.pieces.keyframe_time[1])
+
+
+class Way:
+    """The steps since the first keyframe that is kept.
+
+    whole: pieces ``(m, 8)`` as of `whole_pieces`, whether a row of the trajectory ends with each, and whether it is a
+    gap; start: of the first [s]; walked: before it [m]; chunks: the steps themselves.
+    """
+
+    def __init__(self) -> None:
+        self.whole, self.start, self.walked = np.empty((0, 8)), np.nan, 0.0
+        self.chunks: list[Steps] = []
+
+    @property
+    def end(self) -> float:
+        """Until when the steps are known. [s]"""
+        return float(self.whole[-1, END]) if len(self.whole) else self.start
+
+    @property
+    def steps(self) -> Steps:
+        """Those that are kept."""
+        return reduce(follow, self.chunks)
+
+    def add(self, steps: Steps) -> None:
+        """The next steps."""
+        if not self.chunks:
+            self.start = round(steps.start, DECIMALS)
+        self.chunks.append(steps)
+        self.whole = self.with_tail(steps)
+
+    def with_tail(self, tail: Steps | None) -> Array:
+        """The whole pieces, and those of steps that follow but may change yet."""
+        return self.whole if tail is None else np.concatenate([self.whole, _rows(tail)])
+
+    def walked_by(self, time: float | Array) -> Array:
+        """How far the steps have led by some times. [m]"""
+        driven = np.where(self.whole[:, GAP] > 0, DRIVEN * np.diff(self.whole[:, END], prepend=self.start), 0)
+        way = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
+        return self.walked + np.interp(time, np.append(self.start, self.whole[:, END]), way)
+
+    def rows(self, begin: float, end: float) -> Array:
+        """Of the whole pieces those that end with a row of the trajectory, after ``begin`` and until ``end`` [s]."""
+        ends = self.whole[:, END]
+        return self.whole[(self.whole[:, ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
+
+    def ends(self, last: float, marks: list[float]) -> list[float]:
+        """The times of the next keyframes after ``last`` [s]: ``marks``, both ends of gaps, and after so many pieces."""
+        after = self.whole[:, END] > last + CLOSE
+        if not after.any():
+            return []
+        gaps = np.flatnonzero(after & (self.whole[:, GAP] > 0))
+        begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
+        asked = np.unique([*(t for t in (*begins, *marks) if last + CLOSE < t <= self.end), *self.whole[gaps, END]])
+        ends, pieces = list[float](), self.whole[after, END]
+        for stop in asked.tolist():
+            share = np.append(pieces[(pieces > last + CLOSE) & (pieces < stop - CLOSE)], stop)
+            parts = -(-len(share) // PIECES_PER_KEYFRAME)
+            ends += [float(part[-1]) for part in np.array_split(share, parts)]
+            last = stop
+        rest = pieces[pieces > last + CLOSE]
+        return ends + rest[PIECES_PER_KEYFRAME - 1 :: PIECES_PER_KEYFRAME].tolist()
+
+    def interval(self, i: int, j: int, begin: float, end: float, segment: int, c: Array, label: str) -> Interval:
+        """From keyframe i to j. c: as believed before the walk, for its covariance."""
+        pieces = one_interval(self.whole, self.start, begin, end)
+        ends, rows = begin + pieces.to_end[1], self.rows(begin, end)[:, END]
+        which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
+        own = bridge(pieces, preintegrate(pieces, c[None]))
+        return Interval(i, j, segment, pieces, own, rows, which, [None] * len(ends), label)
+
+    def gap_within(self, begin: float, end: float) -> bool:
+        """Whether the recording has one there."""
+        return bool(self.rows(begin, end)[:, GAP].any())
+
+    def forget(self, before: float) -> None:
+        """Drop what ended before the first keyframe that is kept [s]."""
+        gone = int(np.searchsorted(self.whole[:, END], before + CLOSE))
+        if gone:
+            start = float(self.whole[gone - 1, END])
+            self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[gone:]
+        self.chunks = [steps for steps in self.chunks if steps.end > before] or self.chunks[-1:]
+
+    def state(self) -> dict[str, Any]:
+        """All that it knows, as numbers."""
+        steps = {name: value for name, value in vars(self.steps).items() if name != "unknown"} if self.chunks else {}
+        return {"whole": self.whole, "start": self.start, "walked": self.walked, "steps": steps}
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> Way:
+        """What `state` told of."""
+        way = cls()
+        way.whole, way.start = np.asarray(state["whole"]).reshape(-1, 8), float(state["start"])
+        way.walked = float(state["walked"])
+        way.chunks = [Steps(**state["steps"])] if state["steps"] else []
+        return way
+
+
+def _rows(steps: Steps) -> Array:
+    whole = whole_pieces(steps)
+    row = np.isin(whole[:, END], np.round(steps.time, DECIMALS))
+    gap = np.isin(whole[:, END], np.round(steps.time[steps.length == 0], DECIMALS))
+    return np.column_stack([whole, row, gap])
