@@ -18,7 +18,8 @@ from pdr_graph.inertial.stream import Health, SensorStream
 from pdr_graph.state import restore, state_of
 from pdr_graph.types import Array, Steps
 
-MOST_PACKETS = 12  # that wait for more of both sensors
+MOST_PACKETS = 24  # that wait to be looked at, as those of a clock that was put back
+LAGGING = 0.2  # [s] of one sensor behind the other
 FASTEST = 0.005  # [s] between samples; more often tells nothing more of a walk
 
 
@@ -106,7 +107,10 @@ class LiveGait:
         """Whether samples came that are worth a look."""
         sensors = self._sensors.values()
         due = -np.inf if self._part is None else float(self._part.time(self._part.block)[-1])
-        return min(s.newest for s in sensors) >= due or max(len(s.arrived) for s in sensors) >= MOST_PACKETS
+        newest = [sensor.newest for sensor in sensors]
+        if min(newest) >= due or max(newest) >= due + LAGGING:
+            return True
+        return max(len(sensor.arrived) for sensor in sensors) >= MOST_PACKETS
 
     def _take_in(self) -> None:
         accelerometer, gyroscope = self._sensors.values()
