@@ -50,7 +50,7 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.ground import Ground
 from pdr_graph.geometry import pose_rotation, rotation, wrap_angle
-from pdr_graph.types import Array, Beacons, Headings, Mask, Sightings, Steps
+from pdr_graph.types import Array, Beacons, Headings, Sightings, Steps
 
 # Of x_i, x_j, c, before an interval is linearised again: the steps' factor is linear in translations, that of walls not
 MOVED = np.array([0.5, 0.5, 0.02] * 2 + [0.01, 0.01, 0.002])

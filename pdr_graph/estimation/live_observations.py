@@ -6,7 +6,8 @@ Each observation is linearised here where the walk is, with its robust weight, a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
@@ -22,6 +23,9 @@ from pdr_graph.types import Array, Beacons, Sightings, Steps
 AMBLE = 1.0  # [m/s] at which a walker is thought to go on until the next node
 CHANGED = 0.1  # of a weight, or [m] and 0.1 rad of a pose, until an observation is linearised again
 LONGEST = 6.0  # [s] that a stretch may take
+
+
+One = TypeVar("One", bound="Seen")
 
 
 @dataclass
@@ -143,6 +147,22 @@ class LiveReceivers:
             own.nodes.append((n, at, by_then))
         return factors, values, times
 
+    def state(self) -> dict[str, Any]:
+        """All that it knows, as numbers."""
+        fixes = [[number, asdict(fix)] for number, fix in self.fixes.items()]
+        return {"fixes": fixes, "sources": [[n, asdict(one)] for n, one in self._sources.items()], "count": self._count}
+
+    @classmethod
+    def restored(cls, state: dict[str, Any]) -> LiveReceivers:
+        """What `state` told of; every fix is to be linearised."""
+        own = cls()
+        own.fixes = {int(number): _anew(SeenFix, fix) for number, fix in state["fixes"]}
+        for name, one in state["sources"]:
+            nodes = [(int(n), t, d) for n, t, d in one["nodes"]]
+            own._sources[name] = _Source(nodes, [(d, s) for d, s in one["recent"]])
+        own._count = int(state["count"])
+        return own
+
     def rows(self, fixes: list[SeenFix], pose: Array, values: gtsam.Values) -> Rows:
         """Their factors at poses ``(f, 3)`` of their keyframes."""
         g = np.array([values.atVector(key) for fix in fixes for key in fix.keys])
@@ -208,8 +228,10 @@ class LiveBeacons:
                 levels.append(SeenLevel(-1, (B(m), Q(0)), time=time, beacon=m, rssi=rssi))
         return levels
 
-    def add(self, level: SeenLevel) -> tuple[dict[Name, gtsam.NonlinearFactor], gtsam.Values]:
-        """A level that has its keyframe; priors and values of what is new."""
+    def add(
+        self, level: SeenLevel, now: float
+    ) -> tuple[dict[Name, gtsam.NonlinearFactor], gtsam.Values, dict[int, float]]:
+        """A level that has its keyframe; priors, values and times of what is new ``now`` [s]."""
         factors: dict[Name, gtsam.NonlinearFactor] = {}
         values, noise = gtsam.Values(), gtsam.noiseModel.Diagonal.Sigmas
         if not self._met:
@@ -223,7 +245,7 @@ class LiveBeacons:
             factors["beacon", level.beacon] = gtsam.PriorFactorVector(B(level.beacon), place, own)
         self.levels[self._count] = level
         self._count += 1
-        return factors, values
+        return factors, values, {key: now for key in values.keys()}
 
     def again(self) -> list[SeenLevel]:
         """Begin anew with the levels that are known; these, to be added again."""
@@ -249,3 +271,23 @@ class LiveBeacons:
         rssi = np.array([level.rssi for level in levels])
         model = Levels(nothing, every, rssi, (), np.empty((0, 2)), nothing)
         return model.heard(every, pose, b, values.atVector(Q(0)))
+
+    def state(self) -> dict[str, Any]:
+        """All that it knows but the beacons, as numbers."""
+        heard = {"heard": np.array(self._heard).reshape(-1, 3), "all": np.array(self._all).reshape(-1, 3)}
+        levels = [[number, asdict(level)] for number, level in self.levels.items()]
+        return {**heard, "met": sorted(self._met), "levels": levels, "count": self._count}
+
+    @classmethod
+    def restored(cls, beacons: Beacons, state: dict[str, Any]) -> LiveBeacons:
+        """What `state` told of, of the same beacons; every level is to be linearised."""
+        own = cls(beacons)
+        own._heard, own._all = ([(t, int(m), r) for t, m, r in state[name].tolist()] for name in ("heard", "all"))
+        own._met, own._count = set(state["met"]), int(state["count"])
+        own.levels = {int(number): _anew(SeenLevel, level) for number, level in state["levels"]}
+        return own
+
+
+def _anew(kind: type[One], state: dict[str, Any]) -> One:
+    """An observation of which `asdict` told; it is to be linearised."""
+    return kind(**(state | {"keys": tuple(state["keys"]), "at": np.full(4, np.nan)}))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -83,17 +84,18 @@ class Navigator:
         frame: Frame | None = None,
         prior: Prior | None = None,
         beacons: Beacons | None = None,
+        begins: str | None = None,
     ):
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
         self.frame = frame or (self.building.floors[0].frame if self.building else None)
         self._gait = LiveGait(self.walker)
         prior = prior or prior_of(self.walker.profile)
-        self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building)
+        self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building, begins or "")
         self._beacons = beacons
         self._tail: Steps | None = None
         self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
-        self._taken, self._early = 0, 0
+        self._taken, self._early, self._certain = 0, 0, 0
 
     def push(self, event: Event) -> None:
         """Take in an event, in the order in which they arrive."""
@@ -101,13 +103,18 @@ class Navigator:
             self._gait.push(event.sensor, event.time, event.values)
             certain, self._tail = self._gait.advance()
             if certain is not None:
-                self._graph.extend(certain)
+                self._extend(certain)
         elif isinstance(event, Steps):
-            self._graph.extend(event)
+            self._extend(event)
         elif isinstance(event, Fixes):
             self._fix(event)
         elif event.radio == "bluetooth" and self._beacons is not None and self.frame is not None:
             self._graph.hear(event.heard, self.frame.place(self._beacons))
+
+    @property
+    def steps(self) -> int:
+        """How many steps there have been, the provisional ones among them."""
+        return self._certain + (0 if self._tail is None else int((self._tail.length > 0).sum()))
 
     @property
     def pose(self) -> Pose | None:
@@ -143,7 +150,7 @@ class Navigator:
             late=graph.too_late,
             early=self._early,
             restarts=graph.restarts,
-            rebuilds=tuple(graph.rebuilds),
+            rebuilds=tuple(graph.tree.rebuilds),
         )
 
     def settled(self) -> Trajectory:
@@ -155,7 +162,7 @@ class Navigator:
         last = self._gait.finish()
         self._tail = None
         if last is not None:
-            self._graph.extend(last)
+            self._extend(last)
         self._graph.finish()
         graph = self._graph
         return Estimate(
@@ -167,6 +174,32 @@ class Navigator:
             cost=graph.cost,
             converged=True,
         )
+
+    def snapshot(self) -> dict[str, Any]:
+        """All that the rest of the walk depends on, as numbers and text; rows that are settled are not among it."""
+        frame = None if self.frame is None else self.frame.describe()
+        own = {"taken": self._taken, "early": self._early, "certain": self._certain, "frame": frame}
+        said = [[name, list(place)] for name, place in self._said.items()]
+        return {"gait": self._gait.state(), "graph": self._graph.state(), "said": said, **own}
+
+    @classmethod
+    def restored(cls, snapshot: dict[str, Any], **options: Any) -> Navigator:
+        """The navigator of a snapshot; options: the same as of the one that it was taken of."""
+        nav = cls(**options)
+        if nav.frame is None and snapshot["frame"] is not None:
+            nav.frame = Frame.described(snapshot["frame"])
+        beacons = nav._beacons
+        placed = beacons if beacons is None or nav.frame is None else nav.frame.place(beacons)
+        nav._gait.restore(snapshot["gait"])
+        nav._graph.restore(snapshot["graph"], placed)
+        nav._tail = nav._gait.advance()[1]
+        nav._said = {name: tuple(place) for name, place in snapshot["said"]}
+        nav._taken, nav._early, nav._certain = (int(snapshot[name]) for name in ("taken", "early", "certain"))
+        return nav
+
+    def _extend(self, steps: Steps) -> None:
+        self._certain += int((steps.length > 0).sum())
+        self._graph.extend(steps)
 
     @property
     def _now(self) -> float:
