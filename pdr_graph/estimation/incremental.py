@@ -30,7 +30,7 @@ from pdr_graph.estimation.live_factors import (
     heading_factor,
     own_factors,
 )
-from pdr_graph.estimation.live_fixes import NONE, SLIPPING, LiveFix, believe, judged
+from pdr_graph.estimation.live_fixes import NONE, SLIPPING, LiveFix, believe, judged, report
 from pdr_graph.estimation.live_observations import (
     LiveBeacons,
     LiveReceivers,
@@ -50,7 +50,7 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.ground import Ground
 from pdr_graph.geometry import pose_rotation, rotation, wrap_angle
-from pdr_graph.types import Array, Beacons, Headings, Sightings, Steps
+from pdr_graph.types import Array, Beacons, Calibration, FixReport, Headings, Sightings, Steps
 
 # Of x_i, x_j, c, before an interval is linearised again: the steps' factor is linear in translations, that of walls not
 MOVED = np.array([0.5, 0.5, 0.02] * 2 + [0.01, 0.01, 0.002])
@@ -115,6 +115,7 @@ class IncrementalGraph:
 
         # What has left the window
         self.settled, self.left = list[Rows](), list[Rows]()  # those left have the spread about their keyframes alone
+        self.past_reports = list[FixReport]()
         self.edge = 0.0, np.zeros((3, 3))  # when the covariance of the first keyframe was asked for, and what it was
         self._last: tuple[gtsam.Values, Belief] | None = None
 
@@ -165,8 +166,8 @@ class IncrementalGraph:
         return bool(self.beacons and self.beacons.levels) or any(fix.reached for fix in self.fixes)
 
     def belief(self, tail: Steps | None = None, until: float | None = None) -> Belief:
-        """What is believed now: of the last keyframe, through the steps and fixes since, and through a ``tail`` of steps
-        that may change yet, until a moment [s].
+        """What is believed now: of the last keyframe, through the steps and fixes since, and through a ``tail`` of
+        steps that may change yet, until a moment [s].
         """
         whole, at = self.way.with_tail(tail), self.times[-1]
         end = float(whole[-1, END]) if len(whole) else at
@@ -205,8 +206,23 @@ class IncrementalGraph:
         covariance = np.array([one.covariance[:3, :3] for one in beliefs]).reshape(-1, 3, 3)
         return Rows(moments, pose, covariance, [self.floor] * len(moments))
 
+    def reports(self) -> list[FixReport]:
+        """Why each fix was trusted or not; of those that left the window, since rows were handed out."""
+        return self.past_reports + [self._report(fix) for fix in sorted(self.fixes, key=lambda fix: fix.time)]
+
+    def calibration(self) -> Calibration | None:
+        """What the window tells of walker and gyroscope."""
+        segments = sorted({one.segment for one in self.intervals})
+        if not segments:
+            return None
+        covariance = np.array([self.tree.covariance([C(segment)]) for segment in segments])
+        start = [min(one.begin for one in self.intervals if one.segment == segment) for segment in segments]
+        prior = np.sqrt(np.square(self.prior.sigma) + np.array(segments)[:, None] * np.square(self.prior.change))
+        return Calibration(np.array(start), np.array([self.c[segment] for segment in segments]), covariance, prior)
+
     def hand_out(self) -> list[Rows]:
         """The rows that are settled, once."""
+        self.past_reports = []
         handed, self.settled = self.settled, []
         return handed
 
@@ -259,7 +275,7 @@ class IncrementalGraph:
         return in_time
 
     def _close(self, at_end: bool = False) -> bool:
-        """Close the keyframes that steps and measurements have made, and update the estimate; whether there were any."""
+        """Close the keyframes that steps and measurements have made, and update the estimate; whether there are any."""
         levels = self.beacons.due(self.way.end, self.way.walked_by) if self.beacons else []
         pointed = {n: one for n, one in self.headings.items() if one.keyframe < 0 and one.time <= self.way.end}
         marks = [one.time for one in (*self.waiting, *levels, *pointed.values())] + [self.way.end] * at_end
@@ -488,10 +504,13 @@ class IncrementalGraph:
             self.left.append(Rows(one.row_time, pose, spread, [one.label] * len(pose)))
         if self.keyframes[0] == 0:
             self.left.insert(0, Rows(np.array(self.times[:1]), self.pose[:1], np.zeros((1, 3, 3)), [leaving[0].label]))
+        leaving_at = set(self.keyframes[:gone])
+        reported = [self._report(fix) for fix in self.fixes if fix.keyframe in leaving_at]
         del self.keyframes[:gone], self.times[:gone], self.intervals[:gone]
         self.pose = self.pose[gone:]
         self.way.forget(self.times[0])
         alive = set(self.keyframes)
+        self.past_reports += reported
         self.fixes = [fix for fix in self.fixes if not fix.reached or fix.keyframe in alive]
         self.headings = {n: one for n, one in self.headings.items() if one.keyframe < 0 or one.keyframe in alive}
         self.receivers.forget(alive)
@@ -629,6 +648,9 @@ class IncrementalGraph:
         """Where keyframes are in order."""
         place = {number: n for n, number in enumerate(self.keyframes)}
         return [place[number] for number in numbers]
+
+    def _report(self, fix: LiveFix) -> FixReport:
+        return report(fix, self.pose[self._places([fix.keyframe])[0], :2] if fix.reached else fix.position)
 
     def _labels(self) -> list[str]:
         return [one.label for one in self.intervals for _ in one.row_time]

@@ -10,7 +10,8 @@ import numpy as np
 from pdr_graph.estimation.graph import LONGEST_OVERHANG, WALKING_SPEED
 from pdr_graph.estimation.optimizer import WILD
 from pdr_graph.estimation.reach import ENDS, STRETCHED, WITHIN, chained
-from pdr_graph.types import Array, Fixes
+from pdr_graph.estimation.robust import HUBER_WIDTH, gripping, slipping
+from pdr_graph.types import Array, Fixes, FixReport
 
 GRIP, SLIPPING, NONE = "grip", "wild", "none"  # how a fix is believed
 
@@ -48,7 +49,7 @@ class LiveFix:
 
 
 def believe(fixes: Sequence[LiveFix]) -> bool:
-    """Believe the longest chain of fixes within reach; whether others were believed until now, earlier than its last."""
+    """Believe the longest chain of fixes within reach; whether others before its last were believed until now."""
     if not fixes:
         return False
     fixes = sorted(fixes, key=lambda fix: fix.time)
@@ -73,6 +74,22 @@ def judged(fixes: Sequence[LiveFix], place: Array) -> list[LiveFix]:
             fix.kind = kind
             changed.append(fix)
     return changed
+
+
+def report(fix: LiveFix, place: Array) -> FixReport:
+    """Why a fix was trusted or not, where the walk was at ``place (2,)`` [m]."""
+    x, y = fix.position.tolist()
+    if not fix.reached:
+        reason = "outside the recording: not used"
+        return FixReport(fix.time, x, y, fix.sigma, float("nan"), 0.0, reason)
+    distance = float(np.hypot(*(place - fix.position)))
+    sigmas = distance / fix.sigma
+    weight = {GRIP: gripping(np.array([sigmas]), HUBER_WIDTH)[0], SLIPPING: slipping(np.array([sigmas]))[0], NONE: 0.0}
+    trust = {SLIPPING: "taken for wild", NONE: "refused"}.get(
+        fix.kind, "weighted down" if sigmas > HUBER_WIDTH else "full weight"
+    )
+    reason = f"{sigmas:.1f} sigma from the walk: {trust}"
+    return FixReport(fix.time, x, y, fix.sigma, distance, float(weight[fix.kind]), reason)
 
 
 def as_fixes(fixes: Sequence[LiveFix]) -> Fixes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from pdr_graph.estimation.preintegration import (
 )
 from pdr_graph.estimation.reach import DRIVEN
 from pdr_graph.floor.distance import DistanceField
-from pdr_graph.gait.gaps import follow
+from pdr_graph.gait.gaps import joined_chunks
 from pdr_graph.types import Array, Index, Steps
 
 CLOSE = 2e-6  # [s]: see DECIMALS
@@ -77,7 +76,7 @@ class Way:
     @property
     def steps(self) -> Steps:
         """Those that are kept."""
-        return reduce(follow, self.chunks)
+        return joined_chunks(self.chunks)
 
     def add(self, steps: Steps) -> None:
         """The next steps."""
@@ -102,7 +101,7 @@ class Way:
         return self.whole[(self.whole[:, ROW] > 0) & (ends > begin + CLOSE) & (ends <= end + CLOSE)]
 
     def ends(self, last: float, marks: list[float]) -> list[float]:
-        """The times of the next keyframes after ``last`` [s]: ``marks``, both ends of gaps, and after so many pieces."""
+        """The times of the next keyframes after ``last`` [s]: ``marks``, ends of gaps, and after so many pieces."""
         after = self.whole[:, END] > last + CLOSE
         if not after.any():
             return []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -80,6 +81,13 @@ def follow(first: Steps, then: Steps) -> Steps:
     columns |= {"turn": np.append(first.turn, turn), "pause_turn": np.append(first.pause_turn, pause_turn)}
     unknown = (*first.unknown, *(line for line in then.unknown if line not in first.unknown))
     return Steps(first.start, then.end, **columns, final_turn=final_turn, unknown=unknown)
+
+
+def joined_chunks(chunks: Sequence[Steps]) -> Steps:
+    """A walk of at least one chunk, each of which starts where the one before ends; neighbours first, of so many."""
+    while len(chunks) > 1:
+        chunks = [reduce(follow, chunks[n : n + 2]) for n in range(0, len(chunks), 2)]
+    return chunks[0]
 
 
 def _gaps(signal: Signal) -> Array:

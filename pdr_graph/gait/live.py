@@ -46,6 +46,11 @@ class LiveGait:
         return last if np.isfinite(last) else np.nan
 
     @property
+    def offset(self) -> float:
+        """By how much its times are later now than those given, since a clock was put back. [s]"""
+        return max(sensor.offset for sensor in self._sensors.values())
+
+    @property
     def health(self) -> dict[str, Health]:
         """How each sensor is by now."""
         self._take_in()

@@ -9,17 +9,19 @@ Nothing that is pushed can end the walk: what cannot be used is counted, and the
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.incremental import IncrementalGraph, Rows
+from pdr_graph.estimation.initial import lay_dead_reckoning
 from pdr_graph.estimation.profiles import prior_of
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.gait.gaps import joined_chunks
 from pdr_graph.gait.live import LiveGait
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
@@ -28,6 +30,7 @@ from pdr_graph.online.events import Event, Samples
 from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Steps, Trajectory
 
 AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
+UNSURE = "the measurements leave open which way the walk went: the most probable one is given"
 SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
 
 
@@ -92,6 +95,7 @@ class Navigator:
         self._gait = LiveGait(self.walker)
         prior = prior or prior_of(self.walker.profile)
         self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building, begins or "")
+        self._steps: list[Steps] = []  # since rows were handed out
         self._beacons = beacons
         self._tail: Steps | None = None
         self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
@@ -109,7 +113,8 @@ class Navigator:
         elif isinstance(event, Fixes):
             self._fix(event)
         elif event.radio == "bluetooth" and self._beacons is not None and self.frame is not None:
-            self._graph.hear(event.heard, self.frame.place(self._beacons))
+            heard = replace(event.heard, time=event.heard.time + self._gait.offset)
+            self._graph.hear(heard, self.frame.place(self._beacons))
 
     @property
     def steps(self) -> int:
@@ -155,6 +160,7 @@ class Navigator:
 
     def settled(self) -> Trajectory:
         """The rows that will not change any more, each handed out once and then forgotten."""
+        self._steps = self._steps[-1:]
         return _trajectory(self._graph.hand_out())
 
     def finish(self) -> Estimate:
@@ -164,16 +170,27 @@ class Navigator:
         if last is not None:
             self._extend(last)
         self._graph.finish()
-        graph = self._graph
+        graph, rows = self._graph, self.trajectory
         return Estimate(
-            trajectory=self.trajectory,
-            dead_reckoning=_trajectory([]),
-            calibration=None,
-            fixes=(),
+            trajectory=rows,
+            dead_reckoning=self._dead_reckoning(),
+            calibration=graph.calibration(),
+            fixes=tuple(graph.reports()),
             iterations=graph.tree.updates,
             cost=graph.cost,
             converged=True,
+            warnings=() if graph.sure or not graph.placed else (UNSURE,),
         )
+
+    def _dead_reckoning(self) -> Trajectory:
+        """The steps that were not handed out, laid as a rigid shape on their fixes."""
+        if not self._steps:
+            return _trajectory([])
+        steps = joined_chunks(self._steps)
+        reports = [fix for fix in self._graph.reports() if fix.weight > 0 and fix.time >= steps.start]
+        place = np.array([(fix.x, fix.y) for fix in reports]).reshape(-1, 2)
+        time, sigma = np.array([fix.time for fix in reports]), np.array([fix.sigma for fix in reports])
+        return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(reports)))
 
     def snapshot(self) -> dict[str, Any]:
         """All that the rest of the walk depends on, as numbers and text; rows that are settled are not among it."""
@@ -198,6 +215,7 @@ class Navigator:
         return nav
 
     def _extend(self, steps: Steps) -> None:
+        self._steps.append(steps)
         self._certain += int((steps.length > 0).sum())
         self._graph.extend(steps)
 
@@ -212,7 +230,7 @@ class Navigator:
             self.frame = enu(lat, lon) if fixes.epsg == LONLAT else projected(fixes.epsg) if fixes.epsg else Frame()
         if fixes.epsg is not None and not self.frame.georeferenced:
             return
-        fixes = self.frame.place(fixes)
+        fixes = self.frame.place(replace(fixes, time=fixes.time + self._gait.offset))
         for n in range(len(fixes)):
             source, place = fixes.sources[n], tuple(fixes.position[n].tolist())
             if source and self._said.get(source) == place:
