@@ -14,6 +14,8 @@ TILE = SPACING * (NODES - 1)
 NARROWEST = 0.3  # [m] gaps thinner than this are no places to walk: slits between neighbouring shop polygons
 BITS = 6
 PIXELS = 1 << BITS  # per side of a tile in the coarser answer of ``about``
+UNKNOWN = np.iinfo(np.intp).min  # in the place of a tile that was not computed
+OPEN = 1.0  # [m] to the walls where no tile is known yet
 SURROUND = 13  # tiles about everything drawn that have a place in the table: a walk may leave the plan
 
 
@@ -39,8 +41,11 @@ class DistanceField:
         self._corner = (np.floor(low / TILE) - SURROUND) * TILE
         self._wide, self._high = (np.ceil((high - self._corner) / TILE).astype(int) + SURROUND).tolist()
         self._slot = np.full((self._wide, self._high), -1)
+        self._last_pixel = PIXELS * np.array([[self._wide], [self._high]]) - 1
+        self._first = np.full(self._wide * self._high, UNKNOWN)  # of each tile's pixels, less that of the whole grid's
+        self._count = 0  # of tiles that are stored
         self._tiles = np.empty((0, NODES, NODES))
-        self._pixels = np.empty((0, PIXELS, PIXELS), dtype=float)
+        self._pixels = np.empty((0, PIXELS, PIXELS))
         shapely.prepare(self._walkable)
 
     def at(self, points: Array) -> tuple[Array, Array]:
@@ -64,27 +69,55 @@ class DistanceField:
         point, wall = self._tree.query(shapely.points(points), predicate="dwithin", distance=within)
         return point, shapely.get_coordinates(self._walls[wall]).reshape(-1, 2, 2)
 
-    def about(self, x: Array, y: Array) -> Array:
-        """Distance [m] at points, right to 0.1 m and in little time: by pixels of 0.125 m. x, y: of one shape, any."""
-        ix = _pixel(x, self._corner[0], self._wide)
-        iy = _pixel(y, self._corner[1], self._high)
-        tile = (ix >> BITS) * self._high + (iy >> BITS)
-        slot = self._slot.ravel().take(tile)
-        if slot.min(initial=0) < 0:
-            slot = self._slots(np.stack(np.divmod(tile.ravel(), self._high), axis=1)).reshape(x.shape)
-        return self._pixels.ravel().take((slot << 2 * BITS) + ((iy & PIXELS - 1) << BITS) + (ix & PIXELS - 1))
+    def about(self, places: Array, at_once: int | None = None) -> Array:
+        """Distance ``(…)`` [m] at places ``(2, …)`` [m], right to 0.1 m and in little time: by pixels of 0.125 m.
+
+        at_once: tiles at most that are computed now, where most of the places are; the others are open meanwhile.
+        In few calls, and in place: of a thousand places, most of the time goes into calling numpy.
+        """
+        scaled = places.reshape(2, -1) - self._corner[:, None]
+        scaled *= PIXELS / TILE
+        pixel = scaled.astype(np.intp)
+        np.maximum(pixel, 0, out=pixel)
+        np.minimum(pixel, self._last_pixel, out=pixel)
+        tile, row = pixel >> BITS
+        tile *= self._high
+        tile += row
+        address = self._first.take(tile)
+        if address.min(initial=0) == UNKNOWN:
+            missing, wanted = np.unique(tile[address == UNKNOWN], return_counts=True)
+            missing = missing[np.argsort(-wanted)[:at_once]]
+            self._slots(np.stack(np.divmod(missing, self._high), axis=1))
+            address = self._first.take(tile)
+        address += pixel[0]
+        pixel[1] <<= BITS
+        address += pixel[1]
+        distance = self._pixels.take(address, mode="clip")
+        if at_once is not None:
+            distance[address < 0] = OPEN
+        return distance.reshape(places.shape[1:])
 
     def _slots(self, tile: Index) -> Index:
         """Where the tiles ``(n, 2)`` of some points are stored; missing ones are computed first."""
         slot = self._slot[tile[:, 0], tile[:, 1]]
         if (slot < 0).any():
-            missing = np.unique(tile[slot < 0], axis=0)
-            self._slot[missing[:, 0], missing[:, 1]] = len(self._tiles) + np.arange(len(missing))
-            tiles = np.stack([self._compute(t) for t in missing])
-            self._tiles = np.concatenate([self._tiles, tiles])
-            self._pixels = np.concatenate([self._pixels, _pixels(tiles)])
+            self._store(np.unique(tile[slot < 0], axis=0))
             slot = self._slot[tile[:, 0], tile[:, 1]]
         return slot
+
+    def _store(self, missing: Index) -> None:
+        """Compute tiles ``(n, 2)``."""
+        x, y = missing.T
+        slot = self._count + np.arange(len(missing))
+        self._count += len(missing)
+        if self._count > len(self._tiles):  # by doubling, or a long walk would copy them over and over
+            more = 2 * self._count - len(self._tiles)
+            self._tiles = np.concatenate([self._tiles, np.empty((more, NODES, NODES))])
+            self._pixels = np.concatenate([self._pixels, np.empty((more, PIXELS, PIXELS))])
+        self._tiles[slot] = tiles = np.stack([self._compute(t) for t in missing])
+        self._pixels[slot] = _pixels(tiles)
+        self._slot[x, y] = slot
+        self._first[x * self._high + y] = (slot << 2 * BITS) - (((y << BITS) + x) << BITS)
 
     def _compute(self, tile: Index) -> Array:
         """Exact signed distances ``(NODES, NODES)`` at the nodes of one tile, rows along y."""
@@ -98,11 +131,6 @@ class DistanceField:
         shapely.prepare(walls)
         distance = shapely.distance(walls, shapely.points(x, y))
         return np.where(shapely.contains_xy(self._walkable, x, y), distance, -distance).reshape(NODES, NODES)
-
-
-def _pixel(along: Array, corner: float, tiles: int) -> Index:
-    index = ((along - corner) * (PIXELS / TILE)).astype(np.intp)
-    return np.minimum(np.maximum(index, 0, out=index), PIXELS * tiles - 1, out=index)
 
 
 def _pixels(tiles: Array) -> Array:

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from pdr_graph import FloorPlan, InputError
-from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.distance import OPEN, DistanceField
 
 
 def lonlat_square(x0, y0, x1, y1):
@@ -113,6 +113,31 @@ def test_distance_field_agrees_with_exact_distances():
     error = np.abs(distance - exact)
     assert np.percentile(error, 99) < 0.06
     assert error.max() < 0.18  # half a cell's diagonal: at corners, where distance has a ridge
+
+
+def test_distances_by_pixels_agree_with_exact_ones():
+    """99 % within 0.1 m: half the diagonal of a pixel, and the grid's own error."""
+    area = irregular_area()
+    points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
+    exact = shapely.distance(area.boundary, shapely.points(points))
+    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
+    about = DistanceField(area).about(points.T)
+    assert np.percentile(np.abs(about - exact), 99) < 0.1
+
+
+def test_tiles_may_come_one_by_one_most_wanted_first():
+    """What is not known yet is open; in the end everything is as if it had been computed at once."""
+    patient, hasty = DistanceField(irregular_area()), DistanceField(irregular_area())
+    points = np.random.default_rng(3).uniform(-18, 18, (500, 2)).T
+    crowd = np.tile([[0.5], [0.5]], 400)
+    known = patient.about(np.hstack([crowd, points]))
+    looks = [hasty.about(np.hstack([crowd, points]), at_once=1) for _ in range(40)]
+    assert np.array_equal(looks[0][:400], known[:400]), "where most are comes first"
+    agreeing = [np.mean(look == known) for look in looks]
+    assert agreeing == sorted(agreeing)
+    assert agreeing[0] < 0.6
+    assert np.all((looks[0] == known) | (looks[0] == OPEN))
+    assert np.array_equal(looks[-1], known)
 
 
 def test_distance_gradient_is_the_derivative():
