@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
-from pdr_graph.estimation import particles
+from pdr_graph.estimation import cloud, particles
 from pdr_graph.estimation.particle_steps import stepped
 from pdr_graph.estimation.particles import particle_filter
 from pdr_graph.floor.areas import Area
@@ -82,8 +82,8 @@ def test_in_the_open_particles_spread_as_dead_reckoning_errs(monkeypatch):
     """An independent oracle: the covariance of the end by propagating each error to first order."""
     for name in ("FEWEST", "MOST"):
         monkeypatch.setattr(particles, name, 20_000)
-    monkeypatch.setattr(particles, "WIDE", np.ones(3))
-    monkeypatch.setattr(particles, "CALM", np.ones(3))
+    monkeypatch.setattr(cloud, "WIDE", np.ones(3))
+    monkeypatch.setattr(cloud, "CALM", np.ones(3))
     n, length, heading_sigma, fix_sigma = 30, 0.7, 0.1, 1.0
     steps = steps_of(np.full(n, length), np.zeros(n), sigma_length=0.07, sigma_turn=0.02)
     floor = plan(("floor", shapely.box(-500, -500, 500, 500)))
