@@ -5,8 +5,9 @@ import pytest
 import shapely
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
-from pdr_graph.estimation.hypotheses import APART, bundles, hypotheses
-from pdr_graph.estimation.particles import Paths, particle_filter
+from pdr_graph.estimation.cloud import Paths
+from pdr_graph.estimation.hypotheses import APART, bundles, hypotheses, thickest
+from pdr_graph.estimation.particles import particle_filter
 from pdr_graph.floor.areas import Area
 from pdr_graph.frames import Frame
 from tests.walks import fixes_at, steps_of
@@ -63,15 +64,35 @@ def test_a_turn_that_was_measured_leaves_one_way(side):
     assert all(np.sign(way.poses[-1, 1]) == side for way in ways)
 
 
-def test_bundles_come_thickest_first_and_apart():
-    """Three bundles of known shares, 10 m apart, each a decimetre wide."""
+SHARES = [0.2, 0.5, 0.3]
+SIDE = np.repeat([0.0, 10.0, 20.0], 100)  # [m]
+
+
+def three_bundles(k=61):
+    """Of SHARES, in the end at SIDE, each a decimetre wide."""
     random = np.random.default_rng(0)
-    shares, side = [0.2, 0.5, 0.3], np.repeat([0.0, 10.0, 20.0], 100)
-    state = np.zeros((61, 6, 300))
-    state[:, 0] = np.arange(61)[:, None]
-    state[:, 1] = np.minimum(np.arange(61)[:, None] / 30, 1) * side + 0.1 * random.standard_normal(300)
-    found = bundles(Paths(state, np.repeat(np.array(shares) / 100, 100)))
-    assert side[found].tolist() == [10.0, 20.0, 0.0]
+    state = np.zeros((k, 6, 300))
+    state[:, 0] = np.arange(k)[:, None]
+    state[:, 1] = np.minimum(2 * np.arange(k)[:, None] / k, 1) * SIDE + 0.1 * random.standard_normal(300)
+    return Paths(state, np.repeat(np.array(SHARES) / 100, 100))
+
+
+def test_bundles_come_thickest_first_and_apart():
+    assert SIDE[bundles(three_bundles())].tolist() == [10.0, 20.0, 0.0]
+
+
+@pytest.mark.parametrize("k", [2, 30])
+def test_at_a_glance_the_thickest_bundles_are_the_same(k):
+    shares, middles = zip(*thickest(three_bundles(k)), strict=True)
+    assert SIDE[list(middles)].tolist() == [10.0, 20.0, 0.0]
+    assert shares == pytest.approx(sorted(SHARES, reverse=True))
+
+
+def test_paths_that_nobody_can_have_gone_are_in_no_bundle():
+    """Their weight is too small for a float."""
+    paths = three_bundles()
+    weight = np.where(SIDE == 0.0, 0.0, paths.weight)
+    assert SIDE[bundles(Paths(paths.state, weight / weight.sum()))].tolist() == [10.0, 20.0]
 
 
 def test_a_path_in_the_midst_of_its_bundle_speaks_for_it():
