@@ -9,18 +9,18 @@ import numpy as np
 from pdr_graph.types import Array, Index
 
 
-def viterbi(costs: Sequence[Array] | Array, moves: Sequence[Array] | Array) -> tuple[Index, float]:
-    """The cheapest states ``(n,)``, and what they cost together.
+def viterbi(costs: Sequence[Array] | Array, moves: Sequence[Array] | Array) -> tuple[Index, Array]:
+    """The cheapest states ``(…, n)``, and what they cost together ``(…,)``.
 
-    costs: ``(s,)`` of each state, n times; moves: ``(s, s)`` from one state to another, n − 1 times. Costs are minus
-    log-probabilities. Of sequences that cost the same, the one of lower states.
+    costs: ``(…, s)`` of each state, n times; moves: ``(…, s, s)`` from one state to another, n − 1 times. Costs are
+    minus log-probabilities. Of sequences that cost the same, the one of lower states.
     """
     total, came = costs[0], list[Index]()
     for cost, move in zip(costs[1:], moves, strict=True):
-        through = total[:, None] + move
-        came.append(np.argmin(through, axis=0))
-        total = through[came[-1], np.arange(len(cost))] + cost
-    states = [int(np.argmin(total))]
+        through = total[..., :, None] + move
+        came.append(np.argmin(through, axis=-2))
+        total = np.min(through, axis=-2) + cost
+    states = [np.argmin(total, axis=-1)[..., None]]
     for best in reversed(came):
-        states.append(int(best[states[-1]]))
-    return np.array(states[::-1]), float(total.min())
+        states.append(np.take_along_axis(best, states[-1], axis=-1))
+    return np.concatenate(states[::-1], axis=-1), np.min(total, axis=-1)

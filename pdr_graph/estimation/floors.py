@@ -12,6 +12,7 @@ The floor is the nearest one in height: on stairs it changes half-way, and who p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -75,7 +76,8 @@ def floors_along(
         likely = of_building(building, start)
     else:
         likely = unknown(start, fixes.floor, float(np.abs(np.cumsum(used.height)).max(initial=0.0)))
-    storeys, way, _ = min((_most_probable(s, used, fixes, steps) for s in likely), key=lambda found: found[2])
+    alike = [list(group) for _, group in groupby(likely, key=lambda s: s.labels)]
+    storeys, way, _ = min((_most_probable(group, used, fixes, steps) for group in alike), key=lambda found: found[2])
 
     # Which on every row
     rows = row_times(steps)
@@ -89,35 +91,40 @@ def floors_along(
     return Floors(labels, level, real.height @ share, sigma, storeys, seen, kind)
 
 
-def _most_probable(storeys: Storeys, used: Climbs, fixes: Fixes, steps: Steps) -> tuple[Storeys, Array, float]:
-    """Heights ``(c + 1,)`` [m] of floors or landings before, between and after the climbs, and their cost."""
-    place = _floors_and_landings(storeys.heights)
-    nearest = _nearest(storeys.heights, place)
-    landing = np.abs(place - storeys.heights[nearest]) > 1e-9
+def _most_probable(alike: list[Storeys], used: Climbs, fixes: Fixes, steps: Steps) -> tuple[Storeys, Array, float]:
+    """The likeliest of storeys that differ in their heights alone, and where the walk was then, and what it costs.
+
+    Where: heights ``(c + 1,)`` [m] of floors or landings before, between and after the climbs.
+    """
+    one = alike[0]
+    place = np.stack([_floors_and_landings(s.heights) for s in alike])
+    nearest = np.stack([_nearest(s.heights, at) for s, at in zip(alike, place, strict=True)])
+    floor = np.take_along_axis(np.stack([s.heights for s in alike]), nearest, axis=1)
+    landing = np.abs(place - floor) > 1e-9
     begin = np.append(steps.start, used.end)
     end = np.append(used.start, steps.end)
-    said, time = _said(storeys, fixes)
+    said, time = _said(one, fixes)
     costs = [
-        _of_fixes(said, time, len(storeys.labels), a, b)[nearest]
+        _of_fixes(said, time, len(one.labels), a, b)[nearest]
         + landing * min(LANDING + max(b - a, 0.0) / LANDING_TIME, MOST_LANDING)
         for a, b in zip(begin, end, strict=True)
     ]
-    if storeys.begin is not None:
-        costs[0] = costs[0] + START * (nearest != storeys.begin)
+    if one.begin is not None:
+        costs[0] = costs[0] + START * (nearest != one.begin)
     costs[0] = costs[0] + MOST_LANDING * landing  # walks begin on floors
-    moved, passed = place - place[:, None], np.abs(nearest - nearest[:, None])
-    moves = [
-        _of_climb(moved, h, s) + CHANGE * (passed > 0) + STOREY * passed
-        for h, s in zip(used.height, used.sigma, strict=True)
-    ]
+    moved, passed = place[:, None] - place[:, :, None], np.abs(nearest[:, None] - nearest[:, :, None])
+    further = CHANGE * (passed > 0) + STOREY * passed
+    moves = [_of_climb(moved, h, s) + further for h, s in zip(used.height, used.sigma, strict=True)]
     states, cost = viterbi(costs, moves)
-    return storeys, place[states], cost + storeys.cost
+    total = cost + [s.cost for s in alike]
+    best = int(np.argmin(total))
+    return alike[best], place[best, states[best]], float(total[best])
 
 
 def _of_climb(moved: Array, height: float, sigma: float) -> Array:
     """Cost of having moved up so far [m] by a climb of so much."""
-    doubt = np.hypot(np.hypot(OFF, sigma), SCALE * moved)
-    return 0.5 * ((height - moved) / doubt) ** 2 + np.log(doubt)
+    variance = OFF**2 + sigma**2 + (SCALE * moved) ** 2
+    return 0.5 * ((height - moved) ** 2 / variance + np.log(variance))
 
 
 def _of_fixes(said: Index, time: Array, count: int, begin: float, end: float) -> Array:
