@@ -69,7 +69,7 @@ def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     held = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
     if held.apply([0.0, 0.0, 1.0])[:, 2].mean() < FACING_UP:
         return UNKNOWN
-    along = held.apply([0.0, 1.0, 0.0])[:, :2] @ [1, 1j] * np.exp(-1j * heading[walking])
+    along = _level(held.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
     if abs(along.mean()) < STEADY * np.abs(along).mean():
         return UNKNOWN
     return Forward(float(np.angle(along.mean())), UNCONFIRMED)
@@ -138,7 +138,12 @@ def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[
 def _acceleration(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
     """Level (complex, ahead real) and vertical, both ``(n,)``. [m/s²]"""
     world = attitude.R_world_device.apply(attitude.acceleration)
-    return world[:, :2] @ [1, 1j] * np.exp(-1j * heading), world[:, 2]
+    return _level(world) * np.exp(-1j * heading), world[:, 2]
+
+
+def _level(vectors: Array) -> Complex:
+    """What of vectors ``(n, 3)`` is level, ``(n,)``: BLAS would set threads to work for it, and wait for them."""
+    return vectors[:, 0] + 1j * vectors[:, 1]
 
 
 def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -> Array:

@@ -11,19 +11,17 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.direction import Direction
 from pdr_graph.gait.forward import forward_axis
 from pdr_graph.gait.gait import Gait, gait_of
-from pdr_graph.geometry import interpolate, nearest, wrap_angle
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.magnetometer import fit_iron
+from pdr_graph.inertial.magnetometer import TILTED, fit_iron, measured_field
 from pdr_graph.inertial.north import North, magnetic_north
-from pdr_graph.inertial.samples import LONGEST_BRIDGED
 from pdr_graph.inertial.windows import runs
-from pdr_graph.types import Array, Headings, Index, Recording
+from pdr_graph.types import Array, Headings, Index, Mask, Recording
 
 STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
 ABOUT = 2.0  # [s] to either side of it, in which a walker should not turn
 LEAST_STEPS = 24  # in a stretch; a few may be none
 COMPASS_SIGMA = 0.2  # [rad] that stays for a whole walk: the phone's own iron, a building's axis, a plan's
-TILTED = 0.8  # length of the mean of the vertical in the device; a phone that was hardly tilted knows not its iron
 LEAST_CERTAIN = 0.7  # [rad] of north or of what is ahead; beyond it a heading tells nothing
 
 
@@ -59,34 +57,45 @@ def _uninterrupted_headings(gait: Gait, earth: EarthField) -> list[tuple[float, 
         held, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]
         if np.sum(here) * attitude.period < LEAST_STEPS * step:
             continue
-        ahead = forward_axis(held, heading, here, step)
-        middle = float(held.time[_straightest(heading, np.flatnonzero(here), round(ABOUT / attitude.period))])
-        sigma = float(np.interp(middle, north.time, north.sigma))
-        if max(ahead.sigma, sigma) < LEAST_CERTAIN:
-            course = np.interp(middle, held.time, heading) + ahead.angle
-            east = np.interp(middle, north.time, north.direction) - np.pi / 2
-            rows.append((middle, float(wrap_angle(course - east)), sigma, ahead.sigma))
+        walked = np.flatnonzero(here)
+        middle = walked[len(walked) // 4 : max(1, len(walked) - len(walked) // 4)]
+        straight = straightest(heading, middle, round(ABOUT / attitude.period))
+        found = course_from_east(held, heading, here, step, north, straight)
+        if found is not None:
+            rows.append((float(held.time[straight]), *found))
     return rows
 
 
+def course_from_east(
+    held: Attitude, heading: Array, walking: Mask, step: float, north: North, sample: int
+) -> tuple[float, float, float] | None:
+    """Where a walker went at a sample, from true east, and the sigmas of north and of what is ahead; None if unsure.
+
+    held, heading, walking, step: as of `forward_axis`. [rad]
+    """
+    ahead, moment = forward_axis(held, heading, walking, step), float(held.time[sample])
+    sigma = float(np.interp(moment, north.time, north.sigma))
+    if not max(ahead.sigma, sigma) < LEAST_CERTAIN:
+        return None
+    east = np.interp(moment, north.time, north.direction) - np.pi / 2
+    return float(wrap_angle(heading[sample] + ahead.angle - east)), sigma, ahead.sigma
+
+
+def straightest(heading: Array, among: Index, reach: int) -> int:
+    """Of some samples that about which the heading turns least: a heading is of one moment."""
+    turned = heading[np.minimum(among + reach, len(heading) - 1)] - heading[np.maximum(among - reach, 0)]
+    return int(among[np.argmin(np.abs(turned))])
+
+
 def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North:
-    magnetometer = recording.magnetometer
-    assert magnetometer is not None, "asked for by magnetic_headings"
-    field = interpolate(attitude.time, magnetometer.time, magnetometer.values)
+    assert recording.magnetometer is not None, "asked for by magnetic_headings"
+    field = measured_field(recording.magnetometer, attitude.time)
     up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])
-    if np.linalg.norm(up.mean(axis=0)) < TILTED:
-        iron = fit_iron(field, earth.magnitude)
-        field = iron.corrected(field) if iron.known else field
-    apart = np.abs(magnetometer.time[nearest(magnetometer.time, attitude.time)] - attitude.time)
-    field[apart > LONGEST_BRIDGED] = 0.0  # no field tells no north
+    measured = np.any(field, axis=1)
+    if np.linalg.norm(up.mean(axis=0)) < TILTED and measured.any():
+        iron = fit_iron(field[measured], earth.magnitude)
+        field[measured] = iron.corrected(field[measured]) if iron.known else field[measured]
     return magnetic_north(attitude, field, earth)
-
-
-def _straightest(heading: Array, walking: Index, reach: int) -> int:
-    """The sample of the middle half of a walk about which the heading turns least: a heading is of one moment."""
-    middle = walking[len(walking) // 4 : max(1, len(walking) - len(walking) // 4)]
-    turned = heading[np.minimum(middle + reach, len(heading) - 1)] - heading[np.maximum(middle - reach, 0)]
-    return int(middle[np.argmin(np.abs(turned))])
 
 
 def _stretches(direction: Direction, time: Array) -> list[slice]:

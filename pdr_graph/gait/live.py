@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
 from typing import Any
 
 import numpy as np
 
+from pdr_graph.gait.gait import Gait
 from pdr_graph.gait.gaps import follow, gap
 from pdr_graph.gait.live_part import LivePart
 from pdr_graph.gait.walker import Walker
@@ -28,10 +30,12 @@ class LiveGait:
 
     A step is certain about five seconds after it, a few later where the phone turned and it must be known whether its
     walker did. The chunks of certain steps follow one another: together they are the walk.
+
+    listener: is handed the samples of each chunk as they become certain, with attitude, heading and landings.
     """
 
-    def __init__(self, walker: Walker | None = None):
-        self.walker = walker or Walker()
+    def __init__(self, walker: Walker | None = None, listener: Callable[[Gait], None] | None = None):
+        self.walker, self.listener = walker or Walker(), listener
         self._sensors = {name: SensorStream() for name in ("accelerometer", "gyroscope")}
         self._real, self._gravity = False, Gravity()  # whether there is an accelerometer, and what stands in for it
         self._part: LivePart | None = None
@@ -104,7 +108,7 @@ class LiveGait:
             sensor.arrived.clear()
         self._part = self._tail = None
         if "period" in state:
-            self._part = LivePart(float(state["origin"]), float(state["period"]), self.walker, self._bias)
+            self._part = self._new_part(float(state["origin"]), float(state["period"]))
             restore(self._part, state, "part.")
             self._tail = self._corrected(self._part.tail())
 
@@ -176,7 +180,10 @@ class LiveGait:
         period = float(np.median(np.diff(time[time <= time[0] + SHORTEST_WALK])))
         if not np.isnan(self._end):
             chunks.append(gap(self._end, origin))
-        self._part = LivePart(origin, max(FASTEST, period), self.walker, self._bias)
+        self._part = self._new_part(origin, max(FASTEST, period))
+
+    def _new_part(self, origin: float, period: float) -> LivePart:
+        return LivePart(origin, period, self.walker, self._bias, self.listener)
 
     def _corrected(self, steps: Steps | None) -> Steps | None:
         """As the walker's profile has it, and what the recorder kept back."""

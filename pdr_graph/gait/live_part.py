@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -29,12 +30,17 @@ NOBODY = Recording("live", 0.0, None)
 
 
 class LivePart:
-    """From sample 0 at ``origin`` [s], every ``period`` [s]. end: of what is certain [s]."""
+    """From sample 0 at ``origin`` [s], every ``period`` [s]. end: of what is certain [s].
+
+    listener: is handed the samples of each chunk of certain steps, and its landings.
+    """
 
     kept = ("attitude", "detector", "direction", "end", "count", "landed", "rows", "durations")
 
-    def __init__(self, origin: float, period: float, walker: Walker, bias: Array):
-        self.walker = walker
+    def __init__(
+        self, origin: float, period: float, walker: Walker, bias: Array, listener: Callable[[Gait], None] | None = None
+    ):
+        self.walker, self.listener = walker, listener
         self.attitude = OnlineAttitude(period, bias)
         self.detector = StepDetector(period, origin)
         self.direction = LiveDirection(origin, period)
@@ -99,6 +105,8 @@ class LivePart:
         if self.now <= self.end or not (count or last or end > self.end + STANDING):
             return []
         first, self._open = self._split(self._steps(), count, end)
+        if self.listener is not None:
+            self.listener(self._felt(first))
         self._commit(count, end, first)
         return [first]
 
@@ -143,6 +151,20 @@ class LivePart:
             rest["pause_turn"][0] -= turned
         final = steps.final_turn if len(steps) > count else steps.final_turn - turned
         return first, replace(steps, start=end, final_turn=final, **rest)
+
+    def _felt(self, steps: Steps) -> Gait:
+        """The samples after the certain ones, to the end of the next certain steps."""
+        course = self.direction
+        first, after = (
+            int((t - self.origin) / self.period + 1e-6) + 1 - course.first for t in (steps.start, steps.end)
+        )
+        part = slice(first, after)
+        attitude = course.attitude(part)
+        if np.any(np.diff(course.blind[max(0, first - 1) : after]) > 0):
+            attitude = replace(attitude, unknown=(NO_GYROSCOPE,))
+        amplitude = self.landed[self.rows : self.rows + len(steps), 1]
+        landings = Landings(steps.time, steps.duration, amplitude)
+        return Gait(NOBODY, attitude, landings, Direction(course.course[part], course.doubt[part]))
 
     def _course(self, time: float) -> float:
         return float(np.interp(time, self.direction.time, self.direction.course))

@@ -7,14 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.types import Array
+from pdr_graph.inertial.samples import LONGEST_BRIDGED
+from pdr_graph.types import Array, Signal
 
 SMOOTHING = 0.5  # [s] of the Gaussian over the field's noise and the gait
 PREDICTED_OVER = 1.0  # [s] over which the gyroscope predicts the field
 MOST_SAMPLES, MOST_EVALUATIONS = 600, 60  # of a fit; where the turns tell little it would go on and on
 USUAL_HARD, USUAL_SOFT = 300.0, 0.1  # [µT], [-] standard deviations of a phone's own, before any calibration
 WELL_KNOWN = 3.0  # [µT] standard deviation of a hard iron that is worth taking away
+TILTED = 0.8  # length of the mean of the vertical in the device; a phone that was hardly tilted knows not its iron
 INDEPENDENT = 100  # of the samples in a building
 UPPER = np.triu_indices(3)
 USUAL_SPREAD = 3.0  # [µT] of the field's size about the ellipsoid, in a building: the width of the fit's robust loss
@@ -64,6 +67,40 @@ def fit_iron(measured: Array, magnitude: float) -> Iron:
     fit = least_squares(residuals, start, loss="cauchy", f_scale=share, max_nfev=MOST_EVALUATIONS)
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))[:3]) if fit.success else np.full(3, np.inf)
     return Iron(fit.x[:3], _symmetric(fit.x[3:]), sigma)
+
+
+def unknown_iron(measured: Array) -> Iron:
+    """A phone's before any fit to samples ``(n, 3)``, from which one sets out."""
+    return Iron(np.median(measured, axis=0), np.eye(3), np.full(3, USUAL_HARD))
+
+
+def refined(iron: Iron, measured: Array, magnitude: float) -> Iron:
+    """One round of the fit of `fit_iron`, by Gauss and Newton, weighted: for samples ``(n, 3)`` that go on coming."""
+    share = np.sqrt(min(1.0, INDEPENDENT / len(measured)))
+    apart = measured - iron.hard
+    corrected = apart @ iron.soft
+    length = np.linalg.norm(corrected, axis=1)
+    towards = corrected / np.maximum(length, 1e-9)[:, None]
+    i, j = UPPER
+    by_soft = towards[:, i] * apart[:, j] + np.where(i == j, 0.0, towards[:, j] * apart[:, i])
+    by = np.concatenate([-towards @ iron.soft, by_soft], axis=1) / USUAL_SPREAD
+    error = (length - magnitude) / USUAL_SPREAD
+    spread = np.concatenate([np.full(3, USUAL_HARD), np.full(6, USUAL_SOFT)])
+    now = np.concatenate([iron.hard, iron.soft[UPPER]])
+    unusual = (now - np.concatenate([np.zeros(3), np.eye(3)[UPPER]])) / spread
+    weighted = by * (share**2 / (1 + error**2))[:, None]
+    information = weighted.T @ by + np.diag(spread**-2.0)
+    now = now - np.linalg.solve(information, weighted.T @ error + unusual / spread)
+    curved = np.maximum((1 - error**2) / (1 + error**2) ** 2, 0.0)  # the loss's second derivative
+    certain = (by * (share**2 * curved)[:, None]).T @ by + np.diag(spread**-2.0)
+    return Iron(now[:3], _symmetric(now[3:]), np.sqrt(np.diag(np.linalg.inv(certain))[:3]))
+
+
+def measured_field(magnetometer: Signal, time: Array) -> Array:
+    """The field ``(n, 3)`` in device axes at times ``(n,)`` [s]; 0, which tells no north, where none was measured."""
+    field = interpolate(time, magnetometer.time, magnetometer.values)
+    apart = np.abs(magnetometer.time[nearest(magnetometer.time, time)] - time)
+    return np.where((apart > LONGEST_BRIDGED)[:, None], 0.0, field)
 
 
 def predicted(field: Array, angular_rate: Array, period: float) -> Array:

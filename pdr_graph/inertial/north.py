@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
 from pdr_graph.earth import EarthField
-from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.magnetometer import dip_error, field_in_world, prediction_error
 from pdr_graph.types import Array
@@ -69,14 +69,14 @@ def _filtered(seen: Array, variance: Array) -> tuple[Array, Array]:
     state, doubt = float(seen[first]), float(variance[first])
     states, doubts = np.full(len(seen), state), np.full(len(seen), doubt)
     doubts[:first] += GYRO_WANDER**2 * EVERY * np.arange(first, 0, -1)
-    for k in range(first + 1, len(seen)):
+    for k, (one, spread) in enumerate(zip(seen[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True)):
         doubt += GYRO_WANDER**2 * EVERY
-        gain = doubt / (doubt + variance[k])
-        surprise = float(wrap_angle(seen[k] - state))
-        widest = HUBER * np.sqrt(doubt + variance[k])
+        gain = doubt / (doubt + spread)
+        surprise = (one - state + np.pi) % (2 * np.pi) - np.pi
+        widest = HUBER * sqrt(doubt + spread)
         state += gain * min(max(surprise, -widest), widest)
         doubt *= 1 - gain
-        states[k], doubts[k] = state, doubt
+        states[first + 1 + k], doubts[first + 1 + k] = state, doubt
     return states, doubts
 
 
