@@ -142,10 +142,11 @@ class IncrementalGraph:
             self._close()
 
     def point(self, number: int, time: float, heading: float, sigma: float) -> None:
-        """A walking direction [rad]; of one number the last counts."""
-        if number in self.headings:
+        """A walking direction [rad]; of one number the last counts, one of an infinite sigma tells nothing."""
+        known = self.headings.pop(number, None)
+        if known is not None and ("heading", number) in self.tree.factors:
             self._update({}, [("heading", number)])
-        if not self.times or time >= self.times[0]:
+        if np.isfinite(sigma) and (not self.times or time >= self.times[0]):
             self.headings[number] = Pointed(round(time, DECIMALS), heading, sigma)
 
     def hear(self, heard: Sightings, beacons: Beacons) -> None:
@@ -281,7 +282,7 @@ class IncrementalGraph:
         marks = [one.time for one in (*self.waiting, *levels, *pointed.values())] + [self.way.end] * at_end
         new = self._cut(marks)
         reached = [fix for fix in self.waiting if fix.time <= self.times[-1] + CLOSE]
-        if not (new or reached or levels):
+        if not (new or reached or levels or pointed):
             return False
         for one in (*reached, *levels, *pointed.values()):
             one.keyframe = self._keyframe_at(one.time)

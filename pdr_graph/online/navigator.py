@@ -23,6 +23,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.gait.gaps import joined_chunks
 from pdr_graph.gait.live import LiveGait
+from pdr_graph.gait.live_heading import LiveCompass
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.stream import Health
@@ -88,13 +89,17 @@ class Navigator:
         prior: Prior | None = None,
         beacons: Beacons | None = None,
         begins: str | None = None,
+        epoch: float | None = None,
     ):
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
         self.frame = frame or (self.building.floors[0].frame if self.building else None)
-        self._gait = LiveGait(self.walker)
+        self._compass = LiveCompass(self.walker)
+        self._gait = LiveGait(self.walker, self._compass.take)
         prior = prior or prior_of(self.walker.profile)
         self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building, begins or "")
+        self._place: Array | None = None  # where the walk was first known to be
+        self._epoch = epoch
         self._steps: list[Steps] = []  # since rows were handed out
         self._beacons = beacons
         self._tail: Steps | None = None
@@ -104,10 +109,7 @@ class Navigator:
     def push(self, event: Event) -> None:
         """Take in an event, in the order in which they arrive."""
         if isinstance(event, Samples):
-            self._gait.push(event.sensor, event.time, event.values)
-            certain, self._tail = self._gait.advance()
-            if certain is not None:
-                self._extend(certain)
+            self._sample(event)
         elif isinstance(event, Steps):
             self._extend(event)
         elif isinstance(event, Fixes):
@@ -197,6 +199,7 @@ class Navigator:
         frame = None if self.frame is None else self.frame.describe()
         own = {"taken": self._taken, "early": self._early, "certain": self._certain, "frame": frame}
         said = [[name, list(place)] for name, place in self._said.items()]
+        own |= {"place": self._place, "compass": self._compass.state()}
         return {"gait": self._gait.state(), "graph": self._graph.state(), "said": said, **own}
 
     @classmethod
@@ -209,10 +212,29 @@ class Navigator:
         placed = beacons if beacons is None or nav.frame is None else nav.frame.place(beacons)
         nav._gait.restore(snapshot["gait"])
         nav._graph.restore(snapshot["graph"], placed)
+        nav._compass.restore(snapshot["compass"])
+        if snapshot["place"] is not None and nav.frame is not None:
+            nav._locate(nav.frame, np.array(snapshot["place"]))
         nav._tail = nav._gait.advance()[1]
         nav._said = {name: tuple(place) for name, place in snapshot["said"]}
         nav._taken, nav._early, nav._certain = (int(snapshot[name]) for name in ("taken", "early", "certain"))
         return nav
+
+    def _locate(self, frame: Frame, place: Array) -> None:
+        """The first place that is known tells the compass where on earth it is."""
+        self._place = place
+        self._compass.locate(frame, place, self._epoch)
+
+    def _sample(self, samples: Samples) -> None:
+        if samples.sensor == "magnetometer":
+            self._compass.push(samples.time + self._gait.offset, samples.values)
+        self._gait.push(samples.sensor, samples.time, samples.values)
+        certain, self._tail = self._gait.advance()
+        if certain is None:
+            return
+        for found in self._compass.advance():
+            self._graph.point(found.stretch, found.time, found.heading, found.sigma)
+        self._extend(certain)
 
     def _extend(self, steps: Steps) -> None:
         self._steps.append(steps)
@@ -230,6 +252,8 @@ class Navigator:
             self.frame = enu(lat, lon) if fixes.epsg == LONLAT else projected(fixes.epsg) if fixes.epsg else Frame()
         if fixes.epsg is not None and not self.frame.georeferenced:
             return
+        if self._place is None and len(fixes):
+            self._locate(self.frame, self.frame.place(fixes).position[0])
         fixes = self.frame.place(replace(fixes, time=fixes.time + self._gait.offset))
         for n in range(len(fixes)):
             source, place = fixes.sources[n], tuple(fixes.position[n].tolist())
