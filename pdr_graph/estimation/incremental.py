@@ -59,7 +59,7 @@ BESIDE_WALLS = 0.15  # [m]
 RECENT, EVERY = 150, 25  # intervals that are looked at each time; all are when so many keyframes have closed
 ROUNDS = 4  # of linearising again after a keyframe, one with each of the next steps
 SETTLES = 1e-4  # at the end: when a round takes less than this share off the cost
-AGAIN, SPACED = 3.0, 0.3  # [s], and share of its duration, before a walk that is not sure is laid out again
+AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that is not sure is laid out again
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 SPARSE = 5.0  # [s] between the covariances of rows that leave the window
 
@@ -176,8 +176,10 @@ class IncrementalGraph:
         belief = self._last_belief()
         for fix in self.waiting:
             if at <= fix.time <= end:
-                belief = belief.after(whole, self.way.start, at, fix.time)
-                belief = (belief if self.sure else belief.anywhere()).seen(fix.position, fix.sigma)
+                share = 1 / self.receivers.alike(fix.source)
+                ahead = belief.after(whole, self.way.start, at, fix.time)
+                walked = float(np.hypot(*(ahead.mean - belief.mean)[:2]))
+                belief = (ahead if self.sure else ahead.adrift(walked)).seen(fix.position, fix.sigma, share)
                 at = fix.time
         return belief.after(whole, self.way.start, at, end)
 

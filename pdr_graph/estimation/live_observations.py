@@ -116,6 +116,11 @@ class LiveReceivers:
         self.fixes[number] = fix
         return factors, values, times | {G(a): time, G(b): time}
 
+    def alike(self, source: str) -> int:
+        """How many fixes err like the next one of a source, about; 1 of a source whose errors are independent."""
+        known = self._sources.get(source) if source else None
+        return 1 if known is None else 2 * len(known.recent) + 1
+
     def forget(self, alive: set[int]) -> None:
         """Keep the fixes of the keyframes that are alive."""
         self.fixes = {number: fix for number, fix in self.fixes.items() if fix.keyframe in alive}

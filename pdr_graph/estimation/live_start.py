@@ -10,13 +10,15 @@ from gtsam.symbol_shorthand import X
 
 from pdr_graph.estimation.beacons import Levels
 from pdr_graph.estimation.covariance import CovarianceBlocks
-from pdr_graph.estimation.graph import AMBIGUOUS, Prior, State, WalkGraph
+from pdr_graph.estimation.graph import Prior, State, WalkGraph
 from pdr_graph.estimation.live_fixes import GRIP, NONE, SLIPPING, LiveFix, as_fixes
 from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions, ways
 from pdr_graph.estimation.reports import SURE
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import Array, Headings, Steps
+
+POINTED, BESIDE_WALLS = 0.5, 0.35  # [rad] of the direction at the end, below which it is linearised about
 
 
 @dataclass(frozen=True)
@@ -74,5 +76,5 @@ def _laid(best: Optimum, certain: bool) -> Laid:
         pose=np.vstack([own.pose_i[:1], own.poses.value]),
         segment_start=pieces.keyframe_time[np.flatnonzero(np.diff(segment, prepend=-1))],
         c=State.of(best.values).c,
-        sure=bool(certain and last[2, 2] < AMBIGUOUS**2),
+        sure=bool(certain and last[2, 2] < (BESIDE_WALLS if best.graph.walls else POINTED) ** 2),
     )

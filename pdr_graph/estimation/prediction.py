@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.bank import FAR, Bank, measured
+from pdr_graph.estimation.bank import Bank, measured
 from pdr_graph.estimation.preintegration import bridge, one_interval, preintegrate
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array
@@ -41,15 +41,15 @@ class Belief:
         covariance[:3, :3] += R @ np.linalg.inv(root.T @ root) @ R.T
         return Belief(mean, covariance)
 
-    def anywhere(self) -> Belief:
-        """The same of a walk whose direction nobody knows: of that, a position tells nothing yet."""
+    def adrift(self, walked: float) -> Belief:
+        """The same of a walk whose direction nobody knows, ``walked`` [m] further: no position tells of it yet."""
         covariance = self.covariance.copy()
         covariance[:2, 2:] = covariance[2:, :2] = 0.0
-        covariance[:2, :2] += FAR**2 * np.eye(2)
+        covariance[:2, :2] += walked**2 * np.eye(2)
         return Belief(self.mean, covariance)
 
-    def seen(self, position: Array, sigma: float) -> Belief:
-        """After a fix, with Huber's weight; one beyond the gate changes nothing."""
+    def seen(self, position: Array, sigma: float, share: float) -> Belief:
+        """After a fix, with Huber's weight; one beyond the gate changes nothing. share: of it that others do not say."""
         bank = Bank(self.mean[None], self.covariance[None], np.zeros(1), ONE)
-        known, _ = measured(bank, OF_POSITION, (position - self.mean[:2])[None], sigma**2 * np.eye(2))
+        known, _ = measured(bank, OF_POSITION, (position - self.mean[:2])[None], sigma**2 * np.eye(2), share)
         return Belief(known.mean[0], known.covariance[0])
