@@ -18,6 +18,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
+from pdr_graph.estimation.cloud import Seen
 from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate
 from pdr_graph.estimation.graph import FRAME_SIGMA, STEPS_PER_SEGMENT, Prior
@@ -30,17 +31,18 @@ from pdr_graph.estimation.live_factors import (
     heading_factor,
     own_factors,
 )
-from pdr_graph.estimation.live_fixes import NONE, SLIPPING, LiveFix, believe, judged, report
+from pdr_graph.estimation.live_fixes import GRIP, NONE, SLIPPING, LiveFix, believe, judged, report
 from pdr_graph.estimation.live_observations import (
     LiveBeacons,
     LiveReceivers,
-    Seen,
+    Observation,
     SeenFix,
     SeenLevel,
     linearised,
 )
 from pdr_graph.estimation.live_start import lay
 from pdr_graph.estimation.live_way import CLOSE, END, Interval, Way
+from pdr_graph.estimation.live_ways import LiveWays, OtherWay
 from pdr_graph.estimation.observations import Rows as Observed
 from pdr_graph.estimation.prediction import Belief
 from pdr_graph.estimation.preintegration import DECIMALS, Bridge, Pieces, preintegrate
@@ -61,6 +63,7 @@ ROUNDS = 4  # of linearising again after a keyframe, one with each of the next s
 SETTLES = 1e-4  # at the end: when a round takes less than this share off the cost
 AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that is not sure is laid out again
 LOOKED_BACK = 60  # pieces whose walls are asked for again
+ALL = 10**9  # pieces
 SPARSE = 5.0  # [s] between the covariances of rows that leave the window
 
 
@@ -112,6 +115,8 @@ class IncrementalGraph:
         # How it does, and what is due
         self.sure, self.lay_next, self.restarts = False, -np.inf, 0
         self.walls_due, self.rounds_due = False, 0
+        self.ways: LiveWays | None = None
+        self.tried, self.taken = 0, 0  # other ways, and those that were better
 
         # What has left the window
         self.settled, self.left = list[Rows](), list[Rows]()  # those left have the spread about their keyframes alone
@@ -129,6 +134,8 @@ class IncrementalGraph:
             self._begin()
         if not self._close():
             self._refine()
+        if self.ways is not None and self.ways.work():
+            self._compare(self.ways)
 
     def add_fix(self, time: float, position: Array, sigma: float, floor: str = "", source: str = "") -> None:
         """A fix; one of before the window counts as too late."""
@@ -298,6 +305,7 @@ class IncrementalGraph:
             self._add(new, reached, levels)
         if reached and self.sure:
             self._judge()
+        self._follow(new)
         self.walls_due, self.rounds_due = self.plan is not None, ROUNDS
         return True
 
@@ -393,7 +401,7 @@ class IncrementalGraph:
         self._move_settled(before, self.pose[0])
         self.lay_next = self.times[-1] + max(AGAIN, SPACED * (self.times[-1] - steps.start))
         self._build()
-        self._find_walls(len(self.intervals))
+        self._find_walls(ALL)
         for _ in range(ROUNDS):
             self._relinearise(MOVED)
 
@@ -454,6 +462,84 @@ class IncrementalGraph:
             self._find_walls(LOOKED_BACK)
         elif self.rounds_due:
             self.rounds_due = self.rounds_due - 1 if self._relinearise(MOVED) else 0
+
+    # Other ways
+
+    def _follow(self, new: list[Interval]) -> None:
+        """Send the cloud after the walk; it begins where the walk is once that is sure."""
+        if self.plan is None or not self.sure:
+            self.ways = None
+        elif self.ways is None:
+            self.ways = LiveWays(self.plan, self.prior, self._last_belief(), self.times[-1], self.floor)
+        else:
+            for one in new:
+                self.ways.add(one, self._seen_at(one.j))
+            self.ways.forget(self.times[0])
+
+    def _seen_at(self, keyframe: int) -> Seen:
+        """What was measured at a keyframe, as particles take it."""
+        fixes = [fix for fix in self.fixes if fix.keyframe == keyframe]
+        sigma = [fix.sigma * np.sqrt(self.receivers.alike(fix.source)) for fix in fixes]
+        headings = [(one.heading, one.sigma) for one in self.headings.values() if one.keyframe == keyframe]
+        return Seen(
+            np.array([fix.position for fix in fixes]).reshape(-1, 2),
+            np.array(sigma),
+            np.array([fix.kind != GRIP for fix in fixes], dtype=bool),
+            *np.array(headings).reshape(-1, 2).T,
+        )
+
+    def _compare(self, ways: LiveWays) -> None:
+        """Try the way of most particles where it is elsewhere, and keep the better one."""
+        at = int(np.searchsorted(self.times, ways.times[-1] - CLOSE))
+        other = ways.elsewhere(self.pose[min(at, len(self.times) - 1), :2])
+        if other is None:
+            return
+        self.tried += 1
+        tree, pose, c, walls = (
+            self.tree,
+            self.pose.copy(),
+            dict(self.c),
+            [(one.fields, one.at) for one in self.intervals],
+        )
+        before = self.cost + self._find_walls(ALL)
+        self._move_to(other)
+        price = self._find_walls(ALL)
+        for _ in range(ROUNDS):
+            self._relinearise(MOVED)
+        if self.cost + price < before:
+            self.taken += 1
+            return
+        self.tree, self.pose, self.c = tree, pose, c
+        for one, (fields, linearised_at) in zip(self.intervals, walls, strict=True):
+            one.fields, one.at = fields, linearised_at
+
+    def _move_to(self, other: OtherWay) -> None:
+        """The same graph at another way; beyond its end as the steps lead on."""
+        times = np.array(self.times)
+        within = np.flatnonzero((times >= other.time[0] - CLOSE) & (times <= other.time[-1] + CLOSE))
+        self.pose[within] = other.at(times[within])
+        for n in range(int(within[-1]) + 1, len(times)):
+            moved = preintegrate(self.intervals[n - 1].pieces, other.state[-1:, 3:]).delta[-1]
+            last = self.pose[n - 1]
+            self.pose[n] = last + np.append(rotation(last[2]) @ moved[:2], moved[2])
+        values = gtsam.Values(self.tree.values)
+        for number, pose in zip(self.keyframes, self.pose, strict=True):
+            values.update(X(number), gtsam.Pose2(*pose))
+        for one in self.intervals:
+            if one.begin >= other.time[0] - CLOSE:
+                self.c[one.segment] = other.state[-1, 3:]
+                values.update(C(one.segment), other.state[-1, 3:])
+        self.tree = self.tree.at(values, self._linear_names())
+        self._linearise_all()
+
+    def _linearise_all(self) -> None:
+        """Start the tree with everything linearised where it is."""
+        known = self.tree.values
+        for _, seen, _, _ in self._observed(known):
+            for one in seen.values():
+                one.at = np.full(4, np.nan)
+        self.tree.start(self._own(self.intervals, known) | self._seen(known))
+        self._read()
 
     def _relinearise(self, moved: Array) -> bool:
         """Linearise again what has moved; whether anything had."""
@@ -593,7 +679,7 @@ class IncrementalGraph:
             factors |= linearised(kind, seen, rows, pose, known)
         return factors
 
-    def _observed(self, known: gtsam.Values) -> Iterator[tuple[str, dict[int, Seen], Observed, Array]]:
+    def _observed(self, known: gtsam.Values) -> Iterator[tuple[str, dict[int, Observation], Observed, Array]]:
         """What receivers and beacons saw, their factors, and the poses of their keyframes."""
         models = [("fix", self.receivers.fixes, self.receivers)]
         models += [("level", self.beacons.levels, self.beacons)] if self.beacons else []
@@ -627,20 +713,21 @@ class IncrementalGraph:
         fields = tuple(field for field in number if field is not None)
         return Walls(fields, np.array(of_piece), 0.0, self.prior.wall_margin, self.prior.wall_sigma)
 
-    def _find_walls(self, pieces: int) -> None:
-        """The walls about the last so many pieces, where the walk leads now."""
+    def _find_walls(self, pieces: int) -> float:
+        """The walls about the last so many pieces, where the walk leads now; what it costs to lead there."""
         if self.plan is None or not self.sure or not self.intervals:
-            return
+            return 0.0
         count = np.cumsum([len(one.fields) for one in reversed(self.intervals)])
         last = self.intervals[-1 - int(np.searchsorted(count, min(pieces, count[-1]))) :]
         own, labels = self._evaluate(last), [one.label for one in last for _ in one.fields]
         ground = Ground.of(self.plan, labels)
-        fields, of_piece, _ = ground.walls_along(own.poses.value[:, :2], own.pieces.length > 0)
+        fields, of_piece, price = ground.walls_along(own.poses.value[:, :2], own.pieces.length > 0)
         named = [fields[n] if n >= 0 else None for n in of_piece.tolist()]
         for one, first in zip(last, own.pieces.first.tolist(), strict=True):
             now = named[first : first + len(one.fields)]
             if any(a is not b for a, b in zip(now, one.fields, strict=True)):
                 one.fields, one.at = now, np.full(9, np.nan)
+        return price
 
     def _state(self, intervals: list[Interval]) -> Array:
         """x_i, x_j, c of intervals ``(k, 9)``."""
@@ -724,14 +811,12 @@ class IncrementalGraph:
         """Linearise everything where it is, and start the tree."""
         self.pose = np.zeros((len(self.keyframes), 3))
         self._read()
-        self._find_walls(len(self.intervals) * LOOKED_BACK)
-        known = self.tree.values
+        self._find_walls(ALL)
         alone = [
             fix for fix in self.fixes if fix.reached and fix.kind != NONE and fix.number not in self.receivers.fixes
         ]
-        factors = self._own(self.intervals, known) | self._seen(known)
-        self.tree.start(factors | {("fix", fix.number): fix_factor(fix) for fix in alone})
-        self._read()
+        self.tree.factors |= {("fix", fix.number): fix_factor(fix) for fix in alone}
+        self._linearise_all()
 
 
 def _joined(parts: Iterable[Rows]) -> Rows:

@@ -25,11 +25,11 @@ CHANGED = 0.1  # of a weight, or [m] and 0.1 rad of a pose, until an observation
 LONGEST = 6.0  # [s] that a stretch may take
 
 
-One = TypeVar("One", bound="Seen")
+One = TypeVar("One", bound="Observation")
 
 
 @dataclass
-class Seen:
+class Observation:
     """An observation: the number of its keyframe; keys: its other variables; at: pose and weight when linearised."""
 
     keyframe: int
@@ -38,7 +38,7 @@ class Seen:
 
 
 @dataclass
-class SeenFix(Seen):
+class SeenFix(Observation):
     """A fix of a receiver: position [m], velocity ahead [m/s], sigmas of what it shares and does not.
 
     keys: of the nodes before and after it; share: how far it is on from the one to the other.
@@ -53,7 +53,7 @@ class SeenFix(Seen):
 
 
 @dataclass
-class SeenLevel(Seen):
+class SeenLevel(Observation):
     """How loud a beacon was: time [s], rssi [dBm]."""
 
     time: float = 0.0
@@ -70,7 +70,7 @@ class _Source:
 
 
 def linearised(
-    kind: str, seen: dict[int, Seen], rows: Rows, pose: Array, at: gtsam.Values
+    kind: str, seen: dict[int, Observation], rows: Rows, pose: Array, at: gtsam.Values
 ) -> dict[Name, gtsam.NonlinearFactor]:
     """The factors of those observations that have changed since. pose: ``(n, 3)`` of their keyframes."""
     factors: dict[Name, gtsam.NonlinearFactor] = {}

@@ -86,6 +86,15 @@ class Tree:
         again._start(gtsam.Values(self.values))
         return again
 
+    def at(self, values: gtsam.Values, leave_out: Collection[Name]) -> Tree:
+        """The same from other values without some factors, not yet started: `start` with those in their place does."""
+        again = Tree(self.lag, self.relinearise)
+        again.factors = {name: factor for name, factor in self.factors.items() if name not in leave_out}
+        again._keys = {name: self._keys[name] for name in again.factors}
+        again.past, again.rebuilds, again._times = self.past, self.rebuilds, dict(self._times)
+        again.values = values
+        return again
+
     def state(self, leave_out: Collection[Name]) -> dict[str, Any]:
         """The variables, and all factors but those named, as numbers: linear where they are not already."""
         factors = {name: factor for name, factor in self.factors.items() if name not in leave_out}
@@ -115,7 +124,7 @@ class Tree:
         return tree
 
     def start(self, factors: Mapping[Name, gtsam.NonlinearFactor]) -> None:
-        """Begin with these factors too, after `restored`."""
+        """Begin with these factors too, after `restored` or `at`."""
         self.factors.update(factors)
         self._keys |= {name: frozenset(factor.keys()) for name, factor in factors.items()}
         self._start(gtsam.Values(self.values))

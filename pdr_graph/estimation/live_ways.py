@@ -1,0 +1,115 @@
+"""Where else the plan lets a walk under way have gone: a cloud of particles beside the graph.
+
+Walls are local: a graph that went into the wrong aisle stays there. The cloud goes with every step, and where most of
+it is elsewhere than the graph the way that it took is one to try.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_graph.estimation.cloud import Cloud, Seen
+from pdr_graph.estimation.graph import Prior
+from pdr_graph.estimation.hypotheses import thickest
+from pdr_graph.estimation.live_way import Interval
+from pdr_graph.estimation.optimizer import SAME_WAY
+from pdr_graph.estimation.prediction import Belief
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.distance import DistanceField
+from pdr_graph.geometry import interpolate
+from pdr_graph.types import Array
+
+FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
+JOBS = 2  # of the cloud with each step, so that none waits for ten
+MOSTLY = 0.7  # of the particles in one bundle, of which the present is right 96 times in a hundred
+AGREED = 2  # keyframes in a row at which they are elsewhere
+SEED = 0
+
+
+@dataclass(frozen=True)
+class OtherWay:
+    """time ``(k,)`` [s] and state ``(k, 6)``: x, y, θ, R_s, R_d, b."""
+
+    time: Array
+    state: Array
+
+    def at(self, time: Array) -> Array:
+        """Poses ``(n, 3)`` at some times."""
+        pose = np.column_stack([self.state[:, :2], np.unwrap(self.state[:, 2])])
+        return interpolate(time, self.time, pose)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    length: float
+    turn: float
+    time: float
+    variance: Array
+    label: str
+
+
+@dataclass(frozen=True)
+class _Keyframe:
+    time: float
+    seen: Seen
+
+
+class LiveWays:
+    """The cloud of a walk whose place and direction are known by ``belief`` at a ``time`` [s], on a floor."""
+
+    def __init__(self, plan: Building, prior: Prior, belief: Belief, time: float, label: str):
+        self.plan, self.label, self.times = plan, label, [time]
+        self._jobs: deque[_Piece | _Keyframe] = deque()
+        self._apart = 0
+        spread = np.sqrt(np.diag(belief.covariance))
+        self._cloud = Cloud(prior, SEED, fewest=FEWEST, most=MOST, tiles=1)
+        self._cloud.begin(belief.mean[:2], float(spread[:2].max()), float(belief.mean[2]), float(spread[2]))
+
+    def add(self, one: Interval, seen: Seen) -> None:
+        """The next interval, and what was measured at its end: to be done bit by bit."""
+        pieces = one.pieces
+        turn, time = (2 * (pieces.to_end - pieces.to_middle)).tolist()
+        for m, length in enumerate(pieces.length.tolist()):
+            self._jobs.append(_Piece(length, turn[m], time[m], pieces.variance[m], one.label))
+        self._jobs.append(_Keyframe(one.end, seen))
+
+    def work(self) -> bool:
+        """Do some of what is to be done; whether a keyframe was."""
+        for _ in range(min(JOBS, len(self._jobs))):
+            job = self._jobs.popleft()
+            if isinstance(job, _Keyframe):
+                self._cloud.close(job.seen)
+                self.times.append(job.time)
+                return True
+            if job.label != self.label:
+                self._cloud.change_floor(self._between(self.label, job.label))
+                self.label = job.label
+            floor = self.plan.floors[self.plan.index(job.label)]
+            self._cloud.step(job.length, job.turn, job.time, job.variance, floor.distance)
+        return False
+
+    def elsewhere(self, place: Array) -> OtherWay | None:
+        """The way of most particles, if it has been elsewhere than the graph, now at ``place (2,)`` [m], for a while."""
+        paths = self._cloud.paths()
+        share, which = thickest(paths)[0]
+        way = paths.state[:, :, which]
+        apart = share > MOSTLY and np.hypot(*(way[-1, :2] - place)) > SAME_WAY
+        self._apart = self._apart + 1 if apart else 0
+        if self._apart < AGREED:
+            return None
+        self._apart = 0
+        return OtherWay(np.array(self.times), way)
+
+    def forget(self, before: float) -> None:
+        """Let go of what was before the window [s]."""
+        count = min(int(np.searchsorted(self.times, before)), len(self.times) - 1)
+        self._cloud.forget(count)
+        del self.times[:count]
+
+    def _between(self, one: str, other: str) -> list[DistanceField]:
+        """The stairs and lifts that lead from one floor to another."""
+        floors = {self.plan.index(one), self.plan.index(other)}
+        return [way.field for way in self.plan.connections if floors <= set(way.floors)]
