@@ -64,6 +64,8 @@ SETTLES = 1e-4  # at the end: when a round takes less than this share off the co
 AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that is not sure is laid out again
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 ALL = 10**9  # pieces
+KEPT = ("count", "segment", "in_segment", "fix_count", "too_late", "last_pointed", "sure", "lay_next", "restarts")
+KEPT += ("floor", "tried", "taken")  # plain numbers and text of a snapshot
 SPARSE = 5.0  # [s] between the covariances of rows that leave the window
 
 
@@ -108,7 +110,7 @@ class IncrementalGraph:
 
         # What was measured
         self.fixes, self.fix_count, self.too_late = list[LiveFix](), 0, 0
-        self.headings = dict[int, Pointed]()
+        self.headings, self.last_pointed = dict[int, Pointed](), -1  # the last that has left the window
         self.receivers = LiveReceivers()
         self.beacons: LiveBeacons | None = None
 
@@ -149,7 +151,12 @@ class IncrementalGraph:
             self._close()
 
     def point(self, number: int, time: float, heading: float, sigma: float) -> None:
-        """A walking direction [rad]; of one number the last counts, one of an infinite sigma tells nothing."""
+        """A walking direction [rad]; of one number the last counts, as long as the one before is in the window.
+
+        One of an infinite sigma tells nothing.
+        """
+        if number <= self.last_pointed:
+            return
         known = self.headings.pop(number, None)
         if known is not None and ("heading", number) in self.tree.factors:
             self._update({}, [("heading", number)])
@@ -392,7 +399,7 @@ class IncrementalGraph:
         levels = self.beacons.so_far(steps) if self.beacons else None
         prior = replace(self.prior, mean=tuple(self.c_prior[0].tolist()))
         floors = [self.floor] * (len(steps) + 2)
-        laid = lay(steps, reached, self._all_headings(), levels, self.plan, floors, prior)
+        laid = lay(steps, reached, self._all_headings(), levels, self._known_plan, floors, prior)
         before = self.pose[0].copy()
         self.pose, self.sure = laid.at(np.array(self.times)), laid.sure
         for one in self.intervals:
@@ -467,10 +474,11 @@ class IncrementalGraph:
 
     def _follow(self, new: list[Interval]) -> None:
         """Send the cloud after the walk; it begins where the walk is once that is sure."""
-        if self.plan is None or not self.sure:
+        plan = self._known_plan
+        if plan is None or not self.sure:
             self.ways = None
         elif self.ways is None:
-            self.ways = LiveWays(self.plan, self.prior, self._last_belief(), self.times[-1], self.floor)
+            self.ways = LiveWays(plan, self.prior, self._last_belief(), self.times[-1], self.floor)
         else:
             for one in new:
                 self.ways.add(one, self._seen_at(one.j))
@@ -495,12 +503,8 @@ class IncrementalGraph:
         if other is None:
             return
         self.tried += 1
-        tree, pose, c, walls = (
-            self.tree,
-            self.pose.copy(),
-            dict(self.c),
-            [(one.fields, one.at) for one in self.intervals],
-        )
+        tree, pose, c = self.tree, self.pose.copy(), dict(self.c)
+        walls = [(one.fields, one.at) for one in self.intervals]
         before = self.cost + self._find_walls(ALL)
         self._move_to(other)
         price = self._find_walls(ALL)
@@ -601,7 +605,10 @@ class IncrementalGraph:
         alive = set(self.keyframes)
         self.past_reports += reported
         self.fixes = [fix for fix in self.fixes if not fix.reached or fix.keyframe in alive]
-        self.headings = {n: one for n, one in self.headings.items() if one.keyframe < 0 or one.keyframe in alive}
+        gone_headings = [n for n, one in self.headings.items() if one.keyframe >= 0 and one.keyframe not in alive]
+        for number in gone_headings:
+            del self.headings[number]
+        self.last_pointed = max([self.last_pointed, *gone_headings])
         self.receivers.forget(alive)
         if self.beacons is not None:
             self.beacons.forget(alive, self.times[0])
@@ -693,6 +700,11 @@ class IncrementalGraph:
         names: set[Name] = {("own", one.j) for one in self.intervals} | {("fix", n) for n in self.receivers.fixes}
         return names | ({("level", n) for n in self.beacons.levels} if self.beacons else set())
 
+    @property
+    def _known_plan(self) -> Building | None:
+        """The plan, where it is known on which of its floors the walk is."""
+        return self.plan if self.plan is not None and self.floor in self.plan.labels else None
+
     def _all_headings(self) -> Headings:
         """Those that the steps have reached, in order of time."""
         rows = sorted((one.time, one.heading, one.sigma) for one in self.headings.values() if one.keyframe >= 0)
@@ -715,12 +727,12 @@ class IncrementalGraph:
 
     def _find_walls(self, pieces: int) -> float:
         """The walls about the last so many pieces, where the walk leads now; what it costs to lead there."""
-        if self.plan is None or not self.sure or not self.intervals:
+        if self._known_plan is None or not self.sure or not self.intervals:
             return 0.0
         count = np.cumsum([len(one.fields) for one in reversed(self.intervals)])
         last = self.intervals[-1 - int(np.searchsorted(count, min(pieces, count[-1]))) :]
         own, labels = self._evaluate(last), [one.label for one in last for _ in one.fields]
-        ground = Ground.of(self.plan, labels)
+        ground = Ground.of(self._known_plan, labels)
         fields, of_piece, price = ground.walls_along(own.poses.value[:, :2], own.pieces.length > 0)
         named = [fields[n] if n >= 0 else None for n in of_piece.tolist()]
         for one, first in zip(last, own.pieces.first.tolist(), strict=True):
@@ -763,9 +775,8 @@ class IncrementalGraph:
 
     def state(self) -> dict[str, Any]:
         """All that the rest of the walk depends on, as numbers; rows that are settled are not among it."""
-        kept = ("count", "segment", "in_segment", "fix_count", "too_late", "sure", "lay_next", "restarts", "floor")
         return {
-            **{name: getattr(self, name) for name in kept},
+            **{name: getattr(self, name) for name in KEPT},
             "tree": self.tree.state(self._linear_names() | {("fix", fix.number) for fix in self.fixes}),
             "rebuilds": list(self.tree.rebuilds),
             "way": self.way.state(),
@@ -785,8 +796,7 @@ class IncrementalGraph:
 
     def restore(self, state: dict[str, Any], beacons: Beacons | None) -> None:
         """Go on from a `state`, of the same prior, lag and plan."""
-        kept = ("count", "segment", "in_segment", "fix_count", "too_late", "sure", "lay_next", "restarts", "floor")
-        for name in kept:
+        for name in KEPT:
             setattr(self, name, state[name])
         self.way, self.tree = Way.restored(state["way"]), Tree.restored(state["tree"])
         self.tree.rebuilds = list(state["rebuilds"])

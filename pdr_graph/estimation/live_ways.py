@@ -92,7 +92,7 @@ class LiveWays:
         return False
 
     def elsewhere(self, place: Array) -> OtherWay | None:
-        """The way of most particles, if it has been elsewhere than the graph, now at ``place (2,)`` [m], for a while."""
+        """The way of most particles, if for a while it has not been where the graph is, now at ``place (2,)`` [m]."""
         paths = self._cloud.paths()
         share, which = thickest(paths)[0]
         way = paths.state[:, :, which]

@@ -49,7 +49,7 @@ class Belief:
         return Belief(self.mean, covariance)
 
     def seen(self, position: Array, sigma: float, share: float) -> Belief:
-        """After a fix, with Huber's weight; one beyond the gate changes nothing. share: of it that others do not say."""
+        """After a fix, with Huber's weight and none beyond the gate. share: of it that others do not say too."""
         bank = Bank(self.mean[None], self.covariance[None], np.zeros(1), ONE)
         known, _ = measured(bank, OF_POSITION, (position - self.mean[:2])[None], sigma**2 * np.eye(2), share)
         return Belief(known.mean[0], known.covariance[0])

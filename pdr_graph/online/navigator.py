@@ -17,6 +17,7 @@ import numpy as np
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.incremental import IncrementalGraph, Rows
 from pdr_graph.estimation.initial import lay_dead_reckoning
+from pdr_graph.estimation.live_floors import LiveFloors
 from pdr_graph.estimation.profiles import prior_of
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
@@ -95,6 +96,8 @@ class Navigator:
         self.building = None if floor is None else Building.around(floor)
         self.frame = frame or (self.building.floors[0].frame if self.building else None)
         self._compass = LiveCompass(self.walker)
+        labels = self.building.labels if self.building else ()
+        self._floors = LiveFloors(self.building, labels[0] if len(labels) == 1 else begins or "")
         self._gait = LiveGait(self.walker, self._compass.take)
         prior = prior or prior_of(self.walker.profile)
         self._graph = IncrementalGraph(prior, np.inf if lag is None else lag, self.building, begins or "")
@@ -130,7 +133,7 @@ class Navigator:
             return None
         belief = self._graph.belief(self._tail)
         x, y, heading = belief.mean[:3].tolist()
-        return Pose(self._now, x, y, float(wrap_angle(heading)), self._graph.floor, belief.covariance[:3, :3])
+        return Pose(self._now, x, y, float(wrap_angle(heading)), self._floors.label, belief.covariance[:3, :3])
 
     @property
     def trajectory(self) -> Trajectory:
@@ -199,7 +202,7 @@ class Navigator:
         frame = None if self.frame is None else self.frame.describe()
         own = {"taken": self._taken, "early": self._early, "certain": self._certain, "frame": frame}
         said = [[name, list(place)] for name, place in self._said.items()]
-        own |= {"place": self._place, "compass": self._compass.state()}
+        own |= {"place": self._place, "compass": self._compass.state(), "floors": self._floors.state()}
         return {"gait": self._gait.state(), "graph": self._graph.state(), "said": said, **own}
 
     @classmethod
@@ -213,6 +216,7 @@ class Navigator:
         nav._gait.restore(snapshot["gait"])
         nav._graph.restore(snapshot["graph"], placed)
         nav._compass.restore(snapshot["compass"])
+        nav._floors.restore(snapshot["floors"])
         if snapshot["place"] is not None and nav.frame is not None:
             nav._locate(nav.frame, np.array(snapshot["place"]))
         nav._tail = nav._gait.advance()[1]
@@ -228,6 +232,8 @@ class Navigator:
     def _sample(self, samples: Samples) -> None:
         if samples.sensor == "magnetometer":
             self._compass.push(samples.time + self._gait.offset, samples.values)
+        elif samples.sensor == "barometer":
+            self._floors.push(samples.time + self._gait.offset, samples.values)
         self._gait.push(samples.sensor, samples.time, samples.values)
         certain, self._tail = self._gait.advance()
         if certain is None:
@@ -239,7 +245,9 @@ class Navigator:
     def _extend(self, steps: Steps) -> None:
         self._steps.append(steps)
         self._certain += int((steps.length > 0).sum())
-        self._graph.extend(steps)
+        self._floors.walked(steps)
+        self._floors.advance(self._tail)
+        self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
     @property
     def _now(self) -> float:
@@ -264,6 +272,7 @@ class Navigator:
                 self._early += 1
                 continue
             self._taken += 1
+            self._floors.see(fixes[n])
             self._graph.add_fix(float(fixes.time[n]), fixes.position[n], float(fixes.sigma[n]), fixes.floor[n], source)
 
     def _ailments(self) -> Iterator[str]:

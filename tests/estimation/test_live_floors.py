@@ -1,0 +1,153 @@
+"""The floor while a person walks: soon the one that the whole walk tells."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_floors import Plan, along, fixes, flights, in_order
+
+from pdr_graph.estimation.floors import floors_along
+from pdr_graph.estimation.live_floors import LONGEST, LiveFloors
+from pdr_graph.types import Fixes, Steps
+
+SOON = 10.0  # [s] after a climb: half the window of a median, a rate's Gaussian, a look every 3 s
+NAMES = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+
+
+def part(steps, begin, end):
+    """The steps that ended between two times [s]."""
+    some = (steps.time > begin) & (steps.time <= end)
+    rows = {name: getattr(steps, name)[some] for name in NAMES}
+    return replace(steps, start=begin, end=end, final_turn=0.0, **rows)
+
+
+def second_by_second(steps, barometer, floors, said=None, certain=6.0):
+    """The label and whether one climbs after each second; steps are certain some seconds later."""
+    told, sure = [], steps.start
+    for now in np.arange(steps.start + 1, steps.end, 1.0):
+        some = (barometer.time > now - 1) & (barometer.time <= now)
+        floors.push(barometer.time[some], barometer.values[some])
+        if said is not None and np.any((said.time > now - 1) & (said.time <= now)):
+            floors.see(said[(said.time > now - 1) & (said.time <= now)])
+        landed = steps.time[steps.time <= now - certain]
+        if len(landed) and landed[-1] > sure:
+            floors.walked(part(steps, sure, landed[-1]))
+            sure = landed[-1]
+        if sure > steps.start:
+            floors.advance(part(steps, sure, now))
+        told.append((now, floors.label, floors.climbing))
+    return told
+
+
+def labels_of(told):
+    return in_order([label for _, label, _ in told])
+
+
+@pytest.mark.parametrize("plan", [None, Plan(("0", "1", "2"), np.array([0.0, 3.6, 7.2]))])
+def test_a_floor_is_told_soon_after_the_stairs(plan):
+    """While on them it says that it climbs, and a little later all is as offline."""
+    steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6), (154, 7.2), (220, 7.2))
+    floors = LiveFloors(plan, "0")
+    told = second_by_second(steps, barometer, floors)
+    assert labels_of(told) == ["0", "1", "2"]
+    for end, label in ((74, "1"), (154, "2")):
+        assert next(now for now, one, _ in told if one == label) <= end + SOON
+    climbing = [now for now, _, climbs in told if climbs]
+    assert all(60 < now < 74 + SOON or 140 < now < 154 + SOON for now in climbing)
+    assert len(climbing) > 14
+    last = steps.time[steps.time > 150]
+    offline = np.array(floors_along(steps, barometer, "0", Fixes.none(), plan).labels[1:-1])[steps.time > 150]
+    assert np.mean(np.array(floors.labels(last)) == offline) > 0.95
+
+
+def test_half_an_hour_of_stairs_is_as_the_whole_walk_and_what_is_kept_does_not_grow():
+    """Twenty-four climbs; the window holds six."""
+    levels = [3.6 * n for n in (0, 1, 2, 1, 0, -1, -2, -1) * 3]
+    steps, barometer = along(*flights(*levels, floor_time=70.0))
+    floors, sizes = LiveFloors(None, "F1"), []
+    look = floors._look
+    floors._look = lambda *given: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*given))
+    told = second_by_second(steps, barometer, floors)
+    assert labels_of(told) == ["F1", "F2", "F3", "F2", "F1", "B1", "B2", "B1"] * 3
+    assert max(sizes) < 1.6 * LONGEST / 0.5
+
+
+def test_without_a_barometer_fixes_tell():
+    """Long after the first of them too."""
+    steps, barometer = along((0, 0), (900, 0))
+    nothing = replace(barometer, time=barometer.time[:0], values=barometer.values[:0])
+    said = fixes([(10, "0"), (20, "0"), (30, ""), (800, "1"), (810, "1"), (820, "1")])
+    told = second_by_second(steps, nothing, LiveFloors(None, ""), said)
+    assert labels_of(told) == ["", "0", "1"]
+    assert next(now for now, label, _ in told if label == "1") < 815
+
+
+def test_a_barometer_that_stops_leaves_it_to_fixes_and_tells_again():
+    steps, barometer = along((0, 0), (60, 0), (74, 3.6), (300, 3.6), (314, 7.2), (500, 7.2), (514, 3.6), (600, 3.6))
+    stopped = (barometer.time < 150) | (barometer.time > 400)
+    gone = replace(barometer, time=barometer.time[stopped], values=barometer.values[stopped])
+    said = fixes([(100, "1"), (340, "2"), (350, "2"), (360, "2"), (370, "2")])
+    assert labels_of(second_by_second(steps, gone, LiveFloors(None, "0"), said)) == ["0", "1", "2", "1"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda time, hpa: (time, np.where(np.arange(len(time)) % 7 == 0, np.nan, hpa)),
+        lambda time, hpa: (time, np.where(np.arange(len(time)) % 97 == 0, 1e6, hpa)),
+        lambda time, hpa: (np.where(np.arange(len(time)) % 50 == 30, time + 1e6, time), hpa),
+        lambda time, hpa: (np.where(np.arange(len(time)) % 50 == 30, time - 40, time), hpa),
+        lambda time, hpa: (np.floor(time), hpa),
+    ],
+    ids=["NaN", "spikes", "ahead", "back", "repeated"],
+)
+def test_samples_that_are_no_good_are_passed_by(change):
+    steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6), (154, 0), (220, 0))
+    order = np.arange(len(barometer))
+    time, hpa = change(barometer.time, barometer.values[:, 0])
+    floors, told, sure = LiveFloors(None, "0"), [], 0.0
+    for now in np.arange(1, 220, 1.0):
+        some = order[(barometer.time > now - 1) & (barometer.time <= now)]
+        floors.push(time[some], hpa[some, None])
+        landed = steps.time[steps.time <= now]
+        if len(landed) and landed[-1] > sure:
+            floors.walked(part(steps, sure, landed[-1]))
+            sure = landed[-1]
+        floors.advance()
+        told.append((now, floors.label, floors.climbing))
+    assert labels_of(told) == ["0", "1", "0"]
+
+
+@pytest.mark.parametrize("hpa", [np.nan, 0.0, 1013.0])
+def test_a_barometer_that_is_stuck_never_changes_the_floor(hpa):
+    steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
+    stuck = replace(barometer, values=np.full_like(barometer.values, hpa))
+    assert labels_of(second_by_second(steps, stuck, LiveFloors(None, "0"))) == ["0"]
+
+
+def test_before_the_first_steps_it_is_the_floor_of_the_start():
+    floors = LiveFloors(None, "2")
+    floors.push(np.array([0.0]), np.array([[1013.0]]))
+    floors.advance()
+    assert (floors.label, floors.labels(np.array([0.0, 5.0])), floors.climbing) == ("2", ("2", "2"), False)
+    assert LiveFloors(None).labels(np.empty(0)) == ()
+
+
+def test_a_restored_state_goes_on_as_it_was():
+    """By way of JSON, on the stairs."""
+    steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
+    whole = second_by_second(steps, barometer, LiveFloors(None, "0"))
+    first, second = LiveFloors(None, "0"), LiveFloors(None, "0")
+    second_by_second(part(steps, 0.0, 70.0), barometer, first)
+    second.restore(json.loads(json.dumps(first.state(), default=lambda value: value.tolist())))
+    assert {k: str(v) for k, v in second.state().items()} == {k: str(v) for k, v in first.state().items()}
+    assert whole[-1][1] == "1"
+
+
+def test_steps_of_one_chunk_may_be_none():
+    floors = LiveFloors(None, "0")
+    nothing = Steps(0.0, 5.0, *(np.empty(0) for _ in range(7)))
+    floors.walked(nothing)
+    floors.advance(replace(nothing, start=5.0, end=9.0))
+    assert floors.label == "0"
