@@ -10,7 +10,7 @@ Until the direction of the walk is sure there is nothing to linearise about: now
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -686,19 +686,17 @@ class IncrementalGraph:
             factors |= linearised(kind, seen, rows, pose, known)
         return factors
 
-    def _observed(self, known: gtsam.Values) -> Iterator[tuple[str, dict[int, Observation], Observed, Array]]:
+    def _observed(self, known: gtsam.Values) -> Iterator[tuple[str, Mapping[int, Observation], Observed, Array]]:
         """What receivers and beacons saw, their factors, and the poses of their keyframes."""
-        models = [("fix", self.receivers.fixes, self.receivers)]
-        models += [("level", self.beacons.levels, self.beacons)] if self.beacons else []
-        for kind, seen, model in models:
-            if seen:
-                pose = self.pose[self._places(one.keyframe for one in seen.values())]
-                yield kind, seen, model.rows(list(seen.values()), pose, known), pose
+        for kind, model in (("fix", self.receivers), ("level", self.beacons)):
+            if model is not None and model.seen:
+                pose = self.pose[self._places(one.keyframe for one in model.seen.values())]
+                yield kind, model.seen, model.rows(pose, known), pose
 
     def _linear_names(self) -> set[Name]:
         """The factors that are linearised here."""
-        names: set[Name] = {("own", one.j) for one in self.intervals} | {("fix", n) for n in self.receivers.fixes}
-        return names | ({("level", n) for n in self.beacons.levels} if self.beacons else set())
+        names = {("own", one.j) for one in self.intervals} | {("fix", n) for n in self.receivers.fixes}
+        return {*names, *(("level", n) for n in (self.beacons.levels if self.beacons else ()))}
 
     @property
     def _known_plan(self) -> Building | None:

@@ -22,6 +22,7 @@ REMEMBERED = 90.0  # [s] of labels before it
 SILENT = 20.0  # [s] without a barometer, after which fixes tell alone
 LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] that a phone measures
 APART = 120.0  # [s] between a sample and the steps: a wild time
+LABELS = ("fix_label", "row_label")  # arrays of text
 MOST_FIXES, MOST_IN_CELL = 300, 200  # a flood of either tells no more
 
 
@@ -89,7 +90,7 @@ class LiveFloors:
 
     def state(self) -> dict[str, Any]:
         """All that it knows, as numbers, labels and arrays of them; what follows a `restore` is the same."""
-        return state_of(self)
+        return {name: value.tolist() if name in LABELS else value for name, value in state_of(self).items()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state`, of the same building."""

@@ -5,7 +5,7 @@ Each observation is linearised here where the walk is, with its robust weight, a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, TypeVar
 
@@ -70,7 +70,7 @@ class _Source:
 
 
 def linearised(
-    kind: str, seen: dict[int, Observation], rows: Rows, pose: Array, at: gtsam.Values
+    kind: str, seen: Mapping[int, Observation], rows: Rows, pose: Array, at: gtsam.Values
 ) -> dict[Name, gtsam.NonlinearFactor]:
     """The factors of those observations that have changed since. pose: ``(n, 3)`` of their keyframes."""
     factors: dict[Name, gtsam.NonlinearFactor] = {}
@@ -168,8 +168,14 @@ class LiveReceivers:
         own._count = int(state["count"])
         return own
 
-    def rows(self, fixes: list[SeenFix], pose: Array, values: gtsam.Values) -> Rows:
+    @property
+    def seen(self) -> Mapping[int, Observation]:
+        """Its fixes."""
+        return self.fixes
+
+    def rows(self, pose: Array, values: gtsam.Values) -> Rows:
         """Their factors at poses ``(f, 3)`` of their keyframes."""
+        fixes = list(self.fixes.values())
         g = np.array([values.atVector(key) for fix in fixes for key in fix.keys])
         every = np.arange(len(fixes))
         model = Receivers(
@@ -213,7 +219,7 @@ class LiveBeacons:
         names = tuple(self.beacons.name[int(m)] for m in which)
         return levels(Sightings(time, names, rssi), self.beacons, steps)
 
-    def due(self, covered: float, walked: Callable[[Array], Array]) -> list[tuple[float, int, float]]:
+    def due(self, covered: float, walked: Callable[[Array], Array]) -> list[SeenLevel]:
         """Time, beacon and mean level of the stretches that are complete by ``covered`` [s]."""
         if not self._heard or self._heard[0][0] > covered:
             return []
@@ -269,8 +275,14 @@ class LiveBeacons:
         """The variables that must stay alive."""
         return [Q(0), *(B(m) for m in self._met)] if self._met else []
 
-    def rows(self, levels: list[SeenLevel], pose: Array, values: gtsam.Values) -> Rows:
+    @property
+    def seen(self) -> Mapping[int, Observation]:
+        """Its levels."""
+        return self.levels
+
+    def rows(self, pose: Array, values: gtsam.Values) -> Rows:
         """Their factors at poses ``(l, 3)`` of their keyframes."""
+        levels = list(self.levels.values())
         every, nothing = np.arange(len(levels)), np.empty(0)
         b = np.array([values.atVector(level.keys[0]) for level in levels])
         rssi = np.array([level.rssi for level in levels])

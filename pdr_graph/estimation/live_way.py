@@ -93,7 +93,7 @@ class Way:
         """How far the steps have led by some times. [m]"""
         driven = np.where(self.whole[:, GAP] > 0, DRIVEN * np.diff(self.whole[:, END], prepend=self.start), 0)
         way = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
-        return self.walked + np.interp(time, np.append(self.start, self.whole[:, END]), way)
+        return np.asarray(self.walked + np.interp(time, np.append(self.start, self.whole[:, END]), way))
 
     def rows(self, begin: float, end: float) -> Array:
         """Of the whole pieces those that end with a row of the trajectory, after ``begin`` and until ``end`` [s]."""
@@ -154,6 +154,6 @@ class Way:
 
 def _rows(steps: Steps) -> Array:
     whole = whole_pieces(steps)
-    row = np.isin(whole[:, END], np.round(steps.time, DECIMALS))
-    gap = np.isin(whole[:, END], np.round(steps.time[steps.length == 0], DECIMALS))
+    row = np.isin(whole[:, END], np.round(steps.time, DECIMALS)).astype(float)
+    gap = np.isin(whole[:, END], np.round(steps.time[steps.length == 0], DECIMALS)).astype(float)
     return np.column_stack([whole, row, gap])

@@ -83,7 +83,7 @@ class Pieces:
             to_end=np.concatenate([pieces.to_end for pieces in one_by_one], axis=1),
             variance=np.concatenate([pieces.variance for pieces in one_by_one]),
             interval=np.repeat(np.arange(len(sizes)), sizes),
-            first=last + 1 - sizes,
+            first=(last + 1 - sizes).astype(np.intp),
             last=last,
             keyframe_time=np.array([one_by_one[0].keyframe_time[0], *(p.keyframe_time[1] for p in one_by_one)]),
             row_end=np.empty(0, dtype=np.intp),
@@ -97,9 +97,9 @@ def cut(steps: Steps, at: Array) -> Pieces:
     """
     start, whole = round(steps.start, DECIMALS), whole_pieces(steps)
     required = np.round(np.clip(np.append(at, steps.end), start, steps.end), DECIMALS)
-    required = np.unique(required[required > start])
+    required = np.unique(required[required > start]).astype(float)
 
-    end = np.union1d(whole[:, 0], required)
+    end = np.union1d(whole[:, 0], required).astype(float)
     interval, first = _intervals(np.searchsorted(required, end))
     row_end = np.searchsorted(end, np.round(np.append(steps.time, steps.end), DECIMALS))
     return _pieces(whole, start, end, interval, first, row_end)

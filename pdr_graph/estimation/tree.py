@@ -56,7 +56,7 @@ class Tree:
 
         values: of new variables; times: of these, and of those that must stay alive [s].
         """
-        values, times = values or gtsam.Values(), dict(times or {})
+        values, times = values or gtsam.Values(), dict[Any, Any](times or {})
         gone = [name for name in {*remove, *add} if name in self.factors]
         slots = [self._slots[name] for name in gone]
         for name in gone:
@@ -179,7 +179,8 @@ def linear(keys: Sequence[int], blocks: Sequence[Array], error: Array, at: gtsam
     for key in keys:
         _insert(values, key, _numbers(at, key))
     terms: list[Any] = [side for pair in zip(keys, blocks, strict=True) for side in pair]
-    factor = gtsam.JacobianFactor(*terms, -error, gtsam.noiseModel.Unit.Create(len(error)))
+    make: Any = gtsam.JacobianFactor  # its overloads are of one, two and three variables
+    factor = make(*terms, -error, gtsam.noiseModel.Unit.Create(len(error)))
     return gtsam.LinearContainerFactor(factor, values)
 
 

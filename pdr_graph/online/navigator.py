@@ -251,7 +251,7 @@ class Navigator:
 
     @property
     def _now(self) -> float:
-        return self._tail.end if self._tail is not None else self._graph.covered
+        return self._tail.end if self._tail is not None else self._graph.way.end
 
     def _fix(self, fixes: Fixes) -> None:
         """Fixes in the frame of the walk; the first may define it."""
