@@ -210,7 +210,7 @@ def evaal(
     ignore_initial: Annotated[
         bool, typer.Option("--ignore-initial", help="Do not start from the trial's initial position.")
     ] = False,
-    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="As of smooth; for offline trials.")] = None,
+    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="As of smooth.")] = None,
     walker: WalkerPath = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Where results go; default: evaal-TRIAL.")
@@ -225,19 +225,20 @@ def evaal(
 
     from pdr_graph.floor.building import Building
     from pdr_graph.gait.walker import Walker
+    from pdr_graph.io.beacons import read_beacons
     from pdr_graph.online.evaal import Api
     from pdr_graph.online.form import Form
-    from pdr_graph.online.protocol import Navigator as Live
+    from pdr_graph.online.navigator import Navigator
     from pdr_graph.online.trial import take_part
     from pdr_graph.pipeline import smooth_recording
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
     building, known = Building.load(map_) if map_ else None, Walker.load(walker) if walker else Walker()
 
-    def navigator() -> Live:
-        from pdr_graph.online.navigator import Navigator  # pyright: ignore
+    surveyed = read_beacons(beacons) if beacons else None
 
-        return Navigator(building, walker=known)  # pyright: ignore
+    def navigator() -> Navigator:
+        return Navigator(building, walker=known, beacons=surveyed)
 
     def smoothed(recording: Path, fixes: Path | None) -> tuple[str, ...]:
         return smooth_recording(recording, folder, map_, fixes, walker, beacons=beacons)

@@ -18,6 +18,7 @@ from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS
 from pdr_graph.estimation.receivers import ALONG, LAG, LAG_CHANGE, NODE, STANDING, WHITE, Receivers
 from pdr_graph.estimation.tree import Name, linear
+from pdr_graph.io.beacons import number_of
 from pdr_graph.types import Array, Beacons, Sightings, Steps
 
 AMBLE = 1.0  # [m/s] at which a walker is thought to go on until the next node
@@ -199,7 +200,9 @@ class LiveBeacons:
     def __init__(self, beacons: Beacons):
         known = np.isfinite(beacons.position[:, 0])
         self.beacons = beacons
-        self._number = {name: m for m, name in enumerate(beacons.name) if known[m]}
+        called = {name.lower(): m for m, name in enumerate(beacons.name) if known[m]}
+        self._by_minor = {number_of(name): m for name, m in called.items()}
+        self._by_name = called
         self._heard: list[tuple[float, int, float]] = []
         self._all: list[tuple[float, int, float]] = []  # of the window
         self._met: set[int] = set()
@@ -208,9 +211,12 @@ class LiveBeacons:
 
     def hear(self, heard: Sightings) -> None:
         """What the radio heard."""
-        for time, name, rssi in zip(heard.time.tolist(), heard.transmitter, heard.rssi.tolist(), strict=True):
-            if name in self._number and np.isfinite(rssi) and np.isfinite(time):
-                self._heard.append((time, self._number[name], rssi))
+        minor = heard.minor or ("",) * len(heard)
+        rows = zip(heard.time.tolist(), heard.transmitter, minor, heard.rssi.tolist(), strict=True)
+        for time, name, number, rssi in rows:
+            beacon = self._by_name.get(name.lower(), self._by_minor.get(number) if number else None)
+            if beacon is not None and np.isfinite(rssi) and np.isfinite(time):
+                self._heard.append((time, beacon, rssi))
                 self._all.append(self._heard[-1])
 
     def so_far(self, steps: Steps) -> Levels:

@@ -25,11 +25,12 @@ def beside(recording: Path) -> Path | None:
     return path if recording.is_file() and path.is_file() else None
 
 
-def read_beacons(path: str | Path, recording: Recording) -> Beacons:
+def read_beacons(path: str | Path, recording: Recording | None = None) -> Beacons:
     """Beacons of a table ``beacon,x,y[,sigma][,floor]`` in the output frame, ``beacon,lat,lon[,sigma][,floor]``, or
     IPIN's ``bleID,Lat,Lon,floor``.
 
     ``beacon`` is its address as the recording has it, or a name that ends in an iBeacon's minor number, as BLE3 does.
+    Without a recording the names are those of the list.
     Raises InputError naming the line.
     """
     required = [("x", "y"), ("lat", "lon")]
@@ -57,16 +58,17 @@ def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording) -> Be
     return Beacons(_names(label, recording), position, sigma, tuple(floor for _, floor in drawn), label)
 
 
-def _names(label: Sequence[str], recording: Recording) -> tuple[str, ...]:
+def _names(label: Sequence[str], recording: Recording | None) -> tuple[str, ...]:
     """The transmitters in the recording that are called so."""
-    heard, by_address, by_number = recording.bluetooth, dict[str, str](), dict[str, str]()
+    heard = None if recording is None else recording.bluetooth
+    by_address, by_number = dict[str, str](), dict[str, str]()
     if heard is not None:
         by_address = {name.lower(): name for name in heard.transmitter}
         by_number = dict(zip(heard.minor, heard.transmitter, strict=False))
-    return tuple(by_address.get(of.lower()) or by_number.get(_number(of), of) for of in label)
+    return tuple(by_address.get(of.lower()) or by_number.get(number_of(of), of) for of in label)
 
 
-def _number(label: str) -> str:
+def number_of(label: str) -> str:
     """The number that a name ends in, without leading zeros; empty without one."""
     found = NUMBER.search(label)
     return str(int(found.group())) if found else ""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from pdr_graph.frames import Frame
 from pdr_graph.online.events import Event
 from pdr_graph.types import Array, Estimate, Trajectory
 
@@ -65,6 +66,15 @@ class Live(Protocol):
 
     def finish(self) -> Estimate:
         """The walk, no more events coming."""
+        ...
+
+
+class Placed(Live, Protocol):
+    """A navigator whose poses have a place on earth."""
+
+    @property
+    def frame(self) -> Frame | None:
+        """That of the poses, None before anything defines it."""
         ...
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.io import writers
 from pdr_graph.online import offline
+from pdr_graph.online.contract import Placed
 from pdr_graph.online.evaal import GOOD, OVER, Api, State, UnreachableError
 from pdr_graph.online.form import Form
-from pdr_graph.online.protocol import Navigator
 from pdr_graph.online.request_log import OFFLINE, RequestLog
 from pdr_graph.online.rows import RowStream
 from pdr_graph.types import Array, Trajectory
@@ -37,7 +37,7 @@ class Ending:
 def take_part(
     api: Api,
     out: Path,
-    navigator: Callable[[], Navigator],
+    navigator: Callable[[], Placed],
     smoothed: Callable[[Path, Path | None], tuple[str, ...]],
     form: Callable[[str], Form],
     floors: tuple[str, ...] = (),
@@ -115,7 +115,7 @@ def _ended(text: str) -> tuple[bool, str]:
 class _Walk:
     """The walk of an online trial as far as it is known, and what was sent of it."""
 
-    def __init__(self, navigator: Navigator, form: Form, floors: tuple[str, ...], log: RequestLog):
+    def __init__(self, navigator: Placed, form: Form, floors: tuple[str, ...], log: RequestLog):
         """What an interrupted client had received is taken in again, slot by slot, as it came."""
         self.stream, self.notes = RowStream(), list[str]()
         self.seconds, self.repeated = list[float](), 0
