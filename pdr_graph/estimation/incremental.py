@@ -134,9 +134,8 @@ class IncrementalGraph:
         self.floor = self.floor if floor is None else floor
         if not self.keyframes:
             self._begin()
-        if not self._close():
-            self._refine()
-        if self.ways is not None and self.ways.work():
+        busy = self._close() or self._refine()
+        if self.ways is not None and self.ways.work(busy):
             self._compare(self.ways)
 
     def add_fix(self, time: float, position: Array, sigma: float, floor: str = "", source: str = "") -> None:
@@ -462,13 +461,18 @@ class IncrementalGraph:
         if factors or remove:
             self._update(factors, remove)
 
-    def _refine(self) -> None:
-        """One thing at a time, in the steps between keyframes: the walls, and what has moved linearised again."""
+    def _refine(self) -> bool:
+        """One thing at a time, in the steps between keyframes: the walls, and what has moved linearised again.
+
+        Returns whether there was anything to do.
+        """
+        due = bool(self.rounds_due) or (self.walls_due and self.sure)
         if self.walls_due and self.sure:
             self.walls_due = False
             self._find_walls(LOOKED_BACK)
         elif self.rounds_due:
             self.rounds_due = self.rounds_due - 1 if self._relinearise(MOVED) else 0
+        return due
 
     # Other ways
 

@@ -23,7 +23,7 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.types import Array
 
 FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
-JOBS = 2  # of the cloud with each step, so that none waits for ten
+JOBS, BACKLOG = 3, 15  # of the cloud with each step that has nothing else to do, and with any when so many wait
 MOSTLY = 0.7  # of the particles in one bundle, of which the present is right 96 times in a hundred
 AGREED = 2  # keyframes in a row at which they are elsewhere
 SEED = 0
@@ -76,8 +76,10 @@ class LiveWays:
             self._jobs.append(_Piece(length, turn[m], time[m], pieces.variance[m], one.label))
         self._jobs.append(_Keyframe(one.end, seen))
 
-    def work(self) -> bool:
-        """Do some of what is to be done; whether a keyframe was."""
+    def work(self, busy: bool) -> bool:
+        """Do some of what is to be done, later if the graph is busy; whether a keyframe was."""
+        if busy and len(self._jobs) < BACKLOG:
+            return False
         for _ in range(min(JOBS, len(self._jobs))):
             job = self._jobs.popleft()
             if isinstance(job, _Keyframe):
