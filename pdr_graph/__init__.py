@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from pdr_graph.io import load as load
     from pdr_graph.io.tables import read_fixes as read_fixes
     from pdr_graph.io.tables import read_trajectory as read_trajectory
+    from pdr_graph.online.events import Samples as Samples
+    from pdr_graph.online.events import Scan as Scan
+    from pdr_graph.online.events import events_of as events_of
+    from pdr_graph.online.navigator import Navigator as Navigator
     from pdr_graph.plotting import plot as plot
     from pdr_graph.types import Calibration as Calibration
     from pdr_graph.types import Estimate as Estimate
@@ -53,6 +57,10 @@ _HOME = {
     "load": "io",
     "read_fixes": "io.tables",
     "read_trajectory": "io.tables",
+    "Navigator": "online.navigator",
+    "Samples": "online.events",
+    "Scan": "online.events",
+    "events_of": "online.events",
     "plot": "plotting",
     "Calibration": "types",
     "Estimate": "types",
@@ -70,8 +78,11 @@ __all__ = [
     "FloorPlan",
     "Headings",
     "InputError",
+    "Navigator",
     "Prior",
     "Recording",
+    "Samples",
+    "Scan",
     "Steps",
     "Trajectory",
     "WalkGraph",
@@ -79,6 +90,7 @@ __all__ = [
     "dead_reckon",
     "detect_steps",
     "evaluate",
+    "events_of",
     "floors_of",
     "kalman_filter",
     "kalman_smoother",

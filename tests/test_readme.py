@@ -11,16 +11,18 @@ import simulated
 ROOT = Path(__file__).parent.parent
 
 
-def test_the_readme_example_runs_as_printed(tmp_path, monkeypatch, capsys):
+def test_the_readme_examples_run_as_printed(tmp_path, monkeypatch, capsys):
     """In a folder with a simulated walk, its fixes and the plan that the example names."""
-    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     route = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])
     simulated.indoor_location(tmp_path, route)
     shutil.copytree(ROOT / "maps", tmp_path / "maps")
     monkeypatch.chdir(tmp_path)
-    exec(compile(example, "README.md", "exec"), {})
+    exec(compile("\n".join(examples), "README.md", "exec"), {})
     assert (tmp_path / "walk.png").stat().st_size > 20_000
-    assert "p50" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "p50" in said
+    assert "Pose(" in said
 
 
 def test_the_readme_and_the_accuracy_page_agree():
