@@ -44,7 +44,7 @@ from pdr_graph.estimation.live_start import lay
 from pdr_graph.estimation.live_way import CLOSE, END, Interval, Way
 from pdr_graph.estimation.live_ways import LiveWays, OtherWay
 from pdr_graph.estimation.observations import Rows as Observed
-from pdr_graph.estimation.prediction import Belief
+from pdr_graph.estimation.prediction import Belief, Position, predicted
 from pdr_graph.estimation.preintegration import DECIMALS, Bridge, Pieces, preintegrate
 from pdr_graph.estimation.receivers import LATELY
 from pdr_graph.estimation.tree import Name, Tree
@@ -186,15 +186,12 @@ class IncrementalGraph:
         whole, at = self.way.with_tail(tail), self.times[-1]
         end = float(whole[-1, END]) if len(whole) else at
         end = end if until is None else min(end, until)
-        belief = self._last_belief()
-        for fix in self.waiting:
-            if at <= fix.time <= end:
-                share = 1 / self.receivers.alike(fix.source)
-                ahead = belief.after(whole, self.way.start, at, fix.time)
-                walked = float(np.hypot(*(ahead.mean - belief.mean)[:2]))
-                belief = (ahead if self.sure else ahead.adrift(walked)).seen(fix.position, fix.sigma, share)
-                at = fix.time
-        return belief.after(whole, self.way.start, at, end)
+        fixes = [
+            Position(fix.time, fix.position, fix.sigma, 1 / self.receivers.alike(fix.source))
+            for fix in self.waiting
+            if at <= fix.time <= end
+        ]
+        return predicted(self._last_belief(), whole, self.way.start, at, end, fixes, self.sure)
 
     def rows(self) -> Rows:
         """The walk in the window until its last keyframe; with its start if that is in it."""

@@ -13,7 +13,7 @@ from pdr_graph.estimation.preintegration import (
     Bridge,
     Pieces,
     bridge,
-    one_interval,
+    intervals,
     preintegrate,
     whole_pieces,
 )
@@ -119,7 +119,7 @@ class Way:
 
     def interval(self, i: int, j: int, begin: float, end: float, segment: int, c: Array, label: str) -> Interval:
         """From keyframe i to j. c: as believed before the walk, for its covariance."""
-        pieces = one_interval(self.whole, self.start, begin, end)
+        pieces = intervals(self.whole, self.start, begin, np.array([end]))
         ends, rows = begin + pieces.to_end[1], self.rows(begin, end)[:, END]
         which = np.minimum(np.searchsorted(ends, rows - CLOSE), len(ends) - 1)
         own = bridge(pieces, preintegrate(pieces, c[None]))

@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_graph.estimation.bank import Bank, measured
-from pdr_graph.estimation.preintegration import bridge, one_interval, preintegrate
+from pdr_graph.estimation.preintegration import bridge, intervals, preintegrate
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array
 
 OF_POSITION = np.eye(2, 6)
 LEFT = np.array([[0.0, -1.0], [1.0, 0.0]])
-ONE = np.zeros(1, dtype=np.intp)
+ALONE = np.zeros(1, dtype=np.intp)
+SHORTEST = 1e-6  # [s] between two moments
+
+
+@dataclass(frozen=True)
+class Position:
+    """A fix: time [s], position ``(2,)`` [m], sigma [m]; share: of its information that others do not say too."""
+
+    time: float
+    position: Array
+    sigma: float
+    share: float
 
 
 @dataclass(frozen=True)
@@ -23,22 +35,17 @@ class Belief:
     mean: Array
     covariance: Array
 
-    def after(self, whole: Array, start: float, begin: float, end: float) -> Belief:
-        """After the steps between two moments [s], of whole pieces as of `one_interval`."""
-        if end - begin < 1e-6:
-            return self
-        pieces = one_interval(whole, start, begin, end)
-        increments = preintegrate(pieces, self.mean[None, 3:])
-        root = bridge(pieces, increments).root[0]
-        delta, by_c = increments.delta[-1], increments.by_c[-1]
+    def ahead(self, delta: Array, by_c: Array, spread: Array, mean_c: Array) -> Belief:
+        """After steps that lead by ``delta (3,)``, in the mean of c ``mean_c (3,)``, within ``spread (3, 3)``."""
         R = pose_rotation(self.mean[2:3])[0]
+        delta = delta + by_c @ (self.mean[3:] - mean_c)
         mean = self.mean.copy()
         mean[:3] += R @ delta
         F = np.eye(6)
         F[:2, 2] = LEFT @ (R[:2, :2] @ delta[:2])
         F[:3, 3:] = R @ by_c
         covariance = F @ self.covariance @ F.T
-        covariance[:3, :3] += R @ np.linalg.inv(root.T @ root) @ R.T
+        covariance[:3, :3] += R @ spread @ R.T
         return Belief(mean, covariance)
 
     def adrift(self, walked: float) -> Belief:
@@ -48,8 +55,35 @@ class Belief:
         covariance[:2, :2] += walked**2 * np.eye(2)
         return Belief(self.mean, covariance)
 
-    def seen(self, position: Array, sigma: float, share: float) -> Belief:
-        """After a fix, with Huber's weight and none beyond the gate. share: of it that others do not say too."""
-        bank = Bank(self.mean[None], self.covariance[None], np.zeros(1), ONE)
-        known, _ = measured(bank, OF_POSITION, (position - self.mean[:2])[None], sigma**2 * np.eye(2), share)
+    def seen(self, fix: Position) -> Belief:
+        """After a fix, with Huber's weight and none beyond the gate."""
+        bank = Bank(self.mean[None], self.covariance[None], np.zeros(1), ALONE)
+        gap = (fix.position - self.mean[:2])[None]
+        known, _ = measured(bank, OF_POSITION, gap, fix.sigma**2 * np.eye(2), fix.share)
         return Belief(known.mean[0], known.covariance[0])
+
+
+def predicted(
+    belief: Belief, whole: Array, start: float, begin: float, end: float, fixes: Sequence[Position], sure: bool
+) -> Belief:
+    """What is believed at ``end`` [s] of what is at ``begin``, through steps and fixes in between, in order of time.
+
+    whole, start: of the steps, as of `intervals`; sure: the direction of the walk is known.
+    """
+    moments = np.unique([*(fix.time for fix in fixes if begin + SHORTEST < fix.time <= end), end])
+    if moments[-1] < begin + SHORTEST:
+        return belief
+    pieces = intervals(whole, start, begin, moments)
+    mean_c = belief.mean[3:]
+    increments = preintegrate(pieces, np.tile(mean_c, (len(moments), 1)))
+    root = bridge(pieces, increments).root
+    spread = np.linalg.inv(root.transpose(0, 2, 1) @ root)
+    waiting = list(fixes)
+    for n, moment in enumerate(moments.tolist()):
+        last = pieces.last[n]
+        delta = increments.delta[last]
+        belief = belief.ahead(delta, increments.by_c[last], spread[n], mean_c)
+        while waiting and waiting[0].time <= moment:
+            known = belief if sure else belief.adrift(float(np.hypot(*delta[:2])))
+            belief = known.seen(waiting.pop(0))
+    return belief

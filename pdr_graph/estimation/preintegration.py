@@ -105,12 +105,16 @@ def cut(steps: Steps, at: Array) -> Pieces:
     return _pieces(whole, start, end, interval, first, row_end)
 
 
-def one_interval(whole: Array, start: float, begin: float, end: float) -> Pieces:
-    """What of the pieces ``whole``, of which the first begins at ``start``, lies between two keyframes [s]."""
-    within = whole[(whole[:, 0] > begin) & (whole[:, 0] < end), 0]
-    ends = np.append(within, end)
-    rows = np.empty(0, dtype=np.intp)
-    return _pieces(whole, start, ends, np.zeros(len(ends), dtype=np.intp), np.zeros(1, dtype=np.intp), rows, begin)
+def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
+    """What of the pieces ``whole``, of which the first begins at ``start``, lies between a keyframe and the next ones.
+
+    ends: ``(k,)`` of these, in order [s].
+    """
+    within = whole[(whole[:, 0] > begin) & (whole[:, 0] < ends[-1]), 0]
+    end = np.union1d(within, ends).astype(float)
+    interval = np.searchsorted(ends, end)
+    first = np.flatnonzero(np.diff(interval, prepend=-1))
+    return _pieces(whole, start, end, interval, first, np.empty(0, dtype=np.intp), begin)
 
 
 def _pieces(
