@@ -126,7 +126,7 @@ class Tree:
     def start(self, factors: Mapping[Name, gtsam.NonlinearFactor]) -> None:
         """Begin with these factors too, after `restored` or `at`."""
         self.factors.update(factors)
-        self._keys |= {name: frozenset(factor.keys()) for name, factor in factors.items()}
+        self._keys = {name: frozenset(factor.keys()) for name, factor in self.factors.items()}
         self._start(gtsam.Values(self.values))
 
     def _accept(self, added: list[Name]) -> None:
