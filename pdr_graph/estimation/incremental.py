@@ -62,10 +62,11 @@ RECENT, EVERY = 150, 25  # intervals that are looked at each time; all are when 
 ROUNDS = 4  # of linearising again after a keyframe, one with each of the next steps
 SETTLES = 1e-4  # at the end: when a round takes less than this share off the cost
 AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that is not sure is laid out again
+PATIENCE = 4  # fixes that follow from one another, all far from the walk, until it is the walk that is wrong
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 ALL = 10**9  # pieces
 KEPT = ("count", "segment", "in_segment", "fix_count", "too_late", "last_pointed", "sure", "lay_next", "restarts")
-KEPT += ("floor", "tried", "taken")  # plain numbers and text of a snapshot
+KEPT += ("anchored", "floor", "tried", "taken")  # plain numbers and text of a snapshot
 SPARSE = 5.0  # [s] between the covariances of rows that leave the window
 
 
@@ -116,6 +117,8 @@ class IncrementalGraph:
 
         # How it does, and what is due
         self.sure, self.lay_next, self.restarts = False, -np.inf, 0
+        self.anchored = False  # it has been sure once
+        self.hinge = np.zeros(3)  # the pose of the start of the window, as what has left goes with it
         self.walls_due, self.rounds_due = False, 0
         self.ways: LiveWays | None = None
         self.tried, self.taken = 0, 0  # other ways, and those that were better
@@ -234,7 +237,9 @@ class IncrementalGraph:
         return Calibration(np.array(start), np.array([self.c[segment] for segment in segments]), covariance, prior)
 
     def hand_out(self) -> list[Rows]:
-        """The rows that are settled, once."""
+        """The rows that are settled, once; none while nothing has told for sure where the walk was."""
+        if not self.anchored:
+            return []
         self.past_reports = []
         handed, self.settled = self.settled, []
         return handed
@@ -396,12 +401,13 @@ class IncrementalGraph:
         prior = replace(self.prior, mean=tuple(self.c_prior[0].tolist()))
         floors = [self.floor] * (len(steps) + 2)
         laid = lay(steps, reached, self._all_headings(), levels, self._known_plan, floors, prior)
-        before = self.pose[0].copy()
         self.pose, self.sure = laid.at(np.array(self.times)), laid.sure
         for one in self.intervals:
             self.c[one.segment] = laid.calibration(one.end)
             one.fields = [None] * len(one.fields)
-        self._move_settled(before, self.pose[0])
+        if not self.anchored:
+            self._move_settled(self.pose[0].copy())
+        self.anchored |= self.sure
         self.lay_next = self.times[-1] + max(AGAIN, SPACED * (self.times[-1] - steps.start))
         self._build()
         self._find_walls(ALL)
@@ -457,6 +463,10 @@ class IncrementalGraph:
                 factors["fix", fix.number] = fix_factor(fix)
         if factors or remove:
             self._update(factors, remove)
+        last = [fix for fix in reached if fix.believed][-PATIENCE:]
+        if len(last) == PATIENCE and all(fix.kind == SLIPPING for fix in last) and self.times[-1] >= self.lay_next:
+            self._restart()
+            self._lay()
 
     def _refine(self) -> bool:
         """One thing at a time, in the steps between keyframes: the walls, and what has moved linearised again.
@@ -603,6 +613,8 @@ class IncrementalGraph:
         del self.keyframes[:gone], self.times[:gone], self.intervals[:gone]
         self.pose = self.pose[gone:]
         self.way.forget(self.times[0])
+        if not self.anchored:
+            self.hinge = self.pose[0].copy()
         alive = set(self.keyframes)
         self.past_reports += reported
         self.fixes = [fix for fix in self.fixes if not fix.reached or fix.keyframe in alive]
@@ -624,8 +636,9 @@ class IncrementalGraph:
             self.settled.append(replace(rows, covariance=(1 - share) * one + share * other + rows.covariance))
         self.left, self.edge = [], (after, other)
 
-    def _move_settled(self, before: Array, after: Array) -> None:
-        """What has left the window before anything told where the walk was: it was in a frame of its own."""
+    def _move_settled(self, after: Array) -> None:
+        """What has left the window before anything told where the walk was goes with the window's start."""
+        before, self.hinge = self.hinge, after
         turn = after[2] - before[2]
         R = pose_rotation(np.array([turn]))[0]
         for past in (self.settled, self.left):
@@ -773,7 +786,7 @@ class IncrementalGraph:
     # Snapshots
 
     def state(self) -> dict[str, Any]:
-        """All that the rest of the walk depends on, as numbers; rows that are settled are not among it."""
+        """All that the rest of the walk depends on, as numbers; rows that were handed out are not among it."""
         return {
             **{name: getattr(self, name) for name in KEPT},
             "tree": self.tree.state(self._linear_names() | {("fix", fix.number) for fix in self.fixes}),
@@ -790,6 +803,8 @@ class IncrementalGraph:
             "receivers": self.receivers.state(),
             "beacons": self.beacons.state() if self.beacons else None,
             "left": [vars(rows) for rows in self.left],
+            "settled": [vars(rows) for rows in self.settled],
+            "hinge": self.hinge,
             "edge": list(self.edge),
         }
 
@@ -808,7 +823,8 @@ class IncrementalGraph:
         self.receivers = LiveReceivers.restored(state["receivers"])
         if state["beacons"] is not None and beacons is not None:
             self.beacons = LiveBeacons.restored(beacons, state["beacons"])
-        self.left = [Rows(**rows) for rows in state["left"]]
+        self.left, self.settled = ([Rows(**rows) for rows in state[name]] for name in ("left", "settled"))
+        self.hinge = np.array(state["hinge"])
         spans = zip(self.keyframes, self.keyframes[1:], self.times, self.times[1:], strict=False)
         told = zip(spans, state["segments"], state["labels"], strict=True)
         mean = np.array(self.prior.mean)

@@ -198,7 +198,7 @@ class Navigator:
         return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(reports)))
 
     def snapshot(self) -> dict[str, Any]:
-        """All that the rest of the walk depends on, as numbers and text; rows that are settled are not among it."""
+        """All that the rest of the walk depends on, as numbers and text; rows that were handed out are not among it."""
         frame = None if self.frame is None else self.frame.describe()
         own = {"taken": self._taken, "early": self._early, "certain": self._certain, "frame": frame}
         said = [[name, list(place)] for name, place in self._said.items()]

@@ -192,11 +192,6 @@ def wild(fixes, seed, share=0.3, far=40.0):
     return replace(fixes, position=fixes.position + off)
 
 
-LOCKED_IN = "a walk that the first wild fixes led astray takes every good one for wild, and stays"
-MOVED = "what has settled is turned with the window when the walk begins again (_lay, _move_settled)"
-
-
-@pytest.mark.xfail(strict=True, reason=f"{LOCKED_IN}; {MOVED}")
 def test_wild_fixes_are_not_followed():
     """Three in ten 40 m off: the median error of eight walks is at most 1.6 times that without."""
     with_them, without = [], []
@@ -208,7 +203,6 @@ def test_wild_fixes_are_not_followed():
     assert np.max(with_them) < 3.0 * np.max(without)
 
 
-@pytest.mark.xfail(strict=True, reason=LOCKED_IN)
 def test_two_wild_fixes_at_the_beginning_are_overruled_by_those_that_follow():
     """Both within reach and 15 m off; the twelve that follow agree with one another and the steps."""
     steps, fixes, truth = drawn_from_the_model(220, seed=3)
@@ -220,7 +214,6 @@ def test_two_wild_fixes_at_the_beginning_are_overruled_by_those_that_follow():
     assert np.median(errors(rows, truth)) < 3.0
 
 
-@pytest.mark.xfail(strict=True, reason=MOVED)
 def test_what_has_settled_does_not_move_any_more():
     """All fixes jump by 60 m and the walk begins again: rows that `settled` has told of stay where they were."""
     steps, fixes, _ = drawn_from_the_model(500, seed=1)
@@ -347,7 +340,7 @@ def test_rotating_and_moving_the_world_does_so_to_the_track(angle, way):
     assert here.covariance[:, :2, :2] == pytest.approx(R @ there.covariance[:, :2, :2] @ R.T, abs=1e-6)
 
 
-@pytest.mark.parametrize("far", [200.0, pytest.param(600.0, marks=pytest.mark.xfail(strict=True, reason=LOCKED_IN))])
+@pytest.mark.parametrize("far", [200.0, 600.0])
 def test_a_gap_is_bridged_by_what_is_known_on_both_sides(far):
     """Two minutes on a bus: the walk goes on where the fixes are, as the batch has it."""
     steps, fixes, truth = drawn_from_the_model(200, seed=2)
@@ -396,7 +389,6 @@ def test_without_a_fix_the_start_defines_the_frame():
     assert rows.pose[:, :2] == pytest.approx(dead_reckon(steps).position[:-1], abs=1e-6)
 
 
-@pytest.mark.xfail(strict=True, reason="_lay moves what has settled from where the window is, which fixes turned since")
 def test_what_has_settled_goes_where_the_first_fix_says():
     """The first fixes after ten minutes: all rows, most of them long settled, turn and move with the window."""
     steps = wandering_walk(1300, seed=3)
@@ -412,7 +404,6 @@ def test_what_has_settled_goes_where_the_first_fix_says():
     assert errors(rows, truth).max() < 0.035 * np.hypot(*np.ptp(truth.position, axis=0))
 
 
-@pytest.mark.xfail(strict=True, reason="hand_out tells of rows that move when the first fix comes")
 def test_nothing_is_handed_out_before_a_fix_says_where_it_was():
     """A journal hands out what has settled at each snapshot, and nobody could move it afterwards."""
     steps = wandering_walk(400, seed=3)
