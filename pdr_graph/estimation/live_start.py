@@ -10,7 +10,8 @@ from gtsam.symbol_shorthand import X
 
 from pdr_graph.estimation.beacons import Levels
 from pdr_graph.estimation.covariance import CovarianceBlocks
-from pdr_graph.estimation.graph import Prior, State, WalkGraph
+from pdr_graph.estimation.graph import AMBIGUOUS, Prior, State, WalkGraph
+from pdr_graph.estimation.initial import sigma_direction
 from pdr_graph.estimation.live_fixes import GRIP, NONE, SLIPPING, LiveFix, as_fixes
 from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions, ways
 from pdr_graph.estimation.reports import SURE
@@ -18,6 +19,7 @@ from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import Array, Headings, Steps
 
+LONG = 60.0  # [s] of a walk that a plan can tell from others; on a shorter one a compass that errs fits some aisle
 POINTED, BESIDE_WALLS = 0.5, 0.35  # [rad] of the direction at the end, below which it is linearised about
 
 
@@ -64,7 +66,15 @@ def lay(
     for fix, is_held, is_wild in zip(fixes, held, wild, strict=not best.graph.by_proximity):
         fix.kind = NONE if not is_held else SLIPPING if is_wild else GRIP
     certain = float(probabilities(found, way)[way == 0].sum()) > SURE
-    return _laid(best, certain)
+    told = not best.graph.walls or _by_fixes(graph) < AMBIGUOUS or steps.end - steps.start > LONG
+    return _laid(best, certain and told)
+
+
+def _by_fixes(graph: WalkGraph) -> float:
+    """How well the fixes alone determine the direction of the walk. [rad]"""
+    used = graph.fix_believed
+    at_fixes = graph.track[graph.fix_keyframe[used]]
+    return sigma_direction(at_fixes, graph.fix_sigma_together[used], float(np.sum(graph.pieces.length)))
 
 
 def _laid(best: Optimum, certain: bool) -> Laid:

@@ -31,6 +31,7 @@ from pdr_graph.inertial.stream import Health
 from pdr_graph.online.events import Event, Samples
 from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Steps, Trajectory
 
+FARTHEST, FINEST = 1e8, 1e-4  # [m] from the origin of a frame, of a sigma at most; and at least
 AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
 UNSURE = "the measurements leave open which way the walk went: the most probable one is given"
 SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
@@ -107,7 +108,7 @@ class Navigator:
         self._beacons = beacons
         self._tail: Steps | None = None
         self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
-        self._taken, self._early, self._certain = 0, 0, 0
+        self._taken, self._early, self._absurd, self._certain = 0, 0, 0, 0
 
     def push(self, event: Event) -> None:
         """Take in an event, in the order in which they arrive."""
@@ -118,7 +119,7 @@ class Navigator:
         elif isinstance(event, Fixes):
             self._fix(event)
         elif event.radio == "bluetooth" and self._beacons is not None and self.frame is not None:
-            heard = replace(event.heard, time=event.heard.time + self._gait.offset)
+            heard = replace(event.heard, time=self._on_clock(event.heard.time))
             self._graph.hear(heard, self.frame.place(self._beacons))
 
     @property
@@ -129,7 +130,7 @@ class Navigator:
     @property
     def pose(self) -> Pose | None:
         """Where the walker is, by all that has come in; None before there are steps, or a second of standing."""
-        if not self._graph.keyframes:
+        if not self._graph.window.keyframes:
             return None
         belief = self._graph.belief(self._tail)
         x, y, heading = belief.mean[:3].tolist()
@@ -138,24 +139,21 @@ class Navigator:
     @property
     def trajectory(self) -> Trajectory:
         """The walk smoothed so far: every step's end, and the present; without rows that `settled` handed out."""
-        if not self._graph.keyframes:
+        if not self._graph.window.keyframes:
             return _trajectory([])
-        return _trajectory(
-            [*self._graph.settled, *self._graph.left, self._graph.rows(), self._graph.rows_ahead(self._tail)]
-        )
+        return _trajectory([*self._graph.past.rows, self._graph.rows(), self._graph.rows_ahead(self._tail)])
 
     @property
     def status(self) -> Status:
         """How well it does."""
-        graph = self._graph
-        state = (
-            "waiting" if not graph.keyframes else "running" if graph.sure else "turning" if self._taken else "adrift"
-        )
+        graph, state = self._graph, "waiting"
+        if graph.window.keyframes:
+            state = "running" if graph.sure else "turning" if self._taken else "adrift"
         return Status(
             state=state,
             ailments=tuple(self._ailments()),
             sensors=self._gait.health,
-            keyframes=len(graph.keyframes),
+            keyframes=len(graph.window.keyframes),
             fixes=self._taken,
             late=graph.too_late,
             early=self._early,
@@ -200,7 +198,13 @@ class Navigator:
     def snapshot(self) -> dict[str, Any]:
         """All that the rest of the walk depends on, as numbers and text; rows that were handed out are not among it."""
         frame = None if self.frame is None else self.frame.describe()
-        own = {"taken": self._taken, "early": self._early, "certain": self._certain, "frame": frame}
+        own = {
+            "absurd": self._absurd,
+            "taken": self._taken,
+            "early": self._early,
+            "certain": self._certain,
+            "frame": frame,
+        }
         said = [[name, list(place)] for name, place in self._said.items()]
         own |= {"place": self._place, "compass": self._compass.state(), "floors": self._floors.state()}
         return {"gait": self._gait.state(), "graph": self._graph.state(), "said": said, **own}
@@ -222,7 +226,14 @@ class Navigator:
         nav._tail = nav._gait.advance()[1]
         nav._said = {name: tuple(place) for name, place in snapshot["said"]}
         nav._taken, nav._early, nav._certain = (int(snapshot[name]) for name in ("taken", "early", "certain"))
+        nav._absurd = int(snapshot["absurd"])
         return nav
+
+    def _on_clock(self, time: Array) -> Array:
+        """Times as the sensors' now run: where that clock was put back, whichever is nearer to the present."""
+        later = time + self._gait.offset
+        now = self._now if self._graph.window.keyframes else 0.0
+        return np.where(np.abs(later - now) < np.abs(time - now), later, time)
 
     def _locate(self, frame: Frame, place: Array) -> None:
         """The first place that is known tells the compass where on earth it is."""
@@ -251,24 +262,31 @@ class Navigator:
 
     @property
     def _now(self) -> float:
-        return self._tail.end if self._tail is not None else self._graph.way.end
+        return self._tail.end if self._tail is not None else self._graph.window.way.end
 
     def _fix(self, fixes: Fixes) -> None:
-        """Fixes in the frame of the walk; the first may define it."""
+        """Fixes in the frame of the walk; the first may define it. Those that can be nobody's are counted."""
+        on_earth = fixes.epsg != LONLAT or (np.abs(fixes.position) <= [180.0, 90.0]).all(axis=1)
+        usable = np.abs(fixes.position).max(axis=1, initial=0.0) < FARTHEST
+        usable &= on_earth & (fixes.sigma > FINEST) & (fixes.sigma < FARTHEST)
+        self._absurd += int((~usable).sum())
+        fixes = fixes[usable]
+        if not len(fixes):
+            return
         if self.frame is None:
-            lon, lat = fixes.position[0].tolist() if len(fixes) else (0.0, 0.0)
+            lon, lat = fixes.position[0].tolist()
             self.frame = enu(lat, lon) if fixes.epsg == LONLAT else projected(fixes.epsg) if fixes.epsg else Frame()
         if fixes.epsg is not None and not self.frame.georeferenced:
             return
-        if self._place is None and len(fixes):
+        if self._place is None:
             self._locate(self.frame, self.frame.place(fixes).position[0])
-        fixes = self.frame.place(replace(fixes, time=fixes.time + self._gait.offset))
+        fixes = self.frame.place(replace(fixes, time=self._on_clock(fixes.time)))
         for n in range(len(fixes)):
             source, place = fixes.sources[n], tuple(fixes.position[n].tolist())
             if source and self._said.get(source) == place:
                 continue  # a receiver says again what it had said: it saw nothing new
             self._said[source] = place
-            if self._graph.keyframes and fixes.time[n] > self._now + AHEAD:
+            if self._graph.window.keyframes and fixes.time[n] > self._now + AHEAD:
                 self._early += 1
                 continue
             self._taken += 1
@@ -277,6 +295,10 @@ class Navigator:
 
     def _ailments(self) -> Iterator[str]:
         """What is amiss now."""
+        if self._absurd:
+            yield f"fixes: {self._absurd} could not be used"
+        if self._taken and not self._graph.window.keyframes:
+            yield "accelerometer: no steps can be told, so that there are the fixes alone"
         health = self._gait.health
         latest = max((one.last for one in health.values() if np.isfinite(one.last)), default=np.nan)
         for name, one in health.items():

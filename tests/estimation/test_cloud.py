@@ -11,7 +11,7 @@ from pdr_graph.estimation.cloud import Cloud, Seen
 from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.hypotheses import thickest
 from pdr_graph.estimation.particles import particle_filter
-from pdr_graph.estimation.preintegration import one_interval, whole_pieces
+from pdr_graph.estimation.preintegration import intervals, whole_pieces
 from pdr_graph.floor.areas import Area
 from pdr_graph.frames import Frame
 from tests.walks import PERIOD, fixes_at, steps_of
@@ -37,14 +37,13 @@ def begun(seed=0, **given):
 def straight(count=10):
     """Ten steps straight on, as one interval."""
     steps = steps_of(np.full(count, STRIDE), np.zeros(count))
-    return one_interval(whole_pieces(steps), 0.0, 0.0, PERIOD * count)
+    return intervals(whole_pieces(steps), 0.0, 0.0, np.array([PERIOD * count]))
 
 
 def row(length, seconds, sigma_length, sigma_turn, turn=0.0):
     """A single piece as an interval."""
-    return one_interval(
-        np.array([[seconds, length, turn, sigma_length**2, sigma_length**2, sigma_turn**2]]), 0.0, 0.0, seconds
-    )
+    one = np.array([[seconds, length, turn, sigma_length**2, sigma_length**2, sigma_turn**2]])
+    return intervals(one, 0.0, 0.0, np.array([seconds]))
 
 
 def at(x, y=1.0, sigma=0.5):

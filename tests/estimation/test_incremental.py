@@ -57,7 +57,7 @@ def walked(steps, fixes, lag=np.inf, prior=None, **how):
 
 def rows_of(graph):
     """All rows of a walk, those that left the window too."""
-    parts = [*graph.settled, *graph.left, graph.rows(), graph.rows_ahead()]
+    parts = [*graph.past.settled, *graph.past.left, graph.rows(), graph.rows_ahead()]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("time", "pose", "covariance")}
     return Rows(**joined, floor=[label for part in parts for label in part.floor])
 
@@ -87,7 +87,7 @@ def headings_free():
 
 def batch_at_keyframes_of(graph, steps, fixes, **given):
     """The batch smoother with keyframes where the live walk has them: headings that say nothing put them there."""
-    time = np.array(graph.times[1:-1])
+    time = np.array(graph.window.times[1:-1])
     pointless = Headings(time, np.zeros(len(time)), np.full(len(time), 1e4))
     return smooth(WalkGraph(steps, fixes, headings=pointless, **given))
 
@@ -221,10 +221,10 @@ def test_what_has_settled_does_not_move_any_more():
     graph, told = IncrementalGraph(lag=LAG), None
     for now in walking(graph, steps, jumped):
         if steps.time[now - 1] > 140.0 and told is None:
-            told = [rows.pose.copy() for rows in graph.settled]
+            told = [rows.pose.copy() for rows in graph.past.settled]
     assert graph.restarts
     assert len(told) > 5
-    for before, rows in zip(told, graph.settled, strict=False):
+    for before, rows in zip(told, graph.past.settled, strict=False):
         assert before == pytest.approx(rows.pose)
 
 
@@ -302,12 +302,21 @@ def test_memory_is_bounded():
         for now in walking(graph, later, replace(fixes, time=fixes.time + shift)):
             if now % 250 == 0:
                 handed += sum(len(rows.time) for rows in graph.hand_out())
-                held = [graph.keyframes, graph.intervals, graph.fixes, graph.c, graph.left, graph.way.chunks]
-                held += [graph.tree.factors, graph.tree.past, graph.tree.rebuilds, graph.headings, graph.past_reports]
+                held = [
+                    graph.window.keyframes,
+                    graph.window.intervals,
+                    graph.fixes,
+                    graph.window.c,
+                    graph.past.left,
+                    graph.window.way.chunks,
+                ]
+                held += [graph.tree.factors, graph.tree.past, graph.tree.rebuilds, graph.headings, graph.past.reports]
                 slots = graph.tree._smoother.getFactors().size()
-                sizes.append([len(one) for one in held] + [slots, len(graph.way.whole), len(pack(graph.state()))])
+                sizes.append(
+                    [len(one) for one in held] + [slots, len(graph.window.way.whole), len(pack(graph.state()))]
+                )
     assert (np.max(sizes[40:], axis=0) <= 1.5 * np.max(sizes[4:20], axis=0) + 2).all()
-    left = sum(len(rows.time) for rows in graph.left) + len(graph.rows().time) + len(graph.rows_ahead().time)
+    left = sum(len(rows.time) for rows in graph.past.left) + len(graph.rows().time) + len(graph.rows_ahead().time)
     assert handed + left == 1 + 20_000 + 1, "the start, and the present"
 
 
@@ -370,7 +379,7 @@ def test_standing_only(fixes):
     assert np.isfinite(belief.covariance).all()
     if fixes:
         assert belief.mean[:2] == pytest.approx([5.0, 6.0], abs=0.1)
-        assert graph.pose[-1, :2] == pytest.approx([5.0, 6.0], abs=0.1)
+        assert graph.window.pose[-1, :2] == pytest.approx([5.0, 6.0], abs=0.1)
 
 
 def test_one_fix_gives_a_place_but_no_direction():
@@ -463,5 +472,5 @@ def test_many_fixes_at_one_moment_are_one_keyframe():
         if now == 30:
             for _ in range(20):
                 graph.add_fix(steps.time[20] - PERIOD / 3, np.array([1.0, 1.0]), 5.0)
-    assert len(graph.times) == len(np.unique(np.round(graph.times, 6)))
-    assert (np.diff(graph.times) > 0).all()
+    assert len(graph.window.times) == len(np.unique(np.round(graph.window.times, 6)))
+    assert (np.diff(graph.window.times) > 0).all()
