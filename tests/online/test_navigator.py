@@ -1,0 +1,310 @@
+"""The navigator on simulated recordings: as good as the batch, and never ended by what is pushed."""
+
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph.online.codec import pack, unpack
+from pdr_graph.online.events import Samples, Scan, events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.simulation.recorders import write
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import LONLAT, Fixes, Recording, Sightings, Signal
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+JUMP = 3600.0  # [s]
+
+
+@cache
+def walk(name):
+    """A scenario as its phone recorded it, a fix of 1 m each ten seconds, and its truth."""
+    found = simulate(Scenario.load(SCENARIOS / f"{name}.toml"))
+    signals = {sensor: found.signals[sensor] for sensor in ("accelerometer", "gyroscope")}
+    at = np.arange(1.0, found.truth.time[-1] - 1.0, 10.0)
+    place = np.column_stack([np.interp(at, found.truth.time, axis) for axis in found.truth.position.T])
+    place += np.random.default_rng(1).normal(0, 1.0, place.shape)
+    fixes = Fixes(at, place, np.ones(len(at)), ("",) * len(at))
+    return Recording(name, 0.0, None, **signals, fixes=fixes), found.truth
+
+
+@cache
+def events(name="figure_eight"):
+    return tuple(events_of(walk(name)[0]))
+
+
+def when(event):
+    return float((event.heard if isinstance(event, Scan) else event).time[-1])
+
+
+def later(event, seconds):
+    """The same by a clock that is so much ahead."""
+    return replace(event, time=event.time + seconds)
+
+
+def is_of(event, sensor):
+    return isinstance(event, Samples) and event.sensor == sensor
+
+
+def pushed(given, **options):
+    """A navigator that was told all this; its pose and status are looked at every so often, and always finite."""
+    nav, ailments = Navigator(**options), set()
+    for n, event in enumerate(given):
+        nav.push(event)
+        if n % 20 == 0 or not isinstance(event, Samples):
+            pose = nav.pose
+            assert pose is None or np.isfinite([pose.time, pose.x, pose.y, pose.heading]).all()
+            assert pose is None or np.isfinite(pose.covariance).all()
+            ailments |= set(nav.status.ailments)
+    return nav, ailments
+
+
+def checked(given, **options):
+    """What it was told of, and the walk that came of it."""
+    nav, ailments = pushed(given, **options)
+    track = nav.finish().trajectory
+    assert np.isfinite(track.position).all()
+    assert np.isfinite(track.covariance).all()
+    assert (np.diff(track.time) > 0).all()
+    return nav, ailments, track
+
+
+def error(track, truth):
+    """Median distance from the truth, where there is one. [m]"""
+    known = (track.time >= truth.time[0]) & (track.time <= truth.time[-1])
+    place = np.column_stack([np.interp(track.time[known], truth.time, axis) for axis in truth.position.T])
+    return float(np.median(np.hypot(*(track.position[known] - place).T)))
+
+
+@pytest.mark.parametrize("name", ["loop", "arcade", "figure_eight"])
+@pytest.mark.parametrize("lag", [60.0, None])
+def test_live_is_as_good_as_the_batch(name, lag):
+    """The smoothed walk; 1.3 times the batch's error and 0.3 m, since what settles knows nothing of what comes."""
+    recording, truth = walk(name)
+    batch = smooth(WalkGraph(detect_steps(recording), recording.fixes)).trajectory
+    nav, _, track = checked(events(name), lag=lag)
+    assert error(track, truth) < 1.3 * error(batch, truth) + 0.3
+    assert nav.status.state == "running"
+    assert nav.status.fixes == len(recording.fixes)
+    assert abs(len(track) - len(batch)) < 4
+
+
+@pytest.mark.parametrize("sensors", [("accelerometer",), ("gyroscope",), ("accelerometer", "gyroscope")])
+def test_a_sensor_that_stops_and_returns(sensors):
+    """For 20 s: the status tells it of one that the other outlives, and the walk is found again."""
+    truth = walk("figure_eight")[1]
+    silent = [e for e in events() if not (isinstance(e, Samples) and e.sensor in sensors and 40 < when(e) < 60)]
+    nav, ailments, track = checked(silent)
+    assert len(sensors) == 2 or any(line.startswith(f"{sensors[0]}: silent for") for line in ailments)
+    assert not any("silent" in line for line in nav.status.ailments), "not any more"
+    assert error(track, truth) < 3.0
+
+
+def test_what_comes_twice_is_counted_once():
+    _, ailments, track = checked([twice for event in events() for twice in (event, event)])
+    assert any("samples could not be used" in line for line in ailments)
+    assert error(track, walk("figure_eight")[1]) < 1.5
+
+
+@pytest.mark.parametrize("fixes_too", [True, False])
+@pytest.mark.parametrize("seconds", [-JUMP, JUMP])
+def test_a_clock_that_jumps(seconds, fixes_too):
+    """By an hour: put back, the walk goes on as if nothing had been; ahead, after a gap of an hour."""
+    if not fixes_too and seconds < 0:
+        pytest.xfail("fixes of a clock that was not put back are moved with that of the sensors")
+    told = [
+        later(event, seconds) if when(event) > 50 and (fixes_too or isinstance(event, Samples)) else event
+        for event in events()
+    ]
+    nav, ailments, track = checked(told)
+    assert nav.status.fixes + nav.status.early == len(walk("figure_eight")[0].fixes)
+    if seconds < 0:
+        assert any("its clock was put back 1 times" in line for line in ailments)
+        assert error(track, walk("figure_eight")[1]) < 1.5
+        assert nav.status.late <= 1, "one in the seconds until it is believed that the clock was put back"
+    else:
+        assert track.time[-1] > JUMP
+
+
+def test_a_flood_of_samples():
+    """10 kHz for five seconds: the same walk."""
+
+    def flooded(event):
+        if not isinstance(event, Samples) or not 40 < when(event) < 45:
+            return event
+        at = np.linspace(event.time[0], event.time[-1], 1000)
+        return replace(event, time=at, values=np.column_stack([np.interp(at, event.time, v) for v in event.values.T]))
+
+    began = time.perf_counter()
+    track = checked([flooded(event) for event in events()])[2]
+    assert time.perf_counter() - began < 60
+    assert error(track, walk("figure_eight")[1]) < 1.5
+
+
+def test_samples_that_are_not_finite_or_absurd():
+    random = np.random.default_rng(0)
+
+    def damaged(event):
+        if not isinstance(event, Samples):
+            return event
+        values, at = event.values.copy(), event.time.copy()
+        bad, late = random.random(values.shape) < 0.01, random.random(len(at)) < 0.003
+        values[bad] = random.choice([np.nan, np.inf, -np.inf, 1e300, -1e300, 1e12], bad.sum())
+        at[late] = random.choice([np.nan, np.inf, -1e300, 1e300, 1e12], late.sum())
+        return replace(event, time=at, values=values)
+
+    _, ailments, track = checked([damaged(event) for event in events()])
+    assert any("samples could not be used" in line for line in ailments)
+    assert error(track, walk("figure_eight")[1]) < 2.0
+
+
+def one_fix(at=50.0, place=(10.0, 10.0), sigma=1.5, source="", epsg=None):
+    return Fixes(np.array([at]), np.array([place]), np.array([sigma]), ("",), epsg, (source,) if source else ())
+
+
+NO_DOOR = pytest.mark.xfail(strict=True, reason="fixes are not checked at the door of the navigator (_fix)")
+ABSURD = {
+    "far": one_fix(place=(1e9, -1e9)),
+    "farther": one_fix(place=(1e150, 0.0)),
+    "farthest": one_fix(place=(1e300, 1e300)),
+    "late": one_fix(at=1e300),
+    "early": one_fix(at=-1e300),
+    "in another clock": one_fix(at=1.7e9),
+    "too sure": one_fix(place=walk("figure_eight")[1].position[0], sigma=1e-9, at=1.0),
+    "of a receiver": one_fix(place=(1e9, -1e9), source="GNSS"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of what overflows, and is thrown away
+@pytest.mark.parametrize("name", ABSURD)
+def test_an_absurd_fix_among_good_ones_changes_nothing(name):
+    """As the first and in the middle of the walk."""
+    told = events()
+    middle = len(told) // 2
+    track = checked([ABSURD[name], *told[:middle], ABSURD[name], *told[middle:]])[2]
+    assert error(track, walk("figure_eight")[1]) < 1.5
+
+
+@NO_DOOR
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("sigma", [1e300, 1e-300])
+def test_an_absurd_fix_alone_is_no_reason_to_stop(sigma):
+    samples = [event for event in events("arcade") if isinstance(event, Samples)]
+    checked([one_fix(60.0, (40.0, 7.0), sigma), *samples], lag=60.0)
+
+
+@NO_DOOR
+@pytest.mark.parametrize("place", [(1e300, 1e300), (1e3, 1e3), (139.0, 95.0)])
+def test_an_absurd_first_fix_on_earth_does_not_define_the_frame(place):
+    """Nor is it an exception, in a projection that has no such place."""
+    samples = [event for event in events() if isinstance(event, Samples)]
+    good = [one_fix(5.0, (139.0, 35.0), 3.0, epsg=LONLAT), one_fix(30.0, (139.0001, 35.0), 3.0, epsg=LONLAT)]
+    nav = checked([one_fix(1.0, place, 3.0, epsg=LONLAT), *samples[:300], *good, *samples[300:]])[0]
+    assert nav.frame.origin == pytest.approx((35.0, 139.0), abs=1e-3)
+
+
+def test_fixes_only():
+    """No steps, no pose, no exception."""
+    nav, _, track = checked([event for event in events() if isinstance(event, Fixes)])
+    assert nav.pose is None
+    assert nav.status.state == "waiting"
+    assert len(track) == 0
+
+
+@pytest.mark.xfail(strict=True, reason="ailments are of one sensor against the others")
+def test_fixes_only_is_said_to_be_an_ailment():
+    assert pushed([event for event in events() if isinstance(event, Fixes)])[1]
+
+
+def test_samples_only():
+    nav, _, track = checked([event for event in events() if isinstance(event, Samples)])
+    assert nav.status.state == "adrift"
+    assert len(track) > 150
+
+
+def test_what_nobody_knows_is_let_be():
+    """Scans of other radios, sensors that tell nothing of steps, and events without a row."""
+    strange = [
+        Scan("uwb", Sightings(np.array([50.0]), ("x",), np.array([-50.0]))),
+        Scan("wifi", Sightings(np.array([np.nan]), ("x",), np.array([np.nan]))),
+        Scan("bluetooth", Sightings(np.empty(0), (), np.empty(0))),
+        Samples("sonar", np.array([50.0]), np.zeros((1, 7))),
+        Samples("accelerometer", np.empty(0), np.empty((0, 3))),
+        Fixes.none(),
+    ]
+    told = events()
+    middle = len(told) // 2
+    one, other = (checked(given)[2] for given in (told, [*told[:middle], *strange, *told[middle:]]))
+    assert one.position.tobytes() == other.position.tobytes()
+
+
+@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(st.randoms(use_true_random=False), st.integers(1, 200))
+def test_any_order_of_events(random, reach):
+    """Each event comes up to so many later than it should."""
+    told = [event for event in events() if when(event) < 40]
+    shuffled = sorted(range(len(told)), key=lambda n: n + random.uniform(0, reach))
+    checked([told[n] for n in shuffled])
+
+
+def test_a_snapshot_in_mid_walk_goes_on_to_the_same_end():
+    """Two restored of the same bytes end in the same bits; the one that was never restored, within 0.3 m."""
+    told = events()
+    for part in (0.2, 0.6):
+        at = int(part * len(told))
+        nav = pushed(told[:at])[0]
+        kept, ends = pack(nav.snapshot()), []
+        for _ in range(2):
+            again = Navigator.restored(unpack(kept))
+            for event in told[at:]:
+                again.push(event)
+            ends.append(again.finish().trajectory)
+        for event in told[at:]:
+            nav.push(event)
+        whole, n = nav.finish().trajectory, len(ends[0])
+        assert ends[0].position.tobytes() == ends[1].position.tobytes()
+        assert ends[0].covariance.tobytes() == ends[1].covariance.tobytes()
+        assert np.hypot(*(whole.position[-n:] - ends[0].position).T).max() < 0.3
+
+
+def test_kill_and_go_on(tmp_path):
+    """Killed twelve times at any moment, the replay ends with the very trajectory of one that nobody killed."""
+    folder = tmp_path / "walk"
+    write(simulate(Scenario.load(SCENARIOS / "arcade.toml")), folder)
+
+    def replay(out):
+        command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "replay", str(folder)]
+        options = ["--fixes", str(folder / "fixes.csv"), "--journal", str(tmp_path / f"{out}.journal")]
+        with (tmp_path / f"{out}.log").open("w") as log:
+            return subprocess.Popen([*command, *options, "--out", str(tmp_path / out)], stderr=log, stdout=log)
+
+    assert replay("whole").wait() in (0, 3)
+    log, random = tmp_path / "killed.journal-wal", np.random.default_rng(0)
+    for _ in range(12):
+        running, before = replay("killed"), log.stat().st_mtime_ns if log.exists() else 0
+        while running.poll() is None and not (log.exists() and log.stat().st_mtime_ns > before):
+            time.sleep(0.01)
+        time.sleep(random.uniform(0.0, 0.25))
+        running.kill()
+        running.wait()
+    assert replay("killed").wait() in (0, 3)
+    said = [(tmp_path / out / "trajectory.csv").read_bytes() for out in ("whole", "killed")]
+    assert said[0] == said[1]
+    assert "events were in the journal" in (tmp_path / "killed" / "summary.json").read_text()
+
+
+def test_signals_are_those_of_the_phone():
+    """A control: what is pushed is the whole recording."""
+    recording = walk("figure_eight")[0]
+    assert isinstance(recording.accelerometer, Signal)
+    for sensor in ("accelerometer", "gyroscope"):
+        assert sum(len(e.time) for e in events() if is_of(e, sensor)) == len(recording.signals[sensor])

@@ -1,0 +1,37 @@
+"""Live, from end to end, on real recordings with surveyed truth or GNSS: about as good as the batch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph.inputs import read_inputs
+from pdr_graph.online.events import events_of
+from pdr_graph.online.navigator import Navigator
+
+WALKS = {"IPIN": "ipin2023_track3/*Trial01*.txt", "NJU": "nju_phyphox_outdoor"}
+
+
+def distance(track, at, place):
+    """Median distance of a track from places at some times. [m]"""
+    known = (at >= track.time[0]) & (at <= track.time[-1])
+    there = np.column_stack([np.interp(at[known], track.time, axis) for axis in track.position.T])
+    return float(np.median(np.hypot(*(there - place[known]).T)))
+
+
+@pytest.mark.parametrize(("name", "lag"), [("IPIN", 60.0), ("IPIN", None), ("NJU", 60.0)])
+def test_live_is_about_as_good_as_the_batch(data, name, lag):
+    """Smoothed, by the truth where it was surveyed, else by the GNSS fixes; both without the compass or a plan."""
+    given = read_inputs(sorted(data.glob(WALKS[name]))[0])
+    batch = smooth(WalkGraph(detect_steps(given.walk), given.fixes)).trajectory
+    nav = Navigator(lag=lag, frame=given.frame)
+    for n, event in enumerate(events_of(replace(given.walk, fixes=given.fixes, magnetometer=None))):
+        nav.push(event)
+        assert n % 50 or nav.pose is None or np.isfinite(nav.pose.covariance).all()
+    track = nav.finish().trajectory
+    told = given.frame.place(given.walk.truth) if given.walk.truth is not None else given.fixes
+    live, whole = (distance(one, told.time, told.position) for one in (track, batch))
+    print(f"{name}, lag {lag}: live {live:.2f} m, batch {whole:.2f} m, {nav.status.restarts} restarts")
+    limit = 1.3 * whole + 0.3
+    assert live < (limit if given.walk.truth is not None else max(limit, 2.0)), "GNSS is no truth: some metres off"
