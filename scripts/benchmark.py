@@ -17,7 +17,9 @@ import gtsam
 import numpy as np
 import shapely
 from gtsam.symbol_shorthand import C, X
+from live_speed import live_rows
 from read_speed import reading_rows
+from said import PERIOD, held_by_walls, walk
 from scipy.linalg import solveh_banded
 from tables import publish, table
 
@@ -37,28 +39,8 @@ from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Recording, Signal, Steps
 
 ROOT = Path(__file__).resolve().parent.parent
-PERIOD = 0.53  # [s] per step
 PARTICLES = 1000
-LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] the middle line of maps/loop
 HOUR = 360_000  # samples at 100 Hz
-
-
-def walk(n, every):
-    """``n`` steps as a front end would say them, with a fix of 3 m every so many steps, at its own time."""
-    random = np.random.default_rng(0)
-    time_, sigma_length, sigma_turn = PERIOD * np.arange(1, n + 1), np.full(n, 0.07), np.full(n, 0.02)
-
-    def steps(length, turn):
-        pauses = np.zeros(n)
-        return Steps(0.0, time_[-1] + 0.5, time_, np.full(n, PERIOD), length, turn, pauses, sigma_length, sigma_turn)
-
-    length, turn = random.normal(0.7, 0.05, n), random.normal(0, 0.1, n)
-    truth = dead_reckon(steps(length, turn))
-    at = np.arange(every, n + 1, every)
-    place = truth.position[at] + random.normal(0, 3, (len(at), 2))
-    fixes = Fixes(truth.time[at] - 0.1, place, np.full(len(at), 3.0), ("",) * len(at))
-    said = steps(length * 0.95 + random.normal(0, 0.07, n), turn * 0.99 + random.normal(0, 0.02, n) - 0.0005)
-    return said, fixes
 
 
 def median_time(function, runs):
@@ -160,24 +142,6 @@ def textbook_ratio():
     rows += [["one CustomFactor per step, LevenbergMarquardtOptimizer", f"{theirs:.1f}", f"{theirs / ours:.0f}"]]
     text = table(["2000 steps, fix every 30", "time [s]", "ratio"], rows)
     return f"{text}\n\nThe two tracks are {np.median(apart):.2f} m apart in the median (fixes: 3 m)."
-
-
-def held_by_walls(n):
-    """Laps of a corridor loop, ``n`` steps, with a fix of 3 m every 30 steps."""
-    sides = (LOOP_HIGH - LOOP_LOW) / 0.7
-    corners = np.cumsum(np.resize([sides[0], sides[1]], n)).astype(int)
-    turn, random = np.zeros(n), np.random.default_rng(0)
-    turn[corners[corners < n]] = np.pi / 2
-    ones = np.ones(n)
-    time_ = PERIOD * np.arange(1, n + 1)
-    steps = Steps(0.0, time_[-1] + 0.5, time_, PERIOD * ones, 0.7 * ones, turn, 0 * ones, 0.07 * ones, 0.02 * ones)
-    way = np.cumsum(0.7 * ones) % (2 * (LOOP_HIGH - LOOP_LOW).sum())
-    knots = np.array([LOOP_LOW, [LOOP_HIGH[0], LOOP_LOW[1]], LOOP_HIGH, [LOOP_LOW[0], LOOP_HIGH[1]], LOOP_LOW])
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(knots, axis=0).T))])
-    place = np.stack([np.interp(way, along, knots[:, axis]) for axis in (0, 1)], axis=1)
-    at = np.arange(0, n, 30)
-    fixes = Fixes(time_[at], place[at] + random.normal(0, 3, (len(at), 2)), np.full(len(at), 3.0), ("",) * len(at))
-    return steps, fixes
 
 
 def wall_rows():
@@ -308,13 +272,25 @@ def live_gait(recording):
     gait.finish()
 
 
-if __name__ == "__main__":
+def smoothers():
+    """The smoother's rows, and the machine that they were made on."""
     packages = ", ".join(f"{name} {version(name)}" for name in ("gtsam", "numpy"))
-    machine = f"{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
-    publish("performance.md", "smoother", f"{smoother_rows()}\n\n{machine}")
-    publish("performance.md", "textbook", textbook_ratio())
-    publish("performance.md", "walls", wall_rows())
-    publish("performance.md", "commands", command_rows())
-    publish("performance.md", "attitude", attitude_rows())
-    publish("performance.md", "simulation", simulation_rows())
-    publish("performance.md", "reading", table(["format", "MB", "MB/s"], reading_rows(median_time)))
+    return f"{smoother_rows()}\n\n{os.cpu_count()} cores, Python {platform.python_version()}, {packages}"
+
+
+if __name__ == "__main__":
+    sections = {
+        "smoother": smoothers,
+        "textbook": textbook_ratio,
+        "walls": wall_rows,
+        "commands": command_rows,
+        "attitude": attitude_rows,
+        "simulation": simulation_rows,
+        "reading": lambda: table(["format", "MB", "MB/s"], reading_rows(median_time)),
+        "live": live_rows,
+    }
+    chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
+    if not set(chosen) <= set(sections):
+        raise SystemExit(f"usage: scripts/benchmark [{' | '.join(sections)}] [--write]")
+    for name in chosen or sections:
+        publish("performance.md", name, sections[name]())

@@ -1,0 +1,176 @@
+"""How long the live navigator takes for a step, and how much memory, for docs/performance.md.
+
+CPU is of all threads of the process; ask for one of them (OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1), as walkers' phones
+have others to do.
+"""
+
+import gc
+import os
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from said import held_by_walls, walk
+from tables import table
+
+from pdr_graph import FloorPlan
+from pdr_graph.estimation.tree import RELINEARISE
+from pdr_graph.online.events import events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Steps
+
+LOOP = Path(__file__).resolve().parent.parent / "maps" / "loop.geojson"
+LAG = 60.0  # [s]
+DAY = 172_800  # steps in 24 hours
+SHARES = (0.1, 0.5, 1.0)  # of the walk, where the memory is looked at
+PERCENTILES = {"median": 50.0, "95 %": 95.0, "99 %": 99.0, "99.9 %": 99.9, "longest": 100.0}
+OF_A_LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corners of the middle line of maps/loop
+LAPS = 38  # about an hour
+OF_A_DAY = "24 h between walls, fix every 30 steps, lag 60 s"
+OF_SAMPLES = "from samples at 100 Hz, between walls, fix every 15 s, lag 60 s"
+HANDED_OUT = 100  # steps after which settled rows are taken away
+SPUN = 2e-3  # [s] of CPU time, of a loop that does nothing: what the machine adds on the wall
+
+
+@dataclass
+class Run:
+    """A walk that was pushed. took: per step, CPU and wall time of the pushes since the one before and of its pose
+    ``(n, 4)`` [s]; memory: resident at SHARES of the walk [MB]; nav: as it was before the end.
+    """
+
+    nav: Navigator
+    took: np.ndarray
+    memory: list[float]
+
+    def rows(self, name, which=slice(None)):
+        """Of some steps: what a push and a pose take, and both."""
+        took = self.took[which]
+        parts = {
+            "push, CPU": took[:, 0],
+            "pose, CPU": took[:, 2],
+            "both, CPU": took[:, 0] + took[:, 2],
+            "both, wall": took[:, 1] + took[:, 3],
+        }
+        return [[name, len(took), *spread(part, seconds)] for part, seconds in parts.items()]
+
+    def state(self, name):
+        """What it has in memory, and how long it takes to make the graph anew."""
+        graph = self.nav._graph
+        slots = graph.tree._smoother.getFactors().size()
+        status = self.nav.status
+        began = time.process_time()
+        graph.tree.anew(RELINEARISE)
+        anew = time.process_time() - began
+        began = time.process_time()
+        options = {"floor": self.nav.building, "lag": None if np.isinf(graph.lag) else graph.lag}
+        Navigator.restored(self.nav.snapshot(), **options)
+        restored = time.process_time() - began
+        memory = [f"{m:.0f}" for m in self.memory]
+        events = f"{status.restarts} / {len(status.rebuilds)}"
+        return [name, *memory, status.keyframes, slots, events, f"{1e3 * anew:.1f}", f"{1e3 * restored:.0f}"]
+
+
+def live_rows():
+    """Latency, beside a loop that does nothing; memory; the first and the last hour of a day."""
+    before, runs = spun(), walks()
+    rows = [row for name, run in runs.items() for row in run.rows(name)]
+    rows += runs[OF_A_DAY].rows("of the 24 h, the first hour", slice(DAY // 24))
+    rows += runs[OF_A_DAY].rows("of the 24 h, the last hour", slice(-DAY // 24, None))
+    latency = table(["walk", "steps", "per step [ms]", *PERCENTILES], rows)
+    loop = [spread("before", before), spread("after", spun())]
+    control = table([f"a loop of {1e3 * SPUN:.0f} ms CPU, on the wall [ms]", *PERCENTILES], loop)
+    header = ["walk", *(f"MB at {share:.0%}" for share in SHARES), "keyframes", "factor slots", "restarts / rebuilds"]
+    header += ["the tree anew [ms]", "from a snapshot [ms]"]
+    memory = table(header, [run.state(name) for name, run in runs.items()])
+    hour = runs[OF_SAMPLES]
+    busy = hour.took[:, [0, 2]].sum() / hour.nav.pose.time
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    said = f"The walk from samples kept one core busy for {100 * busy:.1f} % of its time. OMP_NUM_THREADS: {threads}."
+    return f"{latency}\n\n{control}\n\n{memory}\n\n{said}"
+
+
+def walks():
+    """The walks, pushed, by what they are."""
+    day = pushed(Navigator(FloorPlan.load(LOOP), lag=LAG), said_events(*held_by_walls(DAY, period=0.5)), DAY)
+    return {
+        OF_A_DAY: day,
+        "no walls, fixes at 1 Hz, lag 60 s": pushed(Navigator(lag=LAG), said_events(*walk(20_000, 2)), 20_000),
+        "no walls, fix every 30 steps, all open": pushed(Navigator(lag=None), said_events(*walk(10_000, 30)), 10_000),
+        OF_SAMPLES: sampled_hour(),
+    }
+
+
+def spread(name, seconds):
+    """A name, and PERCENTILES of some seconds [ms]."""
+    return [name, *(f"{1e3 * v:.2f}" for v in np.percentile(seconds, list(PERCENTILES.values())))]
+
+
+def spun(times=2000):
+    """Time on the wall of SPUN of CPU time, often [s]."""
+    took = []
+    for _ in range(times):
+        cpu, wall = clocks()
+        while time.process_time() < cpu + SPUN:
+            pass
+        took.append(time.perf_counter() - wall)
+    return took
+
+
+def pushed(nav, events, steps):
+    """Events pushed, the pose asked for at each step; the settled rows are taken away now and then. steps: about."""
+    took, since = np.full((2 * steps, 4), np.nan), np.zeros(2)  # all there at once: its memory is not the navigator's
+    count, most, memory = 0, nav.steps, []
+    looks = [int(share * steps) for share in SHARES[:-1]]
+    gc.collect()
+    for event in events:
+        before = clocks()
+        nav.push(event)
+        since += clocks() - before
+        if nav.steps <= most:  # more than ever: the last ones may have been taken back
+            continue
+        most, before = nav.steps, clocks()
+        nav.pose  # noqa: B018
+        took[count] = np.append(since, clocks() - before)
+        count, since = count + 1, np.zeros(2)
+        if count % HANDED_OUT == 0:
+            nav.settled()
+        if looks and count >= looks[0]:
+            memory.append(resident())
+            del looks[0]
+    return Run(nav, took[:count], [*memory, resident()])
+
+
+def clocks():
+    """CPU time of this process and time on the wall [s]."""
+    return np.array([time.process_time(), time.perf_counter()])
+
+
+def resident():
+    """Memory of this process now [MB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def said_events(steps, fixes):
+    """Step after step as it ends, and each fix in its time."""
+    begin, fix = steps.start, 0
+    for k, end in enumerate(steps.time.tolist()):
+        while fix < len(fixes) and fixes.time[fix] <= end:
+            yield fixes[fix : fix + 1]
+            fix += 1
+        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
+        yield Steps(begin, end, **columns)
+        begin = end
+
+
+def sampled_hour():
+    """An hour in the loop, as the phone's samples."""
+    laps = [{"to": [*OF_A_LAP[1:], OF_A_LAP[0]]} for _ in range(LAPS)]
+    given = {"plan": str(LOOP), "route": [OF_A_LAP[0], {"stand": 5}, *laps], "fixes": {"period": 15.0, "sigma": 3.0}}
+    scenario = Scenario.of(given)
+    simulated = simulate(scenario)
+    recording = replace(simulated.recording(), fixes=simulated.given, epoch=scenario.start)
+    nav = Navigator(FloorPlan.load(LOOP), lag=LAG, epoch=recording.epoch)
+    return pushed(nav, events_of(recording), len(simulated.body.landings))

@@ -1,0 +1,45 @@
+"""Walks as a front end would say them: steps and fixes, without a phone."""
+
+import numpy as np
+
+from pdr_graph import dead_reckon
+from pdr_graph.types import Fixes, Steps
+
+PERIOD = 0.53  # [s] per step
+LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] the middle line of maps/loop
+
+
+def walk(n, every):
+    """``n`` steps as a front end would say them, with a fix of 3 m every so many steps, at its own time."""
+    random = np.random.default_rng(0)
+    time_, sigma_length, sigma_turn = PERIOD * np.arange(1, n + 1), np.full(n, 0.07), np.full(n, 0.02)
+
+    def steps(length, turn):
+        pauses = np.zeros(n)
+        return Steps(0.0, time_[-1] + 0.5, time_, np.full(n, PERIOD), length, turn, pauses, sigma_length, sigma_turn)
+
+    length, turn = random.normal(0.7, 0.05, n), random.normal(0, 0.1, n)
+    truth = dead_reckon(steps(length, turn))
+    at = np.arange(every, n + 1, every)
+    place = truth.position[at] + random.normal(0, 3, (len(at), 2))
+    fixes = Fixes(truth.time[at] - 0.1, place, np.full(len(at), 3.0), ("",) * len(at))
+    said = steps(length * 0.95 + random.normal(0, 0.07, n), turn * 0.99 + random.normal(0, 0.02, n) - 0.0005)
+    return said, fixes
+
+
+def held_by_walls(n, period=PERIOD):
+    """Laps of a corridor loop, ``n`` steps of ``period`` [s], with a fix of 3 m every 30 steps."""
+    sides = (LOOP_HIGH - LOOP_LOW) / 0.7
+    corners = np.cumsum(np.resize([sides[0], sides[1]], n)).astype(int)
+    turn, random = np.zeros(n), np.random.default_rng(0)
+    turn[corners[corners < n]] = np.pi / 2
+    ones = np.ones(n)
+    time_ = period * np.arange(1, n + 1)
+    steps = Steps(0.0, time_[-1] + 0.5, time_, period * ones, 0.7 * ones, turn, 0 * ones, 0.07 * ones, 0.02 * ones)
+    way = np.cumsum(0.7 * ones) % (2 * (LOOP_HIGH - LOOP_LOW).sum())
+    knots = np.array([LOOP_LOW, [LOOP_HIGH[0], LOOP_LOW[1]], LOOP_HIGH, [LOOP_LOW[0], LOOP_HIGH[1]], LOOP_LOW])
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(knots, axis=0).T))])
+    place = np.stack([np.interp(way, along, knots[:, axis]) for axis in (0, 1)], axis=1)
+    at = np.arange(0, n, 30)
+    fixes = Fixes(time_[at], place[at] + random.normal(0, 3, (len(at), 2)), np.full(len(at), 3.0), ("",) * len(at))
+    return steps, fixes
