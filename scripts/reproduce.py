@@ -14,6 +14,7 @@ import fingerprints
 import floors as floors_by_step
 import gps_outage
 import heading
+import live
 import map_matching
 import numpy as np
 import outliers
@@ -185,6 +186,7 @@ if __name__ == "__main__":
     tables |= {"gps-outage": gps_outage.gps_outage}
     tables |= {"outliers": lambda: outliers.outliers(DATA, dict(microsoft_walks())["every second waypoint"])}
     tables |= {"covariance": lambda: covariance.covariance(DATA, microsoft_walks())}
+    tables |= {"live": lambda: live.live(DATA, microsoft_walks(), recordings())}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):
