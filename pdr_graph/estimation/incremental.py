@@ -99,7 +99,7 @@ class IncrementalGraph:
         self.beacons: LiveBeacons | None = None
 
         # How it does, and what is due
-        self.sure, self.lay_next, self.restarts = False, -np.inf, 0
+        self.sure, self.lay_next, self.restarts, self.finished = False, -np.inf, 0, False
         self.walls_due, self.rounds_due = False, 0
         self.ways: LiveWays | None = None
         self.tried, self.taken = 0, 0  # other ways, and those that were better
@@ -173,7 +173,7 @@ class IncrementalGraph:
         return predicted(self._last_belief(), whole, self.window.way.start, at, end, fixes, self.sure)
 
     def rows(self) -> Rows:
-        """The walk in the window until its last keyframe; with its start if that is in it."""
+        """The walk in the window until its last keyframe, with its start and its end where these are in it."""
         window, intervals = self.window, self.window.intervals
         first = Rows(np.array(window.times[:1]), window.pose[:1], self._covariance(0)[None], [window.floor])
         if not intervals:
@@ -186,8 +186,11 @@ class IncrementalGraph:
         covariance = covariance_of_pieces(CovarianceBlocks(net), keys, own, which)
         time = np.concatenate([one.row_time for one in intervals])
         labels = [one.label for one in intervals for _ in one.row_time]
-        rows = Rows(time, own.poses.value[which], covariance, labels)
-        return Rows.joined([first, rows]) if window.keyframes[0] == 0 else rows
+        parts = [first] * (window.keyframes[0] == 0) + [Rows(time, own.poses.value[which], covariance, labels)]
+        if self.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):
+            end = self._covariance(-1)[None]
+            parts.append(Rows(np.array(window.times[-1:]), window.pose[-1:], end, [window.floor]))
+        return Rows.joined(parts)
 
     def rows_ahead(self, tail: Steps | None = None) -> Rows:
         """The steps since the last keyframe, as they are believed; the last row is the present."""
@@ -236,6 +239,7 @@ class IncrementalGraph:
         for fix in self.waiting:
             if fix.time > self.window.way.end:
                 fix.hold_at(self.window.way.end)
+        self.finished = True
         self._close(at_end=True)
         if not self.sure and self.placed:
             self._lay()
@@ -602,7 +606,7 @@ class IncrementalGraph:
 
     def _covariance(self, n: int) -> Array:
         """Of a keyframe, in the output axes."""
-        R = pose_rotation(self.window.pose[n : n + 1, 2])[0]
+        R = pose_rotation(self.window.pose[[n], 2])[0]
         return R @ self.tree.covariance([X(self.window.keyframes[n])]) @ R.T
 
     def _last_belief(self) -> Belief:
