@@ -172,6 +172,10 @@ class IncrementalGraph:
         ]
         return predicted(self._last_belief(), whole, self.window.way.start, at, end, fixes, self.sure)
 
+    def rows_past(self) -> list[Rows]:
+        """What has left the window, and was not handed out."""
+        return self.past.rows(self.window.times[0], self._covariance(0))
+
     def rows(self) -> Rows:
         """The walk in the window until its last keyframe, with its start and its end where these are in it."""
         window, intervals = self.window, self.window.intervals

@@ -46,11 +46,6 @@ class Past:
         self.anchored, self.hinge = False, np.zeros(3)
         self.edge = 0.0, np.eye(3) * FRAME_SIGMA**2  # when the first keyframe's covariance was asked for; what it was
 
-    @property
-    def rows(self) -> list[Rows]:
-        """All of them."""
-        return [*self.settled, *self.left]
-
     def take(self, leaving: Sequence[Interval], own: Evaluation, start: Array | None) -> None:
         """The rows of intervals that leave, where ``own`` has them; start: the pose at the walk's, if that is there."""
         if start is not None:
@@ -62,16 +57,21 @@ class Past:
             spread = R @ one.bridge.spread[one.row_piece] @ R.transpose(0, 2, 1)
             self.left.append(Rows(one.row_time, pose, spread, [one.label] * len(pose)))
 
-    def settle(self, time: float, covariance: Array) -> None:
-        """Give the rows that have left their covariance: between two keyframes that left, it changes evenly.
+    def rows(self, time: float, covariance: Array) -> list[Rows]:
+        """All of them. time, covariance: of the first keyframe that is in the window.
 
-        time, covariance: of the first keyframe that is left.
+        Between two keyframes that left, the covariance changes evenly.
         """
-        (before, one), (after, other) = self.edge, (time, covariance)
+        (before, one), found = self.edge, list(self.settled)
         for rows in self.left:
-            share = ((rows.time - before) / (after - before))[:, None, None]
-            self.settled.append(replace(rows, covariance=(1 - share) * one + share * other + rows.covariance))
-        self.left, self.edge = [], (after, other)
+            share = ((rows.time - before) / (time - before))[:, None, None]
+            found.append(replace(rows, covariance=(1 - share) * one + share * covariance + rows.covariance))
+        return found
+
+    def settle(self, time: float, covariance: Array) -> None:
+        """Give the rows that have left their covariance, as `rows`."""
+        self.settled = self.rows(time, covariance)
+        self.left, self.edge = [], (time, covariance)
 
     def move(self, after: Array) -> None:
         """The start of the window is laid at a pose ``(3,)``: what left it before that was sure goes with it."""

@@ -141,7 +141,7 @@ class Navigator:
         """The walk smoothed so far: every step's end, and the present; without rows that `settled` handed out."""
         if not self._graph.window.keyframes:
             return _trajectory([])
-        return _trajectory([*self._graph.past.rows, self._graph.rows(), self._graph.rows_ahead(self._tail)])
+        return _trajectory([*self._graph.rows_past(), self._graph.rows(), self._graph.rows_ahead(self._tail)])
 
     @property
     def status(self) -> Status:
