@@ -388,8 +388,8 @@ class IncrementalGraph:
 
         Returns whether there was anything to do.
         """
-        due = bool(self.rounds_due) or (self.walls_due and self.sure)
-        if self.walls_due and self.sure:
+        due = bool(self.rounds_due) or self.walls_due
+        if self.walls_due:
             self.walls_due = False
             self._find_walls(LOOKED_BACK)
         elif self.rounds_due:
@@ -397,8 +397,8 @@ class IncrementalGraph:
         return due
 
     def _find_walls(self, pieces: int) -> float:
-        """As the window does, where the walk is sure."""
-        return self.window.find_walls(pieces) if self.sure else 0.0
+        """As the window does, where the walk has been laid out on the plan."""
+        return self.window.find_walls(pieces) if np.isfinite(self.lay_next) else 0.0
 
     # Other ways
 

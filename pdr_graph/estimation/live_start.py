@@ -19,7 +19,7 @@ from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import Array, Headings, Steps
 
-LONG = 60.0  # [s] of a walk that a plan can tell from others; on a shorter one a compass that errs fits some aisle
+LONG = 15.0  # [s] of a walk that a plan can tell from others: on a shorter one a compass that errs fits some aisle
 POINTED, BESIDE_WALLS = 0.5, 0.35  # [rad] of the direction at the end, below which it is linearised about
 
 
