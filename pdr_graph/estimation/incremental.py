@@ -40,7 +40,7 @@ from pdr_graph.estimation.live_observations import (
     linearised,
 )
 from pdr_graph.estimation.live_past import SPARSE, Past, Rows
-from pdr_graph.estimation.live_start import lay
+from pdr_graph.estimation.live_start import Laid, lay
 from pdr_graph.estimation.live_way import CLOSE, END, ROW, Interval
 from pdr_graph.estimation.live_ways import LiveWays, OtherWay
 from pdr_graph.estimation.live_window import ALL, Window
@@ -64,8 +64,19 @@ AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that i
 CHECKED = 5  # keyframes after which the cost is looked at
 STRAINED, OF_KEYFRAME, OF_FIX = 8.0, 0.4, 3.0  # cost beyond which a walk is strained: twice what good ones have
 PATIENCE = 4  # fixes that follow from one another, all far from the walk, until it is the walk that is wrong
+REVIEWED = 50.0  # [s] after which a walk on a plan is laid out once more
 LOOKED_BACK = 60  # pieces whose walls are asked for again
-KEPT = ("fix_count", "too_late", "last_pointed", "sure", "lay_next", "restarts", "tried", "taken")  # plain numbers
+KEPT = (
+    "fix_count",
+    "too_late",
+    "last_pointed",
+    "sure",
+    "lay_next",
+    "restarts",
+    "reviewed",
+    "tried",
+    "taken",
+)  # plain numbers
 
 
 @dataclass
@@ -102,6 +113,7 @@ class IncrementalGraph:
         self.sure, self.lay_next, self.restarts, self.finished = False, -np.inf, 0, False
         self.walls_due, self.rounds_due = False, 0
         self.ways: LiveWays | None = None
+        self.reviewed = False  # once, when more of the walk was known
         self.tried, self.taken = 0, 0  # other ways, and those that were better
         self._last: tuple[gtsam.Values, Belief] | None = None
 
@@ -319,11 +331,7 @@ class IncrementalGraph:
 
     def _lay(self) -> None:
         """Begin again from the walk as the batch lays it out."""
-        steps, reached = self.window.way.steps, [fix for fix in self.fixes if fix.reached]
-        levels = self.beacons.so_far(steps) if self.beacons else None
-        prior = replace(self.prior, mean=tuple(self.c_prior[0].tolist()))
-        floors = [self.window.floor] * (len(steps) + 2)
-        laid = lay(steps, reached, self._all_headings(), levels, self.window.known_plan, floors, prior)
+        laid = self._laid_out([fix for fix in self.fixes if fix.reached])
         self.window.pose, self.sure = laid.at(np.array(self.window.times)), laid.sure
         for one in self.window.intervals:
             self.window.c[one.segment] = laid.calibration(one.end)
@@ -331,11 +339,19 @@ class IncrementalGraph:
         if not self.past.anchored:
             self.past.move(self.window.pose[0].copy())
         self.past.anchored |= self.sure
-        self.lay_next = self.window.times[-1] + max(AGAIN, SPACED * (self.window.times[-1] - steps.start))
+        self.lay_next = self.window.times[-1] + max(AGAIN, SPACED * (self.window.times[-1] - self.window.times[0]))
         self._build()
         self._find_walls(ALL)
         for _ in range(ROUNDS):
             self._relinearise(MOVED)
+
+    def _laid_out(self, fixes: list[LiveFix]) -> Laid:
+        """The window as the batch lays it out, which tells the fixes how they are believed."""
+        steps = self.window.way.steps
+        levels = self.beacons.so_far(steps) if self.beacons else None
+        prior = replace(self.prior, mean=tuple(self.c_prior[0].tolist()))
+        floors = [self.window.floor] * (len(steps) + 2)
+        return lay(steps, fixes, self._all_headings(), levels, self.window.known_plan, floors, prior)
 
     def _build(self) -> None:
         """All factors of the window in a new tree."""
@@ -430,6 +446,10 @@ class IncrementalGraph:
         """Try the way of most particles where it is elsewhere, and keep the better one."""
         at = int(np.searchsorted(self.window.times, ways.times[-1] - CLOSE))
         other = ways.elsewhere(self.window.pose[min(at, len(self.window.times) - 1), :2])
+        if other is None and self._review_due():
+            self.reviewed = True
+            laid = self._laid_out([replace(fix) for fix in self.fixes if fix.reached])
+            other = OtherWay(laid.time, np.column_stack([laid.pose, np.tile(laid.c[-1], (len(laid.time), 1))]))
         if other is None or other.time[-1] < self.window.times[0]:
             if self.window.count % CHECKED == 0 and self.window.times[-1] >= self.lay_next and self._strained():
                 self._restart()
@@ -450,6 +470,11 @@ class IncrementalGraph:
         self.tree, self.window.pose, self.window.c = tree, pose, c
         for one, (fields, linearised_at) in zip(self.window.intervals, walls, strict=True):
             one.fields, one.at = fields, linearised_at
+
+    def _review_due(self) -> bool:
+        """Whether a walk that was soon sure is to be laid out once more, before any of it leaves the window."""
+        at, start = self.window.times[-1], self.window.times[0]
+        return not self.reviewed and self.placed and self.window.keyframes[0] == 0 and at - start > REVIEWED
 
     def _strained(self) -> bool:
         """Whether so much speaks against the walk that it can hardly have gone this way, and there are fixes to ask."""
