@@ -64,6 +64,7 @@ AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that i
 CHECKED = 5  # keyframes after which the cost is looked at
 STRAINED, OF_KEYFRAME, OF_FIX = 8.0, 0.4, 3.0  # cost beyond which a walk is strained: twice what good ones have
 PATIENCE = 4  # fixes that follow from one another, all far from the walk, until it is the walk that is wrong
+LONGEST_OPEN = 180.0  # [s] until the most probable of several ways is taken: nobody can wait for a longer walk
 REVIEWED = 50.0  # [s] after which a walk on a plan is laid out once more
 LOOKED_BACK = 60  # pieces whose walls are asked for again
 KEPT = (
@@ -331,8 +332,11 @@ class IncrementalGraph:
 
     def _lay(self) -> None:
         """Begin again from the walk as the batch lays it out."""
-        laid = self._laid_out([fix for fix in self.fixes if fix.reached])
-        self.window.pose, self.sure = laid.at(np.array(self.window.times)), laid.sure
+        reached = [fix for fix in self.fixes if fix.reached]
+        laid = self._laid_out(reached)
+        self.window.pose = laid.at(np.array(self.window.times))
+        long = self.window.times[-1] - self.window.times[0] > LONGEST_OPEN
+        self.sure = laid.sure or (long and len(reached) > 2)
         for one in self.window.intervals:
             self.window.c[one.segment] = laid.calibration(one.end)
             one.fields = [None] * len(one.fields)
