@@ -95,6 +95,14 @@ class Frame:
         )
 
 
+def frame_of(fixes: Fixes) -> Frame:
+    """That in which fixes are, of at least one; about the first where they are geodetic."""
+    if fixes.epsg == LONLAT:
+        lon, lat = fixes.position[0].tolist()
+        return enu(lat, lon)
+    return Frame() if fixes.epsg is None else projected(fixes.epsg)
+
+
 def enu(lat: float, lon: float) -> Frame:
     """East-North about an origin [deg]: azimuthal equidistant, centimetres from the tangent plane within 10 km."""
     return Frame("enu", origin=(lat, lon))

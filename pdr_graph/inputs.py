@@ -12,7 +12,7 @@ from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.floor.areas import BEACON
 from pdr_graph.floor.building import Building
-from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
 from pdr_graph.io.tables import read_fixes
@@ -121,13 +121,11 @@ def _locate(
     elif heard is not None:
         frame = Frame.described(heard.frame)
     elif len(given) and given.epsg != LONLAT:
-        frame = Frame() if given.epsg is None else projected(given.epsg)
+        frame = frame_of(given)
     elif not len(given) + len(recorded):
         frame = Frame()
     else:
-        first = min((f for f in (given, recorded) if len(f)), key=lambda f: f.time[0])
-        lon, lat = first.position[0].tolist()
-        frame = enu(lat, lon)
+        frame = frame_of(min((f for f in (given, recorded) if len(f)), key=lambda f: f.time[0]))
     if not frame.georeferenced and len(recorded):
         notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
         recorded = Fixes.none()

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver
 
 from pdr_graph import smooth
-from pdr_graph.estimation import bank, observations, robust
+from pdr_graph.estimation import bank, native, observations, robust
 from pdr_graph.estimation import graph as walk_graph
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
@@ -22,7 +22,7 @@ STEPS = 90
 def gaussian():
     """Without robust loss, which is not Gaussian."""
     with ExitStack() as patches:
-        for module in (walk_graph, observations, robust, bank):
+        for module in (walk_graph, native, observations, robust, bank):
             patches.enter_context(patch.object(module, "HUBER_WIDTH", 1e6))
         yield
 

@@ -16,6 +16,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, G, Q, X
 
+from pdr_graph.estimation import native
 from pdr_graph.estimation.beacons import LOSS, Levels
 from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
@@ -24,7 +25,7 @@ from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.reach import within_reach
 from pdr_graph.estimation.receivers import Receivers, receivers, repeated, together, velocities
-from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, outside, slipping
+from pdr_graph.estimation.robust import HUBER_WIDTH, gripping, outside, slipping
 from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
@@ -431,46 +432,34 @@ class WalkGraph:
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
         """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
-        graph, noise = gtsam.NonlinearFactorGraph(), gtsam.noiseModel
-        huber, flat = noise.mEstimator.Huber.Create(HUBER_WIDTH), self.prior.fix_flat
-        grip = noise.mEstimator.L2WithDeadZone.Create(flat) if flat else huber
-        geman_mcclure = noise.mEstimator.GemanMcClure.Create(WILD_WIDTH)
+        graph, prior, flat = gtsam.NonlinearFactorGraph(), self.prior, self.prior.fix_flat
         alone, sigma = self.fix_held.copy(), self.fix_sigma if flat else self.fix_sigma_together
         if self.receivers is not None:
             alone[self.receivers.fix] = False
         for n in np.flatnonzero(alone):
-            loss = geman_mcclure if self.fix_wild[n] else grip
-            robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, sigma[n]))
-            graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], robust))
+            keyframe, position = int(self.fix_keyframe[n]), self.fixes.position[n]
+            graph.add(native.fix_factor(keyframe, position, sigma[n], bool(self.fix_wild[n]), flat))
             if flat:  # or nothing would hold a walk of which all fixes are near enough
-                loosely = noise.Isotropic.Sigma(2, LOOSELY * self.fix_sigma_together[n])
-                graph.add(gtsam.PoseTranslationPrior2D(X(int(self.fix_keyframe[n])), self.fixes.position[n], loosely))
+                loosely = gtsam.noiseModel.Isotropic.Sigma(2, LOOSELY * self.fix_sigma_together[n])
+                graph.add(gtsam.PoseTranslationPrior2D(X(keyframe), position, loosely))
 
-        prior = self.prior
-        graph.add(gtsam.PriorFactorVector(C(0), np.array(prior.mean), noise.Gaussian.Covariance(prior.covariance)))
-        change = noise.Diagonal.Sigmas(np.array(prior.change))
-        for s in range(self.segment[-1]):
-            graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
+        graph.add(native.calibration_factor(0, np.array(prior.mean), prior.covariance))
+        for s in range(1, int(self.segment[-1]) + 1):
+            graph.add(native.change_factor(s, prior.change))
 
-        for n, (heading, sigma) in enumerate(zip(self.headings.heading, self.headings.sigma, strict=True)):
-            compass = noise.Robust.Create(huber, noise.Isotropic.Sigma(1, sigma))
-            at = X(int(self.heading_keyframe[n]))
-            graph.add(gtsam.PoseRotationPrior2D(at, gtsam.Pose2(0.0, 0.0, heading), compass))
+        told = [(self.heading_keyframe, self.headings)]
+        told += [(self.corridors.keyframe, self.corridors.direction)] if self.corridors else []
+        for at, headings in told:
+            for k, heading, sigma in zip(at.tolist(), headings.heading, headings.sigma, strict=True):
+                graph.add(native.heading_factor(k, heading, sigma))
 
-        if self.corridors:
-            runs = self.corridors.direction
-            for k, heading, sigma in zip(self.corridors.keyframe, runs.heading, runs.sigma, strict=True):
-                along = noise.Robust.Create(huber, noise.Isotropic.Sigma(1, sigma))
-                graph.add(gtsam.PoseRotationPrior2D(X(int(k)), gtsam.Pose2(0.0, 0.0, heading), along))
-
+        heading = float(self.start.poses[0, 2])
         if self.fix_used.any():
-            heading = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
-            graph.add(gtsam.PoseRotationPrior2D(X(0), heading, noise.Isotropic.Sigma(1, ANY_HEADING)))
+            graph.add(native.hold_factor(0, heading, ANY_HEADING))
         else:
             size = FRAME_SIGMA if self.ground is None else self.ground.size
             turn = FRAME_SIGMA if self.ground is None and not len(self.headings) else ANY_HEADING
-            origin = gtsam.Pose2(0.0, 0.0, self.start.poses[0, 2])
-            graph.add(gtsam.PriorFactorPose2(X(0), origin, noise.Diagonal.Sigmas(np.array([size, size, turn]))))
+            graph.add(native.start_factor(0, np.array([0.0, 0.0, heading]), (size, size, turn)))
         return graph
 
 

@@ -21,15 +21,7 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.cloud import Seen
 from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces
 from pdr_graph.estimation.graph import FRAME_SIGMA, Prior
-from pdr_graph.estimation.live_factors import (
-    Factors,
-    calibration_factor,
-    change_factor,
-    fix_factor,
-    frame_factor,
-    heading_factor,
-    own_factors,
-)
+from pdr_graph.estimation.live_factors import Factors, frame_factor, own_factors
 from pdr_graph.estimation.live_fixes import GRIP, NONE, SLIPPING, LiveFix, believe, judged, report
 from pdr_graph.estimation.live_observations import (
     LiveBeacons,
@@ -44,13 +36,16 @@ from pdr_graph.estimation.live_start import Laid, lay
 from pdr_graph.estimation.live_way import CLOSE, END, ROW, Interval
 from pdr_graph.estimation.live_ways import LiveWays, OtherWay
 from pdr_graph.estimation.live_window import ALL, Window
+from pdr_graph.estimation.native import calibration_factor, change_factor, fix_factor, heading_factor
 from pdr_graph.estimation.observations import Rows as Observed
 from pdr_graph.estimation.prediction import Belief, Position, predicted
 from pdr_graph.estimation.preintegration import DECIMALS
 from pdr_graph.estimation.receivers import LATELY
+from pdr_graph.estimation.reports import prior_sigma
 from pdr_graph.estimation.tree import Name, Tree
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation, wrap_angle
+from pdr_graph.state import restore, state_of
 from pdr_graph.types import Array, Beacons, Calibration, FixReport, Headings, Sightings, Steps
 
 # Of x_i, x_j, c, before an interval is linearised again: the steps' factor is linear in translations, that of walls not
@@ -67,17 +62,6 @@ PATIENCE = 4  # fixes that follow from one another, all far from the walk, until
 LONGEST_OPEN = 180.0  # [s] until the most probable of several ways is taken: nobody can wait for a longer walk
 REVIEWED = 50.0  # [s] after which a walk on a plan is laid out once more
 LOOKED_BACK = 60  # pieces whose walls are asked for again
-KEPT = (
-    "fix_count",
-    "too_late",
-    "last_pointed",
-    "sure",
-    "lay_next",
-    "restarts",
-    "reviewed",
-    "tried",
-    "taken",
-)  # plain numbers
 
 
 @dataclass
@@ -96,6 +80,8 @@ class IncrementalGraph:
     lag: keyframes older than this leave the window [s]; prior, plan: as of ``WalkGraph``; floor: label of the one that
     the walk is on.
     """
+
+    kept = ("fix_count", "too_late", "last_pointed", "sure", "lay_next", "restarts", "reviewed", "tried", "taken")
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
         self.prior, self.lag, self.tree, self.past = prior or Prior(), lag, Tree(lag), Past()
@@ -154,10 +140,14 @@ class IncrementalGraph:
         if np.isfinite(sigma) and (not self.window.times or time >= self.window.times[0]):
             self.headings[number] = Pointed(round(time, DECIMALS), heading, sigma)
 
-    def hear(self, heard: Sightings, beacons: Beacons) -> None:
-        """What a radio heard, of beacons that were surveyed."""
-        self.beacons = self.beacons or LiveBeacons(beacons)
-        self.beacons.hear(heard)
+    def survey(self, beacons: Beacons) -> None:
+        """Where beacons are, in the frame of the walk."""
+        self.beacons = LiveBeacons(beacons)
+
+    def hear(self, heard: Sightings) -> None:
+        """What a radio heard; only beacons that were surveyed tell."""
+        if self.beacons is not None:
+            self.beacons.hear(heard)
 
     # What is known
 
@@ -232,8 +222,7 @@ class IncrementalGraph:
         value = np.array([window.c[segment] for segment in segments])
         covariance = np.array([self.tree.covariance([C(segment)]) for segment in segments])
         start = np.array([min(one.begin for one in window.intervals if one.segment == s) for s in segments])
-        prior = np.sqrt(np.square(self.prior.sigma) + np.array(segments)[:, None] * np.square(self.prior.change))
-        return Calibration(start, value, covariance, prior)
+        return Calibration(start, value, covariance, prior_sigma(self.prior, np.array(segments)))
 
     def hand_out(self) -> list[Rows]:
         """The rows that are settled, once."""
@@ -262,7 +251,7 @@ class IncrementalGraph:
             self._lay()
         best, least = self.tree, self.cost
         self.tree = best.anew(relinearise=0.0)
-        while self._relinearise(SETTLED) and self.cost < least * (1 - SETTLES):
+        while self._relinearise(SETTLED, everything=True) and self.cost < least * (1 - SETTLES):
             best, least = self.tree.anew(relinearise=0.0), self.cost
         if self.cost > least:
             self.tree = best
@@ -322,7 +311,7 @@ class IncrementalGraph:
         for segment in sorted({one.segment for one in new}):
             if C(segment) not in self.tree:
                 values.insert(C(segment), self.window.c[segment])
-                factors["change", segment] = change_factor(segment, self.prior)
+                factors["change", segment] = change_factor(segment, self.prior.change)
             times[C(segment)] = self.window.times[-1]
         known = gtsam.Values(self.tree.values)
         known.insert(values)
@@ -365,7 +354,7 @@ class IncrementalGraph:
         first, *others = self.window.segments
         factors: Factors = {"frame": frame_factor(self.window.keyframes[0], self.window.pose[0], self.placed)}
         factors["c"] = calibration_factor(first, *self.c_prior)
-        factors |= {("change", segment): change_factor(segment, self.prior) for segment in others}
+        factors |= {("change", segment): change_factor(segment, self.prior.change) for segment in others}
         known = gtsam.Values(values)
         factors |= self._own(self.window.intervals, known)
         self.receivers = LiveReceivers()
@@ -394,7 +383,7 @@ class IncrementalGraph:
             elif seen is not None:
                 seen.wild, seen.at = fix.kind == SLIPPING, np.full(4, np.nan)
             elif not fix.source:
-                factors["fix", fix.number] = fix_factor(fix)
+                factors["fix", fix.number] = self._fix_alone(fix)
         if factors or remove:
             self._update(factors, remove)
         last = [fix for fix in reached if fix.believed][-PATIENCE:]
@@ -447,19 +436,22 @@ class IncrementalGraph:
         )
 
     def _compare(self, ways: LiveWays) -> None:
-        """Try the way of most particles where it is elsewhere, and keep the better one."""
+        """Try the way of most particles where it is elsewhere, once the batch's; begin again where all is strained."""
         at = int(np.searchsorted(self.window.times, ways.times[-1] - CLOSE))
         other = ways.elsewhere(self.window.pose[min(at, len(self.window.times) - 1), :2])
         if other is None and self._review_due():
             self.reviewed = True
             laid = self._laid_out([replace(fix) for fix in self.fixes if fix.reached])
             other = OtherWay(laid.time, np.column_stack([laid.pose, np.tile(laid.c[-1], (len(laid.time), 1))]))
-        if other is None or other.time[-1] < self.window.times[0]:
-            if self.window.count % CHECKED == 0 and self.window.times[-1] >= self.lay_next and self._strained():
-                self._restart()
-                self.c_prior = np.array(self.prior.mean), self.prior.covariance
-                self._lay()
-            return
+        if other is not None and other.time[-1] >= self.window.times[0]:
+            self._try(other)
+        elif self.window.count % CHECKED == 0 and self.window.times[-1] >= self.lay_next and self._strained():
+            self._restart()
+            self.c_prior = np.array(self.prior.mean), self.prior.covariance
+            self._lay()
+
+    def _try(self, other: OtherWay) -> None:
+        """Move to another way, and back if that has more against it."""
         self.tried += 1
         tree, pose, c = self.tree, self.window.pose.copy(), dict(self.window.c)
         walls = [(one.fields, one.at) for one in self.window.intervals]
@@ -510,11 +502,11 @@ class IncrementalGraph:
         self.tree.start(self._own(self.window.intervals, known) | self._seen(known))
         self.window.read(self.tree.values)
 
-    def _relinearise(self, moved: Array) -> bool:
-        """Linearise again what has moved; whether anything had."""
+    def _relinearise(self, moved: Array, everything: bool = False) -> bool:
+        """Linearise again what has moved; whether anything had. everything: not only of late."""
         if not self.window.intervals:
             return False
-        everything = moved is SETTLED or self.window.count % EVERY == 0
+        everything |= self.window.count % EVERY == 0
         looked = self.window.intervals if everything else self.window.intervals[-RECENT:]
         apart = np.abs(self.window.state_of(looked) - np.array([one.at for one in looked]))
         apart[:, [2, 5]] = np.abs(wrap_angle(apart[:, [2, 5]]))
@@ -599,7 +591,7 @@ class IncrementalGraph:
                 seen = SeenFix(fix.keyframe, position=fix.position, velocity=speed, wild=fix.kind == SLIPPING)
                 new(*self.receivers.add(fix.number, fix.source, seen, fix.time, fix.sigma, fix.walked, known))
             else:
-                factors["fix", fix.number] = fix_factor(fix)
+                factors["fix", fix.number] = self._fix_alone(fix)
         for level in levels:
             assert self.beacons is not None, "it was heard"
             new(*self.beacons.add(level, self.window.times[-1]))
@@ -609,6 +601,9 @@ class IncrementalGraph:
             if ("heading", number) not in self.tree.factors:
                 factors["heading", number] = heading_factor(one.keyframe, one.heading, one.sigma)
         return factors | self._seen(known)
+
+    def _fix_alone(self, fix: LiveFix) -> gtsam.NonlinearFactor:
+        return fix_factor(fix.keyframe, fix.position, fix.sigma, wild=fix.kind == SLIPPING)
 
     def _seen(self, known: gtsam.Values) -> Factors:
         """The factors of receivers and beacons that have changed since they were linearised."""
@@ -657,9 +652,8 @@ class IncrementalGraph:
     def state(self) -> dict[str, Any]:
         """All that the rest of the walk depends on, as numbers; rows that were handed out are not among it."""
         return {
-            **{name: getattr(self, name) for name in KEPT},
+            **state_of(self),
             "tree": self.tree.state(self._linear_names() | {("fix", fix.number) for fix in self.fixes}),
-            "rebuilds": list(self.tree.rebuilds),
             "window": self.window.state(),
             "past": self.past.state(),
             "c_prior": list(self.c_prior),
@@ -669,12 +663,10 @@ class IncrementalGraph:
             "beacons": self.beacons.state() if self.beacons else None,
         }
 
-    def restore(self, state: dict[str, Any], beacons: Beacons | None) -> None:
-        """Go on from a `state`, of the same prior, lag and plan."""
-        for name in KEPT:
-            setattr(self, name, state[name])
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`, of the same prior, lag, plan and beacons."""
+        restore(self, state)
         self.tree = Tree.restored(state["tree"])
-        self.tree.rebuilds = list(state["rebuilds"])
         self.window.restore(state["window"])
         self.past.restore(state["past"])
         mean, covariance = state["c_prior"]
@@ -682,8 +674,8 @@ class IncrementalGraph:
         self.fixes = [LiveFix(**fix) for fix in state["fixes"]]
         self.headings = {int(number): Pointed(**one) for number, one in state["headings"]}
         self.receivers = LiveReceivers.restored(state["receivers"])
-        if state["beacons"] is not None and beacons is not None:
-            self.beacons = LiveBeacons.restored(beacons, state["beacons"])
+        if self.beacons is not None:
+            self.beacons.restore(state["beacons"])
         if self.window.keyframes:
             self._go_on()
 
@@ -694,5 +686,5 @@ class IncrementalGraph:
         alone = [
             fix for fix in self.fixes if fix.reached and fix.kind != NONE and fix.number not in self.receivers.fixes
         ]
-        self.tree.factors |= {("fix", fix.number): fix_factor(fix) for fix in alone}
+        self.tree.factors |= {("fix", fix.number): self._fix_alone(fix) for fix in alone}
         self._linearise_all()

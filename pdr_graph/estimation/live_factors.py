@@ -1,4 +1,4 @@
-"""The factors of a walk under way, as GTSAM takes them."""
+"""The factors of a walk under way that are linearised here, and the hold on its first pose."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
+from pdr_graph.estimation import native
 from pdr_graph.estimation.factors import Evaluation
-from pdr_graph.estimation.graph import ANY_HEADING, FRAME_SIGMA, Prior
-from pdr_graph.estimation.live_fixes import SLIPPING, LiveFix
+from pdr_graph.estimation.graph import ANY_HEADING, FRAME_SIGMA
 from pdr_graph.estimation.live_way import Interval
-from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH
 from pdr_graph.estimation.tree import Name, linear
 from pdr_graph.types import Array
 
@@ -35,36 +34,8 @@ def own_factors(intervals: Sequence[Interval], own: Evaluation, known: gtsam.Val
     return factors
 
 
-def fix_factor(fix: LiveFix) -> gtsam.NonlinearFactor:
-    """A fix whose error is its own."""
-    noise, estimator = gtsam.noiseModel, gtsam.noiseModel.mEstimator
-    wild = fix.kind == SLIPPING
-    loss = estimator.GemanMcClure.Create(WILD_WIDTH) if wild else estimator.Huber.Create(HUBER_WIDTH)
-    robust = noise.Robust.Create(loss, noise.Isotropic.Sigma(2, fix.sigma))
-    return gtsam.PoseTranslationPrior2D(X(fix.keyframe), fix.position, robust)
-
-
-def heading_factor(keyframe: int, heading: float, sigma: float) -> gtsam.NonlinearFactor:
-    """A walking direction."""
-    noise = gtsam.noiseModel
-    robust = noise.Robust.Create(noise.mEstimator.Huber.Create(HUBER_WIDTH), noise.Isotropic.Sigma(1, sigma))
-    return gtsam.PoseRotationPrior2D(X(keyframe), gtsam.Pose2(0.0, 0.0, heading), robust)
-
-
 def frame_factor(keyframe: int, pose: Array, placed: bool) -> gtsam.NonlinearFactor:
     """A loose hold on the first heading; of a walk that nothing places, what defines its frame."""
     if placed:
-        any_heading = gtsam.noiseModel.Isotropic.Sigma(1, ANY_HEADING)
-        return gtsam.PoseRotationPrior2D(X(keyframe), gtsam.Pose2(*pose), any_heading)
-    return gtsam.PriorFactorPose2(X(keyframe), gtsam.Pose2(*pose), gtsam.noiseModel.Isotropic.Sigma(3, FRAME_SIGMA))
-
-
-def calibration_factor(segment: int, mean: Array, covariance: Array) -> gtsam.NonlinearFactor:
-    """What is believed of a segment's calibration beforehand."""
-    return gtsam.PriorFactorVector(C(segment), mean, gtsam.noiseModel.Gaussian.Covariance(covariance))
-
-
-def change_factor(segment: int, prior: Prior) -> gtsam.NonlinearFactor:
-    """How a segment's calibration follows from that of the one before."""
-    change = gtsam.noiseModel.Diagonal.Sigmas(np.array(prior.change))
-    return gtsam.BetweenFactorVector(C(segment - 1), C(segment), np.zeros(3), change)
+        return native.hold_factor(keyframe, float(pose[2]), ANY_HEADING)
+    return native.start_factor(keyframe, pose, (FRAME_SIGMA, FRAME_SIGMA, FRAME_SIGMA))

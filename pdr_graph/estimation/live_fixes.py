@@ -10,6 +10,7 @@ import numpy as np
 from pdr_graph.estimation.graph import LONGEST_OVERHANG, WALKING_SPEED
 from pdr_graph.estimation.optimizer import WILD
 from pdr_graph.estimation.reach import ENDS, STRETCHED, WITHIN, chained
+from pdr_graph.estimation.reports import reason_of
 from pdr_graph.estimation.robust import HUBER_WIDTH, gripping, slipping
 from pdr_graph.types import Array, Fixes, FixReport
 
@@ -82,14 +83,11 @@ def report(fix: LiveFix, place: Array) -> FixReport:
     if not fix.reached:
         reason = "outside the recording: not used"
         return FixReport(fix.time, x, y, fix.sigma, float("nan"), 0.0, reason)
-    distance = float(np.hypot(*(place - fix.position)))
-    sigmas = distance / fix.sigma
-    weight = {GRIP: gripping(np.array([sigmas]), HUBER_WIDTH)[0], SLIPPING: slipping(np.array([sigmas]))[0], NONE: 0.0}
-    trust = {SLIPPING: "taken for wild", NONE: "refused"}.get(
-        fix.kind, "weighted down" if sigmas > HUBER_WIDTH else "full weight"
-    )
-    reason = f"{sigmas:.1f} sigma from the walk: {trust}"
-    return FixReport(fix.time, x, y, fix.sigma, distance, float(weight[fix.kind]), reason)
+    distance, wild = float(np.hypot(*(place - fix.position))), fix.kind == SLIPPING
+    sigmas = np.array(distance / fix.sigma)
+    weight = 0.0 if fix.kind == NONE else float(slipping(sigmas) if wild else gripping(sigmas, HUBER_WIDTH))
+    reason = reason_of(float(sigmas), weight, wild)
+    return FixReport(fix.time, x, y, fix.sigma, distance, weight, reason)
 
 
 def as_fixes(fixes: Sequence[LiveFix]) -> Fixes:

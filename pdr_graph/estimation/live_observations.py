@@ -301,14 +301,11 @@ class LiveBeacons:
         levels = [[number, asdict(level)] for number, level in self.levels.items()]
         return {**heard, "met": sorted(self._met), "levels": levels, "count": self._count}
 
-    @classmethod
-    def restored(cls, beacons: Beacons, state: dict[str, Any]) -> LiveBeacons:
-        """What `state` told of, of the same beacons; every level is to be linearised."""
-        own = cls(beacons)
-        own._heard, own._all = ([(t, int(m), r) for t, m, r in state[name].tolist()] for name in ("heard", "all"))
-        own._met, own._count = set(state["met"]), int(state["count"])
-        own.levels = {int(number): _anew(SeenLevel, level) for number, level in state["levels"]}
-        return own
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state`, of the same beacons; every level is to be linearised."""
+        self._heard, self._all = ([(t, int(m), r) for t, m, r in state[name].tolist()] for name in ("heard", "all"))
+        self._met, self._count = set(state["met"]), int(state["count"])
+        self.levels = {int(number): _anew(SeenLevel, level) for number, level in state["levels"]}
 
 
 def _anew(kind: type[One], state: dict[str, Any]) -> One:

@@ -9,6 +9,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pdr_graph.estimation.native import robustly
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH, gripping, slipping
 from pdr_graph.types import Array, Index, Mask
 
@@ -58,8 +59,4 @@ class Rows:
     def noise(self, n: int) -> gtsam.noiseModel.Base:
         """What GTSAM takes of one of them: whitened errors under its loss."""
         unit = gtsam.noiseModel.Unit.Create(self.value.shape[1])
-        if self.wild is None:
-            return unit
-        estimator = gtsam.noiseModel.mEstimator
-        loss = estimator.GemanMcClure.Create(WILD_WIDTH) if self.wild[n] else estimator.Huber.Create(HUBER_WIDTH)
-        return gtsam.noiseModel.Robust.Create(loss, unit)
+        return unit if self.wild is None else robustly(unit, bool(self.wild[n]))

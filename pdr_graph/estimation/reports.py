@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.estimation.beacons import LEVEL_SIGMA, Levels
-from pdr_graph.estimation.graph import State, WalkGraph
-from pdr_graph.types import Array, BeaconReport, Calibration, FixReport
+from pdr_graph.estimation.graph import Prior, State, WalkGraph
+from pdr_graph.types import Array, BeaconReport, Calibration, FixReport, Index
 
 SURE = 0.9  # probability below which a user is warned
 DOUBTED = 0.1  # weight below which a fix counts for nothing
@@ -27,20 +27,28 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
         elif not graph.fix_used[n]:
             reason = "outside the recording: not used"
         else:
-            trust = {0.0: "refused", 1.0: "full weight"}.get(weight[n], "weighted down")
-            trust = "taken for wild" if graph.fix_wild[n] else trust
-            reason = f"{sigmas[n]:.1f} sigma from {from_}: {trust}"
+            reason = reason_of(float(sigmas[n]), float(weight[n]), bool(graph.fix_wild[n]), from_)
         time, sigma = float(graph.fixes.time[n]), float(graph.fixes.sigma[n])
         reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
     return tuple(reports)
 
 
+def reason_of(sigmas: float, weight: float, wild: bool, from_: str = "the walk") -> str:
+    """Why a fix that was met so many sigmas ``from_`` where it was expected has this weight."""
+    trust = {0.0: "refused", 1.0: "full weight"}.get(weight, "weighted down")
+    return f"{sigmas:.1f} sigma from {from_}: {'taken for wild' if wild else trust}"
+
+
 def calibration_of(graph: WalkGraph, value: Array, covariance: Array) -> Calibration:
     """What the walk taught of (R_s, R_d, b) in each of its segments: ``(s, 3)``, ``(s, 3, 3)``."""
-    segments = np.arange(len(value))[:, None]
-    prior = np.sqrt(np.square(graph.prior.sigma) + segments * np.square(graph.prior.change))
     first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
+    prior = prior_sigma(graph.prior, np.arange(len(value)))
     return Calibration(graph.pieces.keyframe_time[first], value, covariance, prior)
+
+
+def prior_sigma(prior: Prior, segment: Index) -> Array:
+    """Standard deviations ``(s, 3)`` of (R_s, R_d, b) in segments ``(s,)`` before any measurement."""
+    return np.sqrt(np.square(prior.sigma) + segment[:, None] * np.square(prior.change))
 
 
 def warnings(

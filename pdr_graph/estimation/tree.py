@@ -80,17 +80,15 @@ class Tree:
 
     def anew(self, relinearise: float) -> Tree:
         """The same in a new object, linearised again whenever a variable has moved so far."""
-        again = Tree(self.lag, relinearise)
-        again.factors, again.past, again.rebuilds = dict(self.factors), self.past, self.rebuilds
-        again._keys, again._times = dict(self._keys), dict(self._times)
-        again._start(gtsam.Values(self.values))
+        again = self.at(gtsam.Values(self.values), leave_out=())
+        again.relinearise = relinearise
+        again.start({})
         return again
 
     def at(self, values: gtsam.Values, leave_out: Collection[Name]) -> Tree:
         """The same from other values without some factors, not yet started: `start` with those in their place does."""
         again = Tree(self.lag, self.relinearise)
         again.factors = {name: factor for name, factor in self.factors.items() if name not in leave_out}
-        again._keys = {name: self._keys[name] for name in again.factors}
         again.past, again.rebuilds, again._times = self.past, self.rebuilds, dict(self._times)
         again.values = values
         return again
@@ -101,6 +99,7 @@ class Tree:
         named = [(*name, 0)[:2] if isinstance(name, tuple) else (name, -1) for name in factors]
         return {
             "lag": self.lag,
+            "rebuilds": list(self.rebuilds),
             "keys": [(key, self._times[key]) for key in self.values.keys()],
             "variables": np.array([_numbers(self.values, key) for key in self.values.keys()]),
             "names": [list(name) for name in named],
@@ -109,7 +108,7 @@ class Tree:
 
     @classmethod
     def restored(cls, state: dict[str, Any]) -> Tree:
-        """What `state` told of, not yet started: `update` with the factors that were left out does."""
+        """What `state` told of, not yet started: `start` with the factors that were left out does."""
         tree = cls(float(state["lag"]))
         values = gtsam.Values()
         for (key, time), numbers in zip(state["keys"], state["variables"], strict=True):
@@ -119,8 +118,7 @@ class Tree:
         names = [(kind, int(number)) if number >= 0 else kind for kind, number in state["names"]]
         tree.past = factors[len(names) :]
         tree.factors = dict(zip(names, factors, strict=False))
-        tree._keys = {name: frozenset(factor.keys()) for name, factor in tree.factors.items()}
-        tree.values = values
+        tree.values, tree.rebuilds = values, list(state["rebuilds"])
         return tree
 
     def start(self, factors: Mapping[Name, gtsam.NonlinearFactor]) -> None:
@@ -175,13 +173,10 @@ class Tree:
 
 def linear(keys: Sequence[int], blocks: Sequence[Array], error: Array, at: gtsam.Values) -> gtsam.NonlinearFactor:
     """A factor that was linearised ``at`` some values: whitened errors ``(r,)``, and a block ``(r, 3)`` per key."""
-    values = gtsam.Values()
-    for key in keys:
-        _insert(values, key, _numbers(at, key))
     terms: list[Any] = [side for pair in zip(keys, blocks, strict=True) for side in pair]
     make: Any = gtsam.JacobianFactor  # its overloads are of one, two and three variables
     factor = make(*terms, -error, gtsam.noiseModel.Unit.Create(len(error)))
-    return gtsam.LinearContainerFactor(factor, values)
+    return gtsam.LinearContainerFactor(factor, _some(at, keys))
 
 
 def _packed(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> dict[str, Any]:
@@ -201,10 +196,15 @@ def _unpacked(packed: dict[str, Any], values: gtsam.Values) -> gtsam.NonlinearFa
         for m in range(n + 1, len(keys)):
             across = information[block[n], block[m]]
             graph.push_back(gtsam.HessianFactor(key, keys[m], zero, across, nothing, zero, nothing, 0.0))
-    at = gtsam.Values()
+    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(gtsam.HessianFactor(graph)), _some(values, keys))
+
+
+def _some(values: gtsam.Values, keys: Iterable[int]) -> gtsam.Values:
+    """Some of the variables."""
+    some = gtsam.Values()
     for key in keys:
-        _insert(at, key, _numbers(values, key))
-    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(gtsam.HessianFactor(graph)), at)
+        _insert(some, key, _numbers(values, key))
+    return some
 
 
 def _numbers(values: gtsam.Values, key: int) -> Array:

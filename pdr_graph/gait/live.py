@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import reduce
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.gait.gait import Gait
-from pdr_graph.gait.gaps import follow, gap
+from pdr_graph.gait.gaps import gap, joined_chunks
 from pdr_graph.gait.live_part import LivePart
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GRAVITY
@@ -143,7 +142,7 @@ class LiveGait:
             for sensor in self._sensors.values():
                 sensor.forget(float(self._part.time(1)[0]))
             self._tail = self._corrected(self._part.tail())
-        return self._corrected(reduce(follow, chunks)) if chunks else None
+        return self._corrected(joined_chunks(chunks)) if chunks else None
 
     def _stretch(self, until: float, last: bool, chunks: list[Steps]) -> bool:
         """Go on with the uninterrupted samples; True if a gap ended them, and others follow."""

@@ -1,33 +1,43 @@
-"""What a navigator must offer to be journalled and replayed."""
+"""Where a walker is, and what a navigator must offer to be journalled and replayed."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
+
+import numpy as np
 
 from pdr_graph.frames import Frame
 from pdr_graph.online.events import Event
 from pdr_graph.types import Array, Estimate, Trajectory
 
 
-class Pose(Protocol):
+@dataclass(frozen=True)
+class Pose:
     """Where the walker is now.
 
     time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
     (x, y, heading) in the output axes [m, m, rad].
     """
 
-    @property
-    def time(self) -> float: ...  # noqa: D102
-    @property
-    def x(self) -> float: ...  # noqa: D102
-    @property
-    def y(self) -> float: ...  # noqa: D102
-    @property
-    def heading(self) -> float: ...  # noqa: D102
-    @property
-    def floor(self) -> str: ...  # noqa: D102
-    @property
-    def covariance(self) -> Array: ...  # noqa: D102
+    time: float
+    x: float
+    y: float
+    heading: float
+    floor: str
+    covariance: Array
+
+
+def trajectory_of(poses: Sequence[Pose]) -> Trajectory:
+    """Poses one after the other."""
+    return Trajectory(
+        time=np.array([pose.time for pose in poses]),
+        position=np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2),
+        heading=np.array([pose.heading for pose in poses]),
+        floor=tuple(pose.floor for pose in poses),
+        covariance=np.array([pose.covariance for pose in poses]).reshape(-1, 3, 3),
+    )
 
 
 class Status(Protocol):

@@ -21,36 +21,22 @@ from pdr_graph.estimation.live_floors import LiveFloors
 from pdr_graph.estimation.profiles import prior_of
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.gaps import joined_chunks
 from pdr_graph.gait.live import LiveGait
 from pdr_graph.gait.live_heading import LiveCompass
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.stream import Health
+from pdr_graph.online.contract import Pose
 from pdr_graph.online.events import Event, Samples
+from pdr_graph.state import restore, state_of
 from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Steps, Trajectory
 
 FARTHEST, FINEST = 1e8, 1e-4  # [m] from the origin of a frame, of a sigma at most; and at least
 AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
 UNSURE = "the measurements leave open which way the walk went: the most probable one is given"
 SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where the walker is now.
-
-    time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
-    (x, y, heading) in the output axes [m, m, rad].
-    """
-
-    time: float
-    x: float
-    y: float
-    heading: float
-    floor: str
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -81,6 +67,8 @@ class Navigator:
     strides these are; frame: of the poses, by default the plan's, else that of the first fix; prior: see ``Prior``.
     """
 
+    kept = ("_taken", "_early", "_absurd", "_certain")
+
     def __init__(
         self,
         floor: FloorPlan | Building | None = None,
@@ -95,7 +83,7 @@ class Navigator:
     ):
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
-        self.frame = frame or (self.building.floors[0].frame if self.building else None)
+        self.frame: Frame | None = None
         self._compass = LiveCompass(self.walker)
         labels = self.building.labels if self.building else ()
         self._floors = LiveFloors(self.building, labels[0] if len(labels) == 1 else begins or "")
@@ -109,6 +97,9 @@ class Navigator:
         self._tail: Steps | None = None
         self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._taken, self._early, self._absurd, self._certain = 0, 0, 0, 0
+        known = frame or (self.building.floors[0].frame if self.building else None)
+        if known is not None:
+            self._lie_in(known)
 
     def push(self, event: Event) -> None:
         """Take in an event, in the order in which they arrive."""
@@ -118,9 +109,8 @@ class Navigator:
             self._extend(event)
         elif isinstance(event, Fixes):
             self._fix(event)
-        elif event.radio == "bluetooth" and self._beacons is not None and self.frame is not None:
-            heard = replace(event.heard, time=self._on_clock(event.heard.time))
-            self._graph.hear(heard, self.frame.place(self._beacons))
+        elif event.radio == "bluetooth":
+            self._graph.hear(replace(event.heard, time=self._on_clock(event.heard.time)))
 
     @property
     def steps(self) -> int:
@@ -197,36 +187,32 @@ class Navigator:
 
     def snapshot(self) -> dict[str, Any]:
         """All that the rest of the walk depends on, as numbers and text; rows that were handed out are not among it."""
-        frame = None if self.frame is None else self.frame.describe()
-        own = {
-            "absurd": self._absurd,
-            "taken": self._taken,
-            "early": self._early,
-            "certain": self._certain,
-            "frame": frame,
+        return {
+            **state_of(self),
+            "frame": None if self.frame is None else self.frame.describe(),
+            "place": self._place,
+            "said": [[name, list(place)] for name, place in self._said.items()],
+            "gait": self._gait.state(),
+            "compass": self._compass.state(),
+            "floors": self._floors.state(),
+            "graph": self._graph.state(),
         }
-        said = [[name, list(place)] for name, place in self._said.items()]
-        own |= {"place": self._place, "compass": self._compass.state(), "floors": self._floors.state()}
-        return {"gait": self._gait.state(), "graph": self._graph.state(), "said": said, **own}
 
     @classmethod
     def restored(cls, snapshot: dict[str, Any], **options: Any) -> Navigator:
         """The navigator of a snapshot; options: the same as of the one that it was taken of."""
         nav = cls(**options)
+        restore(nav, snapshot)
         if nav.frame is None and snapshot["frame"] is not None:
-            nav.frame = Frame.described(snapshot["frame"])
-        beacons = nav._beacons
-        placed = beacons if beacons is None or nav.frame is None else nav.frame.place(beacons)
+            nav._lie_in(Frame.described(snapshot["frame"]))
         nav._gait.restore(snapshot["gait"])
-        nav._graph.restore(snapshot["graph"], placed)
+        nav._graph.restore(snapshot["graph"])
         nav._compass.restore(snapshot["compass"])
         nav._floors.restore(snapshot["floors"])
         if snapshot["place"] is not None and nav.frame is not None:
             nav._locate(nav.frame, np.array(snapshot["place"]))
         nav._tail = nav._gait.advance()[1]
         nav._said = {name: tuple(place) for name, place in snapshot["said"]}
-        nav._taken, nav._early, nav._certain = (int(snapshot[name]) for name in ("taken", "early", "certain"))
-        nav._absurd = int(snapshot["absurd"])
         return nav
 
     def _on_clock(self, time: Array) -> Array:
@@ -234,6 +220,13 @@ class Navigator:
         later = time + self._gait.offset
         now = self._now if self._graph.window.keyframes else 0.0
         return np.where(np.abs(later - now) < np.abs(time - now), later, time)
+
+    def _lie_in(self, frame: Frame) -> Frame:
+        """From now on everything lies in this frame."""
+        self.frame = frame
+        if self._beacons is not None:
+            self._graph.survey(frame.place(self._beacons))
+        return frame
 
     def _locate(self, frame: Frame, place: Array) -> None:
         """The first place that is known tells the compass where on earth it is."""
@@ -273,14 +266,12 @@ class Navigator:
         fixes = fixes[usable]
         if not len(fixes):
             return
-        if self.frame is None:
-            lon, lat = fixes.position[0].tolist()
-            self.frame = enu(lat, lon) if fixes.epsg == LONLAT else projected(fixes.epsg) if fixes.epsg else Frame()
-        if fixes.epsg is not None and not self.frame.georeferenced:
+        frame = self.frame or self._lie_in(frame_of(fixes))
+        if fixes.epsg is not None and not frame.georeferenced:
             return
         if self._place is None:
-            self._locate(self.frame, self.frame.place(fixes).position[0])
-        fixes = self.frame.place(replace(fixes, time=self._on_clock(fixes.time)))
+            self._locate(frame, frame.place(fixes).position[0])
+        fixes = frame.place(replace(fixes, time=self._on_clock(fixes.time)))
         for n in range(len(fixes)):
             source, place = fixes.sources[n], tuple(fixes.position[n].tolist())
             if source and self._said.get(source) == place:
@@ -316,11 +307,6 @@ def _trajectory(parts: Sequence[Rows]) -> Trajectory:
     """Rows that follow one another."""
     if not parts:
         return Trajectory(np.empty(0), np.empty((0, 2)), np.empty(0), (), np.empty((0, 3, 3)))
-    pose = np.concatenate([rows.pose for rows in parts])
-    return Trajectory(
-        time=np.concatenate([rows.time for rows in parts]),
-        position=pose[:, :2],
-        heading=wrap_angle(pose[:, 2]),
-        floor=tuple(label for rows in parts for label in rows.floor),
-        covariance=np.concatenate([rows.covariance for rows in parts]),
-    )
+    rows = Rows.joined(parts)
+    heading = wrap_angle(rows.pose[:, 2])
+    return Trajectory(rows.time, rows.pose[:, :2], heading, tuple(rows.floor), rows.covariance)

@@ -12,13 +12,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.inputs import Inputs, placed_beacons, read_inputs
 from pdr_graph.io.writers import write_summary, write_trajectory
-from pdr_graph.online.contract import Live, Pose
+from pdr_graph.online.contract import Live, Pose, trajectory_of
 from pdr_graph.online.events import Event, events_of
 from pdr_graph.online.journal import Journal, fingerprint
 from pdr_graph.online.latency import Latency
@@ -98,17 +96,7 @@ def walked(nav: Live, events: Iterable[Event], latency: Latency) -> Trajectory:
     last = nav.pose
     if last is not None and poses and last.time > poses[-1].time:
         poses.append(last)
-    return _trajectory(poses)
-
-
-def _trajectory(poses: Sequence[Pose]) -> Trajectory:
-    return Trajectory(
-        time=np.array([pose.time for pose in poses]),
-        position=np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2),
-        heading=np.array([pose.heading for pose in poses]),
-        floor=tuple(pose.floor for pose in poses),
-        covariance=np.array([pose.covariance for pose in poses]).reshape(-1, 3, 3),
-    )
+    return trajectory_of(poses)
 
 
 def _makers(kind: Any, given: Inputs, lag: float | None, floor_label: str | None) -> tuple[Any, Any]:

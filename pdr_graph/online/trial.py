@@ -15,12 +15,11 @@ import numpy as np
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.io import writers
 from pdr_graph.online import offline
-from pdr_graph.online.contract import Placed
+from pdr_graph.online.contract import Placed, Pose, trajectory_of
 from pdr_graph.online.evaal import GOOD, OVER, Api, State, UnreachableError
 from pdr_graph.online.form import Form
 from pdr_graph.online.request_log import OFFLINE, RequestLog
 from pdr_graph.online.rows import RowStream
-from pdr_graph.types import Array, Trajectory
 
 HORIZON = 0.5  # [s] of rows at a time: competitions take positions at 2 Hz
 
@@ -121,7 +120,7 @@ class _Walk:
         self.seconds, self.repeated = list[float](), 0
         self._navigator, self._form, self._floors = navigator, form, floors
         self._started = False
-        self._sent: list[tuple[float, float, float, float, str, Array]] = []
+        self._sent: list[Pose] = []
         for slot in log.slots():
             self.position()
             self.take(slot)
@@ -132,8 +131,8 @@ class _Walk:
         if pose is None:
             return ""
         text = self._form.text(np.array([pose.x, pose.y]), pose.floor, self._navigator.frame)
-        if text and (not self._sent or pose.time > self._sent[-1][0]):
-            self._sent.append((pose.time, pose.x, pose.y, pose.heading, pose.floor, np.array(pose.covariance)))
+        if text and (not self._sent or pose.time > self._sent[-1].time):
+            self._sent.append(pose)
         return text
 
     def take(self, text: str) -> None:
@@ -152,7 +151,7 @@ class _Walk:
         if log:
             (out / "log.txt").write_bytes(log)
         if self._sent:
-            writers.write_trajectory(out / "causal.csv", self._causal(), 0.0)
+            writers.write_trajectory(out / "causal.csv", trajectory_of(self._sent), 0.0)
         else:
             missing.append("causal.csv: no position was known in time")
         try:
@@ -162,10 +161,6 @@ class _Walk:
         except (ValueError, RuntimeError) as error:  # what was received and sent is safe
             missing.append(f"trajectory.csv: {error}")
         return tuple(missing)
-
-    def _causal(self) -> Trajectory:
-        time, x, y, heading, floor, covariance = zip(*self._sent, strict=True)
-        return Trajectory(np.array(time), np.column_stack([x, y]), np.array(heading), floor, np.array(covariance))
 
     def describe(self, log: RequestLog) -> dict[str, Any]:
         """What ``summary.json`` says. Seconds are of this run's requests."""

@@ -248,7 +248,7 @@ SEEDS = 40
 def normalised_errors(wrong=1.0, seeds=SEEDS):
     """NEES of the belief at a random moment of each walk, and of a random row of it smoothed ``(seeds,)``."""
     causal, smoothed = [], []
-    with gaussian(), patch.object(live_factors, "HUBER_WIDTH", 1e6):
+    with gaussian():
         for seed in range(seeds):
             steps, fixes, truth = drawn_from_the_model(90, seed, wrong=wrong)
             random, graph = np.random.default_rng(seed), IncrementalGraph()
@@ -432,7 +432,7 @@ def test_two_restored_of_one_state_are_one_walk(lag):
     state, ends = pack(graph.state()), []
     for _ in range(2):
         graph = IncrementalGraph(lag=lag)
-        graph.restore(unpack(state), None)
+        graph.restore(unpack(state))
         for _ in walking(graph, some(steps, 150, 300), after):
             pass
         graph.finish()
@@ -449,7 +449,7 @@ def test_a_walk_that_is_restored_goes_on_as_it_would_have():
     for now in given:
         if now == 150:
             other = IncrementalGraph(lag=LAG)
-            other.restore(unpack(pack(graph.state())), None)
+            other.restore(unpack(pack(graph.state())))
             there, here = graph.belief(), other.belief()
             assert here.mean == pytest.approx(there.mean, abs=0.15), "a tenth of its uncertainty"
             assert here.covariance == pytest.approx(there.covariance, rel=0.1, abs=0.05)

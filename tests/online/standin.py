@@ -4,20 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.online.contract import Pose
 from pdr_graph.online.events import Samples, Scan
 from pdr_graph.types import Estimate, Fixes, FixReport, Steps, Trajectory
 
 WINDOW = 30  # rows that may still change
-
-
-@dataclass(frozen=True)
-class Pose:
-    time: float
-    x: float
-    y: float
-    heading: float
-    floor: str
-    covariance: np.ndarray
 
 
 @dataclass(frozen=True)

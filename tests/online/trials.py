@@ -1,7 +1,6 @@
 """Taking part in a trial with a stand-in for the navigator, which says that the walker is where the last fix was."""
 
 import json
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -9,22 +8,13 @@ import pytest
 
 from pdr_graph import io
 from pdr_graph.frames import Frame, enu
+from pdr_graph.online.contract import Pose
 from pdr_graph.online.evaal import Api
 from pdr_graph.online.events import Samples, Scan
 from pdr_graph.online.form import Form
 from pdr_graph.online.rows import RowStream
 from pdr_graph.online.trial import HORIZON, take_part
 from pdr_graph.types import LONLAT, Estimate, Fixes, Trajectory
-
-
-@dataclass(frozen=True)
-class Pose:
-    time: float
-    x: float
-    y: float
-    heading: float
-    floor: str
-    covariance: np.ndarray
 
 
 class Echo:
