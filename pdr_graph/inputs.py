@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.floor.areas import BEACON
@@ -60,7 +58,7 @@ def read_inputs(
     recorded = walk.fixes if use_recorded_fixes else Fixes.none()
     frame, located = _locate(building, places, given, recorded, notes)
     if places is not None:
-        located = _merge(located, _radio_fixes(places, walk, frame, radio_map, notes))
+        located = Fixes.together([located, _radio_fixes(places, walk, frame, radio_map, notes)])
     return Inputs(walk, known, building, frame, located, notes)
 
 
@@ -129,18 +127,4 @@ def _locate(
     if not frame.georeferenced and len(recorded):
         notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
         recorded = Fixes.none()
-    return frame, _merge(frame.place(given), frame.place(recorded))
-
-
-def _merge(one: Fixes, other: Fixes) -> Fixes:
-    """Both, in time order."""
-    if not len(one) or not len(other):
-        return one if len(one) else other
-    joined = Fixes(
-        np.concatenate([one.time, other.time]),
-        np.concatenate([one.position, other.position]),
-        np.concatenate([one.sigma, other.sigma]),
-        one.floor + other.floor,
-        source=one.sources + other.sources,
-    )
-    return joined[np.argsort(joined.time, kind="stable")]
+    return frame, Fixes.together([frame.place(given), frame.place(recorded)])

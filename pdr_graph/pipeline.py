@@ -22,6 +22,7 @@ from pdr_graph.estimation.filters import kalman_filter
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.links import Links
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.estimation.reports import is_a_guess
 from pdr_graph.estimation.rts import kalman_smoother
@@ -39,7 +40,7 @@ from pdr_graph.geometry import interpolate, resample, wrap_angle
 from pdr_graph.inputs import placed_beacons, read_inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.types import Estimate, Fixes, FixReport, Headings, Recording, Steps, Trajectory
+from pdr_graph.types import Estimate, Fixes, FixReport, Headings, Recording, Signal, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.radio_map import RadioMap
@@ -95,12 +96,13 @@ def smooth_recording(
     walk, known, building, frame, located = given.walk, given.walker, given.building, given.frame, given.fixes
     with stage("steps"):
         steps, headings = _observe(walk, known, frame, located, building)
-        floors = _floors(walk, steps, located, building, floor_label, plan)
+        floors = floors_walked(walk.barometer, steps, located, building, floor_label, plan)
         if steps is not None and floors is not None:
             steps = on_treads(steps, floors.climbs, floors.kinds)
     with stage("estimate"):
         heard = _levels(walk, steps, frame, given.notes)
-        estimate, missing = _estimate(steps, located, headings, building, floors, heard, known, method)
+        graph = None if steps is None else walk_graph(steps, located, headings, building, floors, heard, known)
+        estimate, missing = _estimate(graph, located, method)
     with stage("write"):
         missing += write_results(out, walk, building, frame, estimate, rate)
         if steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
@@ -193,17 +195,26 @@ def _observe(
     return detect_steps(gaits, walker), magnetic_headings(gaits, frame, near)
 
 
-def _floors(
-    walk: Recording, steps: Steps | None, fixes: Fixes, building: Building | None, begins: str | None, plan: Path | None
+def floors_walked(
+    barometer: Signal | None,
+    steps: Steps | None,
+    fixes: Fixes,
+    building: Building | None,
+    begins: str | None,
+    plan: Path | None,
 ) -> Floors | None:
-    """The floor of every step, by barometer and fixes, where it may change or is told."""
+    """The floor of every step, by barometer and fixes, where it may change or is told; None without steps.
+
+    begins: label of the floor where the walk began, if it is known; plan: for messages. Raises InputError if the
+    building has no such floor, or several and nothing says on which the walk was.
+    """
     if building is not None and len(building.labels) > 1 and begins is not None and begins not in building.labels:
         raise InputError(plan or "--map", "", f"the floors {', '.join(building.labels)[:80]}", f"a floor {begins!r}")
     if steps is None:
         return None
     only = building.labels[0] if building is not None and len(building.labels) == 1 else ""
     start = only or begins or next((label for label in fixes.floor if label), "")
-    found = floors_along(steps, walk.barometer, start, fixes, building)
+    found = floors_along(steps, barometer, start, fixes, building)
     if building is not None and not all(found.labels):
         several = f"{len(building.labels)} floors, {', '.join(building.labels)[:80]}"
         raise InputError(plan or "--map", "", several, "--floor, the label of the one on which the walk begins")
@@ -217,32 +228,39 @@ def _levels(walk: Recording, steps: Steps | None, frame: Frame, notes: list[str]
     return levels(walk.bluetooth, beacons, steps)
 
 
-def _estimate(
-    steps: Steps | None,
+def walk_graph(
+    steps: Steps,
     fixes: Fixes,
     headings: Headings,
     building: Building | None,
     floors: Floors | None,
     heard: Levels | None,
     walker: Walker,
-    method: str,
-) -> tuple[Estimate, tuple[str, ...]]:
-    """The walk by one method, and what of it could not be had."""
-    if steps is None:
+    links: Links | None = None,
+) -> WalkGraph:
+    """All that is known of one walk; steps as the walker's profile corrects them."""
+    prior, labels = prior_of(walker.profile), floors.labels if floors else None
+    return WalkGraph(
+        steps, fixes, headings=headings, floor=building, floors=labels, levels=heard, links=links, prior=prior
+    )
+
+
+def _estimate(graph: WalkGraph | None, fixes: Fixes, method: str) -> tuple[Estimate, tuple[str, ...]]:
+    """The walk by one method, and what of it could not be had; without a graph there are no steps."""
+    if graph is None:
         return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
-    prior = prior_of(walker.profile)
-    labels = floors.labels if floors else None
-    graph = WalkGraph(steps, fixes, headings=headings, floor=building, floors=labels, levels=heard, prior=prior)
-    estimate, missing = _smoothed(graph, method)
-    return estimate, (*steps.unknown, *missing)
-
-
-def _smoothed(graph: WalkGraph, method: str) -> tuple[Estimate, tuple[str, ...]]:
-    if method == "pdr":
-        return _dead_reckoned(graph), ()
-    if method in ("filter", "rts"):
+    if method == "graph":
+        estimate, missing = smoothed(graph)
+    elif method == "pdr":
+        estimate, missing = _dead_reckoned(graph), ()
+    else:
         estimate = (kalman_filter if method == "filter" else kalman_smoother)(graph)
-        return estimate, _unplaced(graph, estimate)
+        missing = _unplaced(graph, estimate)
+    return estimate, (*graph.steps.unknown, *missing)
+
+
+def smoothed(graph: WalkGraph) -> tuple[Estimate, tuple[str, ...]]:
+    """The most probable walk, the filter's where there is none; and what could not be had."""
     try:
         estimate = smooth(graph)
     except RuntimeError as error:  # GTSAM's, of a system it cannot solve

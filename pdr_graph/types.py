@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -117,6 +118,20 @@ class Fixes:
     def none(cls) -> Fixes:
         """No fix at all."""
         return cls(np.empty(0), np.empty((0, 2)), np.empty(0), ())
+
+    @classmethod
+    def together(cls, parts: Sequence[Fixes]) -> Fixes:
+        """All of them, in one frame, in order of time."""
+        some = [part for part in parts if len(part)]
+        if len(some) < 2:
+            return some[0] if some else cls.none()
+        time, position, sigma = (np.concatenate([getattr(p, n) for p in some]) for n in ("time", "position", "sigma"))
+        floor, source = (tuple(x for p in some for x in getattr(p, n)) for n in ("floor", "sources"))
+        return cls(time, position, sigma, floor, some[0].epsg, source)[np.argsort(time, kind="stable")]
+
+    def later(self, by: float) -> Fixes:
+        """The same, so much later [s]."""
+        return replace(self, time=self.time + by)
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -35,10 +35,14 @@ def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBay
     blocks, rows = CovarianceBlocks(net), graph.pieces.row_end
     keys = [(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)]
     of_steps = covariance_of_pieces(blocks, keys, own, rows)
-    R_0 = pose_rotation(own.pose_i[:1, 2])
-    of_start = R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
     of_c = blocks.joint([(C(s),) for s in range(len(graph.start.c))])
-    return np.concatenate([of_start, of_steps]), of_c
+    return np.concatenate([covariance_of_start(blocks, own), of_steps]), of_c
+
+
+def covariance_of_start(blocks: CovarianceBlocks, own: Evaluation) -> Array:
+    """Covariance ``(1, 3, 3)`` of the first pose, in the output axes."""
+    R_0 = pose_rotation(own.pose_i[:1, 2])
+    return R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
 
 
 def covariance_of_pieces(

@@ -21,6 +21,7 @@ from pdr_graph.estimation.beacons import LOSS, Levels
 from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
+from pdr_graph.estimation.links import Links
 from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.reach import within_reach
@@ -110,7 +111,8 @@ class WalkGraph:
     steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
     headings: walking directions in that frame; floor: whose walls are factors, optional, or a building; floors: the
     floor's label for each row of the trajectory ``(n + 2,)``, needed with a building of several; levels: of beacons
-    that were heard; prior: see ``Prior``.
+    that were heard; links: moments that were spent at one place; prior: see ``Prior``; others: of further walks in the
+    same steps, when they begin, in order [s], and what is believed of their walkers.
 
     The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
     as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
@@ -125,11 +127,15 @@ class WalkGraph:
         floor: FloorPlan | Building | None = None,
         floors: Sequence[str] | None = None,
         levels: Levels | None = None,
+        links: Links | None = None,
         prior: Prior | None = None,
+        others: Sequence[tuple[float, Prior]] = (),
     ):
         self.steps = steps
-        self.fixes = Fixes.none() if fixes is None else fixes
+        self.given = self.fixes = Fixes.none() if fixes is None else fixes
+        self.floor = floor
         self.prior = prior or Prior()
+        self.links = Links.of([]) if links is None else links
 
         # Variables: a pose per keyframe, a calibration per segment
         self.levels = levels if levels is not None and len(levels) else None
@@ -146,6 +152,7 @@ class WalkGraph:
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
         at = [self.fixes.time[self.fix_used], self.headings.time, gap_ends, self.levels.time if self.levels else []]
+        at += [self.links.time.ravel()]
         self.pieces = cut(steps, np.concatenate(at))
         row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
         self.floors = _labels(floor, floors, len(steps) + 2)
@@ -153,11 +160,13 @@ class WalkGraph:
         self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
         self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
         self.level_keyframe = nearest(self.pieces.keyframe_time, self.levels.time) if self.levels else np.empty(0, int)
+        self.link_keyframe = nearest(self.pieces.keyframe_time, self.links.time)
         self.segment = _segments(self.pieces, steps)
+        self.priors = self._priors(others)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
 
         # How steps add up, where to start, what a receiver's fixes have in common, and GTSAM's own factors
-        c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
+        c = self._usual_c()
         increments = preintegrate(self.pieces, c[self.segment])
         self.bridge = bridge(self.pieces, increments)
         self.track, heading = _track(increments.delta[self.pieces.last])
@@ -285,8 +294,9 @@ class WalkGraph:
         """The same measurements, started at ``start``: its rooms and corridors are those of the walk."""
         other = copy(self)
         other.start, way = start, self._evaluated(start)
-        other.walls = self._walls_along(way)
-        other.corridors = self._corridors_along(way, start)
+        if self.walls is not None:
+            other.walls = self._walls_along(way)
+            other.corridors = self._corridors_along(way, start)
         other.native = other._native_factors()
         return other
 
@@ -341,6 +351,18 @@ class WalkGraph:
             weight[self.receivers.fix] = self._observed(State.of(values))[0].weight
         return np.where(self.fix_held, weight, 0.0)
 
+    def _priors(self, others: Sequence[tuple[float, Prior]]) -> dict[int, Prior]:
+        """What is believed of the segments with which a walk begins."""
+        time = np.array([time for time, _ in others])
+        first = self.segment[np.searchsorted(self.pieces.keyframe_time[:-1], np.round(time, DECIMALS))]
+        return {0: self.prior, **dict(zip(first.tolist(), (prior for _, prior in others), strict=True))}
+
+    def _usual_c(self) -> Array:
+        """The calibration of each segment ``(s, 3)`` as it is believed to be."""
+        begins = np.array(sorted(self.priors))
+        means = np.array([self.priors[s].mean for s in begins.tolist()])
+        return means[np.searchsorted(begins, np.arange(self.segment[-1] + 1), side="right") - 1]
+
     def _place_beacons(self, levels: Levels) -> None:
         """Start with the beacons where they are believed to be."""
         self.levels = levels
@@ -356,13 +378,13 @@ class WalkGraph:
         fix = as_complex(self.fixes.position[used])
         uncertain = sigma_direction(track[at], sigma, float(np.sum(self.pieces.length)))
 
-        c = np.tile(self.prior.mean, (self.segment[-1] + 1, 1))
+        c = self._usual_c()
         if len(fix) < 2:
             track = track + (fix - track[at] if len(fix) else 0.0)
             return State(np.stack([track.real, track.imag, heading], axis=1), c), uncertain
-        laid = align(track, np.append(self.segment[:1], self.segment), at, fix, sigma, self._gaps())
+        laid = align(track, np.append(self.segment[:1], self.segment), at, fix, sigma, *self._gaps())
         if uncertain < AMBIGUOUS:
-            c[:, 0] = np.clip(laid.scale, *(self.prior.mean[0] + np.array([-2, 2]) * self.prior.sigma[0]))
+            c[:, 0] = np.clip(laid.scale, *(c[:, 0] + np.array([[-2], [2]]) * self.prior.sigma[0]))
         poses = np.stack([laid.position.real, laid.position.imag, heading + laid.turned], axis=1)
         return State(poses, c), uncertain
 
@@ -393,14 +415,17 @@ class WalkGraph:
         held = self.fix_keyframe[self.fix_believed] if self.fix_used.any() else [0]
         return start.poses[held, :2].mean(axis=0)
 
-    def _gaps(self) -> Array:
-        """How far the walker may have gone unrecorded from each segment to the next ``(s - 1,)`` [m]."""
+    def _gaps(self) -> tuple[Array, Array]:
+        """How far the walker may have gone unrecorded from each segment to the next ``(s - 1,)`` [m], and how little is
+        known of their turn meanwhile [rad].
+        """
         lost = np.flatnonzero(self.steps.length == 0)
         first = np.flatnonzero(np.diff(self.segment, prepend=-1))[1:]
         after = np.searchsorted(self.pieces.keyframe_time[first], self.steps.time[lost])
-        gap = np.zeros(len(first))
-        np.maximum.at(gap, np.minimum(after, len(first) - 1), self.steps.sigma_length[lost])
-        return gap
+        gap, turn = np.zeros((2, len(first)))
+        for total, sigma in ((gap, self.steps.sigma_length), (turn, self.steps.sigma_turn)):
+            np.maximum.at(total, np.minimum(after, len(first) - 1), sigma[lost])
+        return gap, turn
 
     def _walls_along(self, way: Evaluation) -> Walls:
         """The walls about the steps where they lead along a way."""
@@ -443,9 +468,12 @@ class WalkGraph:
                 loosely = gtsam.noiseModel.Isotropic.Sigma(2, LOOSELY * self.fix_sigma_together[n])
                 graph.add(gtsam.PoseTranslationPrior2D(X(keyframe), position, loosely))
 
-        graph.add(native.calibration_factor(0, np.array(prior.mean), prior.covariance))
-        for s in range(1, int(self.segment[-1]) + 1):
-            graph.add(native.change_factor(s, prior.change))
+        for s in range(int(self.segment[-1]) + 1):
+            own = self.priors.get(s)
+            believed = own and native.calibration_factor(s, np.array(own.mean), own.covariance)
+            graph.add(believed or native.change_factor(s, prior.change))
+        for (i, j), sigma in zip(self.link_keyframe.tolist(), self.links.sigma.tolist(), strict=True):
+            graph.add(native.link_factor(i, j, sigma))
 
         told = [(self.heading_keyframe, self.headings)]
         told += [(self.corridors.keyframe, self.corridors.direction)] if self.corridors else []

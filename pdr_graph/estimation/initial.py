@@ -23,6 +23,7 @@ from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
 
 SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
 SIGMA_CHANGE = 0.2  # [rad, ratio] by which direction and scale change between segments
+ANY_TURN = 1.0  # [rad] of uncertain turn beyond which nothing is known of it
 SIGMA_SCALE = 3.0  # keeps a finite where no two fixes measure it
 REWEIGHTINGS = 5
 HUBER = 2.0  # [σ]
@@ -43,21 +44,29 @@ class Alignment:
 
 
 def align(
-    track: Complex, segment: Index, fix_keyframe: Index, fix: Complex, sigma: Array, gap: Array | None = None
+    track: Complex,
+    segment: Index,
+    fix_keyframe: Index,
+    fix: Complex,
+    sigma: Array,
+    gap: Array | None = None,
+    lost: Array | None = None,
 ) -> Alignment:
     """Lay a dead-reckoned track on at least two fixes.
 
     track: ``(k,)`` complex positions of the keyframes [m]; segment: ``(k,)`` the segment of each, 0, 0, …, 1, …;
     fix_keyframe: ``(f,)`` index of the keyframe at each fix; fix: ``(f,)`` complex [m]; sigma: ``(f,)`` [m].
     gap: ``(s - 1,)`` how far the walker may have gone, unrecorded and in any direction, from each segment to the next
-        [m]; none by default.
+        [m]; none by default. lost: ``(s - 1,)`` how little is known of their turn there [rad].
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     offset = track - track[starts[segment]]
     of_fix, z = segment[fix_keyframe], offset[fix_keyframe]
     move = np.diff(track[starts])
     gap = np.zeros(len(move)) if gap is None else gap
-    joints = np.hypot(SIGMA_JOINT, gap) ** -2, np.where(gap > 0, SIGMA_SCALE, SIGMA_CHANGE) ** -2
+    lost = np.zeros(len(move)) if lost is None else lost
+    change = np.where(lost < ANY_TURN, np.hypot(SIGMA_CHANGE, lost), SIGMA_SCALE)
+    joints = np.hypot(SIGMA_JOINT, gap) ** -2, change**-2
     p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0)
     for _ in range(REWEIGHTINGS):
         residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma

@@ -9,6 +9,9 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH
 from pdr_graph.types import Array
 
+LINK_WIDTH = 2.385  # [σ] of Cauchy's loss: 95 % as good as least squares where all links are right
+ANY_TURN = 1e3  # [rad]
+
 NOISE = gtsam.noiseModel
 ESTIMATOR = gtsam.noiseModel.mEstimator
 
@@ -53,3 +56,10 @@ def calibration_factor(segment: int, mean: Array, covariance: Array) -> gtsam.No
 def change_factor(segment: int, sigmas: tuple[float, float, float]) -> gtsam.NonlinearFactor:
     """How a segment's calibration follows from that of the one before."""
     return gtsam.BetweenFactorVector(C(segment - 1), C(segment), np.zeros(3), NOISE.Diagonal.Sigmas(np.array(sigmas)))
+
+
+def link_factor(one: int, other: int, sigma: float) -> gtsam.NonlinearFactor:
+    """Two moments at one place, within ``sigma`` [m] per axis, whichever way the walkers faced; it may be mistaken."""
+    noise = NOISE.Diagonal.Sigmas(np.array([sigma, sigma, ANY_TURN]))
+    loss = NOISE.Robust.Create(ESTIMATOR.Cauchy.Create(LINK_WIDTH), noise)
+    return gtsam.BetweenFactorPose2(X(one), X(other), gtsam.Pose2(), loss)

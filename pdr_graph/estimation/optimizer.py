@@ -37,6 +37,13 @@ def solutions(graph: WalkGraph) -> list[Optimum]:
     return _distinct(_in_the_building(graph) if graph.walls else [_robustly(start) for start in _turned(graph)])
 
 
+def near_start(graph: WalkGraph) -> Optimum:
+    """The most probable walk near the start of ``graph``, whose rooms and corridors are those of the walk."""
+    first = _robustly(graph)
+    again = first.graph.following(State.of(first.values))
+    return first if again.walls == first.graph.walls else min(first, optimize(again, first.values), key=_surprise)
+
+
 def probabilities(found: list[Optimum], way: Index) -> Array:
     """Of different solutions ``(n,)``: the less the measurements and the plan have against one, the likelier.
 
@@ -186,7 +193,11 @@ def _closely(graph: WalkGraph, near: Optimum) -> Optimum:
     again = graph.following(State.of(first.values))
     if again.walls == first.graph.walls:
         return first
-    return min(first, optimize(again, first.values), key=lambda one: one.surprise)
+    return min(first, optimize(again, first.values), key=_surprise)
+
+
+def _surprise(one: Optimum) -> float:
+    return one.surprise
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:

@@ -150,10 +150,10 @@ def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index
     limits = np.quantile(found.distance[known], ACCEPTED) if known.any() else np.zeros(2)
     accepted = found.distance <= limits[1]
     at, error = found.distance[accepted].clip(limits[0]), (found.position - position[some])[accepted]
-    return limits, _variance(at, error)
+    return limits, variance_by_distance(at, error)
 
 
-def _variance(distance: Array, error: Array) -> Array:
+def variance_by_distance(distance: Array, error: Array) -> Array:
     """σ² = v₀ + v₁ d², the most probable for normal errors ``(n, 2)`` [m] at distances ``(n,)``: least squares of the
     squared errors, each weighed by what it is expected to be.
     """

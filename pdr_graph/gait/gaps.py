@@ -52,8 +52,11 @@ def join(parts: Sequence[Steps]) -> Steps:
     return joined
 
 
-def gap(start: float, end: float) -> Steps:
-    """A row of length 0, for what nobody saw between two times [s]."""
+def gap(start: float, end: float, turn: float = 0.0, sigma_turn: float = SIGMA_TURN, speed: float = SPEED) -> Steps:
+    """A row of length 0, for what nobody saw between two times [s].
+
+    turn, sigma_turn: of the heading over it [rad]; speed: standard deviation of the way per time and axis [m/s].
+    """
     long, nothing = np.array([end - start]), np.zeros(1)
     return Steps(
         start,
@@ -61,11 +64,16 @@ def gap(start: float, end: float) -> Steps:
         time=np.array([end]),
         duration=long,
         length=nothing,
-        turn=nothing,
+        turn=np.array([turn]),
         pause_turn=nothing,
-        sigma_length=SPEED * long,
-        sigma_turn=np.array([SIGMA_TURN]),
+        sigma_length=speed * long,
+        sigma_turn=np.array([sigma_turn]),
     )
+
+
+def later(steps: Steps, by: float) -> Steps:
+    """The same walk, so much later [s]."""
+    return replace(steps, start=steps.start + by, end=steps.end + by, time=steps.time + by)
 
 
 def follow(first: Steps, then: Steps) -> Steps:

@@ -1,0 +1,115 @@
+"""Several walks in one graph, bound by links."""
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from nees import gaussian, interval, normalised_errors
+from walks import drawn_from_the_model, fixes_at
+
+from pdr_graph import WalkGraph, smooth
+from pdr_graph.estimation import native
+from pdr_graph.estimation.links import Links
+from pdr_graph.estimation.together import smooth_together
+from pdr_graph.types import Estimate
+
+LINK = 1.0  # [m]
+SEEDS = 60
+FAR = np.array([300.0, 0.0])  # [m]
+
+
+def drawn(n, seed, shift=(0.0, 0.0)):
+    """A walk drawn from the model, somewhere else."""
+    steps, fixes, truth = drawn_from_the_model(n, seed)
+    shift = np.array(shift)
+    return steps, replace(fixes, position=fixes.position + shift), replace(truth, position=truth.position + shift)
+
+
+def met(seed, n=90, wrong=1.0):
+    """Two walks that were within a link's sigma of one place, each in its middle."""
+    steps, fixes, truth = drawn(n, 2 * seed)
+    there = drawn(n, 2 * seed + 1)[2]
+    at = n // 2
+    off = np.random.default_rng(seed).normal(0, wrong * LINK, 2)
+    other = drawn(n, 2 * seed + 1, truth.position[at] - there.position[at] + off)
+    return (steps, fixes, truth), other, Links.of([(truth.time[at], other[2].time[at], LINK)], [(0, 1)])
+
+
+class Both:
+    """Two graphs and their link, passed as one through the NEES of others."""
+
+    def __init__(self, graphs, links):
+        self.graphs, self.links = graphs, links
+
+
+def one_that_met(seed, wrong=1.0):
+    (steps, _, truth), (others, fixes, _), links = met(seed, wrong=wrong)
+    start = fixes_at(truth.time[:1], truth.position[:1] + np.random.default_rng(seed + 999).normal(0, 1.5, (1, 2)), 1.5)
+    end = fixes_at(truth.time[-1:], truth.position[-1:] + np.random.default_rng(seed + 99).normal(0, 9.0, (1, 2)), 9.0)
+    few = type(start).together([start, end])
+    return Both([WalkGraph(steps, few), WalkGraph(others, fixes)], links), truth
+
+
+def one_that_met_far_off(seed):
+    return one_that_met(seed, wrong=5.0)
+
+
+def first_of_both(both) -> Estimate:
+    return smooth_together(both.graphs, [smooth(graph) for graph in both.graphs], both.links)[0]
+
+
+def together(walks, links):
+    graphs = [WalkGraph(steps, fixes) for steps, fixes, _ in walks]
+    return smooth_together(graphs, [smooth(graph) for graph in graphs], links)
+
+
+def error(estimate, truth):
+    return np.hypot(*(estimate.trajectory.position - truth.position).T)
+
+
+def test_walks_that_nothing_binds_are_as_they_are_alone():
+    """To 1 cm and 5 % of the covariance: what joins them is loose, not nothing, and segments are cut elsewhere."""
+    walks = [drawn(60, seed) for seed in range(3)]
+    alone = [smooth(WalkGraph(steps, fixes)) for steps, fixes, _ in walks]
+    for one, other in zip(alone, together(walks, Links.of([])), strict=True):
+        assert other.trajectory.time == pytest.approx(one.trajectory.time, abs=1e-6)
+        assert np.abs(one.trajectory.position - other.trajectory.position).max() < 0.01
+        assert other.trajectory.covariance == pytest.approx(one.trajectory.covariance, rel=0.05, abs=1e-3)
+        assert other.calibration.value[-1] == pytest.approx(one.calibration.value[-1], abs=0.01)
+        assert [fix.residual for fix in other.fixes] == pytest.approx([fix.residual for fix in one.fixes], abs=0.01)
+        assert [fix.time for fix in other.fixes] == pytest.approx([fix.time for fix in one.fixes])
+
+
+def test_a_walk_without_fixes_is_placed_by_those_that_it_met():
+    steps, fixes, truth = drawn(120, 5)
+    met_at, seen = np.arange(10, 120, 20), fixes_at([], np.empty((0, 2)))
+    alike = drawn(120, 5)  # the same way on another day, of which nobody knows where it was
+    links = Links.of([(truth.time[k], truth.time[k], LINK) for k in met_at], [(0, 1)] * len(met_at))
+    one, other = together([(steps, fixes, truth), (steps, seen, truth)], links)
+    assert np.median(error(other, alike[2])) < 2 * np.median(error(one, truth)) + LINK
+
+
+def test_a_link_that_is_wrong_is_let_go():
+    """Of 300 m, among six: less than a metre's harm."""
+    steps, fixes, truth = drawn(120, 7)
+    at = np.arange(10, 120, 20)
+    moved = replace(truth, position=truth.position + FAR)
+    elsewhere = replace(fixes, position=fixes.position + FAR)
+    wrong = Links.of([(truth.time[k], truth.time[k], LINK) for k in at[:1]], [(0, 1)])
+    alone = smooth(WalkGraph(steps, elsewhere))
+    _, other = together([(steps, fixes, truth), (steps, elsewhere, moved)], wrong)
+    assert np.abs(other.trajectory.position - alone.trajectory.position).max() < 1.0
+
+
+def test_covariance_is_honest():
+    """NEES of a random row of one of two walks that met, with Gaussian links and fixes."""
+    low, high = interval(SEEDS)
+    with gaussian(), patch.object(native, "LINK_WIDTH", 1e6):
+        assert low < np.mean(normalised_errors(one_that_met, first_of_both, SEEDS)) < high
+
+
+def test_links_five_times_as_bad_as_stated_are_found_out():
+    with gaussian(), patch.object(native, "LINK_WIDTH", 1e6):
+        _, high = interval(SEEDS)
+        assert np.mean(normalised_errors(one_that_met_far_off, first_of_both, SEEDS)) > high
