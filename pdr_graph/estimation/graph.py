@@ -41,6 +41,7 @@ AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
 LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
 LOOSELY = 5.0  # times its sigma a fix holds where all places are about as likely
+FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how links hold
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 
@@ -160,7 +161,7 @@ class WalkGraph:
         self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
         self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
         self.level_keyframe = nearest(self.pieces.keyframe_time, self.levels.time) if self.levels else np.empty(0, int)
-        self.link_keyframe = nearest(self.pieces.keyframe_time, self.links.time)
+        self.link_keyframe, self.link_hold = nearest(self.pieces.keyframe_time, self.links.time), DOUBTED
         self.segment = _segments(self.pieces, steps)
         self.priors = self._priors(others)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
@@ -313,6 +314,13 @@ class WalkGraph:
         assert self.walls is not None, "there is a plan"
         other = copy(self)
         other.walls = replace(self.walls, sigma=times * self.walls.sigma)
+        return other
+
+    def with_links(self, hold: str) -> WalkGraph:
+        """The same measurements; links are all right (FIRM), may be mistaken (DOUBTED), or are left out (UNBOUND)."""
+        other = copy(self)
+        other.link_hold = hold
+        other.native = other._native_factors()
         return other
 
     def with_offsets(self, wild: Mask, held: Mask) -> WalkGraph:
@@ -473,7 +481,8 @@ class WalkGraph:
             believed = own and native.calibration_factor(s, np.array(own.mean), own.covariance)
             graph.add(believed or native.change_factor(s, prior.change))
         for (i, j), sigma in zip(self.link_keyframe.tolist(), self.links.sigma.tolist(), strict=True):
-            graph.add(native.link_factor(i, j, sigma))
+            if self.link_hold != UNBOUND:
+                graph.add(native.link_factor(i, j, sigma, self.link_hold == FIRM))
 
         told = [(self.heading_keyframe, self.headings)]
         told += [(self.corridors.keyframe, self.corridors.direction)] if self.corridors else []

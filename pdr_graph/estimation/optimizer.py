@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors import Evaluation
-from pdr_graph.estimation.graph import AMBIGUOUS, State, WalkGraph
+from pdr_graph.estimation.graph import AMBIGUOUS, DOUBTED, FIRM, UNBOUND, State, WalkGraph
 from pdr_graph.estimation.hypotheses import hypotheses
 from pdr_graph.types import Array, Index, Mask
 
@@ -148,13 +148,21 @@ def _robustly(graph: WalkGraph) -> Optimum:
     """The optimum under Huber's loss, every fix that is within reach of the others for itself; then again from there,
     without the grip of those that it left far off, and with what the others have in common.
     """
-    first = optimize(graph, graph.start.to_values())
+    first = _bound(graph) if len(graph.links) else optimize(graph, graph.start.to_values())
     far = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
     held = graph.fix_used & (graph.fix_believed | ~_mostly(far, graph.fix_run))
     if not (far.any() or any(graph.fixes.sources) or graph.by_proximity) and (held == graph.fix_held).all():
         return first
     again = graph.with_offsets(far, held)
     return optimize(again, replace(State.of(first.values), g=again.start.g).to_values())
+
+
+def _bound(graph: WalkGraph) -> Optimum:
+    """Links may be mistaken, and an optimum near one that holds knows of no other: the better of two, from where all
+    hold and from where none does.
+    """
+    starts = [optimize(graph.with_links(hold), graph.start.to_values()).values for hold in (FIRM, UNBOUND)]
+    return min((optimize(graph, start) for start in starts), key=_surprise)
 
 
 def _mostly(far: Mask, run: Index) -> Mask:
@@ -184,12 +192,12 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
 
 def _loosely(graph: WalkGraph, way: State) -> Optimum:
     """The optimum near one way, between the loose walls of the rooms and corridors that it leads through."""
-    return optimize(graph.following(way).with_loose_walls(LOOSE), way.to_values())
+    return optimize(graph.following(way).with_loose_walls(LOOSE).with_links(FIRM), way.to_values())
 
 
 def _closely(graph: WalkGraph, near: Optimum) -> Optimum:
     """The optimum from there between the walls as they are, then between those that it has itself."""
-    first = optimize(near.graph.with_loose_walls(1 / LOOSE), near.values)
+    first = optimize(near.graph.with_loose_walls(1 / LOOSE).with_links(DOUBTED), near.values)
     again = graph.following(State.of(first.values))
     if again.walls == first.graph.walls:
         return first

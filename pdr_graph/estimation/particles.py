@@ -7,10 +7,13 @@ admits.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pdr_graph.estimation.cloud import Cloud, Paths, Seen
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.preintegration import Pieces
 
 FEWEST, MOST = 1000, 8000  # particles
 
@@ -28,12 +31,24 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
     for interval, (first, last) in enumerate(zip(pieces.first.tolist(), pieces.last.tolist(), strict=True)):
         here = range(first, last + 1)
         cloud.advance(
-            pieces.only(interval),
+            _pieces(graph, interval),
             [ground.field(m) for m in here],
             {m - first: ways[m] for m in here if m in ways},
             _seen(graph, interval + 1),
         )
     return cloud.paths()
+
+
+def _pieces(graph: WalkGraph, interval: int) -> Pieces:
+    """The pieces of an interval; over a gap in which a link says that they stood, they did: who walked on is found by
+    the walk as fixes lay it.
+    """
+    own = graph.pieces.only(interval)
+    bound = np.flatnonzero((graph.link_keyframe == (interval, interval + 1)).all(axis=1))
+    if not len(bound):
+        return own
+    stood = graph.links.sigma[bound].min() ** 2
+    return replace(own, variance=np.minimum(own.variance, [stood, stood, np.inf]))
 
 
 def _begin(cloud: Cloud, graph: WalkGraph) -> None:

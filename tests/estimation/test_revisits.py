@@ -71,7 +71,7 @@ def test_a_walk_is_linked_with_itself_only_where_it_returns_later():
 
 
 def test_links_that_err_alike_count_for_one():
-    """Twice as many links of the same stretch know no more than half of them: to a third, the sigma of one being learnt anew."""
+    """Twice as many links of a stretch know no more than half of them: to a third, sigmas being learnt anew."""
     walks, worth = [along((5, 5), (55, 5)), along((5, 6), (55, 6))], []
     for every in (1.0, 2.0):
         with patch.object(module, "EVERY", every):

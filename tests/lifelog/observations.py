@@ -1,0 +1,68 @@
+"""Observations made of walks drawn from the model, for tests of what is made of them."""
+
+from dataclasses import replace
+
+import numpy as np
+from walks import drawn_from_the_model
+
+from pdr_graph.frames import Frame, enu
+from pdr_graph.lifelog.observation import Ends, Observation
+from pdr_graph.types import Fixes, Headings, Steps
+
+HERE = enu(48.1, 11.6)
+NOON = 1_700_000_000.0 // 86400 * 86400 + 43200  # [s] Unix time, of a day in 2023
+
+
+def observation(steps: Steps | None, fixes: Fixes, epoch: float = NOON, frame: Frame = HERE, **other) -> Observation:
+    duration = float(steps.end if steps is not None else fixes.time[-1])
+    looks = np.zeros(0 if steps is None else len(steps) + 1)
+    told = {"source": f"at {epoch:.0f}", "plan": "", "floor": "", "headings": Headings.none()} | other
+    return Observation(epoch=epoch, duration=duration, frame=frame, steps=steps, looks=looks, fixes=fixes, **told)
+
+
+def positions(seconds: float, epoch: float = NOON, every: float = 5.0, frame: Frame = HERE) -> Observation:
+    """A watch on somebody who goes east at 1.3 m/s."""
+    time = np.arange(0.0, seconds, every)
+    fixes = Fixes(time, np.column_stack([1.3 * time, 0 * time]), np.full(len(time), 4.0), ("",) * len(time))
+    return observation(None, fixes, epoch, frame)
+
+
+def walk(n: int = 60, seed: int = 0, epoch: float = NOON, **other):
+    """A walk drawn from the model, and its truth."""
+    steps, fixes, truth = drawn_from_the_model(n, seed)
+    return observation(steps, fixes, epoch, **other), truth
+
+
+def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float = 0.0, field: bool = True):
+    """A walk drawn from the model that was recorded in two pieces, ``gap`` seconds apart, with the truth of both.
+
+    turned: on the spot meanwhile [rad]; stood: if not, they went 1.4 m/s straight on; field: whether it is known.
+    """
+    first, after = n // 2, n - n // 2
+    one_steps, one_fixes, one_truth = drawn_from_the_model(first, seed)
+    two_steps, two_fixes, two_truth = drawn_from_the_model(after, seed + 1000)
+    pose = one_truth.position[-1], one_truth.heading[-1]
+    way = np.zeros(2) if stood else 1.4 * gap * np.array([np.cos(pose[1]), np.sin(pose[1])])
+    two_fixes, two_truth = moved_to(two_fixes, two_truth, pose[0] + way, pose[1] + turned)
+    ends = [None, None]
+    if field:
+        north = np.array([20.0, 15.0])
+        ends = [Ends(np.array([north, north]), np.full(2, -40.0))] * 2
+        c, s = np.cos(-turned), np.sin(-turned)
+        seen = np.array([[c, -s], [s, c]]) @ north
+        ends[1] = Ends(np.array([seen, seen]), np.full(2, -40.0))
+    one = observation(one_steps, one_fixes, ends=ends[0])
+    two = observation(two_steps, two_fixes, NOON + one.duration + gap, ends=ends[1])
+    return (one, one_truth), (two, two_truth)
+
+
+def moved_to(fixes, truth, place, heading):
+    """A walk laid where it begins at a place and heading."""
+    turn = heading - truth.heading[0]
+    c, s = np.cos(turn), np.sin(turn)
+    R = np.array([[c, s], [-s, c]])
+    centre = truth.position[0]
+    return (
+        replace(fixes, position=(fixes.position - centre) @ R + place),
+        replace(truth, position=(truth.position - centre) @ R + place, heading=truth.heading + turn),
+    )
