@@ -18,11 +18,11 @@ import numpy as np
 from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.beacons import Levels, levels
+from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.filters import kalman_filter
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.links import Links
 from pdr_graph.estimation.profiles import posterior_profile, prior_of
 from pdr_graph.estimation.reports import is_a_guess
 from pdr_graph.estimation.rts import kalman_smoother
@@ -236,12 +236,12 @@ def walk_graph(
     floors: Floors | None,
     heard: Levels | None,
     walker: Walker,
-    links: Links | None = None,
+    closures: Closures | None = None,
 ) -> WalkGraph:
     """All that is known of one walk; steps as the walker's profile corrects them."""
     prior, labels = prior_of(walker.profile), floors.labels if floors else None
     return WalkGraph(
-        steps, fixes, headings=headings, floor=building, floors=labels, levels=heard, links=links, prior=prior
+        steps, fixes, headings=headings, floor=building, floors=labels, levels=heard, closures=closures, prior=prior
     )
 
 

@@ -18,10 +18,10 @@ from gtsam.symbol_shorthand import B, C, G, Q, X
 
 from pdr_graph.estimation import native
 from pdr_graph.estimation.beacons import LOSS, Levels
+from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
 from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
-from pdr_graph.estimation.links import Links
 from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
 from pdr_graph.estimation.reach import within_reach
@@ -41,7 +41,7 @@ AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
 LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
 LOOSELY = 5.0  # times its sigma a fix holds where all places are about as likely
-FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how links hold
+FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how closures hold
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 
@@ -112,8 +112,8 @@ class WalkGraph:
     steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
     headings: walking directions in that frame; floor: whose walls are factors, optional, or a building; floors: the
     floor's label for each row of the trajectory ``(n + 2,)``, needed with a building of several; levels: of beacons
-    that were heard; links: moments that were spent at one place; prior: see ``Prior``; others: of further walks in the
-    same steps, when they begin, in order [s], and what is believed of their walkers.
+    that were heard; closures: moments that were spent at one place; prior: see ``Prior``; others: of further walks in
+    the same steps, when they begin, in order [s], and what is believed of their walkers.
 
     The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
     as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
@@ -128,7 +128,7 @@ class WalkGraph:
         floor: FloorPlan | Building | None = None,
         floors: Sequence[str] | None = None,
         levels: Levels | None = None,
-        links: Links | None = None,
+        closures: Closures | None = None,
         prior: Prior | None = None,
         others: Sequence[tuple[float, Prior]] = (),
     ):
@@ -136,7 +136,7 @@ class WalkGraph:
         self.given = self.fixes = Fixes.none() if fixes is None else fixes
         self.floor = floor
         self.prior = prior or Prior()
-        self.links = Links.of([]) if links is None else links
+        self.closures = Closures.of([]) if closures is None else closures
 
         # Variables: a pose per keyframe, a calibration per segment
         self.levels = levels if levels is not None and len(levels) else None
@@ -153,7 +153,7 @@ class WalkGraph:
         gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
         self.headings = _within(Headings.none() if headings is None else headings, steps)
         at = [self.fixes.time[self.fix_used], self.headings.time, gap_ends, self.levels.time if self.levels else []]
-        at += [self.links.time.ravel()]
+        at += [self.closures.time.ravel()]
         self.pieces = cut(steps, np.concatenate(at))
         row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
         self.floors = _labels(floor, floors, len(steps) + 2)
@@ -161,7 +161,7 @@ class WalkGraph:
         self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
         self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
         self.level_keyframe = nearest(self.pieces.keyframe_time, self.levels.time) if self.levels else np.empty(0, int)
-        self.link_keyframe, self.link_hold = nearest(self.pieces.keyframe_time, self.links.time), DOUBTED
+        self.closure_keyframe, self.closure_hold = nearest(self.pieces.keyframe_time, self.closures.time), DOUBTED
         self.segment = _segments(self.pieces, steps)
         self.priors = self._priors(others)
         self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
@@ -316,10 +316,10 @@ class WalkGraph:
         other.walls = replace(self.walls, sigma=times * self.walls.sigma)
         return other
 
-    def with_links(self, hold: str) -> WalkGraph:
-        """The same measurements; links are all right (FIRM), may be mistaken (DOUBTED), or are left out (UNBOUND)."""
+    def with_closures(self, hold: str) -> WalkGraph:
+        """The same measurements; closures are right (FIRM), may be mistaken (DOUBTED), or are left out (UNBOUND)."""
         other = copy(self)
-        other.link_hold = hold
+        other.closure_hold = hold
         other.native = other._native_factors()
         return other
 
@@ -480,9 +480,9 @@ class WalkGraph:
             own = self.priors.get(s)
             believed = own and native.calibration_factor(s, np.array(own.mean), own.covariance)
             graph.add(believed or native.change_factor(s, prior.change))
-        for (i, j), sigma in zip(self.link_keyframe.tolist(), self.links.sigma.tolist(), strict=True):
-            if self.link_hold != UNBOUND:
-                graph.add(native.link_factor(i, j, sigma, self.link_hold == FIRM))
+        for (i, j), sigma in zip(self.closure_keyframe.tolist(), self.closures.sigma.tolist(), strict=True):
+            if self.closure_hold != UNBOUND:
+                graph.add(native.closure_factor(i, j, sigma, self.closure_hold == FIRM))
 
         told = [(self.heading_keyframe, self.headings)]
         told += [(self.corridors.keyframe, self.corridors.direction)] if self.corridors else []

@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH
 from pdr_graph.types import Array
 
-LINK_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one link in ten may lead anywhere within ten metres
+CLOSURE_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one in ten may be mistaken by metres
 ANY_TURN = 1e3  # [rad]
 
 NOISE = gtsam.noiseModel
@@ -58,11 +58,11 @@ def change_factor(segment: int, sigmas: tuple[float, float, float]) -> gtsam.Non
     return gtsam.BetweenFactorVector(C(segment - 1), C(segment), np.zeros(3), NOISE.Diagonal.Sigmas(np.array(sigmas)))
 
 
-def link_factor(one: int, other: int, sigma: float, firmly: bool) -> gtsam.NonlinearFactor:
+def closure_factor(one: int, other: int, sigma: float, firmly: bool) -> gtsam.NonlinearFactor:
     """Two moments at one place, within ``sigma`` [m] per axis, whichever way the walkers faced.
 
     firmly: not as if it might be mistaken.
     """
     noise = NOISE.Diagonal.Sigmas(np.array([sigma, sigma, ANY_TURN]))
-    loss = ESTIMATOR.Huber.Create(HUBER_WIDTH) if firmly else ESTIMATOR.GemanMcClure.Create(LINK_WIDTH)
+    loss = ESTIMATOR.Huber.Create(HUBER_WIDTH) if firmly else ESTIMATOR.GemanMcClure.Create(CLOSURE_WIDTH)
     return gtsam.BetweenFactorPose2(X(one), X(other), gtsam.Pose2(), NOISE.Robust.Create(loss, noise))

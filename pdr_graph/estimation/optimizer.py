@@ -148,7 +148,7 @@ def _robustly(graph: WalkGraph) -> Optimum:
     """The optimum under Huber's loss, every fix that is within reach of the others for itself; then again from there,
     without the grip of those that it left far off, and with what the others have in common.
     """
-    first = _bound(graph) if len(graph.links) else optimize(graph, graph.start.to_values())
+    first = _bound(graph) if len(graph.closures) else optimize(graph, graph.start.to_values())
     far = graph.fix_used & (graph.fix_distance(first.values) > WILD * graph.fix_sigma)
     held = graph.fix_used & (graph.fix_believed | ~_mostly(far, graph.fix_run))
     if not (far.any() or any(graph.fixes.sources) or graph.by_proximity) and (held == graph.fix_held).all():
@@ -158,10 +158,10 @@ def _robustly(graph: WalkGraph) -> Optimum:
 
 
 def _bound(graph: WalkGraph) -> Optimum:
-    """Links may be mistaken, and an optimum near one that holds knows of no other: the better of two, from where all
+    """Closures may be mistaken, and an optimum near one that holds knows of no other: the better of two, from where all
     hold and from where none does.
     """
-    starts = [optimize(graph.with_links(hold), graph.start.to_values()).values for hold in (FIRM, UNBOUND)]
+    starts = [optimize(graph.with_closures(hold), graph.start.to_values()).values for hold in (FIRM, UNBOUND)]
     return min((optimize(graph, start) for start in starts), key=_surprise)
 
 
@@ -192,12 +192,12 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
 
 def _loosely(graph: WalkGraph, way: State) -> Optimum:
     """The optimum near one way, between the loose walls of the rooms and corridors that it leads through."""
-    return optimize(graph.following(way).with_loose_walls(LOOSE).with_links(FIRM), way.to_values())
+    return optimize(graph.following(way).with_loose_walls(LOOSE).with_closures(FIRM), way.to_values())
 
 
 def _closely(graph: WalkGraph, near: Optimum) -> Optimum:
     """The optimum from there between the walls as they are, then between those that it has itself."""
-    first = optimize(near.graph.with_loose_walls(1 / LOOSE).with_links(DOUBTED), near.values)
+    first = optimize(near.graph.with_loose_walls(1 / LOOSE).with_closures(DOUBTED), near.values)
     again = graph.following(State.of(first.values))
     if again.walls == first.graph.walls:
         return first

@@ -40,14 +40,14 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
 
 
 def _pieces(graph: WalkGraph, interval: int) -> Pieces:
-    """The pieces of an interval; over a gap in which a link says that they stood, they did: who walked on is found by
-    the walk as fixes lay it.
+    """The pieces of an interval; over a gap of which a closure says that they stood, they did: who
+    walked on is found by the walk as fixes lay it.
     """
     own = graph.pieces.only(interval)
-    bound = np.flatnonzero((graph.link_keyframe == (interval, interval + 1)).all(axis=1))
+    bound = np.flatnonzero((graph.closure_keyframe == (interval, interval + 1)).all(axis=1))
     if not len(bound):
         return own
-    stood = graph.links.sigma[bound].min() ** 2
+    stood = graph.closures.sigma[bound].min() ** 2
     return replace(own, variance=np.minimum(own.variance, [stood, stood, np.inf]))
 
 

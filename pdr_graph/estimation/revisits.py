@@ -1,9 +1,9 @@
 """Places that were seen again: moments of different walks, or of one, at which the radios heard about the same.
 
 [map-matching] and [calibration-walk] know one walk at a time. What a phone hears is a place's own, so that scans that
-are alike link the places where they were heard. How far apart such places are, by how unlike the scans are, is learnt
-from the walks themselves, as they are known so far. A radio lags behind the walk, people shade it, it is held
-otherwise: links of the same two walks err alike for a while, and together are worth one.
+are alike tie the places where they were heard. How far apart such places are, by how unlike the scans are, is learnt
+from the walks themselves, as they are known so far. Walkers shade a radio on one side, and hold it otherwise the next
+day: closures of the same two walks err alike for a while, and together are worth one.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.fingerprints import Scans, unlikeness
-from pdr_graph.estimation.links import Links
 from pdr_graph.estimation.radio_map import ENOUGH, FINEST, NEAR, variance_by_distance
 from pdr_graph.geometry import interpolate, length_along, nearest
 from pdr_graph.types import Array, Index, Mask, Trajectory
 
 EVERY = 3.0  # [m] of a walk that one scan speaks for: phones hear the same for seconds
-ALONG = 30.0  # [m] of a walk in which links to the same other walk err alike, by metres
+ALONG = 30.0  # [m] of a walk in which closures to the same other walk err alike, by metres
 LATER = 60.0  # [s] after which a walk sees a place *again*
-ACCEPTED = 0.8  # of the pairs at places that are near by the walks so far: less alike ones link nothing
+ACCEPTED = 0.8  # of the pairs at places that are near by the walks so far: less alike ones tell nothing
 USUALLY_ALIKE, USUALLY_APART = 0.3, 5.0  # [m] σ: pairs in two malls, where the walks are too little known to tell
 
 
@@ -40,14 +40,14 @@ class _Heard:
     floor: tuple[str, ...]
 
 
-def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Links:
-    """Links between the moments of walks in one frame that were spent at one place.
+def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Closures:
+    """Closures between the moments of walks in one frame that were spent at one place.
 
     walks: each as it is known so far, and what was heard. Of each pair of walks, every few metres of the one that has
     them, the moment of the other that sounds most alike.
     """
     if not any(len(scans) for _, scans in walks):
-        return Links.of([])
+        return Closures.of([])
     heard = _heard(walks)
     pairs = np.array([pair for pair in _most_alike(heard)]).reshape(-1, 3)
     one, other, distance = pairs[:, 0].astype(int), pairs[:, 1].astype(int), pairs[:, 2]
@@ -55,7 +55,7 @@ def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Links:
     taken, sigma = _believed(distance, apart)
     one, other = one[taken], other[taken]
     sigma *= np.sqrt(_alike(heard.walk[one] * len(walks) + heard.walk[other], heard.way[one]))
-    return Links(
+    return Closures(
         np.stack([heard.time[one], heard.time[other]], axis=1),
         sigma,
         np.stack([heard.walk[one], heard.walk[other]], axis=1),
@@ -63,7 +63,7 @@ def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Links:
 
 
 def _believed(distance: Array, apart: Array) -> tuple[Mask, Array]:
-    """Which pairs ``(p,)`` link places, and the sigma of each that does [m].
+    """Which pairs ``(p,)`` are of one place, and the sigma of each that does [m].
 
     distance: ``(p,)`` how unlike their scans are; apart: ``(p, 2)`` from one to the other, by the walks so far [m].
     """
@@ -79,8 +79,9 @@ def _believed(distance: Array, apart: Array) -> tuple[Mask, Array]:
 
 
 def _alike(pair: Index, way: Array) -> Array:
-    """How many links of the same two walks ``(l,)`` err like each ``(l,)``, itself among them: together they are worth
-    one. way: along one of the walks [m].
+    """How many closures of the same two walks err like each ``(l,)``, itself among them: together they are worth one.
+
+    way: along one of the walks [m].
     """
     near = (pair[:, None] == pair) & (np.abs(way[:, None] - way) < ALONG)
     return near.sum(axis=1)

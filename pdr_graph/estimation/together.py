@@ -1,7 +1,7 @@
 """Several walks in one graph: of one person on many days, or of a group.
 
 The walks follow one another in the time of one walk's steps, with a row between each two that leads anywhere; so the
-graph of a walk is that of many. Links bind them: places seen again, encounters. Where each walk is by itself known,
+graph of a walk is that of many. Closures bind them: places seen again, encounters. Where each walk is by itself known,
 by `smooth`, the optimum of all together is sought from there.
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 from gtsam.symbol_shorthand import C
 
 from pdr_graph.estimation.beacons import Levels
+from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces, covariance_of_start
 from pdr_graph.estimation.graph import LONGEST_OVERHANG, WALKING_SPEED, State, WalkGraph
-from pdr_graph.estimation.links import Links
 from pdr_graph.estimation.optimizer import Optimum, near_start
 from pdr_graph.estimation.reports import fix_reports, prior_sigma
 from pdr_graph.gait.gaps import follow, gap, later
@@ -29,15 +29,15 @@ ANYWHERE = 1e4 / BETWEEN  # [m/s]: the next walk begins anywhere within ten kilo
 ANY_TURN = 30.0  # [rad]
 
 
-def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], links: Links) -> list[Estimate]:
-    """The most probable walks given all measurements in ``graphs`` and ``links`` between them.
+def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], closures: Closures) -> list[Estimate]:
+    """The most probable walks given all measurements in ``graphs`` and ``closures`` between them.
 
-    graphs: in one frame, on one plan or without; alone: each as it is by itself, to start from; links: `walk` says of
-    which of them. Beacons of one label are one, and all phones hear them alike.
+    graphs: in one frame, on one plan or without; alone: each as it is by itself, to start from; closures: `walk` says
+    of which of them. Beacons of one label are one, and all phones hear them alike.
     """
     begins = np.cumsum([0.0] + [graph.steps.end - graph.steps.start + BETWEEN for graph in graphs[:-1]])
     begins -= [graph.steps.start for graph in graphs]
-    joint = _joint(graphs, begins, links)
+    joint = _joint(graphs, begins, closures)
     found = near_start(joint.following(_start(joint, alone, begins)))
     reports = iter(_reports(found))
     return [
@@ -46,7 +46,7 @@ def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], link
     ]
 
 
-def _joint(graphs: Sequence[WalkGraph], begins: Array, links: Links) -> WalkGraph:
+def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> WalkGraph:
     """One graph of all walks."""
     steps = [later(graph.steps, by) for graph, by in zip(graphs, begins, strict=True)]
     whole = steps[0]
@@ -55,7 +55,7 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, links: Links) -> WalkGrap
         whole = follow(follow(whole, between), own)
     floors = [graph.floors for graph in graphs]
     labels = [*floors[0][:-1], *(label for own in floors[1:] for label in own[:-1]), floors[-1][-1]]
-    own_links = [replace(graph.links, walk=np.full((len(graph.links), 2), n)) for n, graph in enumerate(graphs)]
+    bound = [replace(graph.closures, walk=np.full_like(graph.closures.walk, n)) for n, graph in enumerate(graphs)]
     return WalkGraph(
         whole,
         Fixes.together([_within(graph).later(by) for graph, by in zip(graphs, begins, strict=True)]),
@@ -63,7 +63,7 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, links: Links) -> WalkGrap
         floor=graphs[0].floor,
         floors=labels,
         levels=_levels([graph.levels for graph in graphs], begins),
-        links=Links.together([links, *own_links]).shifted(begins),
+        closures=Closures.together([closures, *bound]).shifted(begins),
         prior=graphs[0].prior,
         others=[(own.start, graph.prior) for own, graph in zip(steps[1:], graphs[1:], strict=True)],
     )

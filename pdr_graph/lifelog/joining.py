@@ -1,8 +1,8 @@
 """Recordings that follow one another become one walk, with an honest gap between each two.
 
-A recorder that is stopped and started again a few seconds later was handled by somebody who stood still: a robust link
-says so, and lets go where the rest of the walk contradicts it. Which way they turned meanwhile the magnetic field
-tells: it is another at every place of a building, and at one place the same before and after.
+A recorder that is stopped and started again a few seconds later was handled by somebody who stood still: a robust loop
+closure says so, and lets go where the rest of the walk contradicts it. Which way they turned meanwhile the magnetic
+field tells: it is another at every place of a building, and at one place the same before and after.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_graph.estimation.links import Links
+from pdr_graph.estimation.closures import Closures
 from pdr_graph.frames import Frame
 from pdr_graph.gait.gaps import SIGMA_TURN, follow, gap, later
 from pdr_graph.lifelog.observation import Observation
@@ -28,7 +28,10 @@ LEAST_FIELD = 10.0  # [µT] horizontally, below which it points nowhere
 
 @dataclass(frozen=True)
 class Joined:
-    """Recordings as one walk, times from the first one's start; fields as of `Observation`. links: where they stood."""
+    """Recordings as one walk, times from the first one's start; fields as of `Observation`.
+
+    closures: where they stood.
+    """
 
     epoch: float
     duration: float
@@ -37,7 +40,7 @@ class Joined:
     looks: Array
     headings: Headings
     fixes: Fixes
-    links: Links
+    closures: Closures
     barometer: Signal | None
     bluetooth: Sightings | None
     wifi: Sightings | None
@@ -64,7 +67,7 @@ def joined(parts: Sequence[Observation], fixes: Sequence[Observation] = (), in_f
         looks=np.concatenate([part.looks for part in parts]),  # what ends one is before its gap
         headings=_headings([(part.headings, by) for part, by in zip(parts, shift, strict=True)]),
         fixes=Fixes.together([fixes_in(frame, part).later(part.epoch - first.epoch) for part in (*parts, *fixes)]),
-        links=_stops(parts, shift),
+        closures=_stops(parts, shift),
         barometer=_signal([(part.barometer, by) for part, by in zip(parts, shift, strict=True)]),
         bluetooth=_sightings([(part.bluetooth, by) for part, by in zip(parts, shift, strict=True)]),
         wifi=_sightings([(part.wifi, by) for part, by in zip(parts, shift, strict=True)]),
@@ -124,14 +127,14 @@ def _field(part: Observation, end: int) -> Array:
     return np.append(part.ends.field[end], part.ends.vertical[end])
 
 
-def _stops(parts: Sequence[Observation], shift: Sequence[float]) -> Links:
+def _stops(parts: Sequence[Observation], shift: Sequence[float]) -> Closures:
     """Where the recorder was started again by somebody who stood."""
     found = []
     for (before, after), begin, end in zip(pairwise(parts), shift, shift[1:], strict=False):
         ends, begins = begin + _steps(before).end, end + _steps(after).start
         if begins - ends <= RESTART:
             found.append((ends, begins, STOOD))
-    return Links.of(found)
+    return Closures.of(found)
 
 
 def _headings(parts: Sequence[tuple[Headings, float]]) -> Headings:

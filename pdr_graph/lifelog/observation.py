@@ -15,6 +15,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.gait import Gait, gait_of
 from pdr_graph.gait.heading import magnetic_headings
 from pdr_graph.gait.pdr import detect_steps
+from pdr_graph.gait.profile import Profile
 from pdr_graph.inertial.magnetometer import measured_field
 from pdr_graph.inputs import placed_beacons, read_inputs
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Sightings, Signal, Steps
@@ -44,8 +45,8 @@ class Observation:
     "" if unknown.
     steps: None without an accelerometer; looks: ``(n + 1,)`` how far the walker had turned while standing before each
     step and after the last, in the middle of that time, since the step before [rad]; headings, fixes, barometer,
-    bluetooth, wifi, beacons: as of ``Recording``, in
-    the frame; ends: None where the field is unknown. notes: what was left out or assumed.
+    bluetooth, wifi, beacons: as of ``Recording``, in the frame; ends: None where the field is unknown; profile: with which a walker file says that the lifelog may begin.
+    notes: what was left out or assumed.
     """
 
     source: str
@@ -63,6 +64,7 @@ class Observation:
     wifi: Sightings | None = None
     beacons: Beacons | None = None
     ends: Ends | None = None
+    profile: Profile | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -76,8 +78,8 @@ def observe(
 ) -> Observation:
     """Read a recording and find the steps in it.
 
-    plan, fixes, walker: as of ``pdr-graph smooth``; the walker's own profile is not used: a lifelog learns it.
-    begins: Unix time of its start [s], of a recording that does not say; floor: where it began.
+    plan, fixes, walker: as of ``pdr-graph smooth``; steps are not yet corrected by the walker's profile, which a
+    lifelog learns. begins: Unix time of its start [s], of a recording that does not say; floor: where it began.
 
     Raises InputError if it cannot be used, or nobody knows of which day it is.
     """
@@ -110,6 +112,7 @@ def observe(
         wifi=walk.wifi,
         beacons=placed_beacons(walk, given.frame, notes),
         ends=ends,
+        profile=given.walker.profile,
         notes=tuple(notes),
     )
 

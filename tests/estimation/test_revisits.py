@@ -27,9 +27,9 @@ def along(start, end, seconds=60, floor=""):
     return Trajectory(np.arange(seconds, dtype=float), position, heading, (floor,) * seconds)
 
 
-def places(links, walks):
+def places(closures, walks):
     return [
-        np.array([walks[w].position[round(t)] for w, t in zip(links.walk[:, k], links.time[:, k], strict=True)])
+        np.array([walks[w].position[round(t)] for w, t in zip(closures.walk[:, k], closures.time[:, k], strict=True)])
         for k in (0, 1)
     ]
 
@@ -39,13 +39,13 @@ def found(walks, known=None):
 
 
 def test_two_walks_of_one_corridor_are_linked_where_they_were_near():
-    """One there and one back: 90 % of the links within three of their stated sigmas, and those of a few metres."""
+    """One there and one back: 90 % of the closures within three of their stated sigmas, and those of a few metres."""
     walks = [along((5, 5), (55, 5)), along((55, 6), (5, 6))]
-    links = found(walks)
-    one, other = places(links, walks)
-    assert len(links) >= 10
+    closures = found(walks)
+    one, other = places(closures, walks)
+    assert len(closures) >= 10
     apart = np.hypot(*(one - other).T)
-    assert np.mean(apart < 3 * links.sigma) > 0.9
+    assert np.mean(apart < 3 * closures.sigma) > 0.9
     assert np.median(apart) < 5.0
 
 
@@ -64,19 +64,19 @@ def test_a_walk_is_linked_with_itself_only_where_it_returns_later():
     """There and back within two minutes: moments a minute apart at least."""
     there, back = along((5, 5), (55, 5)), along((55, 5), (5, 5))
     track = Trajectory(np.arange(120.0), np.concatenate([there.position, back.position]), np.zeros(120), ("",) * 120)
-    links = found([track])
-    assert len(links)
-    assert (links.walk == 0).all()
-    assert (np.abs(np.diff(links.time, axis=1)) >= 60).all()
+    closures = found([track])
+    assert len(closures)
+    assert (closures.walk == 0).all()
+    assert (np.abs(np.diff(closures.time, axis=1)) >= 60).all()
 
 
 def test_links_that_err_alike_count_for_one():
-    """Twice as many links of a stretch know no more than half of them: to a third, sigmas being learnt anew."""
+    """Twice as many closures of a stretch know no more than half of them: to a third, sigmas being learnt anew."""
     walks, worth = [along((5, 5), (55, 5)), along((5, 6), (55, 6))], []
     for every in (1.0, 2.0):
         with patch.object(module, "EVERY", every):
-            links = found(walks)
-            worth.append((len(links), np.sum(links.sigma**-2.0)))
+            closures = found(walks)
+            worth.append((len(closures), np.sum(closures.sigma**-2.0)))
     (many, of_many), (few, of_few) = worth
     assert many > 1.5 * few
     assert of_many == pytest.approx(of_few, rel=0.35)
@@ -86,11 +86,11 @@ def test_walks_too_little_known_to_tell_are_linked_by_what_is_usual():
     """Placed 100 m apart, so that none of their places is near another."""
     walks = [along((5, 5), (55, 5)), along((5, 6), (55, 6))]
     moved = [walks[0], along((105, 106), (155, 106))]
-    links = revisits(
+    closures = revisits(
         [(known, heard_along(track, n)) for n, (known, track) in enumerate(zip(moved, walks, strict=True))]
     )
-    one, other = places(links, walks)
-    assert len(links)
+    one, other = places(closures, walks)
+    assert len(closures)
     assert np.median(np.hypot(*(one - other).T)) < 5.0
 
 

@@ -1,4 +1,4 @@
-"""Several walks in one graph, bound by links."""
+"""Several walks in one graph, bound by closures."""
 
 from dataclasses import replace
 from unittest.mock import patch
@@ -10,11 +10,11 @@ from walks import drawn_from_the_model, fixes_at
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.estimation import native
-from pdr_graph.estimation.links import Links
+from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.together import smooth_together
 from pdr_graph.types import Estimate
 
-LINK = 1.0  # [m]
+SIGMA_CLOSURE = 1.0  # [m]
 SEEDS = 60
 FAR = np.array([300.0, 0.0])  # [m]
 
@@ -27,28 +27,28 @@ def drawn(n, seed, shift=(0.0, 0.0)):
 
 
 def met(seed, n=90, wrong=1.0):
-    """Two walks that were within a link's sigma of one place, each in its middle."""
+    """Two walks that were within a closure's sigma of one place, each in its middle."""
     steps, fixes, truth = drawn(n, 2 * seed)
     there = drawn(n, 2 * seed + 1)[2]
     at = n // 2
-    off = np.random.default_rng(seed).normal(0, wrong * LINK, 2)
+    off = np.random.default_rng(seed).normal(0, wrong * SIGMA_CLOSURE, 2)
     other = drawn(n, 2 * seed + 1, truth.position[at] - there.position[at] + off)
-    return (steps, fixes, truth), other, Links.of([(truth.time[at], other[2].time[at], LINK)], [(0, 1)])
+    return (steps, fixes, truth), other, Closures.of([(truth.time[at], other[2].time[at], SIGMA_CLOSURE)], [(0, 1)])
 
 
 class Both:
-    """Two graphs and their link, passed as one through the NEES of others."""
+    """Two graphs and their closure, passed as one through the NEES of others."""
 
-    def __init__(self, graphs, links):
-        self.graphs, self.links = graphs, links
+    def __init__(self, graphs, closures):
+        self.graphs, self.closures = graphs, closures
 
 
 def one_that_met(seed, wrong=1.0):
-    (steps, _, truth), (others, fixes, _), links = met(seed, wrong=wrong)
+    (steps, _, truth), (others, fixes, _), closures = met(seed, wrong=wrong)
     start = fixes_at(truth.time[:1], truth.position[:1] + np.random.default_rng(seed + 999).normal(0, 1.5, (1, 2)), 1.5)
     end = fixes_at(truth.time[-1:], truth.position[-1:] + np.random.default_rng(seed + 99).normal(0, 9.0, (1, 2)), 9.0)
     few = type(start).together([start, end])
-    return Both([WalkGraph(steps, few), WalkGraph(others, fixes)], links), truth
+    return Both([WalkGraph(steps, few), WalkGraph(others, fixes)], closures), truth
 
 
 def one_that_met_far_off(seed):
@@ -56,12 +56,12 @@ def one_that_met_far_off(seed):
 
 
 def first_of_both(both) -> Estimate:
-    return smooth_together(both.graphs, [smooth(graph) for graph in both.graphs], both.links)[0]
+    return smooth_together(both.graphs, [smooth(graph) for graph in both.graphs], both.closures)[0]
 
 
-def together(walks, links):
+def together(walks, closures):
     graphs = [WalkGraph(steps, fixes) for steps, fixes, _ in walks]
-    return smooth_together(graphs, [smooth(graph) for graph in graphs], links)
+    return smooth_together(graphs, [smooth(graph) for graph in graphs], closures)
 
 
 def error(estimate, truth):
@@ -72,7 +72,7 @@ def test_walks_that_nothing_binds_are_as_they_are_alone():
     """To 1 cm and 5 % of the covariance: what joins them is loose, not nothing, and segments are cut elsewhere."""
     walks = [drawn(60, seed) for seed in range(3)]
     alone = [smooth(WalkGraph(steps, fixes)) for steps, fixes, _ in walks]
-    for one, other in zip(alone, together(walks, Links.of([])), strict=True):
+    for one, other in zip(alone, together(walks, Closures.of([])), strict=True):
         assert other.trajectory.time == pytest.approx(one.trajectory.time, abs=1e-6)
         assert np.abs(one.trajectory.position - other.trajectory.position).max() < 0.01
         assert other.trajectory.covariance == pytest.approx(one.trajectory.covariance, rel=0.05, abs=1e-3)
@@ -85,9 +85,9 @@ def test_a_walk_without_fixes_is_placed_by_those_that_it_met():
     steps, fixes, truth = drawn(120, 5)
     met_at, seen = np.arange(10, 120, 20), fixes_at([], np.empty((0, 2)))
     alike = drawn(120, 5)  # the same way on another day, of which nobody knows where it was
-    links = Links.of([(truth.time[k], truth.time[k], LINK) for k in met_at], [(0, 1)] * len(met_at))
-    one, other = together([(steps, fixes, truth), (steps, seen, truth)], links)
-    assert np.median(error(other, alike[2])) < 2 * np.median(error(one, truth)) + LINK
+    closures = Closures.of([(truth.time[k], truth.time[k], SIGMA_CLOSURE) for k in met_at], [(0, 1)] * len(met_at))
+    one, other = together([(steps, fixes, truth), (steps, seen, truth)], closures)
+    assert np.median(error(other, alike[2])) < 2 * np.median(error(one, truth)) + SIGMA_CLOSURE
 
 
 def test_a_link_that_is_wrong_is_let_go():
@@ -96,20 +96,20 @@ def test_a_link_that_is_wrong_is_let_go():
     at = np.arange(10, 120, 20)
     moved = replace(truth, position=truth.position + FAR)
     elsewhere = replace(fixes, position=fixes.position + FAR)
-    wrong = Links.of([(truth.time[k], truth.time[k], LINK) for k in at[:1]], [(0, 1)])
+    wrong = Closures.of([(truth.time[k], truth.time[k], SIGMA_CLOSURE) for k in at[:1]], [(0, 1)])
     alone = smooth(WalkGraph(steps, elsewhere))
     _, other = together([(steps, fixes, truth), (steps, elsewhere, moved)], wrong)
     assert np.abs(other.trajectory.position - alone.trajectory.position).max() < 1.0
 
 
 def test_covariance_is_honest():
-    """NEES of a random row of one of two walks that met, with Gaussian links and fixes."""
+    """NEES of a random row of one of two walks that met, with Gaussian closures and fixes."""
     low, high = interval(SEEDS)
-    with gaussian(), patch.object(native, "LINK_WIDTH", 1e6):
+    with gaussian(), patch.object(native, "CLOSURE_WIDTH", 1e6):
         assert low < np.mean(normalised_errors(one_that_met, first_of_both, SEEDS)) < high
 
 
 def test_links_five_times_as_bad_as_stated_are_found_out():
-    with gaussian(), patch.object(native, "LINK_WIDTH", 1e6):
+    with gaussian(), patch.object(native, "CLOSURE_WIDTH", 1e6):
         _, high = interval(SEEDS)
         assert np.mean(normalised_errors(one_that_met_far_off, first_of_both, SEEDS)) > high

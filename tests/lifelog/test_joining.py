@@ -14,7 +14,7 @@ from pdr_graph.lifelog.joining import FIELD_SIGMA, RESTART, joined, turn_by_fiel
 
 def smoothed(parts, fixes=None):
     one = joined(parts)
-    return smooth(WalkGraph(one.steps, one.fixes if fixes is None else fixes, links=one.links)).trajectory
+    return smooth(WalkGraph(one.steps, one.fixes if fixes is None else fixes, closures=one.closures)).trajectory
 
 
 def errors_of_the_second(parts, track):
@@ -71,7 +71,7 @@ def test_a_piece_without_fixes_is_laid_on_by_the_pause_and_the_field():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_somebody_who_walked_on_is_not_held_where_they_were(seed):
-    """20 m on in 14 s, seen by the fixes of both pieces: the link lets go, and harms by less than 10 cm."""
+    """20 m on in 14 s, seen by the fixes of both pieces: the closure lets go, and harms by less than 10 cm."""
     parts = cut_in_two(120, seed, 14.0, stood=False)
     both = joined([one for one, _ in parts])
     unbound = smooth(WalkGraph(both.steps, both.fixes)).trajectory
@@ -82,7 +82,7 @@ def test_somebody_who_walked_on_is_not_held_where_they_were(seed):
 def test_a_long_gap_binds_nothing():
     (one, _), (two, _) = cut_in_two(60, 1, RESTART + 1)
     both = joined([one, two])
-    assert len(both.links) == 0
+    assert len(both.closures) == 0
     gap = both.steps.length == 0
     assert both.steps.sigma_length[gap] == pytest.approx([RESTART + 1], rel=1e-3), "1 m/s: they stand or walk"
 
