@@ -1,0 +1,136 @@
+"""A stretch of a day of which there are positions alone: a GPX track, a watch, a logger of GNSS.
+
+The way is smoothed twice: loosely, to see what was done, and then as people move who do that. Nothing is invented: who
+stands goes nowhere however far the receiver wanders, and of a gap nobody knows more than that it was bridged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_graph.estimation.fixes_alone import ANY_HEADING, FASTEST, JUMP
+from pdr_graph.estimation.reach import WITHIN, chained
+from pdr_graph.estimation.receivers import WHITE
+from pdr_graph.geometry import length_along
+from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, WALKING, Segment
+from pdr_graph.lifelog.moves import EPOCH, moves
+from pdr_graph.lifelog.smooth_way import Motion, Seen, SmoothWay, smooth_way
+from pdr_graph.lifelog.wander import WIDEST, straightness
+from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Trajectory
+
+WALKS, RIDES, LOST = (KINDS.index(kind) for kind in (WALKING, VEHICLE, GAP))
+# a gap is longer than so many of the usual intervals, and than a minute [s]: loggers leave out a few fixes where they
+# see few satellites, and in a minute nobody walks round the block
+USUAL_INTERVALS, LONGEST = 5.0, 60.0
+BRIDGE = 4  # parts of a gap that rows divide: linear between them, its variance lacks a seventh at most
+# per axis, of KINDS: who walks turns at the next corner, who rides at the one after; errands of an unseen hour change
+SPEED = np.array([0.9, 0.05, 7.0, 1.0])  # [m/s]
+KEEPS = np.array([40.0, 1.0, 100.0, 600.0])  # [s]
+AT_FIRST, AFTERWARDS = (8.0, 2.0, 1.0), (1.0, 1.0)  # times the white noise, see `smooth_way`
+
+
+def follow_positions(fixes: Fixes) -> tuple[Trajectory, tuple[Segment, ...]]:
+    """The smoothed way with its covariance, a row per fix that is believed and some in gaps; and what it was made of.
+
+    fixes: at least one, in order of time, in a metric frame. Segments reach from the first fix to the last.
+    """
+    fixes = _believed(fixes)
+    seen, lost = _seen(fixes), _lost(fixes.time)
+
+    # Loosely, as if all of it were a ride
+    kind = np.where(lost, LOST, RIDES)
+    first = smooth_way(seen, _motion(seen, kind), AT_FIRST)
+
+    # As people move who do what they seem to do, and who knows where in gaps
+    kind, seen = _done(seen, first.position, lost)
+    rows, of = _with_rows_in_gaps(seen, kind)
+    motion, weight = _motion(seen, kind), np.interp(rows.time, seen.time, first.weight)
+    way = smooth_way(rows, motion.of(of), AFTERWARDS, weight)
+    floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
+    return _trajectory(rows.time, way, floor), _segments(rows.time, way.position, kind[of])
+
+
+def _believed(fixes: Fixes) -> Fixes:
+    """One of each moment, the best; without those that lie where nobody gets so fast, as `fixes_alone` has it."""
+    order = np.lexsort((fixes.sigma, fixes.time))
+    fixes = fixes[order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]]
+    way = FASTEST * (fixes.time - fixes.time[0])
+    return fixes[chained(fixes.position, WITHIN * _seen(fixes).white, way, JUMP)[1]]
+
+
+def _seen(fixes: Fixes) -> Seen:
+    """Of a receiver's errors most stay for a while, others are independent."""
+    independent = np.where(np.array(fixes.sources, dtype=str) == "", 1.0, WHITE)
+    slow = fixes.sigma * np.sqrt(1 - independent**2)
+    return Seen(fixes.time, fixes.position, slow, independent * fixes.sigma)
+
+
+def _lost(time: Array) -> Mask:
+    """True ``(n - 1,)`` where from one time to the next nothing was recorded, or too little to tell."""
+    span = np.diff(time)
+    lost = span > max(LONGEST, USUAL_INTERVALS * np.median(span)) if len(span) else np.empty(0, dtype=bool)
+    for begin, end in _stretches(lost):
+        if time[end] - time[begin] < EPOCH:
+            lost[begin:end] = True
+    return lost
+
+
+def _stretches(lost: Mask) -> Index:
+    """First and last fix ``(s, 2)`` of each stretch that was recorded, of two fixes at least."""
+    edge = np.diff(np.concatenate([[True], lost, [True]]).astype(int))
+    return np.column_stack([np.flatnonzero(edge < 0), np.flatnonzero(edge > 0)])
+
+
+def _done(seen: Seen, way: Array, lost: Mask) -> tuple[Index, Seen]:
+    """What was done from fix to fix ``(n - 1,)``, by its place in KINDS; and how far each fix errs, with its wander."""
+    begins, ends = seen.time[_stretches(lost)].T
+    if not len(begins):
+        return np.full(len(lost), LOST), seen
+    straight = straightness(seen.time, way, begins, ends)
+    wander = np.minimum(np.interp(seen.time, straight.time, straight.wander), WIDEST)
+    more = np.maximum(wander / np.hypot(seen.slow, seen.white), 1.0)
+    seen = replace(seen, slow=np.maximum(seen.slow, wander), white=seen.white * more)
+    return np.where(lost, LOST, moves(seen, way, begins, ends, straight)), seen
+
+
+def _motion(seen: Seen, kind: Index) -> Motion:
+    """How people move who do this from fix to fix ``(n - 1,)``; over a gap at least as fast as it takes."""
+    takes = np.hypot(*np.diff(seen.position, axis=0).T) / np.diff(seen.time) / np.sqrt(2)
+    speed = np.where(kind == LOST, np.maximum(SPEED[LOST], takes), SPEED[kind])
+    anew = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST))[: len(kind)]
+    return Motion(speed, KEEPS[kind], anew)
+
+
+def _with_rows_in_gaps(seen: Seen, kind: Index) -> tuple[Seen, Index]:
+    """The same with knots between that divide each gap, and the interval between fixes that each new one is of."""
+    of = np.repeat(np.arange(len(kind)), np.where(kind == LOST, BRIDGE, 1))
+    within = np.arange(len(of)) - np.searchsorted(of, of)
+    time = seen.time[of] + np.diff(seen.time)[of] * within / np.where(kind == LOST, BRIDGE, 1)[of]
+    known = np.append(within == 0, True)
+    position = np.full((len(known), 2), np.nan)
+    position[known] = seen.position
+    of_all = np.append(of, len(kind))
+    return Seen(np.append(time, seen.time[-1]), position, seen.slow[of_all], seen.white[of_all]), of
+
+
+def _trajectory(time: Array, way: SmoothWay, floor: tuple[str, ...]) -> Trajectory:
+    """The way as a trajectory that faces where it goes."""
+    variance = way.variances()
+    speed = np.hypot(*way.velocity.T)
+    covariance = np.zeros((len(time), 3, 3))
+    covariance[:, 0, 0] = covariance[:, 1, 1] = variance[:, 0]
+    sigma = np.minimum(ANY_HEADING, np.sqrt(variance[:, 1]) / np.maximum(speed, 1e-9))
+    covariance[:, 2, 2] = sigma**2
+    return Trajectory(time, way.position, np.arctan2(way.velocity[:, 1], way.velocity[:, 0]), floor, covariance)
+
+
+def _segments(time: Array, way: Array, kind: Index) -> tuple[Segment, ...]:
+    """Stretches of one kind from row to row ``(n - 1,)``."""
+    gone = np.append(0.0, np.cumsum(np.diff(length_along(way)) * np.isin(kind, (WALKS, RIDES))))
+    edge = [*np.flatnonzero(np.diff(kind, prepend=-1)), len(kind)]
+    return tuple(
+        Segment(KINDS[kind[a]], float(time[a]), float(time[b]), float(gone[b] - gone[a])) for a, b in pairwise(edge)
+    )
