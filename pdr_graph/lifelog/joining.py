@@ -53,7 +53,7 @@ def joined(parts: Sequence[Observation], fixes: Sequence[Observation] = (), in_f
     parts: at least one, in order of time, none overlapping, in frames that can be brought into one; in_frame: that
     one, if it is not to be their own.
     """
-    first, frame = parts[0], in_frame or frame_of(parts)
+    first, frame = parts[0], in_frame or frame_of([*parts, *fixes])
     shift = [part.epoch - first.epoch for part in parts]
     steps = later(_steps(first), 0.0)
     for (before, after), by in zip(pairwise(parts), shift[1:], strict=True):

@@ -44,9 +44,9 @@ class Observation:
     frame: of fixes, headings and beacons; plan: path of the floor plan, "" without one; floor: label where it began,
     "" if unknown.
     steps: None without an accelerometer; looks: ``(n + 1,)`` how far the walker had turned while standing before each
-    step and after the last, in the middle of that time, since the step before [rad]; headings, fixes, barometer,
-    bluetooth, wifi, beacons: as of ``Recording``, in the frame; ends: None where the field is unknown; profile: with which a walker file says that the lifelog may begin.
-    notes: what was left out or assumed.
+    step and after the last, in the middle of that time, since the step before [rad].
+    headings, fixes, barometer, bluetooth, wifi, beacons: as of ``Recording``, in the frame; ends: None where the field
+    is unknown; profile: of the walker file, for a lifelog to begin with. notes: what was left out or assumed.
     """
 
     source: str

@@ -1,0 +1,119 @@
+"""Pieces of one walk as one walk, and all walks of a floor in one graph: for docs/accuracy.md."""
+
+from dataclasses import replace
+
+import numpy as np
+from recorded import WAYPOINT_NOISE, gaps
+from tables import publish, table
+
+from pdr_graph import io
+from pdr_graph.estimation.fingerprints import scans_of
+from pdr_graph.estimation.revisits import revisits
+from pdr_graph.estimation.together import smooth_together
+from pdr_graph.lifelog.grouping import Group
+from pdr_graph.lifelog.observation import observe
+from pdr_graph.lifelog.walks import walked
+from pdr_graph.types import Fixes, Trajectory
+
+CHAINS = ("site1/B1", "site1/F1", "site2/F1")
+NO_PIECE = "5dda0214"  # of site1/F1, an hour later: no piece of its chain
+SIGMA = 0.5  # [m] stated of a waypoint that is given
+
+
+def observed(folder):
+    """Every walk of a floor, in order of time, with its waypoints."""
+    found = [(observe(path, folder), io.load(path)) for path in sorted(folder.glob("*.txt"))]
+    return sorted(found, key=lambda pair: pair[0].epoch)
+
+
+def given(truth, which):
+    """Some waypoints as fixes."""
+    which = np.unique(np.arange(len(truth))[which])
+    return Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
+
+
+def rest(truth, which):
+    """The others."""
+    left = np.setdiff1d(np.arange(len(truth)), np.arange(len(truth))[which])
+    return Trajectory(truth.time[left], truth.position[left], np.zeros(len(left)), ("",) * len(left))
+
+
+def scores(pairs):
+    """Errors in percentiles and how often a place lies in its 90 % region, of tracks with their truth."""
+    found = [gaps(track, truth, WAYPOINT_NOISE) for track, truth in pairs]
+    errors, inside = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+    return [*(f"{p:.2f}" for p in np.percentile(errors, [50, 75, 95])), f"{100 * inside.mean():.0f} %"]
+
+
+def whole_truth(pieces):
+    """The waypoints of all pieces, from the start of the first."""
+    first = pieces[0][0].epoch
+    time = np.concatenate([walk.truth.time + one.epoch - first for one, walk in pieces])
+    return Trajectory(
+        time, np.concatenate([walk.truth.position for _, walk in pieces]), np.zeros(len(time)), ("",) * len(time)
+    )
+
+
+def by_ends(pieces, plan):
+    """The pieces with the first waypoint of the first and the last one of the last."""
+    ones = [replace(one, fixes=Fixes.none(), plan=one.plan if plan else "") for one, _ in pieces]
+    ones[0] = replace(ones[0], fixes=given(pieces[0][1].truth, [0]))
+    end = given(pieces[-1][1].truth, [-1])
+    both = Fixes.together([ones[-1].fixes, end])
+    ones[-1] = replace(ones[-1], fixes=both)
+    return Group(tuple((str(n), one) for n, one in enumerate(ones)))
+
+
+def unaware(group):
+    """The same, were nothing known of the time between two recordings."""
+    return Group(tuple((name, replace(one, ends=None, epoch=one.epoch)) for name, one in group.parts))
+
+
+def chains(data):
+    """The three chains, each as one walk."""
+    rows, pooled = [], {}
+    for name in CHAINS:
+        pieces = [pair for pair in observed(data / "ms_indoor20" / name) if NO_PIECE not in pair[1].source]
+        truth = whole_truth(pieces)
+        length = np.hypot(*np.diff(truth.position, axis=0).T).sum()
+        for given_too, plan, of in (
+            ("", False, lambda g: g),
+            ("plan", True, unaware),
+            ("plan, field", True, lambda g: g),
+        ):
+            walk = walked(of(by_ends(pieces, plan)), None, None)
+            pair = walk.estimate.trajectory, rest(truth, [0, -1])
+            pooled.setdefault(given_too, []).append(pair)
+            rows.append([f"{name}, {len(pieces)} recordings, {length:.0f} m", given_too or "field", *scores([pair])])
+    rows += [["all three", given_too or "field", *scores(pairs)] for given_too, pairs in pooled.items()]
+    return table(["chain", "beside its two ends", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region"], rows)
+
+
+def together(data):
+    """All recordings of a floor, one by one and in one graph."""
+    rows = []
+    floors = [observed(data / "ms_indoor20" / name) for name in CHAINS[:2]]
+    for said, which in (("first waypoint", [0]), ("first and last", [0, -1])):
+        for plan in (False, True):
+            alone, joint = [], []
+            for walks in floors:
+                ones = [
+                    replace(one, fixes=given(walk.truth, which), plan=one.plan if plan else "") for one, walk in walks
+                ]
+                found = [walked(Group((("", one),)), None, None) for one in ones]
+                scans = [scans_of(walk) for _, walk in walks]
+                estimates = [walk.estimate for walk in found]
+                closures = revisits([(e.trajectory, s) for e, s in zip(estimates, scans, strict=True)])
+                both = smooth_together([walk.graph for walk in found], estimates, closures)
+                truths = [rest(walk.truth, which) for _, walk in walks]
+                alone += [(e.trajectory, t) for e, t in zip(estimates, truths, strict=True)]
+                joint += [(e.trajectory, t) for e, t in zip(both, truths, strict=True)]
+            for how, pairs in (("one by one", alone), ("in one graph", joint)):
+                rows.append([said, "with the plan" if plan else "", how, *scores(pairs)])
+    return table(["given of each", "", "", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region"], rows)
+
+
+def lifelog_chains(data):
+    """Both tables."""
+    publish("accuracy.md", "lifelog-chains", chains(data))
+    publish("accuracy.md", "lifelog-together", together(data))

@@ -1,0 +1,64 @@
+"""Two people whose phones heard each other."""
+
+import numpy as np
+import pytest
+
+from pdr_graph.lifelog.encounters import EVERY, FAINTEST, NEAREST, Carried, encounters
+from pdr_graph.types import Sightings
+
+PHONES = {"anna's": "anna", "ben's": "ben"}
+
+
+def heard(time, level=-60.0, who="ben's"):
+    time = np.array(time, dtype=float)
+    return Sightings(time, (who,) * len(time), np.full(len(time), float(level)))
+
+
+def anna(sightings, epoch=1000.0):
+    return Carried("anna", epoch, 0.0, 600.0, sightings)
+
+
+def ben(sightings=None, epoch=900.0):
+    return Carried("ben", epoch, 0.0, 600.0, sightings)
+
+
+def test_who_is_heard_was_near_at_that_moment_of_both_walks():
+    closures = encounters([anna(heard([50.0])), ben()], PHONES)
+    assert closures.time == pytest.approx(np.array([[50.0, 150.0]]))
+    assert closures.walk.tolist() == [[0, 1]]
+
+
+def test_it_does_not_matter_who_hears_whom():
+    closures = encounters([anna(None), ben(heard([150.0], who="anna's"))], PHONES)
+    assert closures.time == pytest.approx(np.array([[150.0, 50.0]]))
+    assert closures.walk.tolist() == [[1, 0]]
+
+
+def test_the_louder_the_nearer():
+    sigma = [encounters([anna(heard([50.0], level)), ben()], PHONES).sigma[0] for level in (-45, -70, -80)]
+    assert sigma == sorted(sigma)
+    assert sigma[0] == NEAREST
+    assert sigma[2] < 10.0
+
+
+def test_a_conversation_counts_once_in_a_while_not_at_every_packet():
+    closures = encounters([anna(heard(np.arange(0, 60, 0.2))), ben()], PHONES)
+    assert len(closures) == 60 / EVERY
+
+
+@pytest.mark.parametrize(
+    "sightings",
+    [
+        heard([50.0], FAINTEST - 1),
+        heard([50.0], who="a stranger's"),
+        heard([50.0], who="anna's"),
+        heard([590.0]),  # Ben's walk is over
+        heard([-10.0]),
+    ],
+)
+def test_no_encounter_is_made_of_less(sightings):
+    assert len(encounters([anna(sightings), ben(epoch=800.0)], PHONES)) == 0
+
+
+def test_nobody_meets_themselves_on_another_day():
+    assert len(encounters([anna(heard([50.0], who="anna's")), anna(None, 950.0)], PHONES)) == 0
