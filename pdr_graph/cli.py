@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from pdr_graph.errors import InputError
+from pdr_graph.lifelog.commands import lifelog
 
 app = typer.Typer(
     add_completion=False,
@@ -21,6 +22,7 @@ app = typer.Typer(
 )
 maps = typer.Typer(no_args_is_help=True, help="Check and look at floor plans.")
 app.add_typer(maps, name="map")
+app.add_typer(lifelog, name="lifelog")
 
 RefusedExit, DegradedExit = 2, 3
 

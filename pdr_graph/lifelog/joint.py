@@ -1,0 +1,51 @@
+"""A lifelog's days in one graph: the walks of a building or a group, bound by places seen again and by encounters.
+
+The days are built already, each by itself. What was observed of all of them is read again and estimated together; so
+this costs as much as the whole history, and is done when it is asked for.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pdr_graph.errors import InputError
+from pdr_graph.lifelog import files, observing
+from pdr_graph.lifelog.observation import Observation
+from pdr_graph.lifelog.rows import rows_of
+from pdr_graph.lifelog.store import TOGETHER, Store
+from pdr_graph.lifelog.together import PersonDay, reconstruct_together
+
+
+def bind(store: Path) -> int:
+    """Put all walks of a lifelog that places or encounters bind into one graph; how many days have such walks now.
+
+    Nothing is done where nothing has changed since the last time. Raises InputError if the lifelog cannot be used, or
+    something that was observed is not there.
+    """
+    with Store(store.resolve()) as log:
+        built, phones = log.days(), log.phones()
+        key = files.key_of([[*own, day.key] for own, day in built.items()], sorted(phones.items()))
+        if log.setting(TOGETHER) == key:
+            return 0
+        days = [_day(log, person, date) for person, date in built]
+        made = reconstruct_together(days, phones)
+        for day in made:
+            own = built[day.person, day.date]
+            log.take(rows_of(day, own.key, own.recordings))
+        log.set(TOGETHER, key)
+    return len(made)
+
+
+def _day(log: Store, person: str, date: str) -> PersonDay:
+    """What a day was made of."""
+    days, keys = log.days(), {entry.hash: entry.observation for entry in log.entries()}
+    observations: dict[str, Observation] = {}
+    for name in days[person, date].recordings:
+        file = log.folder / observing.FOLDER / keys[name]
+        found = observing.observation_in(file)
+        if found is None:
+            raise InputError(file, "", "no observation, or a damaged one", "one: build the lifelog again")
+        observations[name] = found
+    before = [day.profile for (who, when), day in days.items() if who == person and when < date]
+    known = [profile for profile in before if profile is not None]
+    return PersonDay(person, date, observations, known[-1] if known else None)

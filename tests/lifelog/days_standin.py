@@ -1,0 +1,152 @@
+"""Recordings of a moment and a quick way to make days of them, for tests of what happens to days."""
+
+import math
+import os
+import resource
+import time as clock
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.gait.profile import Profile
+from pdr_graph.io.geolife import DAY, EPOCH_1899
+from pdr_graph.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
+from pdr_graph.lifelog.day import Day as OneDay
+from pdr_graph.lifelog.observation import observe
+from pdr_graph.types import Trajectory
+
+FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording
+
+
+def recording(path, day=0.0, points=4, seed=0):
+    """A GeoLife file of a few points, ten seconds apart, so many days after FIRST."""
+    random = np.random.default_rng(seed)
+    rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
+    for n in range(points):
+        seconds = FIRST + day * DAY + 10 * n
+        lat, lon = np.array([52.5, 13.4]) + random.normal(0, 1e-4, 2)
+        time = f"{(seconds - EPOCH_1899) / DAY:.10f},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}"
+        rows.append(f"{lat:.6f},{lon:.6f},0,492,{time}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def recordings(folder, people=3, days=5):
+    """Of each person one on each day; paths by person."""
+    return {
+        f"person{p}": [recording(folder / f"{p}-{d}.plt", d, seed=100 * p + d) for d in range(days)]
+        for p in range(people)
+    }
+
+
+def outing(name, observation, scale=1.0):
+    """An outing of what was observed, scaled by what is known."""
+    fixes = observation.fixes
+    n = len(fixes)
+    heading = np.linspace(0, 1, n)
+    heading[0] = np.nan
+    track = Trajectory(fixes.time, fixes.position * scale, heading, ("1",) * n, np.tile(np.eye(3) * scale, (n, 1, 1)))
+    stay = Stay(0.0, 10.0, True, track.position[0], np.eye(2), np.nan, "1", (("a shop", 0.75), ("another", 0.2)))
+    segments = (Segment(WALKING, 0.0, 10.0, 7.0), Segment(STANDING, 10.0, float(fixes.time[-1]), 0.0))
+    return Outing(
+        recordings=(name,),
+        source=observation.source,
+        epoch=observation.epoch,
+        frame=observation.frame,
+        plan=observation.plan,
+        trajectory=track,
+        segments=segments,
+        stays=(stay, replace(stay, passing=False, heading=0.5, facing=())),
+        steps=n,
+        notes=("a note",),
+    )
+
+
+def reconstruct(person, date, observations, profile):
+    """A day whose every number depends on all that it is made of, on the days before too."""
+    scale = 1.0 if profile is None else 1.0 + profile.E_length
+    outings = tuple(outing(name, observation, scale) for name, observation in observations.items())
+    told = float(sum(o.trajectory.position.sum() for o in outings))
+    before = 0.0 if profile is None else profile.E_length
+    return OneDay(
+        person, date, outings, Profile(0.9 * before + 1e-3 * math.sin(told), 0.01, 0.02, np.eye(3), 0.5, np.nan)
+    )
+
+
+def failing_on(*dates):
+    """The same, but on some dates."""
+    return Failing(dates)
+
+
+class Failing:
+    """A class, so that it can be told to a worker."""
+
+    def __init__(self, dates):
+        self.dates = dates
+
+    def __call__(self, person, date, observations, profile):
+        if date in self.dates:
+            raise ZeroDivisionError(f"no day\nlike {date}")
+        return reconstruct(person, date, observations, profile)
+
+
+def dying(person, date, observations, profile):
+    """The same, but that one day of one person ends the process, as a crash in a library would."""
+    if (person, date) == ("person1", "2024-05-03"):
+        os._exit(11)
+    return reconstruct(person, date, observations, profile)
+
+
+def counting(folder):
+    """The same, but each day leaves a file that says how often it was made."""
+    return Counting(str(folder))
+
+
+class Counting:
+    """A class, so that it can be told to a worker."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def __call__(self, person, date, observations, profile):
+        with (Path(self.folder) / f"{person} {date}").open("a") as file:
+            file.write("made\n")
+        return reconstruct(person, date, observations, profile)
+
+
+def slow(person, date, observations, profile):
+    """The same, but long enough to be interrupted."""
+    clock.sleep(0.02)
+    return reconstruct(person, date, observations, profile)
+
+
+def very_slow(person, date, observations, profile):
+    """The same, but so long that whoever is to end it meanwhile can."""
+    clock.sleep(1.0)
+    return reconstruct(person, date, observations, profile)
+
+
+def filling(person, date, observations, profile):
+    """The same, in a process that may write no more than a little from now on."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    return reconstruct(person, date, observations, profile)
+
+
+def dying_of(name):
+    """`observe`, but that one recording ends the process."""
+    return DyingOf(name)
+
+
+class DyingOf:
+    """A class, so that it can be told to a worker."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def __call__(self, recording, *options):
+        if recording.name == self.name:
+            os._exit(11)
+        return observe(recording, *options)

@@ -1,0 +1,368 @@
+"""What is built is built once, of what is there now; what cannot be built costs a line and nothing else."""
+
+import os
+import random
+import resource
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import days_standin as standin
+import pytest
+
+from pdr_graph import InputError
+from pdr_graph.lifelog import files
+from pdr_graph.lifelog.adding import add
+from pdr_graph.lifelog.build import Outcome, build
+from pdr_graph.lifelog.chains import Chain, Planned, reconstructed
+from pdr_graph.lifelog.store import Store
+
+HERE = Path(__file__).parent
+
+
+def added(folder, people=3, days=5):
+    """A lifelog of some people, each with a recording on each day; and the recordings by person."""
+    paths = standin.recordings(folder / "raw", people, days)
+    for person, its in paths.items():
+        add(folder / "log", its, person)
+    return folder / "log", paths
+
+
+def built(log, reconstruct=standin.reconstruct, **options):
+    return build(log, reconstruct=reconstruct, **options)
+
+
+def content(log):
+    """All that is in a lifelog, but for where its recordings are."""
+    with closing(sqlite3.connect(log)) as database:
+        names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        rows = {name: sorted(database.execute(f"SELECT * FROM {name}").fetchall(), key=repr) for name in names}
+    rows["recording"] = [(*row[:2], *row[3:]) for row in rows["recording"]]
+    return rows
+
+
+def made(folder):
+    """How often each day was made, by what `counting` left."""
+    return {file.name: len(file.read_text().splitlines()) for file in sorted(folder.iterdir())}
+
+
+@pytest.fixture
+def counted(tmp_path):
+    folder = tmp_path / "made"
+    folder.mkdir()
+    return folder
+
+
+def test_a_day_is_made_of_what_was_recorded_on_it(tmp_path):
+    log, _ = added(tmp_path)
+    standin.recording(tmp_path / "later.plt", 1.01, seed=7)
+    add(log, [tmp_path / "later.plt"], "person1")
+    assert built(log) == Outcome(15, 0, (), ())
+    with Store(log) as store:
+        days = store.days()
+        entries = {Path(entry.path).name: entry for entry in store.entries()}
+        track = store.day("person0", "2024-05-03").outings[0].trajectory
+    assert list(days) == [(f"person{p}", f"2024-05-0{d}") for p in range(3) for d in range(1, 6)]
+    in_order = (entries["1-1.plt"].hash, entries["later.plt"].hash)
+    assert days["person1", "2024-05-02"].recordings == in_order
+    assert {(entry.duration, entry.steps) for entry in entries.values()} == {(30.0, 0)}
+    assert track.time.tolist() == [0, 10, 20, 30]
+
+
+def test_calibration_is_carried_from_day_to_day(tmp_path):
+    log, _ = added(tmp_path, people=1, days=3)
+    before = []
+
+    def learning(person, date, observations, profile):
+        before.append(None if profile is None else profile.E_length)
+        return standin.reconstruct(person, date, observations, profile)
+
+    built(log, learning)
+    with Store(log) as store:
+        after = [day.profile.E_length for day in store.days().values()]
+    assert before == [None, *after[:-1]]
+    assert len(set(after)) == 3, "a control: each day teaches something"
+
+
+def test_a_new_day_costs_a_day(tmp_path, counted):
+    log, paths = added(tmp_path, days=4)
+    make = standin.counting(counted)
+    assert built(log, make) == Outcome(12, 0, (), ())
+    assert built(log, make) == Outcome(0, 12, (), ())
+    add(log, [standin.recording(tmp_path / "new.plt", 9)], "person2")
+    shutil.rmtree(tmp_path / "raw")
+    assert built(log, make) == Outcome(1, 12, (), ()), "and needs nothing of the others"
+    assert set(made(counted).values()) == {1}
+    assert len(paths) * 4 + 1 == len(made(counted))
+
+
+def test_a_recording_that_turns_up_late_changes_the_days_from_its_own_on(tmp_path, counted):
+    log, _ = added(tmp_path, people=2)
+    built(log, standin.counting(counted))
+    add(log, [standin.recording(tmp_path / "late.plt", 2.01, seed=8)], "person1")
+    assert built(log, standin.counting(counted)) == Outcome(3, 7, (), ())
+    again = [day for day, times in made(counted).items() if times == 2]
+    assert again == ["person1 2024-05-03", "person1 2024-05-04", "person1 2024-05-05"]
+    whole = tmp_path / "whole"
+    shutil.copytree(tmp_path / "raw", whole / "raw")
+    for person in range(2):
+        add(whole / "log", sorted((whole / "raw").glob(f"{person}-*.plt")), f"person{person}")
+    add(whole / "log", [tmp_path / "late.plt"], "person1")
+    built(whole / "log")
+    assert content(whole / "log") == content(log), "as if it had been there from the beginning"
+
+
+@pytest.mark.parametrize(
+    ("option", "days"), [("plan", 3), ("fixes", 3), ("walker", 1), ("floor", 1), ("content of the plan", 1)]
+)
+def test_other_options_change_the_day(tmp_path, option, days, pytestconfig):
+    """And those after it, if it teaches something else now: positions do so in another frame, or with others."""
+    log, paths = added(tmp_path, people=1)
+    plan, walker, fixes = tmp_path / "plan.geojson", tmp_path / "walker.toml", tmp_path / "fixes.csv"
+    shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
+    walker.write_text("height = 1.6\n")
+    fixes.write_text(f"time,lat,lon,sigma\n{standin.FIRST + 2 * 86400:.1f},52.5,13.4,3\n")
+    if option == "content of the plan":
+        add(log, [paths["person0"][2]], plan=plan)
+        built(log)
+        plan.write_text(plan.read_text() + "\n")
+    else:
+        built(log)
+        given = {"plan": plan, "walker": walker, "fixes": fixes, "floor": "1"}[option]
+        add(log, [paths["person0"][2]], **{option: given})
+    assert built(log) == Outcome(days, 5 - days, (), ())
+    assert built(log) == Outcome(0, 5, (), ())
+    with Store(log) as store:
+        day = store.day("person0", "2024-05-03")
+    assert bool(day.outings[0].plan) == (option in ("plan", "content of the plan"))
+
+
+def test_midnight_is_where_the_lifelog_is(tmp_path):
+    log, _ = added(tmp_path, people=1)
+    built(log)
+    with Store(log) as store:
+        assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(1, 6)]
+    assert built(log, zone="Europe/Berlin") == Outcome(5, 0, (), ()), "the recordings began after midnight there"
+    assert built(log) == Outcome(0, 5, (), ()), "it is kept in mind"
+    with Store(log) as store:
+        assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(2, 7)]
+    for zone in ("Europe/Entenhausen", "/etc/passwd", "../UTC", "", "Europe"):
+        with pytest.raises(InputError, match=r"--zone: found .*, needed a time zone, as Europe/Berlin"):
+            built(log, zone=zone)
+
+
+def test_a_recording_of_somebody_else_is_in_one_day_only(tmp_path):
+    log, paths = added(tmp_path, people=1, days=2)
+    built(log)
+    add(log, [paths["person0"][0]], "Ada")
+    assert built(log) == Outcome(2, 0, (), ())
+    with Store(log) as store:
+        assert list(store.days()) == [("Ada", "2024-05-01"), ("person0", "2024-05-02")]
+
+
+def test_a_day_that_fails_does_not_stop_the_others(tmp_path, counted):
+    log, _ = added(tmp_path, people=2)
+    said = "2024-05-03: ZeroDivisionError: no day like 2024-05-03"
+    failing = standin.failing_on("2024-05-03")
+    assert built(log, failing) == Outcome(8, 0, (f"person0, {said}", f"person1, {said}"), ())
+    with Store(log) as store:
+        assert [day[2] for day in store.failures()] == [said[12:]] * 2
+        days = {date: day.profile for (person, date), day in store.days().items() if person == "person0"}
+    assert list(days) == ["2024-05-01", "2024-05-02", "2024-05-04", "2024-05-05"]
+    assert built(log, failing).failures == (f"person0, {said}", f"person1, {said}"), "it is tried again"
+    assert built(log, failing) == Outcome(0, 8, (f"person0, {said}", f"person1, {said}"), ())
+    assert built(log, standin.counting(counted)) == Outcome(6, 4, (), ())
+    assert {name[-2:] for name in made(counted)} == {"03", "04", "05"}
+    other, _ = added(tmp_path / "other", people=2)
+    built(other)
+    assert content(other) == content(log), "as if it had never failed"
+
+
+def test_a_day_that_fails_now_stays_as_it_was(tmp_path):
+    log, _ = added(tmp_path, people=1, days=2)
+    built(log)
+    with Store(log) as store:
+        before = store.days()["person0", "2024-05-02"]
+    add(log, [standin.recording(tmp_path / "late.plt", 1.01)], "person0")
+    assert built(log, standin.failing_on("2024-05-02")).failures
+    with Store(log) as store:
+        after = store.days()["person0", "2024-05-02"]
+    assert (after.key, after.recordings) == (before.key, before.recordings)
+
+
+def test_what_was_moved_away_costs_a_line_and_nothing_else(tmp_path):
+    log, paths = added(tmp_path, people=2, days=2)
+    moved = paths["person0"][1].rename(tmp_path / "moved.plt")
+    result = built(log)
+    assert (result.built, result.failures) == (3, ())
+    [line] = result.refusals
+    assert line.startswith(f"{paths['person0'][1]}: found no such file, needed the recording")
+    assert built(log).refusals == (line,), "until it is there again"
+    add(log, [moved])
+    assert built(log) == Outcome(1, 3, (), ())
+
+
+def test_what_is_gone_is_not_needed_any_more(tmp_path):
+    log, _ = added(tmp_path, people=1, days=3)
+    built(log)
+    before = content(log)
+    shutil.rmtree(tmp_path / "raw")
+    assert built(log) == Outcome(0, 3, (), ())
+    shutil.rmtree(tmp_path / "log.d")
+    assert built(log) == Outcome(0, 3, (), ()), "what lies beside it is to make days of"
+    assert content(log) == before
+
+
+def test_a_plan_that_is_gone_costs_a_line_and_nothing_else(tmp_path, pytestconfig):
+    log, paths = added(tmp_path, people=1, days=3)
+    plan = tmp_path / "plan.geojson"
+    shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
+    add(log, paths["person0"], plan=plan)
+    built(log)
+    before = content(log)
+    plan.unlink()
+    result = built(log)
+    assert (result.built, result.kept, result.failures) == (0, 3, ())
+    assert len(result.refusals) == 3
+    assert result.refusals[0].startswith(f"{plan}: found No such file or directory, needed the plan of {tmp_path}")
+    assert {name: rows for name, rows in content(log).items() if name != "recording"} == {
+        name: rows for name, rows in before.items() if name != "recording"
+    }
+
+
+def test_a_recording_that_is_another_now_is_not_taken_for_it(tmp_path):
+    log, paths = added(tmp_path, people=1, days=2)
+    standin.recording(paths["person0"][1], 1, seed=99)
+    result = built(log)
+    assert result.built == 1
+    assert "found another content, needed that with which it was added" in result.refusals[0]
+
+
+def test_an_observation_that_was_damaged_is_made_again(tmp_path):
+    log, paths = added(tmp_path, people=1, days=2)
+    built(log)
+    with Store(log) as store:
+        entries = {Path(entry.path): entry for entry in store.entries()}
+        file = store.folder / "observations" / entries[paths["person0"][1]].observation
+    whole = file.read_bytes()
+    file.unlink()
+    late = standin.recording(tmp_path / "late.plt", 1.01)
+    add(log, [late], "person0")
+    assert built(log) == Outcome(1, 1, (), ())
+    assert file.read_bytes() == whole
+    file.write_bytes(whole[:-9])
+    add(log, [late], floor="1")
+    assert "found no observation, or a damaged one" in built(log).failures[0]
+    assert built(log) == Outcome(1, 1, (), ())
+    assert file.read_bytes() == whole
+
+
+def test_a_clock_that_was_never_set_is_refused(tmp_path):
+    log, paths = added(tmp_path, people=1, days=2)
+    add(log, [paths["person0"][0]], begins=1e18)
+    result = built(log)
+    assert (result.built, len(result.refusals)) == (1, 1)
+    assert "time: found 1e+18 s since 1970, needed --begins, when it was recorded" in result.refusals[0]
+
+
+def test_nothing_is_left_on_its_way(tmp_path):
+    log, paths = added(tmp_path, people=1, days=2)
+    (tmp_path / "log.d" / "days").mkdir(parents=True)
+    (tmp_path / "log.d" / "days" / "tmp1.part").write_bytes(b"of a process that was killed")
+    (tmp_path / "log.d" / "recordings" / "tmp2.part").mkdir(parents=True)
+    built(log)
+    add(log, paths["person0"], floor="1")
+    built(log)
+    with Store(log) as store:
+        names = {entry.observation for entry in store.entries()}
+    left = {path.name for path in (tmp_path / "log.d").rglob("*")}
+    assert left == {"days", "observations", "recordings", *names}
+
+
+def test_another_version_makes_all_anew(tmp_path, monkeypatch):
+    log, _ = added(tmp_path, people=1, days=2)
+    built(log)
+    monkeypatch.setattr(files, "MADE_BY", "0.0.0, 1")
+    assert built(log) == Outcome(2, 0, (), ())
+    with closing(sqlite3.connect(log)) as database:
+        assert {"pdr_graph", "gtsam", "numpy", "python"} <= dict(database.execute("SELECT * FROM version")).keys()
+
+
+def test_a_worker_of_another_version_makes_nothing(tmp_path):
+    chain = Chain("me", (Planned("2024-05-01", (("a", "b"),), None),), None, str(tmp_path), "9.9.9, 1")
+    [done] = reconstructed([chain], standin.reconstruct)
+    assert done.failure == f"--scheduler, a worker: found pdr_graph {files.MADE_BY}, needed 9.9.9, 1, as here"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_ends_a_build_that_goes_on_where_it_was(tmp_path):
+    log, _ = added(tmp_path, people=1, days=4)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def filling(person, date, observations, profile):
+        if date == "2024-05-03":
+            resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        return standin.reconstruct(person, date, observations, profile)
+
+    try:
+        with pytest.raises(OSError, match="large"):
+            built(log, filling)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert built(log) == Outcome(2, 2, (), ())
+
+
+CHILD = """
+import os, sys, pathlib
+sys.path.insert(0, sys.argv[2])
+import days_standin, test_build
+import pdr_graph.lifelog.observation
+log = pathlib.Path(sys.argv[1])
+def told(*done):
+    os.write(1, b".")
+while sys.stdin.readline().strip():  # a process for each life: what takes time to load is loaded
+    child = os.fork()
+    if not child:
+        test_build.built(log, days_standin.slow, told=told)
+        os._exit(0)
+    os.write(2, f"{child}\\n".encode())
+    os.write(2, f"{os.waitpid(child, 0)[1]}\\n".encode())
+"""
+
+
+def test_twenty_kills_lose_nothing_and_make_nothing_twice(tmp_path):
+    log, _ = added(tmp_path, people=6, days=10)
+    luck, killed, seen = random.Random(3), [], []
+    nursery = subprocess.Popen([sys.executable, "-c", CHILD, log, HERE], stdin=-1, stdout=-1, stderr=-1, bufsize=0)
+    assert nursery.stdin is not None
+    assert nursery.stdout is not None
+    assert nursery.stderr is not None
+    for _ in range(20):
+        nursery.stdin.write(b"live\n")
+        child = int(nursery.stderr.readline())
+        for _ in range(luck.choice([1, 3, 6])):  # done by this one, of 120
+            nursery.stdout.read(1)
+        time.sleep(luck.uniform(0, 0.03))
+        os.kill(child, signal.SIGKILL)
+        killed.append(int(nursery.stderr.readline()))
+        seen.append(days_in(log))
+    nursery.communicate(b"\n", timeout=60)
+    assert killed == 20 * [signal.SIGKILL], "a control: none was done before"
+    assert seen == sorted(seen), "what is built stays"
+    assert seen[-1] in range(5, 60), "a control: some was built, and some was left to build"
+    result = built(log)
+    assert (result.built + result.kept, result.failures, result.refusals) == (60, (), ())
+    other, _ = added(tmp_path / "other", people=6, days=10)
+    built(other)
+    assert content(other) == content(log)
+    assert not list((tmp_path / "log.d" / "days").iterdir())
+
+
+def days_in(log):
+    with Store(log) as store:
+        return len(store.days())

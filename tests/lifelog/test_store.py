@@ -1,0 +1,274 @@
+"""The lifelog's file: a day comes back as it was, nobody else reads it, and what goes wrong costs nothing."""
+
+import os
+import resource
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from dataclasses import astuple, fields, is_dataclass, replace
+from pathlib import Path
+
+import days_standin as standin
+import numpy as np
+import pytest
+
+from pdr_graph import InputError
+from pdr_graph.frames import Frame
+from pdr_graph.gait.profile import Profile
+from pdr_graph.lifelog import files
+from pdr_graph.lifelog.codec import decode, encode
+from pdr_graph.lifelog.day import Day
+from pdr_graph.lifelog.observation import Ends, Observation, observe
+from pdr_graph.lifelog.rows import rows_of
+from pdr_graph.lifelog.store import Entry, Store
+from pdr_graph.types import Beacons, Headings, Sightings, Signal, Steps, Trajectory
+
+DATE = "2024-05-01"
+
+
+def observation(tmp_path):
+    """One with everything in it."""
+    seen = observe(standin.recording(tmp_path / "walk.plt"))
+    time = np.arange(1.0, 4.0)
+    columns = [np.full(3, 0.5) for _ in range(4)]
+    heard = Sightings(time, ("a", "b", "a"), -time, ("1", "", "1"))
+    return replace(
+        seen,
+        frame=Frame("plan", (52.5, 13.4), metres_per_degree=(0.1, 1 / 3)),
+        floor="1",
+        steps=Steps(0.0, 4.0, time, columns[0], columns[1], columns[2], columns[3], columns[0], columns[1]),
+        headings=Headings(time, time, time),
+        barometer=Signal(time, time[:, None]),
+        bluetooth=heard,
+        wifi=heard,
+        beacons=Beacons(("a",), np.array([[np.nan, 1.0]]), np.ones(1), ("1",), ("a beacon",)),
+        ends=Ends(np.eye(2), np.array([0.1, np.nan])),
+        profile=Profile(0.1, 0.01, 0.02, np.eye(3), 0.5, np.nan),
+        notes=("", "a note"),
+    )
+
+
+def a_day(tmp_path, **changes):
+    """A day of one recording, with the profile after it."""
+    seen = observe(standin.recording(tmp_path / "walk.plt"))
+    return replace(standin.reconstruct("me", DATE, {"a" * 64: seen}, None), **changes)
+
+
+def taken(log, day, key="key"):
+    log.take(rows_of(day, key, [name for outing in day.outings for name in outing.recordings]))
+
+
+def told(noun):
+    """All that a noun says, bit by bit, with the types it is said in."""
+    if is_dataclass(noun):
+        return type(noun), [(field.name, told(getattr(noun, field.name))) for field in fields(noun)]
+    if isinstance(noun, np.ndarray):
+        return noun.dtype, noun.shape, noun.tobytes()
+    return [told(one) for one in noun] if isinstance(noun, tuple) else repr(noun)
+
+
+def test_an_observation_comes_back_bit_by_bit(tmp_path):
+    whole = observation(tmp_path)
+    assert all(getattr(whole, field.name) is not None for field in fields(Observation)), "a control: all is there"
+    missing = {field.name: None for field in fields(Observation) if str(field.type).endswith("| None")}
+    assert len(missing) == 7, "a control"
+    for one in (whole, replace(whole, **missing)):
+        assert told(decode(Observation, encode(one))) == told(one)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_damaged_bytes_are_no_noun(tmp_path, seed):
+    random, blob = np.random.default_rng(seed), bytearray(encode(observation(tmp_path)))
+    at = random.integers(2, len(blob))  # zlib's header has bits that say nothing
+    blob[at] ^= 1 << random.integers(8)
+    with pytest.raises(ValueError, match="bytes of no Observation"):
+        decode(Observation, bytes(blob))
+    with pytest.raises(ValueError, match="bytes of no Trajectory"):
+        decode(Trajectory, encode(observation(tmp_path)))
+
+
+def test_a_day_comes_back_bit_by_bit(tmp_path):
+    day = a_day(tmp_path)
+    with Store(tmp_path / "log", new=True) as log:
+        taken(log, day)
+        taken(log, Day("me", "2024-05-02", ()))
+    with Store(tmp_path / "log") as log:
+        found = log.day("me", DATE)
+        assert told(found) == told(day)
+        assert told(log.day("me", "2024-05-02")) == told(Day("me", "2024-05-02", ()))
+        assert log.day("you", DATE) is None
+        assert list(log.days()) == [("me", DATE), ("me", "2024-05-02")]
+    track = found.outings[0].trajectory
+    track.covariance[-1, 2, 2] *= 1 + 1e-15
+    assert told(found) != told(day), "a control: a bit is told"
+
+
+def test_a_day_is_in_the_store_once(tmp_path):
+    day = a_day(tmp_path)
+    with Store(tmp_path / "log", new=True) as log:
+        taken(log, day)
+        taken(log, replace(day, outings=day.outings * 2))
+        taken(log, day)
+        assert told(log.day("me", DATE)) == told(day)
+    assert [len(rows) for rows in tables(tmp_path / "log").values()] == [1, 0, 0, 1, 1, 2, 1, 2, 2, 1, 0]
+
+
+def tables(path):
+    """All rows of all tables, in order of name but for those of settings, versions and recordings, which are first."""
+    with closing(sqlite3.connect(path)) as database:
+        names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+        return {name: database.execute(f"SELECT * FROM {name}").fetchall() for name in names}
+
+
+def test_plain_sql_says_where_somebody_stood(tmp_path):
+    with Store(tmp_path / "log", new=True) as log:
+        taken(log, a_day(tmp_path))
+    with closing(sqlite3.connect(tmp_path / "log")) as database:
+        found = database.execute(
+            """SELECT datetime(epoch + start, 'unixepoch'), name, probability FROM outing
+            JOIN stay USING (person, date, outing) JOIN facing USING (person, date, outing, stay)
+            WHERE person = 'me' AND rank = 0"""
+        ).fetchall()
+    assert found == [("2024-05-01 22:30:00", "a shop", 0.75)]
+
+
+def test_nobody_else_may_read_it(tmp_path):
+    before = os.umask(0)  # everybody may read everything, were it not asked for otherwise
+    try:
+        with Store(tmp_path / "log", new=True) as log:
+            taken(log, a_day(tmp_path))
+            files.write(log.folder / "days" / "one", b"where they were")
+            files.copy({"a/b": tmp_path / "walk.plt"}, log.folder / "recordings" / "one")
+            made = [log.path, log.path.with_name("log-wal"), log.folder, *log.folder.rglob("*")]
+            modes = {path.relative_to(tmp_path).as_posix(): path.stat().st_mode & 0o777 for path in made}
+    finally:
+        os.umask(before)
+    assert {name: oct(mode) for name, mode in modes.items() if mode & 0o077} == {}
+    assert {"log", "log-wal", "log.d", "log.d/days/one", "log.d/recordings/one/a/b"} <= modes.keys()
+
+
+def refused(path, match, new=False):
+    """One line, and nothing is overwritten or made."""
+    before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    with pytest.raises(InputError, match=match) as refusal:
+        Store(path, new)
+    assert str(path) in str(refusal.value)
+    assert str(refusal.value).isprintable()
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
+
+
+def test_what_is_no_lifelog_is_refused(tmp_path):
+    path = tmp_path / "log"
+    refused(path, "no such file, needed a lifelog")
+    path.write_text("time,x,y\n")
+    refused(path, "another kind of file, needed a lifelog", new=True)
+    path.unlink()
+    with closing(sqlite3.connect(path)) as other:
+        other.executescript("PRAGMA journal_mode = WAL; CREATE TABLE bookmark (name TEXT)")
+    refused(path, "another kind of file", new=True)
+
+
+def test_a_journal_is_no_lifelog(tmp_path):
+    from pdr_graph.online.store import open_store
+
+    open_store(tmp_path / "journal", {}, "OFF")[0].close()
+    refused(tmp_path / "journal", "another kind of file, needed a lifelog", new=True)
+
+
+def test_a_newer_version_is_refused(tmp_path):
+    Store(tmp_path / "log", new=True).close()
+    with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
+        database.execute("PRAGMA user_version = 99")
+        database.execute("PRAGMA journal_mode = DELETE")
+    refused(tmp_path / "log", "version: found 99, needed 1 or older")
+
+
+def test_one_process_opens_it(tmp_path):
+    script = "import sys, pathlib; from pdr_graph.lifelog.store import Store; Store(pathlib.Path(sys.argv[1]))"
+    with Store(tmp_path / "log", new=True):
+        other = subprocess.run([sys.executable, "-c", script, tmp_path / "log"], capture_output=True, text=True)
+    assert "found a lifelog that another process writes" in other.stderr.splitlines()[-1]
+    Store(tmp_path / "log").close()
+
+
+def test_a_damaged_trajectory_is_told(tmp_path):
+    with Store(tmp_path / "log", new=True) as log:
+        taken(log, a_day(tmp_path))
+    with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
+        database.execute("UPDATE trajectory SET bytes = substr(bytes, 2)")
+    with Store(tmp_path / "log") as log, pytest.raises(InputError, match=r"me, 2024-05-01: found bytes of no Traj"):
+        log.day("me", DATE)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_damaged_lifelog_is_refused_in_a_line_or_read(tmp_path, seed):
+    """What is damaged may be a number, or in a page that is not in use: then nothing tells."""
+    random, path = np.random.default_rng(seed), tmp_path / "log"
+    with Store(path, new=True) as log:
+        taken(log, a_day(tmp_path))
+    content = bytearray(path.read_bytes())
+    at = random.integers(100, len(content) - 64)
+    content[at : at + 64] = random.bytes(64)
+    path.write_bytes(content[: at if seed % 2 else None])
+    said = ""
+    try:
+        with Store(path) as log:
+            assert isinstance(log.day("me", DATE), Day | None)
+            assert isinstance(log.days(), dict)
+    except InputError as refusal:
+        said = str(refusal)
+    assert said.isprintable()
+    assert said or not seed % 2, "one that was cut short is told"
+
+
+def test_a_full_disk_costs_the_day_that_was_to_be_taken_in_and_nothing_else(tmp_path):
+    path, limits = tmp_path / "log", resource.getrlimit(resource.RLIMIT_FSIZE)
+    day = a_day(tmp_path)
+    with Store(path, new=True) as log:
+        taken(log, day)
+        log.put(Entry("b" * 64, "me", "walk.plt"))
+        size = max(file.stat().st_size for file in (path, path.with_name("log-wal")))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, limits[1]))
+        try:
+            with pytest.raises(OSError, match="disk") as failure:
+                taken(log, replace(day, outings=day.outings * 9))
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert failure.value.filename == str(path)
+        assert told(log.day("me", DATE)) == told(day)
+        taken(log, replace(day, outings=day.outings * 9))
+    with Store(path) as log:
+        assert len(log.day("me", DATE).outings) == 9
+        assert [entry.hash for entry in log.entries()] == ["b" * 64]
+
+
+def test_a_file_that_finds_no_room_is_not_there(tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    files.write(tmp_path / "day", b"before")
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
+    try:
+        with pytest.raises(OSError, match="large") as failure:
+            files.write(tmp_path / "day", bytes(10_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert failure.value.filename == str(tmp_path / "day")
+    assert [file.name for file in tmp_path.iterdir()] == ["day"]
+    assert (tmp_path / "day").read_bytes() == b"before"
+
+
+def test_an_entry_has_the_columns_of_its_table(tmp_path):
+    entry = Entry("c" * 64, "me", "p", "plan", "f", "w", "1", 1.5, "o", 2.5, 3.5, 4, "why")
+    with Store(tmp_path / "log", new=True) as log:
+        log.put(entry)
+        assert log.entries() == (entry,)
+    with closing(sqlite3.connect(tmp_path / "log")) as database:
+        database.row_factory = sqlite3.Row
+        [row] = database.execute("SELECT * FROM recording").fetchall()
+    assert dict(row) == dict(zip([field.name for field in fields(Entry)], astuple(entry), strict=True))
+
+
+def test_the_folder_beside_it_has_its_name(tmp_path):
+    with Store(tmp_path / "my.days.db", new=True) as log:
+        assert log.folder == Path(tmp_path / "my.days.db.d")
+        assert not log.folder.exists()
