@@ -67,7 +67,7 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
     axes.plot(
         *_on(estimate.dead_reckoning, label).T, color=GREY, lw=1.2, ls=(0, (4, 2)), label="dead reckoning", zorder=3
     )
-    _draw_uncertainty(axes, estimate.trajectory, label)
+    draw_uncertainty(axes, estimate.trajectory, label)
     axes.plot(*track.T, color=TRACK, lw=2.2, label="most probable walk", zorder=5, solid_joinstyle="round")
     axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
     axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
@@ -146,7 +146,7 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
         axes.annotate(name, (x, y), ha="center", va="center", fontsize=6, color="#6b655b", zorder=2.5)
 
 
-def _draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
+def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
     """The 95 % ellipses of the steps, joined to a band."""
     if trajectory.covariance is None:
         return

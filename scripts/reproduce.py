@@ -14,6 +14,9 @@ import fingerprints
 import floors as floors_by_step
 import gps_outage
 import heading
+import lifelog_chains
+import lifelog_days
+import lifelog_visits
 import live
 import map_matching
 import numpy as np
@@ -173,6 +176,13 @@ def settings():
     publish("accuracy.md", "settings", table(header, rows))
 
 
+def lifelog(data):
+    """The four tables of the lifelog."""
+    lifelog_chains.lifelog_chains(data)
+    lifelog_days.lifelog_days(data)
+    lifelog_visits.lifelog_visits()
+
+
 if __name__ == "__main__":
     tables = {"microsoft": microsoft, "settings": settings}
     tables |= {"ipin21": lambda: recorded.ipin21(DATA), "gnss": lambda: recorded.gnss(DATA)}
@@ -187,6 +197,7 @@ if __name__ == "__main__":
     tables |= {"outliers": lambda: outliers.outliers(DATA, dict(microsoft_walks())["every second waypoint"])}
     tables |= {"covariance": lambda: covariance.covariance(DATA, microsoft_walks())}
     tables |= {"live": lambda: live.live(DATA, microsoft_walks(), recordings())}
+    tables |= {"lifelog": lambda: lifelog(DATA)}
     tables |= {"simulation": lambda: realism.simulation(DATA)}
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not chosen or not set(chosen) <= set(tables):

@@ -6,6 +6,7 @@ lxml parses ten times as fast as gpxpy, and can be told to trust nothing: no doc
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
@@ -23,6 +24,7 @@ from pdr_graph.types import Array, Fixes, Recording, Trajectory
 
 NAME = "GPX (.gpx)"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
+OWN = "urn:pdr_graph"  # of what GPX itself has not: the accuracy of a point
 ACCURACY_PER_HDOP = 5.3  # [m] 68 % radius: a phone's range error of 5 m, times HDOP, is the root mean square distance
 PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
 # an element of GPX, and extensions that hold a radius [m]
@@ -60,18 +62,60 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     return receiver_fixes(np.column_stack([time, lat[timed], lon[timed], accuracy[timed]]), notes, "GPX")
 
 
+@dataclass(frozen=True)
+class Points:
+    """Positions on earth: longitude and latitude ``(n, 2)`` [deg], Unix times ``(n,)`` [s], None without a clock, and
+    their 68 % radius ``(n,)`` [m], None where nothing is said of it.
+    """
+
+    lonlat: Array
+    time: Array | None = None
+    accuracy: Array | None = None
+
+
+@dataclass(frozen=True)
+class Track:
+    """A track and its uninterrupted segments."""
+
+    name: str
+    segments: tuple[Points, ...]
+
+
 def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str) -> None:
     """A track for any map app, with UTC times where the log has a clock."""
-    gpx = etree.Element("gpx", {"version": "1.1", "creator": "pdr_graph"}, nsmap={None: NAMESPACE})
-    track = etree.SubElement(gpx, "trk")
-    etree.SubElement(track, "name").text = "".join(c if c.isprintable() else "?" for c in name)
-    segment = etree.SubElement(track, "trkseg")
-    for t, (lon, lat) in zip(trajectory.time, frame.to_lonlat(trajectory.position), strict=True):
-        point = etree.SubElement(segment, "trkpt", {"lat": f"{lat:.8f}", "lon": f"{lon:.8f}"})
-        if epoch is not None:
-            when = datetime.fromtimestamp(epoch + t, UTC)
-            etree.SubElement(point, "time").text = when.isoformat(timespec="milliseconds").replace("+00:00", "Z")
-    etree.ElementTree(gpx).write(path, encoding="UTF-8", xml_declaration=True, pretty_print=True)
+    time = None if epoch is None else epoch + trajectory.time
+    path.write_bytes(document([Track(name, (Points(frame.to_lonlat(trajectory.position), time),))]))
+
+
+def document(tracks: Sequence[Track], places: Sequence[tuple[str, Points]] = ()) -> bytes:
+    """A GPX 1.1 file of tracks, and of places by name, each one point with the time of arrival."""
+    gpx = etree.Element("gpx", {"version": "1.1", "creator": "pdr_graph"}, nsmap={None: NAMESPACE, "pdr": OWN})
+    for name, point in places:
+        _add_points(gpx, "wpt", point, name)
+    for track in tracks:
+        element = etree.SubElement(gpx, "trk")
+        etree.SubElement(element, "name").text = _printable(track.name)
+        for points in track.segments:
+            _add_points(etree.SubElement(element, "trkseg"), "trkpt", points)
+    return etree.tostring(gpx, encoding="UTF-8", xml_declaration=True, pretty_print=True)
+
+
+def _add_points(parent: etree._Element, tag: str, points: Points, name: str = "") -> None:
+    """An element for each point, its parts in the order that the format demands."""
+    for n, (lon, lat) in enumerate(points.lonlat):
+        element = etree.SubElement(parent, tag, {"lat": f"{lat:.8f}", "lon": f"{lon:.8f}"})
+        if points.time is not None:
+            when = datetime.fromtimestamp(points.time[n], UTC).isoformat(timespec="milliseconds")
+            etree.SubElement(element, "time").text = when.replace("+00:00", "Z")
+        if name:
+            etree.SubElement(element, "name").text = _printable(name)
+        if points.accuracy is not None:
+            extensions = etree.SubElement(element, "extensions")
+            etree.SubElement(extensions, f"{{{OWN}}}accuracy").text = f"{points.accuracy[n]:.2f}"
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 @dataclass

@@ -1,0 +1,467 @@
+"""Private places: no byte of an export tells them, nor do many days of exports together."""
+
+import csv
+import json
+import re
+from dataclasses import replace
+from itertools import pairwise
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_days import HERE, MIDNIGHT, NOWHERE, PACE, PERIOD, day, outing, stay
+
+from pdr_graph.errors import InputError
+from pdr_graph.frames import Frame, enu
+from pdr_graph.geometry import length_along
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Segment
+from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx
+from pdr_graph.lifelog.parts import PRIVATE, at
+from pdr_graph.lifelog.privacy import shared
+from pdr_graph.lifelog.private_places import PrivatePlace, private_places
+from pdr_graph.lifelog.timeline import table, timeline
+from pdr_graph.types import Trajectory
+
+SECRET, RADIUS = b"of one lifelog", 150.0
+HOME = np.array([0.0, 0.0])  # in made days: where the frame's origin is, as in a lifelog that begins at home
+ZONE = ZoneInfo("America/Santiago")
+
+
+def said(place=HOME, radius=RADIUS):
+    lon, lat = HERE.to_lonlat(np.array([place], dtype=float))[0]
+    return f"{lat:.7f},{lon:.7f},{radius}"
+
+
+def hidden(*places, secret=SECRET):
+    return private_places(places or [said()], [], secret)
+
+
+def streets(random, minutes=20, start=HOME):
+    """Legs of somebody who leaves for anywhere in a town of blocks, most often on."""
+    heading = random.integers(4) * np.pi / 2
+    legs = []
+    while sum(seconds for _, seconds, _ in legs) < 60 * minutes:
+        legs.append((WALKING, float(random.uniform(40, 160)), heading))
+        heading += random.choice([0.0, np.pi / 2, -np.pi / 2], p=[0.4, 0.3, 0.3])
+    return outing(legs, start=start)
+
+
+def backwards(walk):
+    """The same way to where it began."""
+    end = walk.trajectory.time[-1]
+    track = replace(walk.trajectory, time=end - walk.trajectory.time[::-1], position=walk.trajectory.position[::-1])
+    segments = [replace(s, start=end - s.end, end=end - s.start) for s in walk.segments[::-1]]
+    return replace(walk, trajectory=track, segments=tuple(segments), epoch=walk.epoch + 7200)
+
+
+def exported(days):
+    """All that can be given away of some days."""
+    tables = [text for own in days for text in (as_csv(own).decode(), table(timeline(own), ZONE))]
+    return "\n".join([as_gpx(days).decode(), as_geojson(days).decode(), *tables])
+
+
+def in_degrees(text):
+    """Without the columns of metres, which may look like degrees; they are told from the frame's origin, below."""
+    names: list[str] = []
+    lines = []
+    for line in text.split("\n"):
+        cells = line.split(",")
+        names = cells if "longitude" in cells else names
+        kept = [c for c, name in zip(cells, names, strict=False) if name not in ("x", "y")]
+        lines.append(",".join(kept) if len(cells) == len(names) else line)
+    return "\n".join(lines)
+
+
+def places_told(text):
+    """Every two numbers ``(n, 2)`` within a line, a tag or a bracket that could be a longitude and a latitude there."""
+    units = re.findall(r"[^\n<>\[\]{}]*\d\.\d[^\n<>\[\]{}]*", text)
+    numbers = [[float(n) for n in re.findall(r"-?\d+\.\d+", unit)] for unit in units]
+    pairs = [(lon, lat) for own in numbers for lat in own if abs(lat + 35) < 0.5 for lon in own if abs(lon + 71) < 0.5]
+    return np.array(pairs).reshape(-1, 2)
+
+
+def nearest(text, place=HOME):
+    """How near the places that a text tells come to one. [m]"""
+    told = places_told(in_degrees(text))
+    return float(np.hypot(*(HERE.from_lonlat(told) - place).T).min()) if len(told) else np.inf
+
+
+@given(seed=st.integers(0, 10**6), radius=st.floats(20, 400), home=st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_no_byte_of_an_export_tells_a_coordinate_in_a_cut_place(seed, radius, home):
+    random = np.random.default_rng(seed)
+    place = HOME if home else random.uniform(-300, 300, 2)  # which may lie on the way
+    walk = replace(streets(random), stays=(stay(1.0, 30.0, place, [("Home", 0.9)]),))
+    there, back = day(walk, backwards(walk)), day(streets(random))
+    left, _ = shared([there, back], hidden(said(place, radius)), [])
+    assert nearest(exported(left), place) > radius
+    assert not re.search(r"(?i)home|anna/|5f3b", exported(left))  # a stay's name, a path, a hash, a note
+    if home:  # the control: the same search finds what was not cut
+        assert nearest(exported([there, back]), place) < 1
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=25, deadline=None)
+def test_what_is_done_in_a_cut_place_changes_no_byte(seed):
+    """Where in it one was, for how long within a quarter of an hour, on which recording, and what one looked at."""
+    random = np.random.default_rng(seed)
+    [place] = hidden()
+    out = streets(random)
+    back = backwards(out)
+    inside = np.flatnonzero(place.hides(HERE.to_lonlat(out.trajectory.position)))
+    first = 1 + inside[np.flatnonzero(np.diff(inside, append=np.inf) > 1)[0]]  # the first row outside
+
+    def moved(walk, rows):
+        """Hidden rows elsewhere in the place."""
+        position = walk.trajectory.position.copy()
+        position[rows] = place.frame.from_lonlat(HERE.to_lonlat(position[rows])) * 0.3 + random.uniform(-40, 40, 2)
+        return replace(walk, trajectory=replace(walk.trajectory, position=position))
+
+    other = moved(out, slice(0, first - 3)), moved(back, slice(len(back.trajectory) - first + 3, None))
+    other = tuple(
+        replace(walk, recordings=("77" * 32,), source="other", stays=(stay(0, 20, HOME, [("Bank", 1.0)]),))
+        for walk in other
+    )
+    one, another = (shared([day(*walks)], hidden(), [])[0] for walks in ((out, back), other))
+    assert "Bank" in exported([day(*other)])
+    assert without_distances(exported(one)) == without_distances(exported(another))
+
+
+def without_distances(text):
+    """But for what rounding may do to sums that were shared out."""
+    return re.sub(r'(?<="distance": )[\d.]+|(?<=walking,)[\d.]+', "", text)
+
+
+def test_a_recording_that_began_elsewhere_in_a_cut_place_gives_the_same_bytes():
+    """Or earlier: else the time to the first row would say how far from home it is."""
+    legs = [(WALKING, 900.0, 0.0), (WALKING, 600.0, np.pi / 2)]
+    whole = outing(legs)
+    late = whole.trajectory.time >= 60
+    track = whole.trajectory
+    begun_late = replace(
+        whole,
+        epoch=whole.epoch + 60,
+        trajectory=replace(
+            track,
+            time=track.time[late] - 60,
+            position=track.position[late],
+            heading=track.heading[late],
+            floor=tuple(np.array(track.floor)[late]),
+            covariance=track.covariance[late],
+        ),
+        segments=(Segment(WALKING, 0.0, 840.0, 840 * PACE[WALKING]), Segment(WALKING, 840.0, 1440.0, 750.0)),
+    )
+    one, other = (shared([day(walk)], hidden(), [])[0] for walk in (whole, begun_late))
+    assert one[0].outings
+    assert exported(one) == exported(other)
+
+
+def test_a_way_that_nobody_saw_does_not_tell_how_long_it_was():
+    """A gap from home is bridged by rows on the line that leads there."""
+    made = outing([(STANDING, 100.0, 0.0), (GAP, 3000.0, 0.0), (WALKING, 600.0, 1.0)])
+    track = made.trajectory
+    bridge = np.arange(400.0, 3000.0, 300.0)
+    rows = [at(track, times) for times in (track.time[track.time <= 100], bridge, track.time[track.time >= 3100])]
+    parts = (np.concatenate([getattr(r, name) for r in rows]) for name in ("time", "position", "heading"))
+    floor, covariance = sum((r.floor for r in rows), ()), np.concatenate([r.covariance for r in rows])
+    bridged = replace(made, trajectory=Trajectory(*parts, floor, covariance))
+    one, other = (shared([day(walk)], hidden(), [])[0] for walk in (made, bridged))
+    assert [s.kind for s in other[0].outings[0].segments] == [WALKING]
+    assert exported(one) == exported(other)
+
+
+def test_a_short_visit_does_not_tell_how_far_it_led():
+    """Somebody went in, and came out of it at the same place: to the door or to the far end, the same is told."""
+
+    def visit(seconds):
+        into = [(WALKING, 900.0, 0.0), (WALKING, seconds / 2, np.pi / 2), (WALKING, seconds / 2, -np.pi / 2)]
+        walk = outing([*into, (WALKING, 900.0, np.pi)], epoch=MIDNIGHT)
+        return shared([day(walk)], hidden(said((900 * PACE[WALKING], 40.0), 100)), [])[0]
+
+    one, other = visit(60), visit(300)  # either leaves within the same quarter of an hour
+    times = [[(s.kind, s.start, s.end) for o in days[0].outings for s in o.segments] for days in (one, other)]
+    assert [kind for kind, *_ in times[0]] == [WALKING, PRIVATE, WALKING]
+    assert np.allclose([t for _, *t in times[0]], [t for _, *t in times[1]], atol=PERIOD)
+
+
+@given(seed=st.integers(0, 10**6), radius=st.floats(1, 5000), lat=st.floats(-80, 80), lon=st.floats(-179, 179))
+@settings(max_examples=50, deadline=None)
+def test_a_place_is_hidden_whole_always_alike_and_by_each_secret_elsewhere(seed, radius, lat, lon):
+    text = f"{lat:.6f},{lon:.6f},{radius:.1f}"
+    (one,), (again,), (other,) = (hidden(text, secret=s) for s in (SECRET, SECRET, b"other"))
+    assert shapely.covers(one.hidden, one.shape)
+    assert shapely.equals(one.hidden, again.hidden)
+    assert shapely.distance(shapely.centroid(one.hidden), shapely.centroid(other.hidden)) > 0
+    assert shapely.area(one.hidden) == pytest.approx(4 * shapely.area(one.shape), rel=0.01)
+
+
+def test_who_finds_the_hidden_area_exactly_still_has_two_thirds_of_a_radius_to_go():
+    """As the module says: within ρ with a probability of (ρ/r)², over many secrets; 4 standard deviations of 500."""
+    areas = [hidden(secret=n.to_bytes(4, "big"))[0] for n in range(500)]
+    apart = np.array([shapely.distance(shapely.centroid(a.hidden), shapely.centroid(a.shape)) for a in areas]) / RADIUS
+    assert apart.mean() == pytest.approx(2 / 3, abs=4 * np.sqrt(1 / 18) / np.sqrt(500))
+    for share in (0.25, 0.5, 0.75):
+        assert (apart < share).mean() == pytest.approx(share**2, abs=4 * np.sqrt(share**2 * (1 - share**2) / 500))
+
+
+def ends(days):
+    """Where tracks that lead from home begin and tracks that lead home end, and the way there ``(n, 2)`` each."""
+    found = []
+    for walk in (o for own in days for o in own.outings):
+        track = HERE.from_lonlat(walk.frame.to_lonlat(walk.trajectory.position))
+        track = track if walk.epoch < MIDNIGHT + 10.5 * 3600 else track[::-1]
+        found.append((track[0], track[0] - track[30]))
+    return np.array(found).reshape(-1, 2, 2).transpose(1, 0, 2)
+
+
+def centre_of_circle(points, _):
+    """Least squares: x² + y² = 2ax + 2by + c."""
+    solution = np.linalg.lstsq(np.column_stack([2 * points, np.ones(len(points))]), (points**2).sum(1), rcond=None)[0]
+    return solution[:2]
+
+
+def middle(points, _):
+    return points.mean(axis=0)
+
+
+def where_lines_meet(points, ways):
+    """The place that is nearest to all lines."""
+    ways = ways / np.hypot(*ways.T)[:, None]
+    across = np.eye(2) - ways[:, :, None] * ways[:, None, :]
+    return np.linalg.lstsq(across.sum(0), np.einsum("nij,nj->i", across, points), rcond=None)[0]
+
+
+ATTACKS = (centre_of_circle, middle, where_lines_meet)
+
+
+def guesses(hide, secrets, days):
+    """How far each attack's guesses are from home ``(attacks, secrets)``, in radii, by so many days' exports."""
+    found = []
+    for n in range(secrets):
+        random = np.random.default_rng(n)
+        walks = [[streets(random, minutes=25) for _ in range(2)] for _ in range(days)]
+        points, ways = ends(shared([day(out, backwards(back)) for out, back in walks], hide(n), [])[0])
+        if len(points) > 2:  # a circle takes three; some walks never leave what is hidden
+            found.append([np.hypot(*(attack(points, ways) - HOME)) / RADIUS for attack in ATTACKS])
+    assert len(found) > 0.8 * secrets
+    return np.array(found).T
+
+
+@pytest.mark.parametrize("days", [2, 6])
+def test_where_tracks_are_cut_tells_no_more_than_the_module_says(days):
+    """On average 2/3 r from home, or √π r / √n by n ends of walks that lead as often anywhere; less 4 standard errors.
+
+    A guess that is as good as the hidden area's middle is 2/3 r away with a variance of r²/18.
+    """
+    away = guesses(lambda n: hidden(secret=n.to_bytes(4, "big")), secrets := 30, days)
+    bound = min(2 / 3, np.sqrt(np.pi / (2 * days)))
+    assert (away.mean(axis=1) > bound - 4 * np.sqrt(1 / 18 / secrets)).all(), away.mean(axis=1)
+
+
+def test_a_plain_circle_would_tell_the_centre():
+    """The control: the same attacks on what is cut without care."""
+
+    def plainly(_):
+        shape = shapely.Point(0, 0).buffer(RADIUS, quad_segs=64)
+        return [PrivatePlace("", HERE, shape, shape, 0.0)]
+
+    away = guesses(plainly, 5, 6)
+    assert away.min(axis=0).max() < 0.05
+
+
+def test_no_track_points_at_what_it_is_cut_for_but_from_far_away():
+    [place] = hidden()
+    checked = 0
+    for seed in range(30):
+        days, _ = shared([day(streets(np.random.default_rng(seed)))], [place], [])
+        for walk in days[0].outings:
+            if (walk.epoch - MIDNIGHT) % 900:
+                continue
+            track = place.frame.from_lonlat(walk.frame.to_lonlat(walk.trajectory.position))
+            leg = np.flatnonzero(np.hypot(*(track - track[0]).T) >= 30)[0]
+            ray = shapely.LineString([track[0], track[0] + 50 * (track[0] - track[leg])])
+            away = shapely.distance(place.hidden, shapely.Point(track[0]))
+            assert not shapely.intersects(ray, place.hidden) or away > 2 * RADIUS - 1, seed
+            checked += 1
+    assert checked > 20
+
+
+def test_the_origin_of_a_frame_is_not_home():
+    """Else x and y beside latitude and longitude would tell it: the first position of all is often at home."""
+    home = enu(-35.00341, -71.00482)
+    walk = replace(streets(np.random.default_rng(3)), frame=home)
+    [left], _ = shared([day(walk)], hidden("-35.00341,-71.00482,150"), [])
+    text = as_csv(left).decode()
+    row = next(csv.DictReader(text.splitlines()))
+    x, y, lat, lon = (float(row[name]) for name in ("x", "y", "latitude", "longitude"))
+    assert left.outings[0].frame.from_lonlat(np.array([[lon, lat]]))[0] == pytest.approx((x, y), abs=0.01)
+    origin = home.from_lonlat(np.array([left.outings[0].frame.origin[::-1]]))[0]
+    assert np.hypot(*origin) > 150
+    assert np.hypot(*(origin - home.from_lonlat(np.array([[lon, lat]]))[0])) < 800  # near what is shown: half of 0.01°
+
+
+def test_what_is_far_from_private_places_stays_as_it_is():
+    far = outing([(WALKING, 300.0, 0.3), (STANDING, 100.0, 0.3)], start=(9000.0, 0.0), stays=[stay(300, 400)])
+    far = replace(far, stays=(stay(301, 399, (9300.0, 100.0), [("Kiosk", 0.8)]),))
+    [left], notes = shared([day(far)], hidden(), hidden(said((0, -4000.0))))
+    [same] = left.outings
+    assert not notes
+    assert (same.epoch, same.segments, same.steps) == (far.epoch, far.segments, far.steps)
+    assert same.stays[0].facing == far.stays[0].facing
+    before, after = (o.frame.to_lonlat(o.trajectory.position) for o in (far, same))
+    assert after == pytest.approx(before, abs=1e-7)  # a centimetre: there and back through another origin
+
+
+def test_the_way_and_the_steps_are_of_what_is_left():
+    walk = streets(np.random.default_rng(1))
+    [left], _ = shared([day(walk)], hidden(), [])
+    for part in left.outings:
+        line = length_along(part.trajectory.position)[-1]
+        assert sum(s.distance for s in part.segments) == pytest.approx(line, rel=0.01)
+        assert part.steps == pytest.approx(line / (PACE[WALKING] * PERIOD), abs=2)
+    assert left.profile is None
+
+
+def test_the_name_of_a_hidden_stay_is_nowhere_else():
+    away = stay(1500.0, 1600.0, (1000.0, 0.0), [("Kiosk", 0.6), ("Grandma's", 0.3)])
+    home = stay(0.0, 60.0, HOME, [("Grandma's", 0.9)])
+    legs = [(STANDING, 60.0, 0.0), (WALKING, 1200.0, 0.0), (WALKING, 200.0, 1.5), (STANDING, 600.0, 1.5)]
+    [left], _ = shared([day(outing(legs, stays=[home, away]))], hidden(), [])
+    assert [s.facing for o in left.outings for s in o.stays] == [(("Kiosk", 0.6),)]
+
+
+def test_a_ride_through_a_cut_place_without_a_row_in_it_is_cut_too():
+    """A straight line over it would be drawn through it."""
+    walk = outing([(VEHICLE, 400.0, 0.0)], start=(-2000.0, 0.0))
+    sparse = slice(0, None, 160)  # 800 m apart
+    track = walk.trajectory
+    track = replace(
+        track,
+        time=track.time[sparse],
+        position=track.position[sparse],
+        heading=track.heading[sparse],
+        floor=track.floor[sparse],
+        covariance=track.covariance[sparse],
+    )
+    [left], _ = shared([day(replace(walk, trajectory=track))], hidden(said((-800, 0.0), 60)), [])
+    lines = [f["geometry"]["coordinates"] for f in json.loads(as_geojson([left]))["features"]]
+    where = HERE.to_lonlat(np.array([[-800.0, 0.0]]))[0]
+    assert lines
+    assert all(shapely.distance(shapely.LineString(line), shapely.Point(where)) > 60 / 111_320 for line in lines)
+
+
+def test_what_nobody_can_place_is_left_out():
+    walk = outing([(WALKING, 100.0, 0.0)], frame=NOWHERE)
+    [left], [note] = shared([day(walk)], hidden(), [])
+    assert not left.outings
+    assert "2024-05-01" in note
+
+
+def test_without_private_places_days_are_as_they_were():
+    days = [day(streets(np.random.default_rng(0)))]
+    assert shared(days, [], []) == (days, [])
+
+
+@given(seed=st.integers(0, 10**6), radius=st.floats(50, 800))
+@settings(max_examples=25, deadline=None)
+def test_a_blurred_place_tells_a_square_and_a_quarter_of_an_hour(seed, radius):
+    random = np.random.default_rng(seed)
+    home = random.uniform(-400, 400, 2)
+    legs = [(STANDING, float(random.uniform(0, 7200)), 0.0), *[(WALKING, 200.0, h * np.pi / 2) for h in (0, 0, 1, 0)]]
+    walk = outing(legs, start=home, stays=[stay(0.0, legs[0][1], home, [("Home", 0.9)])])
+    [place] = hidden(said(home, radius))
+    [left], _ = shared([day(walk)], [], [place])
+    side = max(500.0, place.radius)
+    for part in left.outings:
+        private = [s for s in part.segments if s.kind == PRIVATE]
+        lonlat = part.frame.to_lonlat(part.trajectory.position)
+        blurred = np.any([(part.trajectory.time > s.start) & (part.trajectory.time < s.end) for s in private], axis=0)
+        assert not (place.hides(lonlat) & ~blurred).any()
+        times = part.epoch + part.trajectory.time[blurred]
+        assert times % 900 == pytest.approx(450)
+        steps = lonlat[blurred, 1] / (side / 111_320)
+        assert steps % 1 == pytest.approx(0.5, abs=1e-4)  # in the middle of a square, wherever home is
+        apart = HERE.from_lonlat(lonlat[blurred]) - home
+        assert np.abs(apart).max(initial=0) <= side / 2 + 2 * RADIUS + 2 * radius + 1
+        assert (part.trajectory.covariance[blurred][:, 0, 0] >= side**2 / 12 - 1e-6).all()
+        for s in part.stays:
+            assert s.facing == ()
+            assert (part.epoch + np.array([s.start, s.end])) % 900 == pytest.approx([0, 0])
+            assert np.abs(HERE.from_lonlat(part.frame.to_lonlat(s.position[None]))[0] - home).max() <= 1.01 * side / 2
+
+
+def test_blurred_rows_are_as_far_off_as_their_covariance_says():
+    """Over many homes: the mean square error of a square's middle, in units of its variance, is 1 per axis."""
+    random, errors = np.random.default_rng(5), []
+    for _ in range(200):
+        home = random.uniform(-2000, 2000, 2)
+        walk = outing([(STANDING, 2000.0, 0.0)], start=home)
+        [left], _ = shared([day(walk)], [], hidden(said(home)))
+        track, frame = left.outings[0].trajectory, left.outings[0].frame
+        error = HERE.from_lonlat(frame.to_lonlat(track.position[:1]))[0] - home
+        errors.append(error**2 / np.diag(track.covariance[0])[:2])
+    # the fourth moment of a uniform error is 9/5 of its variance squared: 4 standard errors of 400 numbers
+    assert np.mean(errors) == pytest.approx(1, abs=4 * np.sqrt(0.8 / 400))
+
+
+def test_time_never_goes_back():
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        walk = streets(random, minutes=60)
+        after = replace(streets(random), epoch=walk.epoch + walk.trajectory.time[-1] + 30)
+        places = hidden(), hidden(said(random.uniform(-500, 500, 2)))
+        [left], _ = shared([day(walk, after)], *places)
+        entries = timeline(left)
+        assert all(e.end >= e.start for e in entries)
+        assert all(b.start >= a.end - 1e-3 for a, b in pairwise(entries))
+        for part in left.outings:
+            assert (np.diff(part.trajectory.time) > 0).all()
+
+
+def test_areas_of_a_file_are_hidden(tmp_path):
+    ring = [[135.0, 35.0], [135.01, 35.0], [135.01, 35.001], [135.0, 35.001], [135.0, 35.0]]
+    features = [
+        {"type": "Feature", "properties": {"name": "River"}, "geometry": {"type": "Polygon", "coordinates": [ring]}},
+        {"type": "Feature", "properties": {"radius": 80}, "geometry": {"type": "Point", "coordinates": [135.1, 35.1]}},
+    ]
+    file = tmp_path / "areas.geojson"
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    river, point = hidden(str(file))
+    assert river.hides(np.array([*ring, [135.005, 35.0005]])).all()
+    assert point.hides(np.array([[135.1, 35.1]])).all()
+    features[1]["properties"] = {}
+    file.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    with pytest.raises(InputError, match="radius"):
+        hidden(str(file))
+
+
+def test_names_are_those_of_a_plan():
+    plan = "maps/mall.geojson"
+    from pdr_graph.floor.building import Building
+
+    floor = Building.load(plan).floors[0]
+    shop = next(area for area in floor.areas if area.kind == "shop" and area.name)
+    found = private_places([shop.name.upper()], [plan], SECRET)
+    corners = floor.frame.to_lonlat(shapely.get_coordinates(shop.shape))
+    assert any(place.hides(corners).all() for place in found)
+    with pytest.raises(InputError, match="no such name"):
+        private_places(["Nobody's"], [plan], SECRET)
+
+
+@pytest.mark.parametrize(
+    "text", ["95.0,10.0,100", "10.0,190.0,100", "1.0,2.0,0.1", "1.0,2.0,1e9", "nowhere.geojson", "1.0.0,2.0,3.0", ""]
+)
+def test_what_is_no_place_is_refused_rather_than_not_hidden(text):
+    with pytest.raises(InputError):
+        hidden(text)
+
+
+def test_a_plan_frame_keeps_its_origin():
+    """It is the plan's, and the same for everybody."""
+    frame = Frame("plan", (35.0, 135.0), metres_per_degree=(91_000.0, 111_000.0))
+    far = outing([(WALKING, 300.0, 0.0)], frame=frame, start=(5000.0, 0.0))
+    [left], _ = shared([day(far)], hidden(), [])
+    assert left.outings[0].frame == frame

@@ -1,0 +1,164 @@
+"""A day as one list: nothing twice, nothing left out, and what was said is what was done."""
+
+import csv
+import io
+from dataclasses import replace
+from datetime import datetime
+from itertools import pairwise
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, stay
+
+from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
+from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, printed, spoken, table, timeline, totals
+
+ZONE = ZoneInfo("America/Santiago")
+NINE = MIDNIGHT + 9 * 3600
+EAST, NORTH = 0.0, np.pi / 2
+
+
+def told(made):
+    """Kinds and lengths in time."""
+    return [(e.kind, round(e.end - e.start)) for e in timeline(made)]
+
+
+def rows(made):
+    """Of the table, by column."""
+    return list(csv.DictReader(io.StringIO(table(timeline(made), ZONE))))
+
+
+legs = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
+
+
+@given(legs=legs, edges=st.lists(st.integers(0, 500), max_size=6, unique=True), slow=st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_a_timeline_covers_all_time_once_and_keeps_the_way(legs, edges, slow):
+    """Wherever the stays are: entries follow one another, and their distances are the segments' in sum."""
+    made = outing([(kind, float(seconds), heading) for kind, seconds, heading in legs])
+    end = made.segments[-1].end
+    pairs = zip(sorted(edges)[::2], sorted(edges)[1::2], strict=False)
+    made = replace(made, stays=tuple(stay(a * end / 500, b * end / 500, passing=slow) for a, b in pairs))
+    entries = timeline(day(made))
+    assert entries[0].start == made.epoch
+    assert entries[-1].end == made.epoch + end
+    assert all(one.end == other.start for one, other in pairwise(entries))
+    assert all(e.end > e.start for e in entries)
+    way = sum(s.distance for s in made.segments)
+    assert sum(e.distance for e in entries) == pytest.approx(way, abs=1e-6)
+    kept = [e for e in entries if e.kind in (STAY, PASSING)]
+    assert sum(e.end - e.start for e in kept) >= sum(s.end - s.start for s in made.stays) - 1e-6
+
+
+def test_a_stay_replaces_the_standing_it_lies_in():
+    """Also where it begins some seconds after the standing, which is then part of the walk to it."""
+    made = outing([(WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(112, 400)])
+    assert told(day(made)) == [(WALKING, 112), (STAY, 288), (WALKING, 100)]
+
+
+def test_the_moments_by_which_two_detectors_differ_are_the_stays():
+    made = outing([(STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(2, 300)])
+    assert told(day(made)) == [(STAY, 300), (WALKING, 100)]
+
+
+def test_short_standing_is_part_of_the_way_and_long_standing_is_not():
+    made = outing([(WALKING, 100.0, EAST), (STANDING, 59.0, EAST), (WALKING, 100.0, EAST), (STANDING, 61.0, EAST)])
+    assert told(day(made)) == [(WALKING, 259), (STANDING, 61)]
+    made = outing([(VEHICLE, 100.0, EAST), (STANDING, 59.0, EAST), (VEHICLE, 100.0, EAST)])
+    assert told(day(made)) == [(VEHICLE, 259)]
+    made = outing([(GAP, 100.0, EAST), (STANDING, 30.0, EAST), (GAP, 100.0, EAST)])
+    assert told(day(made)) == [(GAP, 100), (STANDING, 30), (GAP, 100)]  # no way to be part of
+
+
+def test_a_slow_pass_divides_a_walk_and_the_way():
+    made = outing([(WALKING, 200.0, EAST)], stays=[stay(80, 100, passing=True)])
+    assert told(day(made)) == [(WALKING, 80), (PASSING, 20), (WALKING, 100)]
+    assert [e.distance for e in timeline(day(made))] == pytest.approx([80 * 1.25, 20 * 1.25, 100 * 1.25])
+
+
+def test_gaps_between_outings_are_gaps_whatever_order_they_are_given_in():
+    morning = outing([(WALKING, 600.0, EAST)], epoch=NINE)
+    noon = outing([(WALKING, 300.0, EAST)], epoch=NINE + 3 * 3600)
+    assert told(day(noon, morning)) == [(WALKING, 600), (GAP, 10200), (WALKING, 300)]
+    at_once = outing([(WALKING, 300.0, EAST)], epoch=NINE + 600.5)
+    assert told(day(morning, at_once)) == [(WALKING, 600), (WALKING, 300)]
+
+
+def test_the_table_says_when_in_the_zone_and_where_on_earth():
+    made = outing(
+        [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
+    )
+    assert table(timeline(day(made)), ZONE).split("\n")[0] == HEADER
+    [row] = rows(day(made))
+    assert row["start"] == "2024-05-01T09:00:00-04:00"
+    assert datetime.fromisoformat(row["end"]).timestamp() == NINE + 300
+    assert (row["kind"], row["floor"], row["place"], row["others"]) == (STAY, "F1", "A, B", "C 0.250")
+    assert float(row["probability"]) == 0.7
+    place = np.array([[float(row["longitude"]), float(row["latitude"])]])
+    assert HERE.from_lonlat(place)[0] == pytest.approx((30, 40), abs=0.02)
+    assert (float(row["x"]), float(row["y"]), float(row["sigma"])) == (30, 40, 2)
+
+
+def test_what_is_not_known_is_empty():
+    made = outing([(WALKING, 100.0, EAST), (GAP, 100.0, EAST), (STANDING, 100.0, EAST)], frame=NOWHERE)
+    walking, gap, standing = rows(day(made))
+    assert gap["distance"] == gap["x"] == ""
+    assert walking["distance"] == "125.0"
+    assert walking["place"] == walking["probability"] == walking["x"] == ""
+    assert standing["latitude"] == ""
+    assert (float(standing["x"]), float(standing["sigma"])) == (225, 1)
+
+
+def test_the_floors_of_a_walk_are_told_in_order():
+    made = outing([(WALKING, 100.0, EAST)])
+    floor = tuple("1" if t < 40 else "" if t < 60 else "2" for t in made.trajectory.time)
+    made = replace(made, trajectory=replace(made.trajectory, floor=floor))
+    assert rows(day(made))[0]["floor"] == "1 > 2"
+
+
+def test_the_sums_are_the_segments_and_the_places_the_expected_time():
+    stays = [stay(0, 600, facing=[("A", 0.8), ("B", 0.1)]), stay(700, 1000, facing=[("B", 0.6)])]
+    walk = [(STANDING, 600.0, EAST), (WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (GAP, 50.0, EAST)]
+    made = day(outing([*walk, (VEHICLE, 200.0, EAST)], stays=stays))
+    sums = totals(made, timeline(made))
+    assert (sums.walked, sums.walking) == (125, 100)
+    assert (sums.ridden, sums.riding) == (200 * PACE[VEHICLE], 200)
+    assert (sums.staying, sums.unknown) == (900, 50)
+    assert dict(sums.places) == pytest.approx({"A": 0.8 * 600, "B": 0.1 * 600 + 0.6 * 300})
+    assert [name for name, _ in sums.places] == ["A", "B"]
+
+
+def test_names_of_a_plan_cannot_command_a_terminal():
+    """They are their makers' and may be anything."""
+    made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
+    text = printed(day(made), timeline(day(made)), ZONE) + table(timeline(day(made)), ZONE)
+    assert "\x1b" not in text
+    assert "\t" not in text
+    assert len(rows(day(made))) == 1
+
+
+def test_a_print_says_the_same_in_words():
+    stays = [stay(120, 720, (150.0, 0.0), [("Bakery", 0.8), ("Bank", 0.15)])]
+    made = day(outing([(WALKING, 120.0, EAST), (STANDING, 600.0, EAST), (GAP, 300.0, NORTH)], stays=stays))
+    text = printed(made, timeline(made), ZONE)
+    assert "09:02:00  09:12:00      10 min  stay" in text
+    assert "Bakery 80%  (Bank 15%)" in text
+    assert "nobody recorded" in text
+    assert "walked 0.15 km in 2 min" in text
+    assert "at places: Bakery 8 min, Bank 90 s" in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(0, "0 s"), (99, "99 s"), (99.6, "2 min"), (5940, "99 min"), (7500, "2 h 05 min")]
+)
+def test_times_are_said_as_one_says_them(seconds, said):
+    assert spoken(seconds) == said
+
+
+def test_a_day_without_outings_is_empty():
+    assert timeline(day()) == ()
+    assert table((), ZONE) == HEADER + "\n"
+    assert "walked 0.00 km" in printed(day(), (), ZONE)
