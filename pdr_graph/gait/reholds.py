@@ -101,9 +101,11 @@ def _fast_turns(heading: Array, period: float) -> Spans:
 
 
 def _in_hand(gait: _Gait, heading: Array, span: tuple[int, int]) -> bool:
-    """True of a turn after which what brakes and drives the walker comes from elsewhere in the device."""
-    turned = heading[span[1]] - heading[span[0]]
-    return -gait.moved(*span, STEPS_BESIDE, COHERENT) * np.sign(turned) > TOLD_APART
+    """True of a turn after which what brakes and drives the walker comes from elsewhere in the device, and from as far
+    round as it turned: at a corner gait may be misread, but seldom as just the corner.
+    """
+    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, STEPS_BESIDE, COHERENT)
+    return -moved * np.sign(turned) > TOLD_APART and abs(turned + moved) < TURNED
 
 
 def _meets(one: tuple[int, int], others: Spans) -> bool:

@@ -140,7 +140,7 @@ def _together(track: Trajectory, rows: Index, weight: Array) -> tuple[Array, Arr
 def _passes(steps: Steps, track: Trajectory, fronts: dict[str, Fronts]) -> list[Stay]:
     """Slow stretches of the way past something with a name, one for each name that was the likeliest for a while."""
     found = list[Stay]()
-    for taken in _slow(steps, track) if fronts else []:
+    for taken in _slow(steps) if fronts else []:
         along = length_along(track.position[taken + 1])
         cuts = np.unique(np.searchsorted(along, np.arange(PIECE, along[-1], PIECE)))
         pieces = np.split(taken, cuts)
@@ -162,13 +162,16 @@ def _pass(steps: Steps, taken: Index, track: Trajectory, fronts: dict[str, Front
     return _stay(start, end, True, position, heading, covariance, track.floor[rows[len(rows) // 2]], fronts)
 
 
-def _slow(steps: Steps, track: Trajectory) -> list[Index]:
-    """Which steps, for each stretch that is long enough, were slow and without a halt between."""
+def _slow(steps: Steps) -> list[Index]:
+    """Which steps, for each stretch that is long enough, were slow and without a halt between.
+
+    By the steps themselves: within a walk they compare well, where the trajectory is bent to what else is known.
+    """
     under_way = np.concatenate([[0.0], np.cumsum(steps.duration)])
     walking = steps.length > 0
     if under_way[-1] < STEADY or not walking.any():
         return []
-    way = length_along(track.position[:-1])
+    way = np.concatenate([[0.0], np.cumsum(steps.length)])
     before, after = (np.clip(under_way[1:] + side * STEADY / 2, 0.0, under_way[-1]) for side in (-1, 1))
     speed = (np.interp(after, under_way, way) - np.interp(before, under_way, way)) / (after - before)
     slow = np.flatnonzero(walking & (speed < SLOW * np.quantile(speed[walking], USUAL)))

@@ -1,0 +1,357 @@
+"""Which shop fronts somebody lingered at: simulated days in a mall, and in a market hall with narrow aisles."""
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import shapely
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from tables import publish, table
+
+from pdr_graph.estimation.beacons import levels
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import enu
+from pdr_graph.gait.walker import Walker
+from pdr_graph.geometry import interpolate
+from pdr_graph.lifelog.day import Stay
+from pdr_graph.lifelog.observation import observe
+from pdr_graph.lifelog.places import stays_of
+from pdr_graph.pipeline import floors_walked, smoothed, walk_graph
+from pdr_graph.simulation.itinerary import FRONT
+from pdr_graph.simulation.recorders import write
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
+MALL = Path(__file__).resolve().parents[1] / "maps" / "mall.geojson"
+ENTRANCE = {"mall": (42.0, 12.5), "market": (70.0, 25.0)}  # [m]
+SIGMA_ENTRANCE, STAND = 1.5, 3.0  # [m] per axis of a fix while one stands there, and for how long [s]
+VISITS, WAITS = 10, 2  # a day; who waits stands somewhere in an aisle, turned anywhere, and looks at nothing
+STAY = (8.0, 60.0)  # [s]
+FROM_CORNER = 0.5  # [m] of a front before which nobody stands
+GRID, KEPT = 0.5, 0.8  # [m] between places where one walks, and that they keep from walls
+TOWARDS = 1.2, 4.0  # [m] before a front, from where one goes straight to it
+NARROW = 4.0  # [m] of an aisle
+HEIGHT, HOLDS, PLATFORMS = (1.52, 1.95), ("hand", "trouser pocket"), ("android", "ios")
+BEACONS = 10.0  # [m] between those of the market along its aisles
+BINS = np.array([0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0])  # of stated probabilities
+
+
+def lifelog_visits(days=20):
+    """The tables."""
+    with TemporaryDirectory() as folder:
+        market = Path(folder) / "market.geojson"
+        market.write_text(json.dumps(drawn_market()))
+        seen = [day(market if seed % 2 else MALL, seed) for seed in range(days)]
+    publish("accuracy.md", "lifelog-visits", "\n\n".join([by_aisle(seen), reliability(seen), by_day(seen)]))
+
+
+@dataclass(frozen=True)
+class Halt:
+    """What somebody truly stopped for. name: "" for nothing; start, end: [s]; position ``(2,)`` and aisle: how wide
+    it is there [m]; stay: what was found of it, None if nothing was.
+    """
+
+    name: str
+    start: float
+    end: float
+    position: np.ndarray
+    aisle: float
+    stay: Stay | None = None
+
+    @property
+    def right(self):
+        """True if the likeliest front is the one."""
+        return self.stay is not None and self.stay.facing[:1] != () and self.stay.facing[0][0] == self.name
+
+    @property
+    def error(self):
+        """Distance of the stay from where one was. [m]"""
+        return np.inf if self.stay is None else float(np.hypot(*(self.stay.position - self.position)))
+
+    @property
+    def stated(self):
+        """All answers with their probabilities and whether they are right; "" is nothing."""
+        if self.stay is None:
+            return []
+        facing = dict(self.stay.facing)
+        facing[""] = 1 - sum(facing.values())
+        return [(p, name == self.name) for name, p in facing.items()]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A day. halts: what truly was; false: stays where one walked, passes: slow ones, of which there are none."""
+
+    plan: str
+    scenario: Scenario
+    walked: float
+    halts: list[Halt]
+    false: list[Stay]
+    passes: list[Stay]
+
+    @property
+    def visits(self):
+        """The halts before fronts."""
+        return [halt for halt in self.halts if halt.name]
+
+
+def day(plan, seed):
+    """A day, from the phone's log to what was found of its halts."""
+    scenario, fronts = drawn_day(plan, seed)
+    walk = simulate(scenario)
+    steps, track, looks, epoch = estimated(walk, plan, seed)
+    found = stays_of(steps, track, Building.load(plan), looks)
+    later = scenario.start - epoch
+    halts, truth = [], walk.truth
+    for event, front in zip((e for e in walk.body.events if e.kind in ("visit", "stand")), fronts, strict=True):
+        start, end = event.start + later, event.end + later
+        place = interpolate(np.array([(event.start + event.end) / 2]), truth.time, truth.position)[0]
+        own = max(found, key=lambda s: min(end, s.end) - max(start, s.start))
+        own = own if min(end, own.end) - max(start, own.start) > (end - start) / 2 and not own.passing else None
+        halts.append(Halt(event.what, start, end, place, front, own))
+    other = [s for s in found if not any(s.start < h.end and s.end > h.start for h in halts)]
+    walked = float(np.hypot(*np.diff(truth.position, axis=0).T).sum())
+    stays, passes = ([s for s in other if s.passing == passing] for passing in (False, True))
+    return Seen(plan.stem, scenario, walked, halts[1:-1], stays, passes)
+
+
+def estimated(walk, plan, seed):
+    """Steps, trajectory and looks, from the phone's log with a fix at the entrance; and when the log begins."""
+    place = ENTRANCE[plan.stem] + np.random.default_rng([seed, 1]).normal(0, SIGMA_ENTRANCE, 2)
+    time = walk.scenario.start + STAND / 2
+    with TemporaryDirectory() as folder:
+        write(walk, Path(folder))
+        entrance = Path(folder) / "entrance.csv"
+        entrance.write_text(f"time,x,y,sigma\n{time:.3f},{place[0]:.3f},{place[1]:.3f},{SIGMA_ENTRANCE}\n")
+        seen = observe(Path(folder), plan, entrance)
+    building = Building.load(plan)
+    floors = floors_walked(seen.barometer, seen.steps, seen.fixes, building, None, plan)
+    heard = levels(seen.bluetooth, seen.beacons, seen.steps)
+    graph = walk_graph(seen.steps, seen.fixes, seen.headings, building, floors, heard, Walker())
+    return graph.steps, smoothed(graph)[0].trajectory, seen.looks, seen.epoch
+
+
+def drawn_day(plan, seed):
+    """A scenario of somebody who goes from front to front, and how wide the aisle is at each halt [m]."""
+    random = np.random.default_rng([seed, 0])
+    ways = ways_of(plan)
+    entrance = np.array(ENTRANCE[plan.stem])
+    at, route, aisles = entrance, [entrance.tolist(), {"stand": STAND}], [np.nan]
+    for visiting in random.permutation(np.arange(VISITS + WAITS) < VISITS):
+        stay, at_place = float(random.uniform(*STAY)), ways.front if visiting else ways.place
+        name, before, place, aisle = at_place(random, at)
+        route.append({"to": [corner.tolist() for corner in ways.shortest(at, before)]})
+        route += [{"visit": name, "stay": stay}] if visiting else [turned(random), {"stand": stay}]
+        aisles.append(aisle)
+        at = place
+    route += [{"to": [corner.tolist() for corner in ways.shortest(at, entrance)]}, {"stand": STAND}]
+    given = {
+        "seed": seed,
+        "plan": str(plan),
+        "platform": str(random.choice(PLATFORMS)),
+        "route": route,
+        "walker": {"height": float(random.uniform(*HEIGHT)), "sex": str(random.choice(["f", "m"]))},
+        "phone": {"hold": str(random.choice(HOLDS))},
+        "wifi": {"access_points": 12},
+    }
+    return Scenario.of(given, plan), [*aisles, np.nan]
+
+
+def turned(random):
+    """Any way round."""
+    return {"turn": float(random.uniform(-180, 180))}
+
+
+@cache
+def ways_of(plan):
+    """Of a plan's only floor."""
+    return Ways.of(Building.load(plan).floors[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Where one can go on a floor, some way off its walls.
+
+    free: all of that; places: on a grid ``(n, 2)`` [m]; graph: how far each is from those around it [m].
+    fronts: straight pieces ``(f, 2, 2)`` of shops' borders with an aisle on the left [m], names: whose.
+    """
+
+    floor: FloorPlan
+    free: shapely.Geometry
+    places: np.ndarray
+    graph: csr_array
+    fronts: np.ndarray
+    names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, floor):
+        """Of a floor."""
+        low, high = floor.corners
+        axes = [np.arange(a + GRID / 2, b, GRID) for a, b in zip(low, high, strict=True)]
+        places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+        free = shapely.buffer(floor.walkable, -KEPT)
+        shapely.prepare(free)
+        places = places[shapely.contains_xy(free, *places.T)]
+        points = shapely.points(places)
+        i, j = shapely.STRtree(points).query(points, predicate="dwithin", distance=1.5 * GRID)
+        graph = csr_array((np.hypot(*(places[i] - places[j]).T), (i, j)), shape=(len(places),) * 2)
+        drawn = [(a.name, piece) for a in floor.of_kind("shop") if a.name for piece in pieces(a.shape, floor.walkable)]
+        names, fronts = zip(*drawn, strict=True)
+        return cls(floor, free, places, graph, np.array(fronts), names)
+
+    def front(self, random, at):
+        """A shop's name, a place some way before its front, the one at it, and how wide the aisle is there [m]."""
+        length = np.hypot(*(self.fronts[:, 1] - self.fronts[:, 0]).T) - 2 * FROM_CORNER
+        while True:
+            n = random.choice(len(self.names), p=length / length.sum())
+            a, b = self.fronts[n]
+            along = (b - a) / np.hypot(*(b - a))
+            ahead = np.array([-along[1], along[0]])
+            on = a + (FROM_CORNER + length[n] * random.random()) * along
+            aisle = self.aisle(on, ahead)
+            near, far = TOWARDS[0], min(TOWARDS[1], aisle - KEPT)
+            place = on + FRONT * ahead
+            if far > near and np.hypot(*(place - at)) > TOWARDS[1]:
+                return self.names[n], on + random.uniform(near, far) * ahead, place, aisle
+
+    def place(self, random, at):
+        """Nothing's name, and somewhere."""
+        while True:
+            place = self.places[random.integers(len(self.places))]
+            if np.hypot(*(place - at)) > TOWARDS[1]:
+                return "", place, place, np.nan
+
+    def aisle(self, on, ahead):
+        """How far it is from a front to what is opposite. [m]"""
+        begin = on + 0.01 * ahead
+        across = shapely.intersection(shapely.LineString([begin, begin + 200 * ahead]), self.floor.walkable)
+        return float(shapely.length(min(shapely.get_parts(across), key=shapely.Point(begin).distance)))
+
+    def shortest(self, start, end):
+        """The corners of the shortest way from a place to another, without the first."""
+        first, last = (int(np.argmin(np.hypot(*(self.places - place).T))) for place in (start, end))
+        before = dijkstra(self.graph, indices=first, return_predecessors=True)[1]
+        way = [last]
+        while way[-1] != first:
+            way.append(int(before[way[-1]]))
+        corners = [start, *self.straight(self.places[way[::-1]]), end]
+        return [b for a, b in pairwise(corners) if np.hypot(*(b - a)) > GRID]
+
+    def straight(self, way):
+        """As few of the places ``(n, 2)`` of a way as one can walk straight between."""
+        corners, at = [way[0]], 0
+        while at < len(way) - 1:
+            ahead = way[at + 1 :]
+            lines = shapely.linestrings(np.stack([np.broadcast_to(way[at], ahead.shape), ahead], axis=1))
+            at += 1 + int(np.flatnonzero(shapely.covers(self.free, lines))[-1])
+            corners.append(way[at])
+        return corners
+
+
+def pieces(shop, walkable):
+    """The straight pieces ``(2, 2)`` of a shop's border that have something walkable before them, on their left."""
+    corners = shapely.get_coordinates(shapely.normalize(shop))  # clockwise: what is outside is on the left
+    for a, b in pairwise(corners):
+        along = (b - a) / np.hypot(*(b - a))
+        beside = shapely.LineString([a, b] + 0.01 * np.array([-along[1], along[0]]))
+        for part in shapely.get_parts(shapely.intersection(beside, walkable)):
+            if shapely.length(part) > 3 * FROM_CORNER:
+                ends = shapely.get_coordinates(part)[[0, -1]]
+                yield ends[np.argsort(ends @ along)]
+
+
+def drawn_market():
+    """A market hall of 80 m × 55 m: aisles of 3, 4 and 8 m, ways of 4 m across, fronts of 6 to 8 m, beacons."""
+    shops = row("S", 0, 80, 0, 8) + row("N", 0, 80, 47, 55)
+    for n, (low, high) in enumerate([(11, 17), (17, 23), (27, 33), (33, 39)], start=1):
+        shops += row(f"{n}A", 12, 38, low, high) + row(f"{n}B", 42, 68, low, high)
+    shops += [(name, y0, x0, y1, x1) for name, x0, y0, x1, y1 in row("W", 8, 47, 0, 8) + row("E", 8, 47, 72, 80)]
+    beacons = [(x, y) for y in (9.5, 25.0, 43.0) for x in np.arange(10.0, 71.0, BEACONS)]
+    beacons += [(x, y) for y in (17.0, 33.0) for x in (10.0, 40.0, 70.0)]
+    features = [feature("floor", "market", shapely.box(0, 0, 80, 55))]
+    features += [feature("shop", name, shapely.box(*corners)) for name, *corners in shops]
+    features += [feature("beacon", f"02:00:00:00:01:{n:02x}", shapely.Point(xy)) for n, xy in enumerate(beacons)]
+    return {"type": "FeatureCollection", "pdr_graph": {"origin": [139.0, 36.0], "floor": "1"}, "features": features}
+
+
+def row(name, x0, x1, y0, y1):
+    """Shops side by side along x: names and corners."""
+    count = round((x1 - x0) / 7)
+    bounds = np.linspace(x0, x1, count + 1)
+    bounds[1:-1] += np.where(np.arange(count - 1) % 2, -0.3, 0.3)
+    return [(f"{name}{n}", a, y0, b, y1) for n, (a, b) in enumerate(pairwise(bounds), start=1)]
+
+
+def feature(kind, name, shape):
+    """A feature of a plan, in degrees."""
+    shape = shapely.transform(shape, enu(36.0, 139.0).to_lonlat)
+    return {"type": "Feature", "properties": {"kind": kind, "name": name}, "geometry": shapely.geometry.mapping(shape)}
+
+
+def by_aisle(seen):
+    """How many visits were found and named right, where aisles are narrow and where they are wide."""
+    rows = []
+    for plan in ("mall", "market", ""):
+        visits = [v for one in seen if one.plan == plan or not plan for v in one.visits]
+        sides = {"≤ 4 m": [v for v in visits if v.aisle <= NARROW + 0.05]}
+        sides["wider"] = [v for v in visits if v.aisle > NARROW + 0.05]
+        for aisle, own in (sides | ({} if plan else {"all": visits})).items():
+            rows.append([plan or "**both**", aisle, *scored(own)])
+    header = ["plan", "aisle", "visits", "found", "named right", "probability stated", "off [m]: median", "90 %"]
+    return table(header, rows)
+
+
+def scored(visits):
+    """Cells of a table."""
+    if not visits:
+        return [0, *["—"] * 5]
+    error = [v.error for v in visits]
+    stated = np.mean([v.stay.facing[0][1] if v.stay and v.stay.facing else 0.0 for v in visits])
+    shares = (np.mean([v.stay is not None for v in visits]), np.mean([v.right for v in visits]), stated)
+    return [len(visits), *(f"{100 * s:.0f} %" for s in shares), *(f"{np.quantile(error, q):.1f}" for q in (0.5, 0.9))]
+
+
+def reliability(seen):
+    """How often answers were right that were given with about the same probability."""
+    stated = np.array([answer for one in seen for halt in one.halts for answer in halt.stated])
+    probability, right = stated.T
+    which = np.digitize(probability, BINS[1:-1])
+    rows, gaps = [], []
+    for n in np.unique(which):
+        own = which == n
+        mean, share = probability[own].mean(), right[own].mean()
+        gaps.append(own.sum() * abs(mean - share))
+        rows.append([f"{BINS[n]:.2f}–{BINS[n + 1]:.2f}", int(own.sum()), f"{mean:.3f}", f"{share:.3f}"])
+    stays = sum(halt.stay is not None for one in seen for halt in one.halts)
+    brier = np.sum((probability - right) ** 2) / stays
+    waits = [halt.stated[-1][0] for one in seen for halt in one.halts if not halt.name and halt.stay]
+    told = f"Brier score {brier:.3f} per stay, expected calibration error {sum(gaps) / len(stated):.3f}. "
+    told += f"Of {len(waits)} waits before nothing that were found, nothing has {np.mean(waits):.2f} on average. "
+    told += f"Stays where nobody stood: {sum(len(one.false) for one in seen)}; "
+    told += f"slow passes where nobody was slow: {sum(len(one.passes) for one in seen)}."
+    return table(["stated", "answers", "mean stated", "right"], rows) + "\n\n" + told
+
+
+def by_day(seen):
+    """A row for each day."""
+    rows = []
+    for one in seen:
+        scenario, found = one.scenario, sum(v.stay is not None for v in one.visits)
+        wrong = ", ".join(
+            f"{v.name}: {v.stay.facing[0][0]}" for v in one.visits if v.stay and v.stay.facing and not v.right
+        )
+        who = f"{scenario.walker.sex}, {scenario.walker.height:.2f} m, {scenario.phone.hold}, {scenario.platform}"
+        off = np.median([v.error for v in one.visits])
+        right = sum(v.right for v in one.visits)
+        rows.append([scenario.seed, one.plan, who, f"{one.walked:.0f} m", found, right, f"{off:.1f}", wrong or "—"])
+    return table(["day", "plan", "who", "walked", "found", "right", "off [m]", "front: taken for"], rows)
+
+
+if __name__ == "__main__":
+    lifelog_visits()
