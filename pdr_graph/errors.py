@@ -13,6 +13,10 @@ class InputError(ValueError):
     def __init__(self, source: str | Path, place: str, found: str, needed: str):
         where = f"{one_line(str(source))}, {one_line(place)}" if place else one_line(str(source))
         super().__init__(f"{where}: found {one_line(found)}, needed {one_line(needed)}")
+        self._parts = str(source), place, found, needed
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
+        return InputError, self._parts  # from one process to another
 
 
 def one_line(text: str) -> str:

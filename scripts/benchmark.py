@@ -17,6 +17,7 @@ import gtsam
 import numpy as np
 import shapely
 from gtsam.symbol_shorthand import C, X
+from lifelog_speed import lifelog_rows
 from live_speed import live_rows
 from read_speed import reading_rows
 from said import PERIOD, held_by_walls, walk
@@ -288,6 +289,7 @@ if __name__ == "__main__":
         "simulation": simulation_rows,
         "reading": lambda: table(["format", "MB", "MB/s"], reading_rows(median_time)),
         "live": live_rows,
+        "lifelog": lifelog_rows,
     }
     chosen = [a for a in sys.argv[1:] if not a.startswith("--")]
     if not set(chosen) <= set(sections):

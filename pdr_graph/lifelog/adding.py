@@ -169,8 +169,10 @@ def _check(path: Path, entry: Entry) -> None:
 
 def _check_options(options: Mapping[str, Any]) -> None:
     """Raise InputError where a name is none, or a plan or a walker cannot be read."""
-    if not options.get("person", NOBODY_ELSE).strip():
-        raise InputError("--person", "", repr(options["person"]), "a name")
+    for name in ("person", "floor"):
+        said = options.get(name, NOBODY_ELSE)
+        if not said.strip() or not said.isprintable():
+            raise InputError(f"--{name}", "", repr(said), "a name")
     if plan := options.get("plan"):
         labels, floor = Building.load(plan).labels, options.get("floor")
         if floor and floor not in labels:

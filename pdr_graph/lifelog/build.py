@@ -112,7 +112,7 @@ def _not_there(log: Store, chains: Sequence[Chain]) -> list[Sought]:
 
 def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, Sought | str]]:
     """Each recording with what is to be observed of it, or why that cannot be said."""
-    hashes = {"plan": cache(plan_hash), "fixes": cache(content_hash), "walker": cache(content_hash)}
+    hashes = {"plan": cache(plan_hash), "": cache(content_hash)}  # of all recordings the same ones
     for entry in entries:
         try:
             yield entry, _sought(log, entry, hashes)
@@ -122,19 +122,22 @@ def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, So
 
 def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> Sought:
     """A recording and what is given with it; the key has the content of all that is read."""
-    given = {name: getattr(entry, name) for name in hashes}
+    given = {name: getattr(entry, name) for name in ("plan", "fixes", "walker")}
     listed = Path(entry.path).with_name(BESIDE)
-    told: list[object] = [hashes["fixes"](listed) if listed.is_file() else ""]
-    for name, said in given.items():
-        try:
-            told.append([said, hashes[name](Path(said))] if said else "")
-        except (OSError, InputError) as error:
-            found = getattr(error, "strerror", None) or str(error)
-            raise InputError(said, "", found, f"the {name} of {entry.path}") from None
-    key = files.key_of(entry.hash, entry.floor, entry.begins, told)
+    read = given | {"list of beacons": str(listed) if listed.is_file() else ""}
+    content = [(name, _hash(hashes, name, said, entry)) for name, said in read.items() if said]
+    key = files.key_of(entry.hash, entry.floor, entry.begins, entry.plan, content)
     file = str(log.folder / observing.FOLDER / key)
     given |= {"floor": entry.floor, "begins": entry.begins, "made_by": files.MADE_BY}
     return Sought(entry.hash, key, file, entry.path, **given)
+
+
+def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, said: str, entry: Entry) -> str:
+    """What a file that is given with a recording is known by."""
+    try:
+        return hashes.get(name, hashes[""])(Path(said))
+    except OSError as error:
+        raise InputError(said, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
 
 
 def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[Sought], told: Told) -> None:

@@ -6,13 +6,14 @@ this costs as much as the whole history, and is done when it is asked for.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from pdr_graph.errors import InputError
 from pdr_graph.lifelog import files, observing
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.rows import rows_of
-from pdr_graph.lifelog.store import TOGETHER, Store
+from pdr_graph.lifelog.store import TOGETHER, Built, Store
 from pdr_graph.lifelog.together import PersonDay, reconstruct_together
 
 
@@ -27,7 +28,8 @@ def bind(store: Path) -> int:
         key = files.key_of([[*own, day.key] for own, day in built.items()], sorted(phones.items()))
         if log.setting(TOGETHER) == key:
             return 0
-        days = [_day(log, person, date) for person, date in built]
+        keys = {entry.hash: entry.observation for entry in log.entries()}
+        days = [_day(log.folder, built, keys, *own) for own in built]
         made = reconstruct_together(days, phones)
         for day in made:
             own = built[day.person, day.date]
@@ -36,12 +38,13 @@ def bind(store: Path) -> int:
     return len(made)
 
 
-def _day(log: Store, person: str, date: str) -> PersonDay:
-    """What a day was made of."""
-    days, keys = log.days(), {entry.hash: entry.observation for entry in log.entries()}
+def _day(
+    folder: Path, days: Mapping[tuple[str, str], Built], keys: Mapping[str, str], person: str, date: str
+) -> PersonDay:
+    """What a day was made of. keys: by recording, of what was observed of it."""
     observations: dict[str, Observation] = {}
     for name in days[person, date].recordings:
-        file = log.folder / observing.FOLDER / keys[name]
+        file = folder / observing.FOLDER / keys[name]
         found = observing.observation_in(file)
         if found is None:
             raise InputError(file, "", "no observation, or a damaged one", "one: build the lifelog again")

@@ -17,6 +17,7 @@ from pdr_graph.gait.gaps import SPEED
 from pdr_graph.gait.profile import Profile
 from pdr_graph.gait.treads import on_treads
 from pdr_graph.gait.walker import Walker
+from pdr_graph.lifelog.content import plan_hash
 from pdr_graph.lifelog.day import Outing
 from pdr_graph.lifelog.grouping import LONGEST_GAP, Group
 from pdr_graph.lifelog.joining import Joined, joined
@@ -103,9 +104,13 @@ def walked(group: Group, before: Outing | None, profile: Profile | None, frame: 
     return Walked(group, profile, walk, building, ridden, graph, estimate, missing)
 
 
-@lru_cache(maxsize=8)
 def building_of(plan: str) -> Building:
-    """A plan, read once for all walks on it."""
+    """A plan, read once for all walks on it until its content changes."""
+    return _read(plan, plan_hash(Path(plan)))
+
+
+@lru_cache(maxsize=8)
+def _read(plan: str, content: str) -> Building:
     return Building.load(plan)
 
 

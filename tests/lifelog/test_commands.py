@@ -1,0 +1,127 @@
+"""``pdr-graph lifelog add`` and ``build``, as the command line's contract has them."""
+
+import os
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from datetime import UTC, datetime
+
+import days_standin as standin
+import pytest
+from test_adding import phyphox
+
+
+def run(*arguments):
+    """The installed command; its exit code, output and error lines."""
+    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return done.returncode, done.stdout, done.stderr.strip().splitlines()
+
+
+def test_days_are_added_and_built(tmp_path):
+    log = tmp_path / "days.db"
+    for n in range(3):
+        standin.recording(tmp_path / "walks" / f"{n}.plt", n, points=40)
+    assert run("add", log, tmp_path / "walks", "--person", "Ada") == (0, f"3 added -> {log}\n", [])
+    again = f"0 added, 3 there already, 0 of them with other options now -> {log}\n"
+    assert run("add", log, tmp_path / "walks", tmp_path / "walks") == (0, again, [])
+    assert run("build", log, "--zone", "Asia/Tokyo") == (0, f"3 days built, 0 up to date, 0 failed -> {log}\n", [])
+    assert run("build", log) == (0, f"0 days built, 3 up to date, 0 failed -> {log}\n", [])
+    with closing(sqlite3.connect(log)) as database:
+        dates = database.execute("SELECT person, date FROM outing ORDER BY date").fetchall()
+    assert dates == [("Ada", f"2024-05-0{n}") for n in (2, 3, 4)]
+    assert log.stat().st_mode & 0o077 == 0
+
+
+def test_one_that_cannot_be_read_is_a_line_and_exit_3(tmp_path):
+    good, bad = standin.recording(tmp_path / "good.plt"), tmp_path / "bad.txt"
+    bad.write_text("Dear Ada")
+    code, said, errors = run("add", tmp_path / "days.db", bad, good)
+    assert (code, said) == (3, f"1 added -> {tmp_path / 'days.db'}\n")
+    assert len(errors) == 1
+    assert errors[0].startswith(f"pdr-graph: {bad}: found the bytes b'Dear Ada', needed a recording")
+
+
+def test_nothing_that_can_be_read_is_exit_2(tmp_path):
+    (tmp_path / "bad.txt").write_text("Dear Ada")
+    code, _, errors = run("add", tmp_path / "days.db", tmp_path / "bad.txt", tmp_path / "none")
+    assert (code, len(errors)) == (2, 2)
+
+
+def test_a_recording_that_is_gone_at_build_is_a_line_and_exit_3(tmp_path):
+    log = tmp_path / "days.db"
+    for n in range(2):
+        standin.recording(tmp_path / f"{n}.plt", n)
+    run("add", log, tmp_path / "0.plt", tmp_path / "1.plt")
+    (tmp_path / "0.plt").unlink()
+    code, said, errors = run("build", log)
+    assert (code, said) == (3, f"1 days built, 0 up to date, 0 failed -> {log}\n")
+    assert errors == [
+        f"pdr-graph: {tmp_path / '0.plt'}: found no such file, needed the recording: add it again from where it is now"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("build", "none.db"), "none.db: found no such file, needed a lifelog, as pdr-graph lifelog add makes it"),
+        (("build", "other"), "other: found another kind of file, needed a lifelog, or a name that is not taken"),
+        (("add", "other", "walk.plt"), "other: found another kind of file, needed a lifelog"),
+        (("add", "none/days.db", "walk.plt"), "none/days.db: No such file or directory"),
+        (("add", "/proc/days.db", "walk.plt"), "/proc/days.db: No such file or directory"),
+        (("add", "days.db", "walk.plt", "--begins", "soon"), "--begins: found soon, needed a time such as 2024-05-01T"),
+        (("add", "days.db", "walk.plt", "--map", "none"), "none: found no such file, needed a floor plan"),
+        (("build", "days.db", "--zone", "Mars"), "--zone: found 'Mars', needed a time zone, as Europe/Berlin"),
+        (("build", "days.db", "--workers", "2", "--scheduler", "tcp://a:1"), "--scheduler: found --workers 2 too"),
+    ],
+)
+def test_a_refusal_is_one_line_and_exit_2(tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    standin.recording(tmp_path / "walk.plt")
+    (tmp_path / "other").write_text("time,x,y\n")
+    assert run("add", "days.db", "walk.plt")[0] == 0
+    code, out, errors = run(*arguments)
+    assert (code, out, len(errors)) == (2, "", 1)
+    assert said in errors[0]
+
+
+def test_a_full_disk_is_one_line(tmp_path):
+    log = tmp_path / "days.db"
+    run("add", log, standin.recording(tmp_path / "walk.plt", points=2000))
+    limited = f"""
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))
+from pdr_graph.cli import main
+import sys
+sys.argv = ["pdr-graph", "lifelog", "build", {str(log)!r}]
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", limited], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    [line] = done.stderr.strip().splitlines()
+    assert line.startswith(f"pdr-graph: {log}")
+    assert "File too large" in line
+    assert run("build", log) == (0, f"1 days built, 0 up to date, 0 failed -> {log}\n", [])
+
+
+def test_a_recording_without_a_clock_begins_when_it_is_said(tmp_path):
+    log, walk = tmp_path / "days.db", phyphox(tmp_path / "walk")
+    code, _, [line] = run("add", log, walk)
+    assert code == 2
+    assert "found no date, needed --begins" in line
+    assert run("add", log, walk, "--begins", "2024-05-01T23:30:00-01:00")[0] == 0
+    with closing(sqlite3.connect(log)) as database:
+        [(begins,)] = database.execute("SELECT begins FROM recording")
+    assert begins == datetime(2024, 5, 2, 0, 30, tzinfo=UTC).timestamp()
+
+
+def test_a_bar_is_shown_on_a_terminal_only(tmp_path):
+    log, walk = tmp_path / "days.db", standin.recording(tmp_path / "walk.plt")
+    main, terminal = os.openpty()
+    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", "add", log, walk]
+    done = subprocess.run(command, stderr=terminal, stdout=subprocess.PIPE, timeout=60)
+    os.close(terminal)
+    assert done.stdout.decode() == f"1 added -> {log}\n"
+    assert "1/1" in os.read(main, 100_000).decode()
+    os.close(main)
