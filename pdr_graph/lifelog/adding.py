@@ -55,8 +55,8 @@ def add(
 
     person: who made them, NOBODY_ELSE by default; plan, fixes, walker, floor, begins: as of `observe`, of all of them.
     What is None stays as it was of those that are there already. phone: what the person's phone or tag is called in
-    the Bluetooth logs of others. copy: keep a copy of each, so that the original may
-    go. told: how many are done, of how many.
+    the Bluetooth logs of others. copy: keep a copy of each, so that the original may go. told: how many are done, of
+    how many.
 
     Raises InputError if an option or the lifelog cannot be used; OSError of the disk.
     """
