@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.floor.areas import BEACON
@@ -14,7 +16,7 @@ from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
 from pdr_graph.io.tables import read_fixes
-from pdr_graph.types import LONLAT, Beacons, Fixes, Recording
+from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Recording
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.radio_map import RadioMap
@@ -34,6 +36,13 @@ class Inputs:
     frame: Frame
     fixes: Fixes
     notes: list[str]
+
+    @property
+    def near(self) -> Array:
+        """About where the walk was ``(2,)`` [m], for the World Magnetic Model."""
+        if len(self.fixes):
+            return self.fixes.position[0]
+        return np.zeros(2) if self.building is None else self.building.floors[0].corners.mean(axis=0)
 
 
 def read_inputs(

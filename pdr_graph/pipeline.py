@@ -37,7 +37,7 @@ from pdr_graph.gait.profile import Profile
 from pdr_graph.gait.treads import on_treads
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate, resample, wrap_angle
-from pdr_graph.inputs import placed_beacons, read_inputs
+from pdr_graph.inputs import Inputs, placed_beacons, read_inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.types import Estimate, Fixes, FixReport, Headings, Recording, Signal, Steps, Trajectory
@@ -95,7 +95,7 @@ def smooth_recording(
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, gnss_latency, beacons, radio_map)
     walk, known, building, frame, located = given.walk, given.walker, given.building, given.frame, given.fixes
     with stage("steps"):
-        steps, headings = _observe(walk, known, frame, located, building)
+        steps, headings = _observe(given)
         floors = floors_walked(walk.barometer, steps, located, building, floor_label, plan)
         if steps is not None and floors is not None:
             steps = on_treads(steps, floors.climbs, floors.kinds)
@@ -183,16 +183,12 @@ def _frame_of(summary: Path) -> dict[str, Any]:
     return frame
 
 
-def _observe(
-    walk: Recording, walker: Walker, frame: Frame, fixes: Fixes, building: Building | None
-) -> tuple[Steps | None, Headings]:
+def _observe(given: Inputs) -> tuple[Steps | None, Headings]:
     """Steps and headings; no steps where nothing recorded them and the fixes are all there is."""
-    if len(fixes) and walk.accelerometer is None and walk.linear_acceleration is None:
+    if len(given.fixes) and given.walk.accelerometer is None and given.walk.linear_acceleration is None:
         return None, Headings.none()
-    gaits = gait_of(walk)
-    middle = np.zeros(2) if building is None else building.floors[0].corners.mean(axis=0)
-    near = fixes.position[0] if len(fixes) else middle
-    return detect_steps(gaits, walker), magnetic_headings(gaits, frame, near)
+    gaits = gait_of(given.walk)
+    return detect_steps(gaits, given.walker), magnetic_headings(gaits, given.frame, given.near)
 
 
 def floors_walked(

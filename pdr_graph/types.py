@@ -177,6 +177,16 @@ class Headings:
         """No heading at all."""
         return cls(np.empty(0), np.empty(0), np.empty(0))
 
+    @classmethod
+    def together(cls, parts: Sequence[Headings]) -> Headings:
+        """All of them, one after the other."""
+        columns = ([getattr(part, name) for part in (cls.none(), *parts)] for name in ("time", "heading", "sigma"))
+        return cls(*(np.concatenate(column) for column in columns))
+
+    def later(self, by: float) -> Headings:
+        """The same, so much later [s]."""
+        return replace(self, time=self.time + by)
+
     def __len__(self) -> int:
         return len(self.time)
 

@@ -13,16 +13,15 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from tables import publish, table
 
-from pdr_graph.estimation.beacons import levels
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import enu
-from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.lifelog.day import Stay
+from pdr_graph.lifelog.grouping import Group
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.places import stays_of
-from pdr_graph.pipeline import floors_walked, smoothed, walk_graph
+from pdr_graph.lifelog.walks import walked
 from pdr_graph.simulation.itinerary import FRONT
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
@@ -130,11 +129,8 @@ def estimated(walk, plan, seed):
         entrance = Path(folder) / "entrance.csv"
         entrance.write_text(f"time,x,y,sigma\n{time:.3f},{place[0]:.3f},{place[1]:.3f},{SIGMA_ENTRANCE}\n")
         seen = observe(Path(folder), plan, entrance)
-    building = Building.load(plan)
-    floors = floors_walked(seen.barometer, seen.steps, seen.fixes, building, None, plan)
-    heard = levels(seen.bluetooth, seen.beacons, seen.steps)
-    graph = walk_graph(seen.steps, seen.fixes, seen.headings, building, floors, heard, Walker())
-    return graph.steps, smoothed(graph)[0].trajectory, seen.looks, seen.epoch
+    found = walked(Group((("", seen),)), None, None)
+    return found.graph.steps, found.estimate.trajectory, found.looks, seen.epoch
 
 
 def drawn_day(plan, seed):

@@ -32,17 +32,19 @@ def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBay
     Between keyframes: the joint of x_i, x_j and c through the derivatives of ``steps_between``, plus the spread that
     a step keeps when both ends are known. own, net: the own factors at the optimum, and the graph factorised there.
     """
-    blocks, rows = CovarianceBlocks(net), graph.pieces.row_end
+    return covariance_of_ends(graph, own, net, graph.pieces.row_end)
+
+
+def covariance_of_ends(
+    graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBayesNet, which: Index
+) -> tuple[Array, Array]:
+    """As `covariance_of_rows`, of the start and the ends of some pieces ``(1 + n, 3, 3)``; and of c."""
+    blocks, R_0 = CovarianceBlocks(net), pose_rotation(own.pose_i[:1, 2])
     keys = [(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)]
-    of_steps = covariance_of_pieces(blocks, keys, own, rows)
+    of_pieces = covariance_of_pieces(blocks, keys, own, which)
+    of_start = R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
     of_c = blocks.joint([(C(s),) for s in range(len(graph.start.c))])
-    return np.concatenate([covariance_of_start(blocks, own), of_steps]), of_c
-
-
-def covariance_of_start(blocks: CovarianceBlocks, own: Evaluation) -> Array:
-    """Covariance ``(1, 3, 3)`` of the first pose, in the output axes."""
-    R_0 = pose_rotation(own.pose_i[:1, 2])
-    return R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
+    return np.concatenate([of_start, of_pieces]), of_c
 
 
 def covariance_of_pieces(

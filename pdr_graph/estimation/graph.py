@@ -196,6 +196,11 @@ class WalkGraph:
         """The turns that were matched to intersections."""
         return self.corridors and self.corridors.turns
 
+    @property
+    def segment_first(self) -> Index:
+        """The first interval of each calibration segment ``(s,)``."""
+        return np.flatnonzero(np.diff(self.segment, prepend=-1))
+
     def error(self, values: gtsam.Values) -> float:
         """The cost at ``values``: half the sum of squared, robustly weighted errors, as GTSAM counts it."""
         return self.evaluate(values).cost + self.native.error(values)
@@ -428,7 +433,7 @@ class WalkGraph:
         known of their turn meanwhile [rad].
         """
         lost = np.flatnonzero(self.steps.length == 0)
-        first = np.flatnonzero(np.diff(self.segment, prepend=-1))[1:]
+        first = self.segment_first[1:]
         after = np.searchsorted(self.pieces.keyframe_time[first], self.steps.time[lost])
         gap, turn = np.zeros((2, len(first)))
         for total, sigma in ((gap, self.steps.sigma_length), (turn, self.steps.sigma_turn)):

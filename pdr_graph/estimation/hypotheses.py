@@ -26,7 +26,7 @@ def hypotheses(graph: WalkGraph, attempt: int = 0) -> list[State]:
     attempt: each has others, and twice as many of them as the one before.
     """
     paths = particle_filter(graph, seed=attempt, times=2**attempt)
-    first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
+    first = graph.segment_first
     return [replace(graph.start, poses=paths.state[:, :3, n], c=paths.state[first + 1, 3:, n]) for n in bundles(paths)]
 
 

@@ -40,8 +40,7 @@ def solutions(graph: WalkGraph) -> list[Optimum]:
 def near_start(graph: WalkGraph) -> Optimum:
     """The most probable walk near the start of ``graph``, whose rooms and corridors are those of the walk."""
     first = _robustly(graph)
-    again = first.graph.following(State.of(first.values))
-    return first if again.walls == first.graph.walls else min(first, optimize(again, first.values), key=_surprise)
+    return _between_own_walls(first.graph, first)
 
 
 def probabilities(found: list[Optimum], way: Index) -> Array:
@@ -198,10 +197,13 @@ def _loosely(graph: WalkGraph, way: State) -> Optimum:
 def _closely(graph: WalkGraph, near: Optimum) -> Optimum:
     """The optimum from there between the walls as they are, then between those that it has itself."""
     first = optimize(near.graph.with_loose_walls(1 / LOOSE).with_closures(DOUBTED), near.values)
+    return _between_own_walls(graph, first)
+
+
+def _between_own_walls(graph: WalkGraph, first: Optimum) -> Optimum:
+    """An optimum, or the one near it between the walls of the rooms and corridors that it has itself."""
     again = graph.following(State.of(first.values))
-    if again.walls == first.graph.walls:
-        return first
-    return min(first, optimize(again, first.values), key=_surprise)
+    return first if again.walls == first.graph.walls else min(first, optimize(again, first.values), key=_surprise)
 
 
 def _surprise(one: Optimum) -> float:

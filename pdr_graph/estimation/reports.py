@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 
 from pdr_graph.estimation.beacons import LEVEL_SIGMA, Levels
@@ -33,6 +34,12 @@ def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array,
     return tuple(reports)
 
 
+def reports_at(graph: WalkGraph, values: gtsam.Values) -> tuple[FixReport, ...]:
+    """Of every fix, from the walk at ``values``."""
+    distance = graph.fix_distance(values)
+    return fix_reports(graph, distance, distance / graph.fix_sigma, graph.fix_weight(values), "the walk")
+
+
 def reason_of(sigmas: float, weight: float, wild: bool, from_: str = "the walk") -> str:
     """Why a fix that was met so many sigmas ``from_`` where it was expected has this weight."""
     trust = {0.0: "refused", 1.0: "full weight"}.get(weight, "weighted down")
@@ -41,9 +48,8 @@ def reason_of(sigmas: float, weight: float, wild: bool, from_: str = "the walk")
 
 def calibration_of(graph: WalkGraph, value: Array, covariance: Array) -> Calibration:
     """What the walk taught of (R_s, R_d, b) in each of its segments: ``(s, 3)``, ``(s, 3, 3)``."""
-    first = np.flatnonzero(np.diff(graph.segment, prepend=-1))
     prior = prior_sigma(graph.prior, np.arange(len(value)))
-    return Calibration(graph.pieces.keyframe_time[first], value, covariance, prior)
+    return Calibration(graph.pieces.keyframe_time[graph.segment_first], value, covariance, prior)
 
 
 def prior_sigma(prior: Prior, segment: Index) -> Array:

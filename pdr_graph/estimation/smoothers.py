@@ -9,7 +9,7 @@ from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
 from pdr_graph.estimation.misplaced import misplaced
 from pdr_graph.estimation.optimizer import Optimum, probabilities, solutions, ways
-from pdr_graph.estimation.reports import beacon_reports, calibration_of, contradicted, fix_reports, warnings
+from pdr_graph.estimation.reports import beacon_reports, calibration_of, contradicted, reports_at, warnings
 from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, Trajectory
 
@@ -35,9 +35,7 @@ def smooth(graph: WalkGraph) -> Estimate:
 
     # What was learnt, what was trusted, and what to beware of
     calibration = calibration_of(graph, State.of(best.values).c, of_c)
-    distance = best.graph.fix_distance(best.values)
-    weight = best.graph.fix_weight(best.values)
-    fixes = fix_reports(best.graph, distance, distance / graph.fix_sigma, weight, "the walk")
+    fixes = reports_at(best.graph, best.values)
     return Estimate(
         trajectory=trajectory,
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.fixes[graph.fix_believed]),

@@ -7,22 +7,21 @@ by `smooth`, the optimum of all together is sought from there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
-from gtsam.symbol_shorthand import C
 
 from pdr_graph.estimation.beacons import Levels
 from pdr_graph.estimation.closures import Closures
-from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces, covariance_of_start
+from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.graph import LONGEST_OVERHANG, WALKING_SPEED, State, WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, near_start
-from pdr_graph.estimation.reports import fix_reports, prior_sigma
+from pdr_graph.estimation.reports import prior_sigma, reports_at
 from pdr_graph.gait.gaps import follow, gap, later
 from pdr_graph.geometry import interpolate, nearest, row_times, wrap_angle
-from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, FixReport, Headings, Trajectory
+from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, Headings, Trajectory
 
 BETWEEN = 3600.0  # [s] of the common time from one walk to the next
 ANYWHERE = 1e4 / BETWEEN  # [m/s]: the next walk begins anywhere within ten kilometres
@@ -39,11 +38,7 @@ def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], clos
     begins -= [graph.steps.start for graph in graphs]
     joint = _joint(graphs, begins, closures)
     found = near_start(joint.following(_start(joint, alone, begins)))
-    reports = iter(_reports(found))
-    return [
-        _part(found, graph, one, by, list(islice(reports, len(_within(graph)))))
-        for graph, one, by in zip(graphs, alone, begins.tolist(), strict=True)
-    ]
+    return list(_parted(found, graphs, alone, begins.tolist()))
 
 
 def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> WalkGraph:
@@ -59,7 +54,7 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
     return WalkGraph(
         whole,
         Fixes.together([_within(graph).later(by) for graph, by in zip(graphs, begins, strict=True)]),
-        headings=_headings([graph.headings for graph in graphs], begins),
+        headings=Headings.together([graph.headings.later(by) for graph, by in zip(graphs, begins, strict=True)]),
         floor=graphs[0].floor,
         floors=labels,
         levels=_levels([graph.levels for graph in graphs], begins),
@@ -79,7 +74,7 @@ def _start(joint: WalkGraph, alone: Sequence[Estimate], begins: Array) -> State:
     told = [(one.calibration, by) for one, by in zip(alone, begins, strict=True) if one.calibration is not None]
     c_time = np.concatenate([c.start + by for c, by in told])
     c = np.concatenate([c.value for c, _ in told])
-    first = at[np.flatnonzero(np.diff(joint.segment, prepend=-1))]
+    first = at[joint.segment_first]
     return replace(joint.start, poses=poses, c=c[np.searchsorted(c_time, first + 1e-3, side="right") - 1])
 
 
@@ -92,55 +87,38 @@ def _within(graph: WalkGraph) -> Fixes:
     return replace(fixes, time=held, sigma=sigma)[near]
 
 
-def _reports(found: Optimum) -> tuple[FixReport, ...]:
-    """Of the fixes of all walks."""
-    graph, distance = found.graph, found.graph.fix_distance(found.values)
-    weight = graph.fix_weight(found.values)
-    return fix_reports(graph, distance, distance / graph.fix_sigma, weight, "the walk")
+def _parted(
+    found: Optimum, graphs: Sequence[WalkGraph], alone: Sequence[Estimate], begins: Sequence[float]
+) -> Iterator[Estimate]:
+    """Each of the walks, as all together have it. begins: in the common time [s]."""
+    times = [row_times(graph.steps) for graph in graphs]
+    poses, covariance, of_c = _rows(found, np.concatenate([t + by for t, by in zip(times, begins, strict=True)]))
+    reports, c = iter(reports_at(found.graph, found.values)), State.of(found.values).c
+    cuts = np.cumsum([len(time) for time in times])[:-1]
+    parts = zip(graphs, alone, begins, times, np.split(poses, cuts), np.split(covariance, cuts), strict=True)
+    for graph, one, by, time, own, its_covariance in parts:
+        track = Trajectory(time, own[:, :2], wrap_angle(own[:, 2]), graph.floors, its_covariance)
+        fixes = tuple(replace(r, time=r.time - by) for r in islice(reports, len(_within(graph))))
+        calibration = _calibration(found.graph, graph, by, c, of_c)
+        reached = {"iterations": found.iterations, "cost": found.cost, "converged": found.converged}
+        yield replace(one, trajectory=track, calibration=calibration, fixes=fixes, **reached)
 
 
-def _part(found: Optimum, graph: WalkGraph, alone: Estimate, by: float, reports: Sequence[FixReport]) -> Estimate:
-    """One of the walks, as all together have it; by: when it begins in the common time [s]."""
-    time = row_times(graph.steps)
-    poses, covariance = _poses(found, time + by)
-    track = Trajectory(time, poses[:, :2], wrap_angle(poses[:, 2]), graph.floors, covariance)
-    return replace(
-        alone,
-        trajectory=track,
-        calibration=_calibration(found, graph, by),
-        fixes=tuple(replace(report, time=report.time - by) for report in reports),
-        iterations=found.iterations,
-        cost=found.cost,
-        converged=found.converged,
-    )
+def _rows(found: Optimum, time: Array) -> tuple[Array, Array, Array]:
+    """Poses ``(n, 3)`` and their covariances ``(n, 3, 3)`` in the output axes, at the start and at ends of pieces; and
+    the covariances of c.
+    """
+    pieces, own = found.graph.pieces, found.own
+    which = nearest(pieces.keyframe_time[pieces.interval] + pieces.to_end[1], time[1:])
+    covariance, of_c = covariance_of_ends(found.graph, own, found.net, which)
+    return np.concatenate([own.pose_i[:1], own.poses.value[which]]), covariance, of_c
 
 
-def _poses(found: Optimum, time: Array) -> tuple[Array, Array]:
-    """Poses ``(n, 3)`` and their covariances ``(n, 3, 3)`` in the output axes, at the ends of pieces of the walks."""
-    graph, own = found.graph, found.own
-    blocks, pieces = CovarianceBlocks(found.net), graph.pieces
-    ends = pieces.keyframe_time[pieces.interval] + pieces.to_end[1]
-    which = nearest(ends, time)
-    keys = [(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)]
-    poses, covariance = own.poses.value[which], covariance_of_pieces(blocks, keys, own, which)
-    if time[0] < ends[0] / 2 + pieces.keyframe_time[0] / 2:
-        poses[0], covariance[0] = own.pose_i[0], covariance_of_start(blocks, own)[0]
-    return poses, covariance
-
-
-def _calibration(found: Optimum, graph: WalkGraph, by: float) -> Calibration:
+def _calibration(joint: WalkGraph, graph: WalkGraph, by: float, c: Array, covariance: Array) -> Calibration:
     """What all together taught of one walk's walker."""
-    joint, blocks = found.graph, CovarianceBlocks(found.net)
-    first = np.flatnonzero(np.diff(joint.segment, prepend=-1))
-    start = joint.pieces.keyframe_time[first] - by
+    start = joint.pieces.keyframe_time[joint.segment_first] - by
     own = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
-    value, covariance = State.of(found.values).c[own], blocks.joint([(C(s),) for s in own.tolist()])
-    return Calibration(start[own], value, covariance, prior_sigma(graph.prior, np.arange(len(own))))
-
-
-def _headings(parts: Sequence[Headings], begins: Array) -> Headings:
-    time = np.concatenate([part.time + by for part, by in zip(parts, begins, strict=True)])
-    return Headings(time, *(np.concatenate([getattr(part, name) for part in parts]) for name in ("heading", "sigma")))
+    return Calibration(start[own], c[own], covariance[own], prior_sigma(graph.prior, np.arange(len(own))))
 
 
 def _levels(parts: Sequence[Levels | None], begins: Array) -> Levels | None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pdr_graph.errors import InputError
 from pdr_graph.gait.profile import Profile
 from pdr_graph.lifelog import files, observing
 from pdr_graph.lifelog.day import Day
@@ -142,12 +141,5 @@ def _day(chain: Chain, reconstruct: Reconstruct | None) -> Day:
     files.check_maker(chain.made_by)
     if reconstruct is None:
         from pdr_graph.lifelog.days import reconstruct  # it takes all of estimation
-    observations: dict[str, Observation] = {}
-    for name, key in chain.days[0].recordings:
-        file = Path(chain.folder) / observing.FOLDER / key
-        found = observing.observation_in(file)
-        if found is None:
-            file.unlink(missing_ok=True)  # the next build has it made anew
-            raise InputError(file, "", "no observation, or a damaged one", "one, or the recording that it was made of")
-        observations[name] = found
+    observations = observing.observations_in(Path(chain.folder), chain.days[0].recordings)
     return reconstruct(chain.person, chain.days[0].date, observations, chain.profile)

@@ -20,7 +20,7 @@ def reconstruct(person: str, date: str, observations: Mapping[str, Observation],
     observations: by the recording's content hash. Raises InputError where a plan cannot be used.
     """
     made, profile = outings_of(observations, profile)
-    return Day(person, date, tuple(one if isinstance(one, Outing) else one.outing() for one in made), profile)
+    return Day(person, date, tuple(one if isinstance(one, Outing) else one.outing for one in made), profile)
 
 
 def outings_of(
@@ -31,15 +31,13 @@ def outings_of(
     A walk learns from the one before how its walker steps, and, if it has no position of its own, where it began.
     """
     made: list[Walked | Outing] = []
-    before: Outing | None = None
     profile = profile or next((one.profile for one in observations.values() if one.profile is not None), None)
     for group in groups_of(observations):
         if group.observations[0].steps is None:
-            before = _positions(group)
-            made.append(before)
+            made.append(_positions(group))
         else:
-            walk = walked(group, before, profile)
-            profile, before = walk.learnt, walk.outing()
+            walk = walked(group, made[-1] if made else None, profile)
+            profile = walk.learnt
             made.append(walk)
     return made, profile
 

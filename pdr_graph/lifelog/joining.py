@@ -139,14 +139,8 @@ def _stops(parts: Sequence[Observation], shift: Sequence[float]) -> Closures:
 
 def _headings(parts: Sequence[tuple[Headings, float]]) -> Headings:
     """Those of all recordings. They share most of their error, so that all together weigh as the best recording's."""
-    told = [(own, by) for own, by in parts if len(own)]
-    if not told:
-        return Headings.none()
-    time, heading = (
-        np.concatenate([getattr(own, n) + by * (n == "time") for own, by in told]) for n in ("time", "heading")
-    )
-    sigma = np.concatenate([own.sigma * np.sqrt(len(told)) for own, _ in told])
-    return Headings(time, heading, sigma)
+    told = [own.later(by) for own, by in parts if len(own)]
+    return Headings.together([replace(own, sigma=own.sigma * np.sqrt(len(told))) for own in told])
 
 
 def _signal(parts: Sequence[tuple[Signal | None, float]]) -> Signal | None:

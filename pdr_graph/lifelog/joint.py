@@ -9,9 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pdr_graph.errors import InputError
 from pdr_graph.lifelog import files, observing
-from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.rows import rows_of
 from pdr_graph.lifelog.store import TOGETHER, Built, Store
 from pdr_graph.lifelog.together import PersonDay, reconstruct_together
@@ -42,13 +40,8 @@ def _day(
     folder: Path, days: Mapping[tuple[str, str], Built], keys: Mapping[str, str], person: str, date: str
 ) -> PersonDay:
     """What a day was made of. keys: by recording, of what was observed of it."""
-    observations: dict[str, Observation] = {}
-    for name in days[person, date].recordings:
-        file = folder / observing.FOLDER / keys[name]
-        found = observing.observation_in(file)
-        if found is None:
-            raise InputError(file, "", "no observation, or a damaged one", "one: build the lifelog again")
-        observations[name] = found
+    recordings = [(name, keys[name]) for name in days[person, date].recordings]
+    observations = observing.observations_in(folder, recordings)
     before = [day.profile for (who, when), day in days.items() if who == person and when < date]
     known = [profile for profile in before if profile is not None]
     return PersonDay(person, date, observations, known[-1] if known else None)

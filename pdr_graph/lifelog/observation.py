@@ -92,9 +92,7 @@ def observe(
     last = [s.time[-1] for s in walk.signals.values()] or [given.fixes.time[-1]]
     if walk.accelerometer is not None or walk.linear_acceleration is not None:
         gaits = gait_of(walk)
-        middle = np.zeros(2) if given.building is None else given.building.floors[0].corners.mean(axis=0)
-        near = given.fixes.position[0] if len(given.fixes) else middle
-        steps, headings = detect_steps(gaits, known), magnetic_headings(gaits, given.frame, near)
+        steps, headings = detect_steps(gaits, known), magnetic_headings(gaits, given.frame, given.near)
         looks, ends = _looks(gaits, steps), _ends(gaits)
     return Observation(
         source=walk.source,

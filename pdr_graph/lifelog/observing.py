@@ -76,6 +76,22 @@ def observation_in(file: Path) -> Observation | None:
     return files.read(file, lambda blob: decode(Observation, blob))
 
 
+def observations_in(folder: Path, recordings: Sequence[tuple[str, str]]) -> dict[str, Observation]:
+    """What was observed of recordings, given by hash and key of the observation; folder: ``STORE.d``.
+
+    Raises InputError where something is not there.
+    """
+    found: dict[str, Observation] = {}
+    for name, key in recordings:
+        file = folder / FOLDER / key
+        one = observation_in(file)
+        if one is None:
+            file.unlink(missing_ok=True)  # the next build has it made anew
+            raise InputError(file, "", "no observation, or a damaged one", "one, or the recording that it was made of")
+        found[name] = one
+    return found
+
+
 def said_of(error: Exception) -> str:
     """An error on one line."""
     return str(error) if isinstance(error, InputError) else one_line(f"{type(error).__name__}: {error}")

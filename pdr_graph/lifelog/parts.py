@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from pdr_graph.types import INSTANT, Array, Index, Mask, Trajectory
 
 PRIVATE = "private"  # kind of a segment that an export leaves out at its user's wish
 UNSEEN = (GAP, PRIVATE)
+Timed = TypeVar("Timed", Segment, Stay)
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,11 @@ class Part:
     track: Trajectory
     segments: tuple[Segment, ...]
     stays: tuple[Stay, ...]
+
+
+def later(what: Timed, by: float) -> Timed:
+    """The same, so much later [s]."""
+    return replace(what, start=what.start + by, end=what.end + by)
 
 
 def stretches(outing: Outing) -> list[tuple[Trajectory, tuple[Segment, ...]]]:

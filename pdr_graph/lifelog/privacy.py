@@ -30,7 +30,7 @@ from pdr_graph.frames import enu
 from pdr_graph.lifelog.blurring import blurred, quarter_after
 from pdr_graph.lifelog.day import WALKING, Day, Outing, Segment
 from pdr_graph.lifelog.hiding import Run, hidden_rows, shown_runs
-from pdr_graph.lifelog.parts import PRIVATE, Part, recorded, rows, shares
+from pdr_graph.lifelog.parts import PRIVATE, Part, later, recorded, rows, shares
 from pdr_graph.lifelog.private_places import PrivatePlace, hides, same_name
 from pdr_graph.types import INSTANT, Trajectory
 
@@ -80,19 +80,19 @@ def _shown(outing: Outing, run: Run, begin: float, places: Sequence[PrivatePlace
     """A run as it is, from another time on."""
     track = rows(outing.trajectory, slice(run.first, run.last + 1))
     start, end = float(track.time[0]), float(track.time[-1])
-    later = begin - start
+    by = begin - start
     bounds = [(s, max(s.start, start), min(s.end, end)) for s in outing.segments]
     segments = [
-        Segment(s.kind, a + later, b + later, s.distance * float(shares(outing.trajectory, [s.start, a, b, s.end])[1]))
+        Segment(s.kind, a + by, b + by, s.distance * float(shares(outing.trajectory, [s.start, a, b, s.end])[1]))
         for s, a, b in bounds
         if b > a
     ]
     stays = [
-        replace(s, start=s.start + later, end=s.end + later)
+        later(s, by)
         for s in outing.stays
         if s.start >= start - INSTANT and s.end <= end + INSTANT and not hides(places, outing.frame, s.position)
     ]
-    return Part(begin, end + later, replace(track, time=track.time + later), tuple(segments), tuple(stays))
+    return Part(begin, end + by, replace(track, time=track.time + by), tuple(segments), tuple(stays))
 
 
 def _outing(of: Outing, parts: Sequence[Part]) -> Outing:
@@ -111,8 +111,8 @@ def _outing(of: Outing, parts: Sequence[Part]) -> Outing:
         tuple(label for track in tracks for label in track.floor),
         np.concatenate(covariances) if len(covariances) == len(tracks) else None,
     )
-    moved = tuple(replace(s, start=s.start - epoch, end=s.end - epoch) for s in segments)
-    stays = tuple(replace(s, start=s.start - epoch, end=s.end - epoch) for part in parts for s in part.stays)
+    moved = tuple(later(s, -epoch) for s in segments)
+    stays = tuple(later(s, -epoch) for part in parts for s in part.stays)
     return Outing((), "", epoch, of.frame, "", track, moved, stays, _steps(of, segments))
 
 

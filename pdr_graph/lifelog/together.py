@@ -56,7 +56,7 @@ def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -
         for number, walk in _bound(walks, people, phones):
             outings[places[number].day][places[number].outing] = walk
     return [
-        Day(day.person, day.date, tuple(one if isinstance(one, Outing) else one.outing() for one in own), profile)
+        Day(day.person, day.date, tuple(one if isinstance(one, Outing) else one.outing for one in own), profile)
         for day, own, (_, profile) in zip(days, outings, made, strict=True)
     ]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,7 @@ class Walked:
             return self.profile
         return posterior_profile(self.estimate, self.graph.steps, self.profile)
 
+    @cached_property
     def outing(self) -> Outing:
         """What the day has of it."""
         first, steps, track = self.group.parts[0][1], self.graph.steps, self.estimate.trajectory
@@ -78,7 +79,7 @@ class Walked:
         )
 
 
-def walked(group: Group, before: Outing | None, profile: Profile | None, frame: Frame | None = None) -> Walked:
+def walked(group: Group, before: Walked | Outing | None, profile: Profile | None, frame: Frame | None = None) -> Walked:
     """The most probable walk of recordings with steps.
 
     before: the outing before it on that day; profile: what is known of the walker; frame: on earth, if it is not to be
@@ -114,9 +115,12 @@ def _read(plan: str, content: str) -> Building:
     return Building.load(plan)
 
 
-def _handed_over(before: Outing | None, walk: Joined) -> Joined:
+def _handed_over(last: Walked | Outing | None, walk: Joined) -> Joined:
     """A walk without any position, begun not far from where the outing just before it ended."""
-    if len(walk.fixes) or before is None or before.trajectory.covariance is None:
+    if len(walk.fixes) or last is None:
+        return walk
+    before = last.outing if isinstance(last, Walked) else last
+    if before.trajectory.covariance is None:
         return walk
     frame = walk.frame if walk.frame.georeferenced else before.frame
     gap = walk.epoch - (before.epoch + before.trajectory.time[-1])
