@@ -1,0 +1,182 @@
+// The map: plan, tracks, marks and the walker.
+
+const LETTER = 6; // [px] as wide as a letter of a name
+const MANY = 50; // marks that would hide a track: they are small, and below it
+const INK = "#26241f",
+  SOFT = "#6b655b",
+  LINE = "#e4e0d8",
+  OUTSIDE = "#efece6";
+const FONT = { family: "system-ui, sans-serif", size: 12, color: INK };
+const CONFIG = {
+  // no button that would send to the library's makers where somebody walked
+  displaylogo: false,
+  responsive: true,
+  scrollZoom: true,
+  modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+  showSendToCloud: false,
+  plotlyServerURL: "",
+  displayModeBar: window.innerWidth >= 600,
+};
+
+const map = here("map");
+let shown = 0; // which of the content's maps
+const onMap = (on) => on === shown || on === EVERYWHERE;
+const kept = (item, column) => item[column].map((value, n) => (onMap(item.on[n]) ? value : NaN));
+const pale = (colour, share) =>
+  colour +
+  Math.round(255 * share)
+    .toString(16)
+    .padStart(2, "0");
+
+const bandOf = (track) => ({
+  type: "scatter",
+  mode: "lines",
+  ...track.bands[shown],
+  fill: "toself",
+  fillcolor: pale(track.colour, 0.2),
+  line: { width: 0 },
+  hoverinfo: "skip",
+  name: "95 % region",
+  showlegend: track.bands[shown].x.length > 0,
+});
+const lineOf = (track) => ({
+  type: "scatter",
+  mode: track.mode || "lines",
+  x: kept(track, "x"),
+  y: kept(track, "y"),
+  name: plain(track.name),
+  line: { color: track.colour, width: track.width, dash: track.dash },
+  showlegend: track.on.some(onMap),
+  marker: { color: track.colour, size: 9, symbol: track.symbol, line: { color: track.colour, width: 2 } },
+  text: track.time.map((at) => `${plain(track.name)} ${clock(at)}`),
+  hoverinfo: "text",
+  customdata: track.time,
+});
+const weighted = (item, size) => ({
+  symbol: item.symbol,
+  size,
+  color: item.weight ? item.weight.map((weight) => pale(item.colour, 0.12 + 0.88 * weight)) : item.colour,
+  line: { color: item.colour, width: 1.3 },
+  ...(item.heading ? { angle: item.heading.map((heading) => 90 - (heading * 180) / Math.PI) } : {}),
+});
+const tiesOf = (mark) => ({
+  type: "scatter",
+  mode: "lines",
+  x: mark.x.flatMap((x, n) => (onMap(mark.on[n]) ? [x, mark.to_x[n], NaN] : [])),
+  y: mark.y.flatMap((y, n) => (onMap(mark.on[n]) ? [y, mark.to_y[n], NaN] : [])),
+  hoverinfo: "skip",
+  showlegend: false,
+  line: { color: pale(mark.colour, 0.5), width: 1 },
+  legendgroup: mark.name,
+});
+const marksOf = (mark) => ({
+  type: "scatter",
+  mode: "markers",
+  x: kept(mark, "x"),
+  y: kept(mark, "y"),
+  name: plain(mark.name),
+  legendgroup: mark.name,
+  text: mark.text.map((text, n) => (mark.time ? `${clock(mark.time[n])}<br>` : "") + plain(text)),
+  hoverinfo: "text",
+  marker: weighted(mark, mark.size || (mark.x.length > MANY ? 5 : 9)),
+  customdata: mark.time,
+  showlegend: mark.on.some(onMap),
+});
+const namesOf = ({ plan }, fit) => {
+  const names = plan ? plan.names.filter((name) => name.text.length * LETTER < name.width * fit) : [];
+  return {
+    type: "scatter",
+    mode: "text",
+    x: names.map((name) => name.x),
+    y: names.map((name) => name.y),
+    hoverinfo: "skip",
+    showlegend: false,
+    text: names.map((name) => plain(name.text)),
+    textfont: { size: 10, color: SOFT },
+  };
+};
+const perMetre = () => {
+  // [px]
+  const axis = map._fullLayout && map._fullLayout.xaxis;
+  return axis ? axis._length / Math.abs(axis.range[1] - axis.range[0]) : 0;
+};
+const picture = ({ plan }) => {
+  if (!plan) return [];
+  const [[west, south], [east, north]] = plan.corners;
+  return [
+    {
+      source: `data:image/svg+xml,${encodeURIComponent(plan.svg)}`,
+      xref: "x",
+      yref: "y",
+      x: west,
+      y: north,
+      sizex: east - west,
+      sizey: north - south,
+      sizing: "stretch",
+      layer: "below",
+    },
+  ];
+};
+const drawMap = () => {
+  const own = content.maps[shown],
+    [[west, south], [east, north]] = own.corners;
+  const axis = { zeroline: false, gridcolor: LINE, ticks: "", tickfont: { color: SOFT, size: 11 }, uirevision: shown };
+  const layout = {
+    font: FONT,
+    margin: { l: 40, r: 8, t: 30, b: 24 },
+    paper_bgcolor: "#fff",
+    plot_bgcolor: own.plan ? OUTSIDE : "#fff",
+    dragmode: "pan",
+    hovermode: "closest",
+    xaxis: { ...axis, range: [west, east], ticksuffix: " m", nticks: 6, showgrid: !own.plan },
+    yaxis: { ...axis, range: [south, north], scaleanchor: "x", nticks: 8, showgrid: !own.plan },
+    legend: { orientation: "h", y: 1.01, yanchor: "bottom", font: { size: 11 } },
+    images: picture(own),
+    shapes: walkerShapes(),
+    uirevision: "always",
+    hoverlabel: { bgcolor: "#fff", font: FONT, align: "left" },
+    modebar: { orientation: "v", bgcolor: "#ffffffb0", color: SOFT, activecolor: INK },
+  };
+  const banded = content.tracks.filter((track) => track.bands && track.bands[shown]).map(bandOf),
+    tied = content.marks.filter((mark) => mark.to_x).map(tiesOf),
+    many = (mark) => mark.x.length > MANY;
+  const data = [
+    namesOf(own, perMetre()),
+    ...banded,
+    ...tied,
+    ...content.marks.filter(many).map(marksOf),
+    ...content.tracks.filter((track) => track.width !== 0).map(lineOf),
+    ...content.marks.filter((mark) => !many(mark)).map(marksOf),
+  ];
+  return Plotly.react(map, data, layout, CONFIG);
+};
+const renamed = () => {
+  // other names fit
+  const names = namesOf(content.maps[shown], perMetre());
+  if (content.maps[shown].plan && names.text.join() !== map.data[0].text.join())
+    Plotly.restyle(map, { x: [names.x], y: [names.y], text: [names.text] }, [0]);
+};
+const choose = (number) => {
+  shown = number;
+  here("chooser")
+    .querySelectorAll("button")
+    .forEach((button, n) => button.setAttribute("aria-pressed", n === shown));
+  return drawMap().then(renamed);
+};
+const follows = () => {
+  // the map on which the walker is: the one shown, if it is on it
+  const inside = (pose, { corners: [low, high] }) =>
+    pose.x >= low[0] && pose.x <= high[0] && pose.y >= low[1] && pose.y <= high[1];
+  const shows = (number) =>
+    walkers.some((track) => {
+      const pose = at(track, time);
+      return (
+        pose &&
+        (pose.on === number || (pose.on === EVERYWHERE && number === shown)) &&
+        inside(pose, content.maps[number])
+      );
+    });
+  if (shows(shown)) return shown;
+  const others = content.maps.map((_, number) => number).filter(shows);
+  return others.length ? others[others.length - 1] : shown;
+};

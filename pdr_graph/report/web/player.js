@@ -1,0 +1,58 @@
+// The moment that is shown: slider, clock and playing.
+
+const PLAYING = 40; // [s] that it takes to play it all
+
+const slider = here("slider");
+
+const describe = () => {
+  const phase = (content.phases || []).find((one) => one.start <= time && time <= one.end);
+  const pose = walkers.length ? at(walkers[0], time) : null; // the result's
+  const floor =
+    pose && content.maps.length > 1 && pose.on >= 0 && !content.phases ? `floor ${content.maps[pose.on].name}, ` : "";
+  const sigma =
+    pose && pose.covariance ? ` ± ${Math.sqrt((pose.covariance[0] + pose.covariance[2]) / 2).toFixed(2)} m` : "";
+  return phase ? phase.text : pose ? `${floor}x ${pose.x.toFixed(1)}, y ${pose.y.toFixed(1)}${sigma}` : "";
+};
+let asked = false;
+const moved = () => {
+  asked = false;
+  here("clock").textContent = clock(time);
+  here("readout").textContent = describe();
+  slider.setAttribute("aria-valuetext", `${clock(time)} ${describe()}`);
+  const next = follows();
+  if (next !== shown) choose(next);
+  else if (map.layout) Plotly.relayout(map, { shapes: walkerShapes() });
+  if (charts.layout) Plotly.relayout(charts, { "shapes[0].x0": time, "shapes[0].x1": time });
+};
+const show = (when, from) => {
+  time = Math.min(Math.max(when, content.start), content.end);
+  if (from !== slider) slider.value = time;
+  if (!asked) {
+    asked = true;
+    requestAnimationFrame(moved);
+  }
+};
+
+// Play: all of it in PLAYING seconds, a short walk as fast as it was
+let playing = null;
+const speed = Math.max(1, (content.end - content.start) / PLAYING);
+const frame = (before) => (now) => {
+  if (playing === null) return;
+  show(time + (speed * (now - before)) / 1000);
+  if (time >= content.end) pause();
+  else playing = requestAnimationFrame(frame(now));
+};
+const button = (sign, name) => {
+  here("play").textContent = sign;
+  here("play").setAttribute("aria-label", name);
+};
+const pause = () => {
+  cancelAnimationFrame(playing);
+  playing = null;
+  button("▶", "Play");
+};
+const play = () => {
+  if (time >= content.end) show(content.start);
+  button("⏸", "Pause");
+  playing = requestAnimationFrame(frame(performance.now()));
+};

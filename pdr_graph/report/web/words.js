@@ -1,0 +1,64 @@
+// Headline, warnings and tables.
+
+const FEW = 3; // warnings that are shown unasked
+
+const element = (tag, text, more = {}) =>
+  Object.assign(document.createElement(tag), text === undefined ? more : { textContent: text, ...more });
+const write = () => {
+  document.title = `${content.title} – pdr_graph`;
+  here("title").textContent = content.title;
+  here("subtitle").textContent = content.subtitle;
+  for (const [what, much] of content.headline) {
+    const pair = element("div");
+    pair.append(element("dt", what), element("dd", much));
+    here("headline").append(pair);
+  }
+  for (const [lines, kind, name] of [
+    [content.missing, "missing", "Missing"],
+    [content.warnings, "warnings", "Beware"],
+  ]) {
+    const list = element("ul"),
+      notice = element("details", undefined, { className: kind, open: lines.length <= FEW || kind === "missing" });
+    list.append(...lines.map((line) => element("li", line)));
+    notice.append(element("summary", `${name} (${lines.length})`), list);
+    if (lines.length) here("notices").append(notice);
+  }
+  if (content.maps.length > 1)
+    content.maps.forEach((own, n) =>
+      here("chooser").append(element("button", own.name || "all", { type: "button", onclick: () => choose(n) })),
+    );
+};
+const NUMBER = /^[-+−]?[\d.,:]+\s?(%|Hz|m|s|min|h \d\d min)?$/;
+const cells = (table) => {
+  const body = element("table"),
+    head = element("tr"),
+    inside = element("div", undefined, { className: "scroll", tabIndex: 0 });
+  head.append(...table.head.map((name) => element("th", name, { scope: "col" })));
+  body.append(element("thead"), element("tbody"));
+  body.tHead.append(head);
+  table.rows.forEach((row, n) => {
+    const line = element("tr");
+    row.forEach((text, k) => {
+      const cell = element("td", undefined, { className: NUMBER.test(text) ? "number" : "" });
+      cell.append(
+        k === 0 && table.moments.length
+          ? element("button", text, { type: "button", onclick: () => show(table.moments[n]) })
+          : text,
+      );
+      line.append(cell);
+    });
+    body.tBodies[0].append(line);
+  });
+  inside.append(body);
+  return inside;
+};
+const tabulate = () =>
+  content.tables.forEach((table) => {
+    const details = element("details");
+    details.append(element("summary", table.rows.length > 5 ? `${table.title} (${table.rows.length})` : table.title));
+    details.addEventListener("toggle", () => details.children.length < 2 && details.append(cells(table)), {
+      once: true,
+    });
+    details.open = table.open;
+    here("tables").append(details);
+  });

@@ -1,0 +1,239 @@
+"""What a report does in a browser that has no network."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import simulated
+from browser import Page, chromium
+from made_walks import estimated, laps, recording_of, shown
+
+from pdr_graph.floor.building import Building
+from pdr_graph.online.replay import replay_recording
+from pdr_graph.pipeline import smooth_recording
+from pdr_graph.report.page import page
+from pdr_graph.report.walk import content
+from pdr_graph.types import BeaconReport, Estimate, Trajectory
+
+MAPS = Path(__file__).parents[2] / "maps"
+ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6)])
+HOUR = 70  # laps of 55 s
+FIRST_PICTURE = 2.0  # [s] of an hour's walk, from the click on the file
+ARROW = 6.0  # [px] from the middle of the arrow's box to the point that it turns about: its tip is longer than its tail
+HOSTILE = '<img src=x onerror="window.hacked=1"></script><script>window.hacked=1</script><b>A&B</b>'
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    """The folder of a simulated walk through the arcade, smoothed and replayed."""
+    folder = simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+    options = {"plan": MAPS / "arcade.geojson", "fixes": folder / "fixes.csv"}
+    assert smooth_recording(folder / "walk.txt", folder / "out", **options) == ()
+    assert replay_recording(folder / "walk.txt", folder / "live", **options) == ()
+    return folder
+
+
+def trajectory(path):
+    """Times since the first row [s], positions ``(n, 2)`` [m] and headings [rad], as the file has them."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    table = np.array([[float(row[name]) for name in ("time", "x", "y", "heading")] for row in rows])
+    return table[:, 0] - table[0, 0], table[:, 1:3], table[:, 3]
+
+
+def first_time(path):
+    return float(path.read_text().splitlines()[1].split(",")[0])
+
+
+def written(folder, said):
+    (folder / "report.html").write_bytes(page(said))
+    return folder / "report.html"
+
+
+def begins(report):
+    return report.run("return +document.getElementById('slider').min")
+
+
+def test_it_opens_from_disk_without_an_error_or_a_request(browser, walk):
+    for folder in ("out", "live"):
+        report = Page(browser, walk / folder / "report.html")
+        report.slide(20.0)
+        assert report.errors == []
+        foreign, all_ = report.asked_for
+        assert foreign == []
+        assert all_ > 0, "a control: requests are seen"
+
+
+def test_a_request_would_be_seen_and_an_error_too(browser, tmp_path):
+    """Control of the test above."""
+    mark = "<script>performance.mark('whole'); fetch('https://example.org/'); throw new Error('no')</script>"
+    (tmp_path / "bad.html").write_text(mark)
+    report = Page(browser, tmp_path / "bad.html")
+    report.until("return true")
+    assert any("no" in error for error in report.errors)
+    assert report.asked_for[0] == ["https://example.org/"]
+
+
+def test_the_slider_moves_the_walker_to_where_the_trajectory_was(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    time, position, _ = trajectory(walk / "out" / "trajectory.csv")
+    start, metre = begins(report), report.metre
+    for share in (0.0, 0.13, 0.5, 0.77, 1.0):
+        when = share * time[-1]
+        report.slide(start + when)
+        there = [np.interp(when, time, axis) for axis in position.T]
+        assert np.hypot(*np.subtract(report.walker, there)) * metre < ARROW, f"after {when:.1f} s"
+
+
+def test_the_walker_points_where_the_trajectory_pointed(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    time, _, heading = trajectory(walk / "out" / "trajectory.csv")
+    for row in (10, 30, 50):
+        report.slide(begins(report) + time[row])
+        tip = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'walker').path")
+        x, y = map(float, tip[1:].split("L")[0].split(","))
+        assert np.cos(np.arctan2(y, x) - heading[row]) > np.cos(0.02), "a hundredth of a radian is what the page keeps"
+
+
+def test_the_charts_cursor_and_the_clock_follow_the_slider(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    report.slide(25.0)
+    assert report.run("return document.getElementById('charts').layout.shapes[0].x0") == 25.0
+    assert report.run("return document.getElementById('clock').textContent") == "0:25"
+
+
+def test_play_and_the_keyboard_move_it_too(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    at = "return document.getElementById('slider').valueAsNumber"
+    before = report.run(at)
+    report.run("document.getElementById('play').click()")
+    report.until(f"{at} > {before + 0.3}")
+    report.run("document.getElementById('play').click()")
+    assert report.run("return document.getElementById('play').getAttribute('aria-label')") == "Play"
+    stopped = report.run(at)
+    slider = browser.find_element("id", "slider")
+    slider.send_keys("\ue014")  # the right arrow
+    assert report.run(at) > stopped
+
+
+def test_a_replay_shows_what_was_known_live_beside_what_is_known_now(browser, walk):
+    report = Page(browser, walk / "live" / "report.html")
+    time, position, _ = trajectory(walk / "live" / "causal.csv")
+    when, later = (
+        0.6 * time[-1],
+        first_time(walk / "live" / "causal.csv") - first_time(walk / "live" / "trajectory.csv"),
+    )
+    report.slide(begins(report) + later + when)
+    dot = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'live')")
+    there = [np.interp(when, time, axis) for axis in position.T]
+    assert [dot["xanchor"], dot["yanchor"]] == pytest.approx(there, abs=0.03), "a centimetre per row and 10 ms of time"
+
+
+def test_nothing_offers_to_send_the_walk_anywhere(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    titles = report.run("return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
+    assert len(titles) > 3
+    assert not [title for title in titles if any(word in title.lower() for word in ("share", "cloud", "send", "edit"))]
+
+
+@pytest.mark.parametrize("width", [360, 390, 1280, 1920])
+def test_it_fits_a_phone_and_a_screen(browser, walk, width):
+    report = Page(browser, walk / "out" / "report.html", width, 800)
+    report.slide(10.0)
+    assert report.run("return document.documentElement.scrollWidth") <= width
+    slider = report.run("const r = document.getElementById('player').getBoundingClientRect(); return [r.top, r.bottom]")
+    assert 0 < slider[0] < slider[1] <= 800.5, "the slider is in sight"
+    assert report.run("return document.querySelector('.nsewdrag').getBoundingClientRect().width") > 0.6 * min(
+        width, 500
+    )
+
+
+def test_an_hours_walk_is_seen_within_two_seconds(browser, tmp_path):
+    """The best of three: other processes take their share of the machine."""
+    path = written(tmp_path, content(estimated(*laps(HOUR))))
+    seconds = [Page(browser, path).picture for _ in range(3)]
+    assert min(seconds) < FIRST_PICTURE, seconds
+
+
+def two_floors():
+    """A walk straight on for 20 s on floor 1, and 20 s on floor 2."""
+    time = np.arange(41.0)
+    position = np.stack([5.0 + 0.5 * time, np.full(41, 9.0)], axis=1)
+    floors = ("1",) * 21 + ("2",) * 20
+    path = Trajectory(time, position, np.zeros(41), floors, np.tile(np.diag([1.0, 1.0, 0.01]), (41, 1, 1)))
+    estimate = Estimate(path, path, None, (), 1, 0.0, True)
+    steps = laps(1)[0]
+    return shown(recording_of(steps), estimate, Building.load(MAPS / "two_floors.geojson"), steps=steps)
+
+
+def test_floors_switch_with_the_slider_and_by_hand(browser, tmp_path):
+    report = Page(browser, written(tmp_path, content(two_floors())))
+    on = "return document.querySelector('#chooser [aria-pressed=true]').textContent"
+    assert report.run(on) == "1"
+    report.slide(35.0)
+    report.until(f"{on} === '2'")
+    report.until("return document.getElementById('map').layout.shapes.some(s => s.name === 'walker')")
+    xs = "return document.getElementById('map').data.find(d => d.name === 'graph').x.filter(Number.isFinite)"
+    assert min(report.run(xs)) == 15.5, "of this floor alone"
+    report.run("document.querySelector('#chooser button').click()")
+    report.until(f"{on} === '1'")
+    assert report.walker is None, "he is on the other floor"
+    assert max(report.run(xs)) == 15.0
+    assert report.errors == []
+
+
+def test_names_stay_text_whatever_they_are(browser, tmp_path):
+    building = Building.load(MAPS / "two_floors.geojson")
+    named = tuple(
+        replace(f, areas=tuple(replace(a, name=HOSTILE if a.name else "") for a in f.areas)) for f in building.floors
+    )
+    given = two_floors()
+    beacon = BeaconReport(HOSTILE, 3, 1.0, 8.0, 9.0, False, HOSTILE)
+    walk = replace(given.walk, source=HOSTILE, notes=(f"accelerometer: {HOSTILE}",))
+    made = shown(walk, replace(given.estimate, beacons=(beacon,)), Building(named), [HOSTILE], [HOSTILE])
+    report = Page(browser, written(tmp_path, content(made)))
+    report.run("document.querySelectorAll('details').forEach(d => { d.open = true; })")
+    report.run("Plotly.relayout('map', {'xaxis.range': [10, 20], 'yaxis.range': [5, 15]})")  # names appear
+    report.run("document.querySelectorAll('.modebar-btn')[0].click()")
+    drawn = "return [...document.querySelectorAll('#map .textpoint text')].map(t => t.textContent)"
+    report.until(f"{drawn}.length > 0")
+    assert set(report.run(drawn)) == {HOSTILE}, "the plan's names, on the map"
+    assert report.run("return [document.title, document.querySelector('h1').textContent]") == [
+        f"{HOSTILE} – pdr_graph",
+        HOSTILE,
+    ]
+    assert report.run("return document.body.innerText").count("<b>A&B</b>") >= 4
+    assert report.run("return document.querySelectorAll('body img, body b').length") == 0
+    assert report.run("return document.querySelectorAll('body script').length") == 3
+    assert report.run("return window.hacked") is None
+    assert report.errors == []
+    beacon_text = report.run("return document.getElementById('map').data.find(d => d.name === 'beacons').text[0]")
+    assert "<img" not in beacon_text
+
+
+def test_tables_say_what_the_summary_says(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    summary = json.loads((walk / "out" / "summary.json").read_text())
+    rows = report.run(
+        "const d = [...document.querySelectorAll('details')].find(d => d.innerText.startsWith('Fixes'));"
+        "return [...d.querySelectorAll('tbody tr')].map(r => [...r.cells].map(c => c.textContent))"
+    )
+    assert [row[-1] for row in rows] == [fix["reason"] for fix in summary["fixes"]]
+    assert [float(row[4]) for row in rows] == pytest.approx([f["residual"] for f in summary["fixes"]], abs=0.005)
+    report.run("[...document.querySelectorAll('td button')][2].click()")
+    report.until("return document.getElementById('slider').valueAsNumber > 1")
+    when = summary["fixes"][2]["time"] - float(
+        (walk / "out" / "trajectory.csv").read_text().splitlines()[1].split(",")[0]
+    )
+    assert report.run("return document.getElementById('slider').valueAsNumber") == pytest.approx(
+        begins(report) + when, abs=0.011
+    )

@@ -1,0 +1,233 @@
+"""What a report says, without a browser."""
+
+import base64
+import hashlib
+import json
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+import simulated
+from hypothesis import given
+from hypothesis import strategies as st
+from made_walks import SENSORS, estimated, laps, recording_of, shown
+from scipy.stats import chi2
+from walks import steps_of
+
+from pdr_graph import confidence
+from pdr_graph.evaluation import evaluate
+from pdr_graph.pipeline import smooth_recording
+from pdr_graph.report import page as page_module
+from pdr_graph.report import sensors
+from pdr_graph.report.columns import MOST_ROWS, column, runs, thinned
+from pdr_graph.report.page import page
+from pdr_graph.report.walk import content
+from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
+
+HOUR = 70  # laps of 55 s
+MOST_BYTES = 8_000_000
+
+
+def decoded(said):
+    """Independent of the page's own script."""
+    total, values = 0, []
+    for step in said["steps"]:
+        total += step or 0
+        values.append(np.nan if step is None else total * said["unit"])
+    return np.array(values)
+
+
+@given(st.lists(st.one_of(st.floats(-1e9, 1e9), st.just(np.nan)), max_size=40), st.sampled_from([0.01, 1e-4, 1.0]))
+def test_a_column_holds_its_numbers_to_half_a_unit(values, unit):
+    back = decoded(json.loads(json.dumps(column(np.array(values), unit))))
+    # half a unit, and the rounding of doubles of 1e9
+    np.testing.assert_allclose(back, values, rtol=1e-12, atol=0.5 * unit * (1 + 1e-6))
+
+
+def test_runs_are_their_values():
+    values = [0, 0, -1, 2, 2, 2, 0]
+    assert [value for value, count in runs(values) for _ in range(count)] == values
+
+
+def test_long_tracks_are_thinned_from_end_to_end():
+    assert list(thinned(5)) == [0, 1, 2, 3, 4]
+    rows = thinned(10 * MOST_ROWS)
+    assert (len(rows), rows[0], rows[-1]) == (MOST_ROWS, 0, 10 * MOST_ROWS - 1)
+
+
+def test_the_band_holds_nineteen_positions_of_twenty():
+    """Of a walk that stays where it is the band is one ellipse: 20 000 draws, within 4 sigma of their share."""
+    covariance = np.array([[4.0, 1.5, 0], [1.5, 1.0, 0], [0, 0, 0.1]])
+    still = Trajectory(np.arange(2.0), np.ones((2, 2)), np.zeros(2), ("", ""), np.stack([covariance, covariance]))
+    (region,) = confidence.band(still, np.ones(2, dtype=bool))
+    draws = np.random.default_rng(0).multivariate_normal([1.0, 1.0], covariance[:2, :2], 20_000)
+    inside = shapely.contains_xy(region, *draws.T).mean()
+    inscribed = np.pi / confidence.CORNERS
+    least = chi2.cdf(confidence.CHI_SQUARE * np.cos(inscribed) ** 2, 2)  # of a polygon within the ellipse
+    noise = 4 * np.sqrt(0.95 * 0.05 / 20_000)
+    assert least - noise < inside < 0.95 + noise
+
+
+def signal(values, rate=100.0):
+    values = np.asarray(values, dtype=float)
+    return Signal(np.arange(len(values)) / rate, values.reshape(len(values), -1))
+
+
+def noise(n=1000, size=10.0):
+    return np.random.default_rng(1).normal(0, size, (n, 3))
+
+
+def test_a_sensor_that_is_well_has_no_ailments():
+    found = sensors.health("accelerometer", signal(noise()))
+    assert found.ailments == ()
+    assert (found.samples, found.recorded) == (1000, 1.0)
+    assert found.rate == pytest.approx(100.0)
+
+
+def test_gaps_are_counted_and_are_no_recorded_time():
+    whole = signal(noise())
+    late = replace(whole, time=whole.time + 5.0 * (np.arange(1000) >= 400))
+    found = sensors.health("gyroscope", late)
+    assert (found.gaps, round(found.longest_gap, 2)) == (1, 5.01)
+    assert found.recorded == pytest.approx(9.98 / 14.99)
+    assert found.ailments == ("1 gap, the longest of 5.0 s",)
+
+
+def test_a_sensor_that_hangs_is_stuck():
+    values = noise()
+    values[300:500] = values[300]
+    assert sensors.health("gyroscope", signal(values)).stuck == pytest.approx(1.99)
+    assert sensors.health("barometer", signal(values[:, :1])).stuck == 0.0, "a barometer says the same for seconds"
+
+
+def test_samples_at_the_end_of_a_range_are_clipped():
+    values = noise(size=30.0)
+    values[400:440] = np.abs(values[400:440]) + 40.0  # a shock, all of it beyond the range
+    cut = np.clip(values, -39.2, 39.2)
+    assert sensors.health("accelerometer", signal(values)).clipped == 0
+    assert sensors.health("accelerometer", signal(cut)).clipped >= 3 * 40
+    assert sensors.health("magnetometer", signal(cut)).clipped == 0
+
+
+def test_the_table_says_what_a_missing_sensor_would_have_told():
+    walk = Recording("w", 0.0, None, accelerometer=signal(noise()), notes=("accelerometer: it was shaken",))
+    rows = {row[0]: row for row in sensors.table(walk)[1]}
+    assert rows["gyroscope"][1:] == ["not recorded", "", "", "without it, nothing told turns"]
+    assert rows["accelerometer"][-1] == "it was shaken"
+
+
+@pytest.fixture(scope="module")
+def hour():
+    return estimated(*laps(HOUR))
+
+
+def test_an_hour_is_smaller_than_8_mb_and_made_in_a_moment(hour):
+    made, seconds = b"", []
+    for _ in range(3):
+        started = time.process_time()
+        made = page(content(hour))
+        seconds.append(time.process_time() - started)
+    assert len(hour.estimate.trajectory) > 7000
+    assert len(made) < MOST_BYTES
+    assert min(seconds) < 0.3, f"{seconds} s of processor: what a report may add to an hour's walk"
+
+
+def test_a_days_march_with_a_fix_a_second_is_smaller_than_8_mb():
+    """Twelve hours: 80 000 steps and 43 200 fixes; all tracks have a covariance."""
+    time = np.linspace(0.0, 43_200.0, 80_000)
+    random = np.random.default_rng(6)
+    position = np.cumsum(random.normal(0, 0.7, (len(time), 2)), axis=0)
+    covariance = np.tile(np.eye(3), (len(time), 1, 1)) * random.uniform(1, 5, (len(time), 1, 1))
+    path = Trajectory(time, position, random.uniform(-3, 3, len(time)), ("",) * len(time), covariance)
+    fixes = tuple(FixReport(float(t), 1.0, 2.0, 3.0, 4.0, 0.5, "4.1 sigma from the walk: full") for t in range(43_200))
+    march = shown(Recording("march", 0.0, None), Estimate(path, path, None, fixes, 1, 0.0, True), causal={"live": path})
+    assert len(page(content(march))) < MOST_BYTES
+
+
+def test_a_page_has_nothing_left_to_fill_and_asks_for_nothing(hour):
+    text = page(content(hour)).decode()
+    head = text[: text.index("<style>")]
+    assert "{{" not in head
+    assert "default-src 'none'" in head
+    markup = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    assert not re.search(r"<(link|img|iframe|object|embed)\b|<script[^>]* src=|url\(", markup)
+
+
+def test_the_policy_knows_each_script_by_its_hash(hour):
+    """The hashes of what stands between the tags, as a browser takes them."""
+    text = page(content(hour)).decode()
+    scripts = re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    assert re.findall(r"'sha256-([^']*)'", text[: text.index("<style>")]) == hashes
+    assert len(hashes) == 2
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["</script><script>alert(1)</script>", "{{library}}{{style}}", "\udcff\x00\u2028", "\\", "<!--<script>", "]]>"],
+)
+def test_whatever_a_name_is_it_stays_in_the_content(name):
+    steps, fixes = laps(1)
+    said = content(estimated(steps, fixes, warnings=[name]))
+    made = page(said | {"title": name}).decode("utf-8")
+    inside = re.search(r'<script id="content" type="application/json">(.*?)</script>', made, flags=re.DOTALL)
+    assert json.loads(inside[1]) == json.loads(json.dumps(said | {"title": name}))
+    assert made.count("<script") - page(said).decode().count("<script") == 0
+
+
+def test_truth_is_scored_as_evaluate_does_and_changes_no_estimate():
+    steps, fixes = laps(2)
+    truth = estimated(steps, fixes).estimate.trajectory
+    truth = replace(truth, position=truth.position + 1.0, covariance=None)
+    with_truth, without = content(estimated(steps, fixes, truth=truth)), content(estimated(steps, fixes))
+    table = with_truth["tables"][0]
+    assert table["head"] == ["error", "unit", "graph", "filter", "dead reckoning"]
+    ce50 = next(row for row in table["rows"] if row[0].startswith("CE50"))
+    assert ce50[2] == "1.414", "a metre aside each way"
+    mine = evaluate(estimated(steps, fixes).causal["filter"], truth)
+    assert ce50[3] == f"{mine['ce']['p50']:.3f}"
+    named = {track["name"]: track for track in with_truth["tracks"]}
+    for track in without["tracks"]:
+        assert named.pop(track["name"]) == track
+    assert list(named) == ["truth"]
+
+
+def test_what_was_learnt_is_told_from_what_is_the_priors():
+    charts = {chart["title"]: chart for chart in content(estimated(*laps(4)))["charts"]}
+    assert [line["name"] for line in charts["stride scale R_s"]["lines"]] == ["learnt"]
+    assert "the prior's, not learnt" in [line["name"] for line in charts["gyro drift b"]["lines"]]
+
+
+def test_positions_alone_have_no_steps_and_no_probability():
+    time = np.arange(20.0)
+    path = Trajectory(
+        time, np.stack([time, time], axis=1), np.full(20, np.nan), ("",) * 20, np.tile(np.eye(3), (20, 1, 1))
+    )
+    alone = Estimate(path, path, None, (), 0, 0.0, True)
+    said = content(shown(Recording("track.gpx", 0.0, None), alone))
+    assert [track["name"] for track in said["tracks"]] == ["smoothed positions"]
+    assert [what for what, _ in said["headline"]] == ["distance", "duration", "fixes"]
+    assert said["tables"][0]["rows"][0][:2] == ["accelerometer", "not recorded"]
+    page(said)
+
+
+def test_each_sensor_of_a_recording_is_in_its_table():
+    steps = steps_of(np.full(20, 0.7), np.zeros(20))
+    rows = [row[0] for row in sensors.table(recording_of(steps))[1]]
+    assert rows == [*SENSORS, "barometer"]
+
+
+def test_a_report_that_fails_costs_nothing_else(tmp_path, monkeypatch):
+    folder = simulated.indoor_location(tmp_path / "walk", np.array([(0.0, 0.0), (12.0, 0.0)]))
+
+    def broken(_):
+        raise RuntimeError("no more paper")
+
+    monkeypatch.setattr(page_module, "page", broken)
+    missing = smooth_recording(folder / "walk.txt", tmp_path / "out", fixes=folder / "fixes.csv")
+    assert missing == ("report.html (RuntimeError: no more paper)",)
+    assert {"trajectory.csv", "figure.png", "summary.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["missing"] == list(missing)
