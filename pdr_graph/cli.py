@@ -2,29 +2,66 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
+import pdr_graph
 from pdr_graph.errors import InputError
 from pdr_graph.lifelog.commands import lifelog
 
+RefusedExit, DegradedExit = 2, 3
+PAGES = ("report.html", "figure.png")  # what to look at first; the picture where there is no page
+
+
+class Verbs(TyperGroup):
+    """The verbs; who gives a file and no verb is told of one."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """As of every group."""
+        if args[0] not in self.commands and Path(args[0]).exists():
+            raise InputError(args[0], "", "a path but no verb", f"one of them, as in pdr-graph smooth {args[0]}")
+        return super().resolve_command(ctx, args)
+
+
 app = typer.Typer(
+    cls=Verbs,
     add_completion=False,
     no_args_is_help=True,
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 100},
     pretty_exceptions_enable=False,
-    help="Which way did this person walk? A phone's sensor log and a floor plan in, the most probable walk out.",
 )
-maps = typer.Typer(no_args_is_help=True, help="Check and look at floor plans.")
+maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Check and look at floor plans.")
 app.add_typer(maps, name="map")
 app.add_typer(lifelog, name="lifelog")
 
-RefusedExit, DegradedExit = 2, 3
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pdr-graph {pdr_graph.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Which way did this person walk? A phone's sensor log and a floor plan in, the most probable walk out.
+
+    \b
+    pdr-graph smooth walk.zip              any recorder's export; look at walk-smoothed/report.html
+    pdr-graph simulate arcade              no recording at hand? a walk with known truth, in arcade/
+    """
 
 
 class Method(StrEnum):
@@ -55,7 +92,10 @@ RecordingPath = Annotated[
 ]
 WalkerPath = Annotated[Path | None, typer.Option("--walker", metavar="TOML", help="What is known of the walker.")]
 MapPath = Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="A floor plan; its frame is the output's.")]
-OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Where results go.")]
+OutFolder = Annotated[
+    Path | None,
+    typer.Option("--out", metavar="DIR", help="Where results go; default: here, named after the recording."),
+]
 FixesPath = Annotated[
     Path | None,
     typer.Option("--fixes", metavar="CSV", help="time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor]."),
@@ -77,9 +117,9 @@ BeaconsPath = Annotated[
 @app.command()
 def smooth(
     recording: RecordingPath,
-    out: OutFolder,
     map_: MapPath = None,
     fixes: FixesPath = None,
+    out: OutFolder = None,
     walker: WalkerPath = None,
     method: Annotated[
         Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
@@ -98,22 +138,26 @@ def smooth(
 ) -> None:
     """Reconstruct one walk.
 
-    pdr-graph smooth walk.txt --map maps/arcade.geojson --fixes fixes.csv --out result
+    \b
+    pdr-graph smooth walk.zip
+    pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
     """
     from pdr_graph.pipeline import smooth_recording
 
+    folder = out or _named(recording, "-smoothed")
     missing = smooth_recording(
-        recording, out, map_, fixes, walker, str(method), recorded_fixes, rate, gnss_latency, floor, beacons, radio_map
+        *(recording, folder, map_, fixes, walker, str(method), recorded_fixes),
+        *(rate, gnss_latency, floor, beacons, radio_map),
     )
-    _end(missing, out)
+    _end(missing, folder)
 
 
 @app.command()
 def replay(
     recording: RecordingPath,
-    out: OutFolder,
     map_: MapPath = None,
     fixes: FixesPath = None,
+    out: OutFolder = None,
     walker: WalkerPath = None,
     recorded_fixes: RecordedFixes = True,
     rate: Rate = None,
@@ -127,25 +171,38 @@ def replay(
         typer.Option("--journal", metavar="FILE", help="Keep the walk in it, or go on with the one that it has."),
     ] = None,
 ) -> None:
-    """Walk through a recording as if it were live, step by step, and say how long each step took.
+    """Walk through a recording as if it were live.
 
-    pdr-graph replay walk.txt --map maps/arcade.geojson --fixes fixes.csv --out live
+    Step by step, each pose from what came before it; says how long each step took.
+
+    \b
+    pdr-graph replay walk.zip
+    pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
     """
     from pdr_graph.online.replay import replay_recording
 
+    folder = out or _named(recording, "-replayed")
     missing = replay_recording(
-        recording, out, map_, fixes, walker, recorded_fixes, rate, floor, beacons, _lag(lag), journal
+        recording, folder, map_, fixes, walker, recorded_fixes, rate, floor, beacons, _lag(lag), journal
     )
-    _end(missing, out)
+    _end(missing, folder)
 
 
 @app.command()
 def steps(
     recording: RecordingPath,
-    out: Annotated[Path, typer.Option("--out", metavar="CSV", help="Where the steps go.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="CSV", help="Default: here, named after the recording.")
+    ] = None,
     walker: WalkerPath = None,
 ) -> None:
-    """Detect the steps of a recording, for other back ends: time,length,turn,sigma_length,sigma_turn."""
+    """Write the steps alone, for other back ends.
+
+    A row each: time,length,turn,sigma_length,sigma_turn.
+
+    \b
+    pdr-graph steps walk.zip
+    """
     from pdr_graph import io
     from pdr_graph.gait.pdr import detect_steps
     from pdr_graph.gait.walker import Walker
@@ -153,8 +210,9 @@ def steps(
 
     walk = io.load(recording)
     found = detect_steps(walk, Walker.load(walker) if walker else None)
-    write_steps(out, found, walk.clock_origin)
-    typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {out}")
+    file = out or _named(recording, "-steps.csv")
+    write_steps(file, found, walk.clock_origin)
+    typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {file}")
 
 
 @app.command()
@@ -167,9 +225,10 @@ def calibrate(
     out: Annotated[Path, typer.Option("--out", metavar="TOML", help="Where the walker's profile goes.")],
     walker: WalkerPath = None,
 ) -> None:
-    """Learn a walker's own stride and turn errors from a walk along a known line.
+    """Learn a walker's own stride and turns from a known line.
 
-    pdr-graph calibrate walk.csv --route maps/figure_eight.geojson --out walker.toml
+    \b
+    pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
     """
     from pdr_graph.gait.profile import COEFFICIENTS
     from pdr_graph.pipeline import calibrate_walker
@@ -189,8 +248,11 @@ def radio_map(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the radio map goes.")],
 ) -> None:
-    """Learn what phones hear where, from walks already smoothed on one plan, for smooth --radio-map.
+    """Learn what phones hear where, from smoothed walks.
 
+    For smooth --radio-map; the walks must have been smoothed on one plan.
+
+    \b
     pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
     """
     from pdr_graph.pipeline import learn_radio_map
@@ -218,8 +280,11 @@ def evaal(
         Path | None, typer.Option("--out", metavar="DIR", help="Where results go; default: evaal-TRIAL.")
     ] = None,
 ) -> None:
-    """Take part in a competition's trial over the EvAAL API, or go on with one that was interrupted (same --out).
+    """Take part in a competition over the EvAAL API.
 
+    Or go on with a trial that was interrupted: same --out.
+
+    \b
     pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
     """
     from functools import partial
@@ -272,31 +337,46 @@ def evaluate(
     ] = Pairing.linear,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON: metres, radians, seconds.")] = False,
 ) -> None:
-    """Score a trajectory: CE, HE, EAG, VE, CA, OE, FE of the draft ISO/IEC 21134."""
-    import json
+    """Score a trajectory against the truth.
 
+    CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/accuracy.md).
+
+    \b
+    pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
+    """
     from pdr_graph import evaluation
     from pdr_graph.floor.building import Building
     from pdr_graph.io.tables import read_trajectory
 
     floor = Building.load(map_) if map_ else None
-    scores = evaluation.evaluate(read_trajectory(trajectory), read_trajectory(truth), floor, str(pairing))
-    if not scores["n"]:
+    tracks = read_trajectory(trajectory), read_trajectory(truth)
+    if not len(evaluation.pair(*tracks, str(pairing)).time):
         raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
+    scores = evaluation.evaluate(*tracks, floor, str(pairing))
     typer.echo(json.dumps(scores) if json_ else evaluation.table(scores))
 
 
 @app.command()
 def simulate(
-    scenario: Annotated[Path, typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md).")],
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where the recording and its truth go.")],
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md), or the name of a ready one.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="For recording, truth and plan; default: here, by its name."),
+    ] = None,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, metavar="N", help="Another walk: instead of the scenario's seed.")
     ] = None,
 ) -> None:
-    """Simulate a walk with known truth, as a phone would have recorded it.
+    """Simulate a walk with known truth.
 
-    pdr-graph simulate scenarios/arcade.toml --out walk && pdr-graph smooth walk --out result
+    As a phone would have recorded it. Ready scenarios: arcade campus cart figure_eight l_corridor loop mall office
+    outdoors stairs two_floors.
+
+    \b
+    pdr-graph simulate arcade --out walk
+    pdr-graph smooth walk --map walk/plan.geojson --fixes walk/fixes.csv
     """
     from pdr_graph.simulation.recorders import write
     from pdr_graph.simulation.scenario import Scenario
@@ -304,9 +384,10 @@ def simulate(
 
     given = Scenario.load(scenario)
     walk = simulated(given if seed is None else replace(given, seed=seed))
-    write(walk, out)
+    folder = out or Path(given.name)
+    write(walk, folder)
     body = walk.body
-    typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {out}")
+    typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
 
 
 PlanPath = Annotated[
@@ -321,7 +402,11 @@ def map_show(
         Path | None, typer.Option("--out", metavar="PNG", help="Default: PLAN's name with .png, here.")
     ] = None,
 ) -> None:
-    """Draw a floor plan, all its floors side by side."""
+    """Draw a floor plan, all its floors side by side.
+
+    \b
+    pdr-graph map show plan.geojson --out plan.png
+    """
     from pdr_graph.floor.plan import FloorPlan
     from pdr_graph.plotting import plot_plan
 
@@ -335,7 +420,13 @@ def map_show(
 
 @maps.command("check")
 def map_check(plan: PlanPath) -> None:
-    """Look for what would mislead a walk: sealed rooms, doors to nowhere, links through walls. Exit 3 if any."""
+    """Look for what in a plan would mislead a walk.
+
+    Sealed rooms, doors to nowhere, links through walls; exit 3 if there are any.
+
+    \b
+    pdr-graph map check plan.geojson
+    """
     from pdr_graph.floor.building import Building
     from pdr_graph.floor.check import problems
 
@@ -369,7 +460,20 @@ def _lag(said: str) -> float | None:
     return None if seconds == float("inf") else seconds
 
 
+def _named(given: Path, ending: str) -> Path:
+    """A path in the current folder, named after what was given: walk.zip, walk-smoothed."""
+    whole = given.resolve()
+    return Path(f"{whole.name if whole.is_dir() else whole.stem}{ending}")
+
+
 def _end(missing: tuple[str, ...], out: Path) -> None:
+    """Say what came out, what to beware of, and where to look."""
+    told = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    steps = f"{told['steps']} steps, " if told["steps"] else ""
+    typer.echo(f"{steps}{told['distance']:.1f} m in {told['duration']:.1f} s")
+    for warning in told["warnings"]:
+        typer.echo(f"note: {warning}")
+    typer.echo(f"-> {next((out / page for page in PAGES if (out / page).exists()), out)}")
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
         raise typer.Exit(DegradedExit)
@@ -381,6 +485,9 @@ def main() -> None:
         app()
     except InputError as error:
         typer.echo(f"pdr-graph: {error}", err=True)
+        sys.exit(RefusedExit)
+    except (FileExistsError, NotADirectoryError) as error:
+        typer.echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
         sys.exit(RefusedExit)
     except OSError as error:
         typer.echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)

@@ -1,4 +1,4 @@
-"""What is said of input that cannot be used: one line with the file, the place, what was found and what was needed."""
+"""What is said of input that cannot be used: one line with its place, what was found there and what was needed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ LONGEST_PART = 250  # characters; names and contents of files are their makers' 
 
 
 class InputError(ValueError):
-    """Input that cannot be used. Its text is one printable line: ``file, place: found …, needed …``."""
+    """Input that cannot be used. Its text is one printable line: ``source, place: found …, needed …``.
+
+    source: a file, or an option; place: in it, a line or a column; found: what is there; needed: what should be.
+    """
 
     def __init__(self, source: str | Path, place: str, found: str, needed: str):
         where = f"{one_line(str(source))}, {one_line(place)}" if place else one_line(str(source))
@@ -17,6 +20,23 @@ class InputError(ValueError):
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         return InputError, self._parts  # from one process to another
+
+
+def expect(place: str, given: object, *kinds: type | None, instead: str = "") -> None:
+    """Raise TypeError unless an argument is of one of some kinds, None among them or not.
+
+    place: function and argument; instead: how to come by what was needed.
+    """
+    if any(given is None if kind is None else isinstance(given, kind) for kind in kinds):
+        return
+    needed = " or ".join("None" if kind is None else kind.__name__ for kind in kinds)
+    raise TypeError(f"{place}: found {_kind(given)}, needed {needed}{instead and f', as of {instead}'}")
+
+
+def _kind(given: object) -> str:
+    """What an argument is, and itself where that is short."""
+    said = one_line(repr(given)) if isinstance(given, str | Path | int | float) else ""
+    return "None" if given is None else f"{type(given).__name__} {said}".strip()
 
 
 def one_line(text: str) -> str:

@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.stats import gaussian_kde
 
+from pdr_graph.errors import expect
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
@@ -22,6 +21,9 @@ TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it
 SPEED_WINDOW = 0.5  # [s] to either side
 SHORTEST_ELAPSED = 1.0  # [s] from the nearer end, below which EAG divides by too little
 MOST_KERNELS = 1000
+MOST_SHIFTS, SETTLED = 500, 1e-6  # of the mode; in kernel widths
+FLAT = 1e-12  # ratio of variances of errors that are on one line
+ANOTHER_CLOCK = 86_400.0  # [s] between a truth and an estimate of one walk: Unix times beside those from its start
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
     pairing: ``linear`` interpolates between the estimate's rows, as our trajectories are meant (at most 0.5 s beyond
         its ends: the end's row); ``nearest`` takes the row nearest in time, the earlier of two, as the tools do.
     """
+    if pairing not in ("linear", "nearest"):
+        raise ValueError(f"evaluate, pairing: found {pairing!r}, needed 'linear' or 'nearest'")
     t = truth.time
     row = nearest(estimate.time, t)
     if pairing == "nearest":
@@ -131,17 +135,30 @@ def circular_accuracy(pairs: Pairs) -> float:
     """
     known = np.isfinite(pairs.estimate_heading)
     turned = rotation(-pairs.estimate_heading[known])
-    errors = np.einsum("nij,nj->in", turned, (pairs.truth - pairs.estimate)[known])
-    if errors.shape[1] < 3:
+    errors = np.einsum("nij,nj->ni", turned, (pairs.truth - pairs.estimate)[known])
+    if len(errors) < 3:
         return float("nan")
-    errors = errors[:, :: -(-errors.shape[1] // MOST_KERNELS)]
-    try:
-        density = gaussian_kde(errors)
-    except np.linalg.LinAlgError:  # all errors on one line, or in one point
-        return float(np.hypot(*errors.mean(axis=1)))
-    densest = errors[:, np.argmax(density(errors))]
-    mode = minimize(lambda e: -density(e)[0], densest, method="Nelder-Mead").x
-    return float(np.hypot(*mode))
+    return float(np.hypot(*_mode(errors[:: -(-len(errors) // MOST_KERNELS)])))
+
+
+def _mode(points: Array) -> Array:
+    """The densest place ``(2,)`` of some points ``(n, 2)``: mean shift (Fukunaga and Hostetler 1975) from the densest
+    of them, kernels as wide as Scott's rule says. Their mean where all are on one line.
+    """
+    width = np.cov(points.T) * len(points) ** (-1 / 3)
+    variance, axes = np.linalg.eigh(width)
+    if variance[0] <= FLAT * variance[1]:
+        return points.mean(axis=0)
+    white = points @ axes / np.sqrt(variance)
+    square = np.sum(white**2, axis=1)
+    apart = square[:, None] + square - 2 * white @ white.T
+    place = white[np.argmax(np.exp(-0.5 * apart).sum(axis=1))]
+    for _ in range(MOST_SHIFTS):
+        before, weight = place, np.exp(-0.5 * np.sum((white - place) ** 2, axis=1))
+        place = weight @ white / weight.sum()
+        if np.hypot(*(place - before)) < SETTLED:
+            break
+    return axes @ (place * np.sqrt(variance))
 
 
 def obstacle_error(estimate: Trajectory, floor: FloorPlan | Building) -> float:
@@ -162,9 +179,17 @@ def evaluate(
 ) -> dict[str, Any]:
     """All metrics, as ``pdr-graph evaluate --json`` prints them; None where one cannot be computed.
 
-    CE, EAG and CA are of samples on the right floor, as far as floors are known.
+    estimate, truth: in one frame and one clock; floor: the plan, for what needs its walls; pairing: "linear" or
+    "nearest", see `pair`. CE, EAG and CA are of samples on the right floor, as far as floors are known; ``n``, how
+    many samples of the truth have an estimate, may be 0. Raises ValueError if the clocks differ.
     """
+    expect("evaluate, estimate", estimate, Trajectory, instead="smooth(graph).trajectory")
+    expect("evaluate, truth", truth, Trajectory, instead="read_trajectory(path, recording)")
+    expect("evaluate, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
     pairs = pair(estimate, truth, pairing)
+    if not len(pairs.time) and abs(truth.time[0] - estimate.time[0]) > ANOTHER_CLOCK:
+        found, needed = (f"{t[0]:.3f} to {t[-1]:.3f} s" for t in (truth.time, estimate.time))
+        raise ValueError(f"evaluate, truth: found times {found}, needed the same clock as the estimate's, {needed}")
     on_floor = pairs.where(pairs.same_floor)
     return {
         "ce": _statistics(circular_error(on_floor)),

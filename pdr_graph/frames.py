@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Trajectory
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ class Frame:
             return position / self.metres_per_degree + self._origin_lonlat
         return np.stack(self._transformer.transform(*position.T, direction="INVERSE"), axis=1)
 
+    def from_frame(self, other: Frame, position: Array) -> Array:
+        """Positions ``(n, 2)`` [m] of another frame in this one; both are on earth if they are not the same."""
+        return position if other == self else self.from_lonlat(other.to_lonlat(position))
+
     def place(self, what: Placed) -> Placed:
         """What has places brought into this frame from that of its ``epsg``; without one as it is."""
         if what.epsg is None:
@@ -82,21 +87,30 @@ class Frame:
         assert self.origin is not None
         return np.array(self.origin[::-1])
 
-    @cached_property
+    @property
     def _transformer(self) -> Transformer:
-        from pyproj import CRS, Transformer  # here, since few walks need it and it takes time to load
-
         if self.kind == "projected":
-            return Transformer.from_crs("EPSG:4326", f"EPSG:{self.epsg}", always_xy=True)
-        assert self.origin is not None, "a local frame has no latitude"
+            return _transformer(f"EPSG:{self.epsg}")
+        if self.origin is None:
+            raise ValueError("Frame: found a local frame, needed one with a latitude, as of frame_of(fixes) or a plan")
         lat, lon = self.origin
-        return Transformer.from_crs(
-            "EPSG:4326", CRS(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +ellps=WGS84"), always_xy=True
-        )
+        return _transformer(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +ellps=WGS84")
+
+
+@lru_cache(maxsize=64)
+def _transformer(projection: str) -> Transformer:
+    """From longitude and latitude; made once, since that takes 30 ms."""
+    from pyproj import CRS, Transformer  # here, since few walks need it and it takes time to load
+
+    return Transformer.from_crs("EPSG:4326", CRS(projection), always_xy=True)
 
 
 def frame_of(fixes: Fixes) -> Frame:
-    """That in which fixes are, of at least one; about the first where they are geodetic."""
+    """That in which fixes are, of at least one; about the first where they are longitude and latitude.
+
+    ``frame_of(fixes).place(fixes)`` has them in metres.
+    """
+    expect("frame_of, fixes", fixes, Fixes, instead="load(path).fixes")
     if fixes.epsg == LONLAT:
         lon, lat = fixes.position[0].tolist()
         return enu(lat, lon)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.types import Array, Fixes, Index, Steps, Trajectory
+from pdr_graph.errors import expect
+from pdr_graph.types import MOST_TURNED, Array, Fixes, Index, Steps, Trajectory
+
+ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
 
 
 def wrap_angle(angle: Array | float) -> Array:
@@ -82,6 +85,10 @@ def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) 
 
     Returns ``n + 2`` rows: the start, the end of each step, the end of the recording.
     """
+    expect("dead_reckon, steps", steps, Steps, instead="detect_steps(recording)")
+    expect("dead_reckon, start", start, Fixes, None, instead="fixes[0]")
+    if not abs(heading) <= MOST_TURNED:
+        raise ValueError(f"dead_reckon, heading: found {heading}, needed radians")
     theta = heading + np.concatenate([[0.0], np.cumsum(steps.turn)])
     origin = np.zeros(2) if start is None or not len(start) else start.position[0]
     moves = steps.length[:, None] * unit(heading + courses(steps))

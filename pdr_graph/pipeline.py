@@ -6,9 +6,10 @@ import json
 import platform
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -82,7 +83,7 @@ def smooth_recording(
     beacons: Path | None = None,
     radio_map: Path | None = None,
 ) -> tuple[str, ...]:
-    """Reconstruct one walk and write trajectory, picture and summary to ``out``.
+    """Reconstruct one walk and write trajectory, picture, report and summary to ``out``.
 
     Arguments as of ``pdr-graph smooth``. Returns what could not be estimated or written; empty if all went well.
     Raises InputError if an input cannot be used.
@@ -116,8 +117,15 @@ def smooth_recording(
     summary = summarize(walk, steps, headings, building, floors, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
     summary["warnings"] = [*given.notes, *estimate.warnings]
-    writers.write_summary(out / "summary.json", summary)
+    with stage("report"):
+        missing += write_report(out, given, estimate, summary, method, steps, partial(_filtered, graph, method))
+    writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
+
+
+def _filtered(graph: WalkGraph | None, method: str) -> dict[str, Trajectory]:
+    """The causal filter's track, for what had all of the walk before it to be seen beside."""
+    return {"filter": kalman_filter(graph).trajectory} if graph is not None and method in ("graph", "rts") else {}
 
 
 def check_rate(rate: float | None) -> None:
@@ -185,7 +193,7 @@ def _frame_of(summary: Path) -> dict[str, Any]:
 
 def _observe(given: Inputs) -> tuple[Steps | None, Headings]:
     """Steps and headings; no steps where nothing recorded them and the fixes are all there is."""
-    if len(given.fixes) and given.walk.accelerometer is None and given.walk.linear_acceleration is None:
+    if len(given.fixes) and not given.walk.has_acceleration:
         return None, Headings.none()
     gaits = gait_of(given.walk)
     return detect_steps(gaits, given.walker), magnetic_headings(gaits, given.frame, given.near)
@@ -244,7 +252,7 @@ def walk_graph(
 def _estimate(graph: WalkGraph | None, fixes: Fixes, method: str) -> tuple[Estimate, tuple[str, ...]]:
     """The walk by one method, and what of it could not be had; without a graph there are no steps."""
     if graph is None:
-        return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes themselves",)
+        return follow(fixes), ("steps: there is no accelerometer, so that this is the fixes alone, smoothed",)
     if method == "graph":
         estimate, missing = smoothed(graph)
     elif method == "pdr":
@@ -309,6 +317,31 @@ def write_results(
         )
     except Exception as error:  # a picture must not cost the result
         return (f"figure.png ({type(error).__name__}: {error})",)
+    return ()
+
+
+def write_report(
+    out: Path,
+    given: Inputs,
+    estimate: Estimate,
+    summary: dict[str, Any],
+    method: str = "graph",
+    steps: Steps | None = None,
+    causal: Callable[[], dict[str, Trajectory]] = dict,
+) -> tuple[str, ...]:
+    """``report.html``; causal: tracks, by name, of what knew only what came before. Returns what could not be written.
+
+    Arguments as of ``report.walk.Shown``.
+    """
+    try:
+        from pdr_graph.report.page import page
+        from pdr_graph.report.walk import Shown, content
+
+        truth = _truth_beside(given.walk.truth, given.frame, estimate)
+        shown = Shown(given.walk, given.building, estimate, method, summary, steps, causal(), truth)
+        (out / "report.html").write_bytes(page(content(shown)))
+    except Exception as error:  # a report must not cost the result
+        return (f"report.html ({type(error).__name__}: {error})",)
     return ()
 
 

@@ -13,17 +13,18 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
+from pdr_graph.confidence import band
+from pdr_graph.errors import expect
 from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, nearest, unit
+from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory
 
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
 ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
 TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
-MOST_ELLIPSES = 400
 MANY = 50  # points above which their marks must not hide the track
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 
@@ -31,13 +32,18 @@ LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 def plot(
     estimate: Estimate, floor: FloorPlan | Building | None = None, truth: Trajectory | None = None, title: str = ""
 ) -> Figure:
-    """One walk: the plan, dead reckoning in grey, the result with its 95 % region, fixes by weight, truth if given.
+    """One walk: dead reckoning in grey, the estimate with its 95 % region, fixes by weight.
 
+    floor: the plan, drawn below; truth: drawn above; title: of the picture, a `matplotlib.figure.Figure`.
     A walk over several floors of a building has axes for each, the lowest at the lower left.
     """
+    expect("plot, estimate", estimate, Estimate, instead="smooth(graph)")
+    expect("plot, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
+    expect("plot, truth", truth, Trajectory, None, instead="read_trajectory(path, recording)")
     track, grey = estimate.trajectory.position, estimate.dead_reckoning.position
     surveyed = track if truth is None else truth.position
-    near = [(f.x, f.y) for f in estimate.fixes if f.residual < 0.5 * np.ptp(track, axis=0).max()]
+    close = 0.5 * np.ptp(track, axis=0).max()
+    near = [(f.x, f.y) for f in estimate.fixes if f.residual < close]
     shown = np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))])
     floors = _visited(floor, estimate.trajectory)
     figure, canvases = _canvas(shown, SURROUNDINGS, 1.05, max(1, len(floors)))
@@ -148,19 +154,8 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
 
 def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
     """The 95 % ellipses of the steps, joined to a band."""
-    if trajectory.covariance is None:
-        return
-    every = max(1, len(trajectory) // MOST_ELLIPSES)
-    here = np.isfinite(_on(trajectory, label)[::every, 0])
-    if np.count_nonzero(here) < 2:
-        return
-    variance, direction = np.linalg.eigh(trajectory.covariance[::every, :2, :2])
-    half_axes = np.sqrt(5.99 * np.maximum(variance, 1e-6))
-    circle = unit(np.linspace(0, 2 * np.pi, 33)[:-1])
-    rims = np.einsum("nij,nj,kj->nki", direction, half_axes, circle) + trajectory.position[::every, None]
-    pairs = shapely.multipoints(np.concatenate([rims[:-1], rims[1:]], axis=1)[here[:-1] & here[1:]])
-    band = shapely.union_all(shapely.convex_hull(pairs))
-    axes.add_collection(_patches(band, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
+    region = shapely.union_all(band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
+    axes.add_collection(_patches(region, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
 
 
 def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
@@ -175,8 +170,8 @@ def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
     if not len(place):
         return
     share = min(1.0, MANY / len(place))
-    for p, q in zip(place, at, strict=True):
-        axes.plot(*np.stack([p, q]).T, color=FIX, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5)
+    gaps = list(np.stack([place, at], axis=1))
+    axes.add_collection(LineCollection(gaps, color=FIX, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5))
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
     label = "fixes" if weight.min() > 0.99 else "fixes (pale: weighted down)"
     axes.scatter(*place.T, s=max(42 * share, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)

@@ -12,14 +12,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pdr_graph.errors import expect
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # points or moves of the plane
+SENSORS = ("accelerometer", "gyroscope", "magnetometer", "linear_acceleration", "barometer")
+MOST_TURNED = 4 * np.pi  # [rad] of a heading, that may be unwrapped; beyond, it is in degrees
 INSTANT = 1e-6  # [s]: times closer than this are the same
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
@@ -36,6 +41,12 @@ class Signal:
 
     time: Array
     values: Array
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless there is a row of values for each time."""
+        if np.ndim(self.time) != 1 or np.ndim(self.values) != 2 or len(self.time) != len(self.values):
+            found = f"shapes {np.shape(self.time)} and {np.shape(self.values)}"
+            raise ValueError(f"Signal: found times and values of {found}, needed (n,) and (n, 3), a barometer's (n, 1)")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -90,7 +101,7 @@ class Fixes:
     time: ``(n,)`` [s].
     position: ``(n, 2)`` [m] in the output frame, or in that of ``epsg``.
     sigma: ``(n,)`` standard deviation *per axis* [m].
-    floor: floor label per fix, empty where unknown.
+    floor: floor label per fix, empty where unknown; need not be given where all are.
     epsg: None in the output frame; LONLAT where ``position`` is longitude and latitude [deg]; a projection's code.
     source: of each fix, the receiver whose errors stay alike for a while; empty where errors are independent, the
         default.
@@ -99,16 +110,18 @@ class Fixes:
     time: Array
     position: Array
     sigma: Array
-    floor: tuple[str, ...]
+    floor: tuple[str, ...] = ()
     epsg: int | None = None
     source: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
-        _check_finite(self, len(self.time), "time", "position", "sigma")
+        _check_finite(self, "time", "position", "sigma")
         if self.position.shape[1:] != (2,):
             raise ValueError(f"Fixes.position: found shape {self.position.shape}, needed (n, 2)")
-        _check("sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
+        _check("Fixes.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
+        if not self.floor:
+            object.__setattr__(self, "floor", ("",) * len(self.time))
         if len(self.floor) != len(self.time):
             raise ValueError(f"Fixes.floor: found {len(self.floor)} labels, needed {len(self.time)}")
         if len(self.source) not in (0, len(self.time)):
@@ -169,8 +182,9 @@ class Headings:
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
-        _check_finite(self, len(self.time), "time", "heading", "sigma")
-        _check("sigma", self.sigma > 0, self.sigma, "standard deviations above 0 rad")
+        _check_finite(self, "time", "heading", "sigma")
+        _check("Headings.heading", np.abs(self.heading) <= MOST_TURNED, self.heading, "radians, not degrees")
+        _check("Headings.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 rad")
 
     @classmethod
     def none(cls) -> Headings:
@@ -198,7 +212,7 @@ class Trajectory:
     time: ``(n,)`` [s].
     position: ``(n, 2)`` [m].
     heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
-    floor: the plan's label per row, empty where unknown.
+    floor: the plan's label per row, empty where unknown; need not be given where all are.
     covariance: ``(n, 3, 3)`` of (x, y, heading) in the output axes [m, m, rad], or None.
     epsg: of a surveyed truth, as of ``Fixes``; None in the output frame.
     """
@@ -206,12 +220,33 @@ class Trajectory:
     time: Array
     position: Array
     heading: Array
-    floor: tuple[str, ...]
+    floor: tuple[str, ...] = ()
     covariance: Array | None = None
     epsg: int | None = None
 
+    def __post_init__(self) -> None:
+        """Raise ValueError unless there is a position, a heading and a label for each time."""
+        if not self.floor:
+            object.__setattr__(self, "floor", ("",) * len(self.time))
+        rows = len(self.time)
+        if np.shape(self.position) != (rows, 2) or np.shape(self.heading) != (rows,) or len(self.floor) != rows:
+            found = f"shapes {np.shape(self.position)} and {np.shape(self.heading)}, and {len(self.floor)} labels"
+            raise ValueError(f"Trajectory: found {found} at {rows} times, needed ({rows}, 2), ({rows},) and {rows}")
+
     def __len__(self) -> int:
         return len(self.time)
+
+    def __getitem__(self, which: int | slice | Mask | Index) -> Trajectory:
+        """Some rows, themselves a ``Trajectory``: ``track[0]``, ``track[2:5]``, ``track[mask]``."""
+        index = np.atleast_1d(np.arange(len(self))[which])
+        return replace(
+            self,
+            time=self.time[index],
+            position=self.position[index],
+            heading=self.heading[index],
+            floor=tuple(self.floor[i] for i in index),
+            covariance=None if self.covariance is None else self.covariance[index],
+        )
 
 
 @dataclass(frozen=True)
@@ -221,6 +256,7 @@ class Recording:
     source: name for messages and titles.
     clock_origin: the recorder's own time [s] at ``t = 0``; outputs are written in that clock.
     epoch: Unix time [s] at ``t = 0``, None if the log has no clock.
+    accelerometer: with gravity [m/s²]; gyroscope [rad/s]; magnetometer [µT]; barometer [hPa].
     linear_acceleration: with gravity removed by the recorder; read only where there is no ``accelerometer``.
     fixes: positions inside the recording.
     bluetooth, wifi: what its radios heard; beacons: where the beacons among them are, None where nobody says.
@@ -243,11 +279,20 @@ class Recording:
     truth: Trajectory | None = None
     notes: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Raise TypeError unless each sensor is a signal."""
+        for name in SENSORS:
+            expect(f"Recording, {name}", getattr(self, name), Signal, None, instead="Signal(time, values)")
+
+    @property
+    def has_acceleration(self) -> bool:
+        """Whether there is an acceleration to find steps in."""
+        return self.accelerometer is not None or self.linear_acceleration is not None
+
     @property
     def signals(self) -> dict[str, Signal]:
         """The sensors that were recorded, by name."""
-        names = ("accelerometer", "gyroscope", "magnetometer", "linear_acceleration", "barometer")
-        return {name: signal for name in names if (signal := getattr(self, name)) is not None}
+        return {name: signal for name in SENSORS if (signal := getattr(self, name)) is not None}
 
 
 @dataclass(frozen=True)
@@ -282,15 +327,16 @@ class Steps:
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
         columns = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-        _check_finite(self, len(self.time), *columns)
+        _check_finite(self, *columns)
         if not (np.isfinite([self.start, self.end, self.final_turn]).all() and self.start < self.end):
             raise ValueError(f"Steps: found start {self.start} and end {self.end}, needed start < end")
         before = np.concatenate([[self.start], self.time[:-1]])
-        _check("time", (self.time > before) & (self.time <= self.end + INSTANT), self.time, "times from start to end")
+        in_order = (self.time > before) & (self.time <= self.end + INSTANT)
+        _check("Steps.time", in_order, self.time, "times that increase, from start to end")
         under_way = (self.duration > 0) & (self.time - self.duration >= before - INSTANT)
-        _check("duration", under_way, self.duration, "steps that begin after the one before has ended")
-        _check("sigma_length", self.sigma_length > 0, self.sigma_length, "standard deviations above 0 m")
-        _check("sigma_turn", self.sigma_turn > 0, self.sigma_turn, "standard deviations above 0 rad")
+        _check("Steps.duration", under_way, self.duration, "steps that begin after the one before has ended")
+        _check("Steps.sigma_length", self.sigma_length > 0, self.sigma_length, "standard deviations above 0 m")
+        _check("Steps.sigma_turn", self.sigma_turn > 0, self.sigma_turn, "standard deviations above 0 rad")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -314,7 +360,7 @@ class Calibration:
     covariance: Array
     prior_sigma: Array
 
-    names = ("R_s", "R_d", "b")
+    names: ClassVar[tuple[str, ...]] = ("R_s", "R_d", "b")
 
     @property
     def sigma(self) -> Array:
@@ -369,6 +415,7 @@ class Estimate:
     dead_reckoning: the same rows from steps alone, laid on the fixes as a rigid shape.
     calibration: None where the method has none.
     fixes: one report per fix, in the order given; beacons: one per beacon that was heard.
+    iterations: of the optimiser; cost: half the sum of squared, robustly weighted errors, NaN where there is none.
     converged: False if the optimiser stopped before the cost settled.
     probability: of this walk, against others that explain the measurements too and go elsewhere.
     warnings: what a user must know before trusting the result.
@@ -386,13 +433,28 @@ class Estimate:
     warnings: tuple[str, ...] = ()
 
 
-def _check_finite(of: object, rows: int, *columns: str) -> None:
+def _check_finite(of: object, *columns: str) -> None:
+    """Columns ``(n, …)`` as arrays of the same length, times first; lists are taken too."""
+    rows = len(_as_array(of, columns[0]))
     for name in columns:
-        values: Array = getattr(of, name)
+        values = _as_array(of, name)
         if len(values) != rows or not np.isfinite(values).all():
             bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)) if len(values) else []
             place = f"row {bad[0]}: {values[bad[0]]}" if len(bad) else f"{len(values)} rows"
             raise ValueError(f"{type(of).__name__}.{name}: found {place}, needed {rows} finite rows")
+
+
+def _as_array(of: object, name: str) -> Array:
+    """A column as the array that it has to be."""
+    given = getattr(of, name)
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(())
+    if not values.ndim:
+        raise ValueError(f"{type(of).__name__}.{name}: found {type(given).__name__}, needed an array of numbers")
+    object.__setattr__(of, name, values)
+    return values
 
 
 def _check(name: str, good: Mask, values: Array, needed: str) -> None:

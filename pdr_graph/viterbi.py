@@ -18,9 +18,12 @@ def viterbi(costs: Sequence[Array] | Array, moves: Sequence[Array] | Array) -> t
     total, came = costs[0], list[Index]()
     for cost, move in zip(costs[1:], moves, strict=True):
         through = total[..., :, None] + move
-        came.append(np.argmin(through, axis=-2))
-        total = np.min(through, axis=-2) + cost
-    states = [np.argmin(total, axis=-1)[..., None]]
-    for best in reversed(came):
-        states.append(np.take_along_axis(best, states[-1], axis=-1))
-    return np.concatenate(states[::-1], axis=-1), np.min(total, axis=-1)
+        came.append(through.argmin(axis=-2))
+        total = through.min(axis=-2)
+        total += cost
+    best = total.argmin(axis=-1)
+    shape, rows = best.shape, np.arange(best.size)
+    states = [best.ravel()]
+    for before in reversed(came):
+        states.append(before.reshape(len(rows), -1)[rows, states[-1]])
+    return np.stack(states[::-1], axis=-1).reshape(*shape, -1), total.min(axis=-1)

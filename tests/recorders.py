@@ -2,6 +2,7 @@
 
 import zipfile
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,23 @@ def gnss_logger(s, fix="Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMe
         for provider in ("GPS", "NLP"):
             lines.append(f"Fix,{provider},{lat:.8f},{lon:.8f},346.0,0.1,{accuracy:.2f},0,{(UNIX + t) * 1e3:.0f},0.5")
     return "\n".join(lines) + "\n"
+
+
+def gpx(s):
+    """A track of the positions alone."""
+    point = '<trkpt lat="{:.8f}" lon="{:.8f}"><time>{}Z</time></trkpt>'
+    times = [datetime.fromtimestamp(UNIX + t, UTC).replace(tzinfo=None).isoformat() for t in s.fix_time]
+    points = "".join(point.format(lat, lon, time) for (lon, lat), time in zip(s.lonlat, times, strict=True))
+    head = '<?xml version="1.0"?><gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1">'
+    return f"{head}<trk><trkseg>{points}</trkseg></trk></gpx>"
+
+
+def geolife(s):
+    """The positions alone; times to the second, in days since 1899-12-30."""
+    head = "Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My Track,0,0,2,8421376\n0\n"
+    days = (np.round(UNIX + s.fix_time) + 2_209_161_600) / 86_400
+    rows = zip(s.lonlat, days, strict=True)
+    return head + "".join(f"{lat:.8f},{lon:.8f},0,492,{day:.10f},2023-11-14,22:13:20\n" for (lon, lat), day in rows)
 
 
 def in_folder(folder: Path, files):

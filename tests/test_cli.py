@@ -6,9 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mutations
 import numpy as np
 import pytest
+import recorders
 import simulated
+from typer.testing import CliRunner
+
+import pdr_graph
+from pdr_graph import cli, io
+from pdr_graph.simulation import shipped
 
 ROOT = Path(__file__).parent.parent
 MAPS, SCENARIOS = ROOT / "maps", ROOT / "scenarios"
@@ -50,6 +57,7 @@ def test_smooth_writes_what_the_contract_names(result):
         "trajectory.gpx",
         "trajectory.tum",
         "figure.png",
+        "report.html",
         "summary.json",
         "walker.toml",
     }
@@ -81,7 +89,7 @@ def test_summary_can_say_why(result):
     assert wild["weight"] < 0.1, "the simulation's wild fix"
     assert "wild" in wild["reason"]
     assert summary["missing"] == []
-    assert set(summary["seconds"]) == {"reading", "steps", "estimate", "write"}
+    assert set(summary["seconds"]) == {"reading", "steps", "estimate", "write", "report"}
     assert summary["wall_crossings"] <= 2
     assert {"pdr_graph", "gtsam", "numpy", "vqf", "python"} <= set(summary["versions"])
 
@@ -177,10 +185,110 @@ def test_map_show(tmp_path):
     assert (tmp_path / "plan.png").stat().st_size > 10_000
 
 
+VERBS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaal",), ("evaluate",), ("simulate",)]
+VERBS += [("map", verb) for verb in ("show", "check")]
+VERBS += [("lifelog", verb) for verb in ("add", "build", "show", "export")]
+
+
+def inside(*arguments):
+    """As `run`, in this process: quicker, where the exit code and the output are all that is asked."""
+    done = CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
+    return done.exit_code, done.output
+
+
 def test_help_names_the_verbs():
-    code, printed, _ = run("--help")
+    code, printed = inside("--help")
     assert code == 0
-    assert all(verb in printed for verb in ("smooth", "replay", "steps", "evaluate", "map"))
+    assert all(f"\n  {verb[0]} " in printed for verb in VERBS)
+    assert "..." not in printed.split("Commands:")[1], "each is told in a line that is not cut off"
+
+
+@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
+def test_the_help_of_each_verb_shows_how_it_is_called(verb):
+    """In a line of its own, which names no option that there is not."""
+    code, printed = inside(*verb, "--help")
+    assert code == 0
+    about, options = printed.split("\nOptions:\n")
+    examples = [line.split() for line in about.splitlines() if line.startswith(f"  pdr-graph {' '.join(verb)} ")]
+    assert examples
+    assert all(f"  {word} " in options for example in examples for word in example if word.startswith("--"))
+
+
+def test_the_version_is_said():
+    assert run("--version") == (0, f"pdr-graph {pdr_graph.__version__}\n", [])
+
+
+def test_a_file_without_a_verb_is_told_of_one(folder):
+    code, _, errors = run("walk.txt", cwd=folder)
+    assert (code, len(errors)) == (2, 1)
+    assert errors[0].endswith("pdr-graph smooth walk.txt")
+
+
+def test_a_slip_of_the_pen_is_told_of_the_verb():
+    code, _, errors = run("smoth", "walk.txt")
+    assert code == 2
+    assert "'smooth'" in errors[-1]
+
+
+def exported(recorder, folder):
+    """A walk's file in the dialect of each recorder, named as users do."""
+    felt = recorders.sample()
+    if recorder == "phyphox":
+        return recorders.in_zip(folder / "walk 1.zip", recorders.phyphox(felt))
+    if recorder == "sensor_logger":
+        return recorders.in_folder(folder / "walk 1", recorders.sensor_logger(felt, "ios"))
+    if recorder == "ipin21":
+        return recorders.in_folder(folder / "walk 1", mutations.ipin21(felt))
+    name, text = {
+        "indoor_location": ("walk 1.txt", lambda: mutations.indoor_location(0)),
+        "get_sensor_data": ("walk 1.txt", lambda: recorders.get_sensor_data(felt)),
+        "gnss_logger": ("walk 1.txt", lambda: recorders.gnss_logger(felt)),
+        "oxford_steps": ("walk 1.csv", lambda: mutations.oxford_steps(felt)),
+        "geolife": ("walk 1.plt", lambda: recorders.geolife(felt)),
+        "gpx": ("walk 1.gpx", lambda: recorders.gpx(felt)),
+    }[recorder]
+    (folder / name).write_text(text())
+    return folder / name
+
+
+POSITIONS_ALONE = ("geolife", "gpx")
+
+
+@pytest.mark.parametrize("verb", ["smooth", "replay"])
+@pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in io.READERS])
+def test_one_command_takes_every_recorders_file_to_a_report(tmp_path, monkeypatch, recorder, verb):
+    """No option, no reading: the last line of output names what to look at, here, by the recording's name."""
+    monkeypatch.chdir(tmp_path)
+    code, printed = inside(verb, exported(recorder, tmp_path))
+    out = Path("walk 1-smoothed" if verb == "smooth" else "walk 1-replayed")
+    assert code == (3 if recorder in POSITIONS_ALONE or (recorder, verb) == ("oxford_steps", "smooth") else 0), printed
+    assert f"-> {out / 'report.html'}\n" in printed
+    assert all((out / page).stat().st_size > 10_000 for page in ("report.html", "figure.png"))
+    assert code == 0 or "pdr-graph: finished without " in printed
+
+
+def test_a_lifelog_is_shown_without_options(tmp_path, monkeypatch):
+    """Its list on the terminal, and a folder of the store's name with the day to look at."""
+    monkeypatch.chdir(tmp_path)
+    assert inside("lifelog", "add", "days.db", exported("phyphox", tmp_path), "--begins", "2024-05-01T09:00")[0] == 0
+    assert inside("lifelog", "build", "days.db")[0] == 0
+    code, printed = inside("lifelog", "show", "days.db")
+    assert code == 0
+    assert "walking" in printed
+    assert printed.endswith("-> days-shown/report.html\n")
+    assert {"report.html", "day.png", "timeline.csv"} <= {file.name for file in Path("days-shown").iterdir()}
+
+
+def test_the_ready_scenarios_are_known_by_name(tmp_path, monkeypatch):
+    """What ``simulate --help`` names is what there is, and one name is all that a first walk takes."""
+    monkeypatch.chdir(tmp_path)
+    named = inside("simulate", "--help")[1].split("Ready scenarios:")[1].split(".")[0].split()
+    assert tuple(named) == shipped.names()
+    assert inside("simulate", "office")[0] == 0
+    assert (tmp_path / "office" / "plan.geojson").read_bytes() == (MAPS / "office.geojson").read_bytes()
+    code, _, errors = run("simulate", "atlantis", cwd=tmp_path)
+    assert (code, len(errors)) == (2, 1)
+    assert "arcade, campus" in errors[0]
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def test_steps_that_cannot_be_are_refused(change, complaint):
     [
         ({"position": np.array([[np.inf, 0.0]])}, "Fixes.position: found row 0"),
         ({"sigma": np.array([-1.0])}, "sigma, row 0: found -1.0"),
-        ({"floor": ()}, "Fixes.floor: found 0 labels, needed 1"),
+        ({"floor": ("1", "2")}, "Fixes.floor: found 2 labels, needed 1"),
     ],
 )
 def test_fixes_that_cannot_be_are_refused(change, complaint):

@@ -46,6 +46,8 @@ class Bank:
 
     def summary(self) -> tuple[Array, Array]:
         """Mean ``(6,)`` of the most probable hypothesis, and the covariance ``(6, 6)`` of all about it."""
+        if len(self) == 1:
+            return self.mean[0], self.covariance[0]
         apart = _apart(self.mean, self.mean[self.best])
         spread = self.covariance + apart[:, :, None] * apart[:, None, :]
         return self.mean[self.best], np.einsum("h,hij->ij", np.exp(self.log_weight), spread)

@@ -6,8 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from gtsam.symbol_shorthand import X
 
+from pdr_graph.estimation.observations import Rows
+from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
+
+CLOSURE_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one in ten may be mistaken by metres
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,19 @@ class Closures:
     def shifted(self, begins: Array) -> Closures:
         """In one time: each walk's moments later by its ``begins (w,)`` [s], all of one walk."""
         return replace(self, time=self.time + begins[self.walk], walk=np.zeros_like(self.walk))
+
+    def seen(self, keyframe: Index, poses: Array, firmly: bool) -> Rows:
+        """The closures' factors, whichever way the walkers faced: r = (p_j − p_i) / σ.
+
+        keyframe: ``(l, 2)`` of both moments; firmly: not as if they might be mistaken. `BetweenFactorPose2` would take
+        the logarithm, in which the same distance counts up to π/2 times as much where they faced opposite ways.
+        """
+        i, j = poses[keyframe[:, 0]], poses[keyframe[:, 1]]
+        scale = self.sigma[:, None, None]
+        R_i, R_j = (pose_rotation(pose[:, 2])[:, :2] / scale for pose in (i, j))
+        value = (j - i)[:, :2] / self.sigma[:, None]
+        wild = np.full(len(self), not firmly)
+        return Rows(value, X(0) + keyframe, np.stack([-R_i, R_j], axis=1), wild, CLOSURE_WIDTH)
 
     def __len__(self) -> int:
         return len(self.time)

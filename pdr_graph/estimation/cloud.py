@@ -94,9 +94,14 @@ class Cloud:
         c = _calibrated(drawn, self.prior)
         led = way * c[0] * np.exp(1j * turned)
         start = place[:, None] + sigma * random.standard_normal((2, n)) - [led.real, led.imag]
-        self.state = np.concatenate([start, [heading + turned], c])
-        self.weight, self._steps = _likelihood(seen, self.state), 0
-        self._states, self._origins = [self.state], [np.arange(n)]
+        self.begin_at(np.concatenate([start, [heading + turned], c]))
+        self.weight = _likelihood(seen, self.state)
+
+    def begin_at(self, state: Array) -> None:
+        """The first keyframe, with particles ``(6, n)`` where they are known to be."""
+        n = state.shape[1]
+        self.state, self.weight, self._steps = state, np.full(n, -np.log(n)), 0
+        self._states, self._origins = [state], [np.arange(n)]
 
     def advance(
         self,

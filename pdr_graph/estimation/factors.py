@@ -85,12 +85,37 @@ class Evaluation:
     @cached_property
     def poses(self) -> Linearised:
         """Where every piece ends, ``(m, 3)``."""
-        return steps_between(self.pose_i, self.left_over, self.increments, self.bridge, self.pieces)
+        return self.poses_of(np.arange(len(self.pieces.length)))
+
+    def poses_of(self, which: Index) -> Linearised:
+        """Where some pieces end ``(n, 3)``."""
+        return steps_between(self.pose_i, self.left_over, self.increments, self.bridge, self.pieces, which)
+
+    @cached_property
+    def ends(self) -> Array:
+        """Where every piece ends ``(m, 3)``, without derivatives: all that a move that is only tried needs."""
+        interval = self.pieces.interval
+        shared = np.einsum("kqr,kr->kq", self.bridge.gain, self.left_over.value[interval])
+        R = pose_rotation(self.pose_i[:, 2])[interval]
+        return np.einsum("kqr,kr->kq", R, self.increments.delta + shared) + self.pose_i[interval]
+
+    @cached_property
+    def springs(self) -> tuple[Array, Array] | None:
+        """What the walls have against the end of each piece ``(m,)``, whitened, and its gradient ``(m, 2)``."""
+        return self.walls and springs(self.ends, self.pieces, self.walls)
 
     @cached_property
     def wall(self) -> Linearised | None:
         """The wall factors, a row ``(m, 1)`` for each piece, whitened; None without walls."""
-        return self.walls and wall(self.poses, self.pieces, self.walls)
+        return None if self.walls is None else self.wall_of(np.arange(len(self.pieces.length)))
+
+    def wall_of(self, which: Index) -> Linearised:
+        """The wall factors of some pieces ``(n, 1)``."""
+        assert self.springs is not None, "there are walls"
+        (value, gradient), poses = self.springs, self.poses_of(which)
+        slope = np.zeros((len(which), 1, 3))
+        slope[:, 0, :2] = gradient[which]
+        return Linearised(value[which, None], slope @ poses.by_i, slope @ poses.by_j, slope @ poses.by_c)
 
     @cached_property
     def turned(self) -> tuple[Array, Array]:
@@ -108,7 +133,8 @@ class Evaluation:
     def cost(self) -> float:
         """Half the sum of squares, as GTSAM counts it."""
         r = np.einsum("kij,kj->ki", self.bridge.root, self.left_over.value)
-        others = [own.value for own in (self.wall, self.corner) if own is not None]
+        others = [self.corner.value] if self.corner is not None else []
+        others += [self.springs[0]] if self.springs is not None else []
         squares = float(sum(np.sum(v**2) for v in (r, self.turned[0], *others)))
         return 0.5 * squares + sum(rows.cost for rows in self.observed)
 
@@ -146,9 +172,9 @@ def pdr(pose_i: Array, pose_j: Array, increments: Increments, pieces: Pieces) ->
 
 
 def steps_between(
-    pose_i: Array, left_over: Linearised, increments: Increments, bridge: Bridge, pieces: Pieces
+    pose_i: Array, left_over: Linearised, increments: Increments, bridge: Bridge, pieces: Pieces, which: Index
 ) -> Linearised:
-    """Where each piece between two keyframes ends, given both: the one place where sub-steps are placed.
+    """Where each of some pieces between two keyframes ends, given both: the one place where sub-steps are placed.
 
     The PDR factor's left-over r is shared out by the conditional mean of a Gaussian walk whose two ends are known,
 
@@ -156,37 +182,35 @@ def steps_between(
 
     with G_k of ``Bridge``; the last piece ends exactly at x_j, so the track has no jump at a keyframe.
 
-    Returns poses ``(m, 3)``, with derivatives of (x, y, θ) by x_i, x_j and c.
+    Returns poses ``(n, 3)`` of the pieces ``which (n,)``, with derivatives of (x, y, θ) by x_i, x_j and c.
     """
-    interval = pieces.interval
-    shared = left_over.take(interval).times(bridge.gain)
-    s = increments.delta + shared.value
+    interval = pieces.interval[which]
+    shared = left_over.take(interval).times(bridge.gain[which])
+    s = increments.delta[which] + shared.value
     by_i = shared.by_i + np.eye(3)
     by_i[:, 0, 2] -= s[:, 1]
     by_i[:, 1, 2] += s[:, 0]
-    in_frame_of_i = Linearised(s, by_i, shared.by_j, increments.by_c + shared.by_c)
+    in_frame_of_i = Linearised(s, by_i, shared.by_j, increments.by_c[which] + shared.by_c)
     placed = in_frame_of_i.times(pose_rotation(pose_i[:, 2])[interval])
     return Linearised(placed.value + pose_i[interval], placed.by_i, placed.by_j, placed.by_c)
 
 
-def wall(poses: Linearised, pieces: Pieces, walls: Walls) -> Linearised:
+def springs(pose: Array, pieces: Pieces, walls: Walls) -> tuple[Array, Array]:
     """A spring that keeps steps clear of walls, and a stiff one that keeps bodies out of them, whitened:
 
         r = max(0, margin − d(p)) / σ + max(0, BODY − d(p)) / σ_body
 
     d is the signed distance to the walls of the piece's own region, so that it is negative behind the thinnest. A piece
-    in which nobody moved adds no evidence.
+    in which nobody moved adds no evidence. Returns r ``(m,)`` at poses ``(m, 3)``, and its gradient ``(m, 2)``.
     """
-    distance, gradient = walls.distance(poses.value[:, :2])
+    distance, gradient = walls.distance(pose[:, :2])
     moved = pieces.length > 0
     r, steepness = np.zeros(len(distance)), np.zeros(len(distance))
     for keep, sigma in ((walls.margin, walls.sigma), (BODY, BODY_SIGMA * walls.sigma)):
         pressed = moved & (distance < keep)
         r[pressed] += (keep - distance[pressed]) / sigma
         steepness[pressed] += 1 / sigma
-    slope = np.zeros((len(distance), 1, 3))
-    slope[:, 0, :2] = -gradient * steepness[:, None]
-    return Linearised(r[:, None], slope @ poses.by_i, slope @ poses.by_j, slope @ poses.by_c)
+    return r, -gradient * steepness[:, None]
 
 
 class FactorError(RuntimeError):

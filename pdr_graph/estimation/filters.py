@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.estimation.bank import FAR, GATE, Bank, Surprise, by_direction, measured, thinned
 from pdr_graph.estimation.graph import FRAME_SIGMA, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
@@ -67,6 +68,7 @@ def kalman_filter(graph: WalkGraph) -> Estimate:
 
     graph: the same measurements as for ``smooth``; its walls are not used.
     """
+    expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
     known, met, last = list[tuple[Array, Array]](), list[Meeting](), _start(graph).known
     for moment in moments(graph):
         last = moment.known
@@ -101,20 +103,18 @@ def estimate_of(graph: WalkGraph, means: Array, covariances: Array, met: list[Me
 
 def moments(graph: WalkGraph) -> Iterator[Moment]:
     """Once through the walk: its start, then the end of each piece."""
-    pieces, refused = graph.pieces, 0
     fixes_at, headings_at = _by_keyframe(graph)
-    moment = _start(graph)
-    for m in range(-1, len(pieces.length)):
-        keyframe = 0 if m < 0 else int(pieces.interval[m]) + 1
-        if m >= 0:
-            moment = _predicted(moment.known, graph, m)
-        if m < 0 or m == pieces.last[keyframe - 1]:
-            for n in fixes_at[keyframe].tolist():
-                moment, refused = _fixed(moment, graph, n, refused)
-            known = moment.known
-            for n in headings_at[keyframe].tolist():
-                known = _pointed(known, graph, n, OF_HEADING, float(graph.headings.sigma[n] ** 2))
-            moment = replace(moment, known=thinned(known))
+    moment, refused = _start(graph), 0
+    for keyframe in range(len(fixes_at)):
+        if keyframe > 0:
+            *before, moment = _predicted(moment.known, graph, keyframe - 1)
+            yield from before
+        for n in fixes_at[keyframe].tolist():
+            moment, refused = _fixed(moment, graph, n, refused)
+        known = moment.known
+        for n in headings_at[keyframe].tolist():
+            known = _pointed(known, graph, n, OF_HEADING, float(graph.headings.sigma[n] ** 2))
+        moment = replace(moment, known=thinned(known))
         yield moment
 
 
@@ -156,35 +156,44 @@ def _first_heading(bank: Bank, graph: WalkGraph) -> Bank:
     return _pointed(bank, graph, 0, H, float(graph.headings.sigma[0] ** 2 + on_the_way))
 
 
-def _predicted(bank: Bank, graph: WalkGraph, m: int) -> Moment:
-    """After piece ``m``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a random walk."""
-    pieces = graph.pieces
-    length, (turn, time) = pieces.length[m], 2 * (pieces.to_end[:, m] - pieces.to_middle[:, m])
+def _predicted(bank: Bank, graph: WalkGraph, i: int) -> list[Moment]:
+    """After each piece of interval ``i``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a random
+    walk. Nothing is measured meanwhile, so that what each piece does to a state is known at once, ``(k, h, …)``.
+    """
+    pieces, here = graph.pieces, slice(graph.pieces.first[i], graph.pieces.last[i] + 1)
+    length, (turn, time) = pieces.length[here, None], 2 * (pieces.to_end - pieces.to_middle)[:, here, None]
     theta, R_s, R_d, b = bank.mean[:, 2:].T
     turned = R_d * turn + b * time
-    cos, sin = np.cos(theta + turned / 2), np.sin(theta + turned / 2)
-    ahead, aside = np.stack([cos, sin], axis=1), np.stack([-sin, cos], axis=1)
-    left = R_s[:, None] * length * aside
+    heading = np.cumsum(np.concatenate([theta[None], turned]), axis=0)
+    course = heading[:-1] + turned / 2
+    ahead = np.stack([np.cos(course), np.sin(course)], axis=2)
+    aside = ahead[..., ::-1] * [-1, 1]
+    left = (R_s * length)[..., None] * aside
 
-    mean = bank.mean.copy()
-    mean[:, :2] += R_s[:, None] * length * ahead
-    mean[:, 2] += turned
-    F = np.tile(np.eye(6), (len(bank), 1, 1))
-    F[:, :2, 2:] = np.stack([left, length * ahead, left * turn / 2, left * time / 2], axis=2)
-    F[:, 2, 4:] = turn, time
-    G = np.zeros((len(bank), 6, 3))  # by the errors of length, sway and turn
-    G[:, :2, 0], G[:, :2, 1], G[:, :2, 2], G[:, 2, 2] = ahead, aside, left / 2, 1.0
-    P = bank.covariance + np.diag(np.concatenate([np.zeros(3), _changed(graph, m)]))
-    Q = (G * (pieces.variance[m] + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0]))) @ G.transpose(0, 2, 1)
-    own = np.arange(len(bank))
-    after = Bank(mean, F @ P @ F.transpose(0, 2, 1) + Q, bank.log_weight, own)
-    return Moment(own, F, after, after, ())
+    mean = np.tile(bank.mean, (len(length), 1, 1))
+    mean[..., :2] += np.cumsum((R_s * length)[..., None] * ahead, axis=0)
+    mean[..., 2] = heading[1:]
+    F = np.tile(np.eye(6), (*turned.shape, 1, 1))
+    by_c = [left, length[..., None] * ahead, left * turn[..., None] / 2, left * time[..., None] / 2]
+    F[..., :2, 2:] = np.stack(by_c, axis=3)
+    F[..., 2, 4], F[..., 2, 5] = turn, time
+    G = np.zeros((*turned.shape, 3, 3))  # by the errors of length, sway and turn
+    G[..., :2, 0], G[..., :2, 1], G[..., :2, 2], G[..., 2, 2] = ahead, aside, left / 2, 1.0
+    variance = pieces.variance[here] + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0])
+    Q = np.zeros_like(F)
+    Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
+
+    own, P, found = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), _changed(graph, i))), []
+    for m, motion in enumerate(F):
+        P = motion @ P @ motion.swapaxes(1, 2) + Q[m]
+        after = Bank(mean[m], P, bank.log_weight, own)
+        found.append(Moment(own, motion, after, after, ()))
+    return found
 
 
-def _changed(graph: WalkGraph, m: int) -> Array:
-    """Variance ``(3,)`` by which the calibration changes before piece ``m``: where another segment begins."""
-    i = graph.pieces.interval[m]
-    begins = i > 0 and m == graph.pieces.first[i] and graph.segment[i] != graph.segment[i - 1]
+def _changed(graph: WalkGraph, i: int) -> Array:
+    """Variance ``(3,)`` by which the calibration changes before interval ``i``: where another segment begins."""
+    begins = i > 0 and graph.segment[i] != graph.segment[i - 1]
     return np.square(graph.prior.change) if begins else np.zeros(3)
 
 

@@ -56,7 +56,8 @@ def floors_of(
 ) -> tuple[str, ...]:
     """The floor's label on each row of the trajectory: the start, every step's end, the end. "" where unknown.
 
-    start: label of the floor where the walk began, "" if unknown. fixes: those with a floor tell too.
+    steps: of the walk; barometer: what tells climbs, None without; start: label of the floor where the walk began, ""
+    if unknown; fixes: those with a floor tell too; building: whose labels and heights these are, None without a plan.
     """
     return floors_along(steps, barometer, start, fixes, building).labels
 

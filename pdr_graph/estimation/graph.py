@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, G, Q, X
 
+from pdr_graph.errors import expect
 from pdr_graph.estimation import native
 from pdr_graph.estimation.beacons import LOSS, Levels
 from pdr_graph.estimation.closures import Closures
@@ -31,14 +33,14 @@ from pdr_graph.estimation.turns import Turns
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import nearest, rotation, wrap_angle
+from pdr_graph.floor.regions import STRAY
+from pdr_graph.geometry import ANY_HEADING, nearest, rotation, wrap_angle
 from pdr_graph.types import Array, Complex, Fixes, Headings, Index, Mask, Steps
 
 STEPS_PER_SEGMENT = 100
 LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
 WALKING_SPEED = 1.4  # [m/s] at which an overhanging fix grows stale
 AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is not believed, and more starts are tried
-ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
 LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
 LOOSELY = 5.0  # times its sigma a fix holds where all places are about as likely
 FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how closures hold
@@ -65,6 +67,12 @@ class Prior:
     wall_sigma: float = 1.0
     corridors: Use = field(default_factory=Use)
     fix_flat: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what no factor can be made of."""
+        for name in ("sigma", "change"):
+            if not all(np.isfinite(s) and s > 0 for s in getattr(self, name)):
+                raise ValueError(f"Prior.{name}: found {getattr(self, name)}, needed standard deviations above 0")
 
     @property
     def covariance(self) -> Array:
@@ -117,6 +125,8 @@ class WalkGraph:
 
     The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
     as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
+
+    Raises TypeError, or ValueError where fixes are not in metres or nothing tells the floors of a building.
     """
 
     def __init__(
@@ -132,6 +142,14 @@ class WalkGraph:
         prior: Prior | None = None,
         others: Sequence[tuple[float, Prior]] = (),
     ):
+        expect("WalkGraph, steps", steps, Steps, instead="detect_steps(recording)")
+        expect("WalkGraph, fixes", fixes, Fixes, None, instead="read_fixes(path, recording, frame)")
+        expect("WalkGraph, headings", headings, Headings, None, instead="magnetic_headings(recording, frame, near)")
+        expect("WalkGraph, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
+        expect("WalkGraph, prior", prior, Prior, None)
+        if fixes is not None and fixes.epsg is not None and len(fixes):
+            needed = "metres: floor.frame.place(fixes), or frame_of(fixes).place(fixes) without a plan"
+            raise ValueError(f"WalkGraph, fixes: found those of EPSG:{fixes.epsg}, needed {needed}")
         self.steps = steps
         self.given = self.fixes = Fixes.none() if fixes is None else fixes
         self.floor = floor
@@ -181,20 +199,33 @@ class WalkGraph:
         self.native = self._native_factors()
 
         # Walls say nothing of a walk that could be anywhere, or is elsewhere
-        self.walls = None
+        self.walled = False
         if self.ground is not None and self.ground.near(self.fixes.position[self.fix_used]).any():
-            self.ground = self.ground.within(*self._reach())
-            self.walls = self._walls_along(self._evaluated(self.start))
+            self.ground, self.walled = self.ground.within(*self._reach()), True
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """The own factors at ``values``."""
         state = State.of(values)
         return replace(self._evaluated(state, self.walls, self.turns), observed=self._observed(state))
 
+    @cached_property
+    def walls(self) -> Walls | None:
+        """The walls about the steps where they lead along the start; None where none are known or asked for."""
+        return self._walls_along(self._evaluated(self.start)) if self.walled else None
+
     @property
     def turns(self) -> Turns | None:
         """The turns that were matched to intersections."""
         return self.corridors and self.corridors.turns
+
+    @property
+    def keyframe_time(self) -> Array:
+        """When the poses x0, x1, … are ``(k + 1,)``. [s]"""
+        return self.pieces.keyframe_time
+
+    def initial_values(self) -> gtsam.Values:
+        """Where the optimiser starts, as GTSAM has it: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
+        return self.start.to_values()
 
     @property
     def segment_first(self) -> Index:
@@ -217,14 +248,8 @@ class WalkGraph:
             rows.add_to(graph)
         if own.turns is not None:
             self._linearize_turns(graph, own, own.turns)
-        if own.wall is None:
-            return graph
-        pressed = np.flatnonzero(own.wall.value[:, 0])
-        interval, first = np.unique(self.pieces.interval[pressed], return_index=True)
-        for i, rows in zip(interval, np.split(pressed, first[1:]), strict=False):
-            wall, noise = own.wall.take(rows), gtsam.noiseModel.Unit.Create(len(rows))
-            x, c = self.keys[0][i], self.keys[1][i]
-            graph.add(x, wall.by_i[:, 0], x + 1, wall.by_j[:, 0], c, wall.by_c[:, 0], -wall.value[:, 0], noise)
+        if own.springs is not None:
+            self._linearize_walls(graph, own, np.flatnonzero(own.springs[0]))
         return graph
 
     def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
@@ -276,6 +301,16 @@ class WalkGraph:
 
                 graph.add(guarded("receiver", rows.noise(n), keys, seen))
 
+    def _linearize_walls(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, pressed: Index) -> None:
+        """Of the pieces that walls press, one factor for each interval."""
+        wall = own.wall_of(pressed)
+        error, by_i, by_j, by_c = -wall.value[:, 0], wall.by_i[:, 0], wall.by_j[:, 0], wall.by_c[:, 0]
+        interval, first = np.unique(self.pieces.interval[pressed], return_index=True)
+        ends = [*first[1:].tolist(), len(pressed)]
+        for i, a, b in zip(interval.tolist(), first.tolist(), ends, strict=False):
+            x, c, noise = self.keys[0][i], self.keys[1][i], gtsam.noiseModel.Unit.Create(b - a)
+            graph.add(x, by_i[a:b], x + 1, by_j[a:b], c, by_c[a:b], error[a:b], noise)
+
     def _linearize_turns(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, turns: Turns) -> None:
         """Of turns beyond their range, and of those outside their intersection."""
         (value, slope), corner = own.turned, own.corner
@@ -296,12 +331,15 @@ class WalkGraph:
         other.native = other._native_factors()
         return other
 
-    def following(self, start: State) -> WalkGraph:
-        """The same measurements, started at ``start``: its rooms and corridors are those of the walk."""
+    def following(self, start: State, stray: Array | float = STRAY, alike: float = 1.0) -> WalkGraph:
+        """The same measurements, started at ``start``: its rooms and corridors are those of the walk.
+
+        stray: by how much it errs, everywhere or at each piece's end ``(m,)`` [m]; alike: pieces in a row that do.
+        """
         other = copy(self)
         other.start, way = start, self._evaluated(start)
-        if self.walls is not None:
-            other.walls = self._walls_along(way)
+        if self.walled:
+            other.walls = self._walls_along(way, stray, alike)
             other.corridors = self._corridors_along(way, start)
         other.native = other._native_factors()
         return other
@@ -309,7 +347,7 @@ class WalkGraph:
     def without_walls(self) -> WalkGraph:
         """The same measurements without the plan."""
         other = copy(self)
-        other.walls = other.corridors = None
+        other.walled, other.walls, other.corridors = False, None, None
         if self.corridors:
             other.native = other._native_factors()
         return other
@@ -325,7 +363,6 @@ class WalkGraph:
         """The same measurements; closures are right (FIRM), may be mistaken (DOUBTED), or are left out (UNBOUND)."""
         other = copy(self)
         other.closure_hold = hold
-        other.native = other._native_factors()
         return other
 
     def with_offsets(self, wild: Mask, held: Mask) -> WalkGraph:
@@ -433,17 +470,18 @@ class WalkGraph:
         known of their turn meanwhile [rad].
         """
         lost = np.flatnonzero(self.steps.length == 0)
-        first = self.segment_first[1:]
-        after = np.searchsorted(self.pieces.keyframe_time[first], self.steps.time[lost])
-        gap, turn = np.zeros((2, len(first)))
+        begins = self.pieces.keyframe_time[self.segment_first[1:]]
+        after = np.searchsorted(begins, np.round(self.steps.time[lost], DECIMALS))
+        inside = after < len(begins)  # after a gap with which the recording ends there is no segment
+        gap, turn = np.zeros((2, len(begins)))
         for total, sigma in ((gap, self.steps.sigma_length), (turn, self.steps.sigma_turn)):
-            np.maximum.at(total, np.minimum(after, len(first) - 1), sigma[lost])
+            np.maximum.at(total, after[inside], sigma[lost[inside]])
         return gap, turn
 
-    def _walls_along(self, way: Evaluation) -> Walls:
+    def _walls_along(self, way: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Walls:
         """The walls about the steps where they lead along a way."""
         assert self.ground is not None, "there is a plan"
-        walls = self.ground.walls_along(way.poses.value[:, :2], self.pieces.length > 0)
+        walls = self.ground.walls_along(way.ends[:, :2], self.pieces.length > 0, stray, alike)
         return Walls(*walls, self.prior.wall_margin, self.prior.wall_sigma)
 
     def _corridors_along(self, way: Evaluation, state: State) -> Corridors | None:
@@ -459,13 +497,15 @@ class WalkGraph:
         return evaluate(self.pieces, self.bridge, *ends, state.c[self.segment], walls, turns)
 
     def _observed(self, state: State) -> tuple[Rows, ...]:
-        """The own factors of single keyframes."""
+        """The own factors of keyframes, but for steps and walls."""
         rows: list[Rows] = []
         if self.receivers is not None:
             rows += [self.receivers.seen(state.poses, state.g, self.fix_wild), *self.receivers.kept(state.g)]
         if self.levels is not None:
             rows += [self.levels.heard(self.level_keyframe, state.poses, state.b, state.q[0])]
             rows += self.levels.believed(self.believed, state.b, state.q[0])
+        if len(self.closures) and self.closure_hold != UNBOUND:
+            rows += [self.closures.seen(self.closure_keyframe, state.poses, self.closure_hold == FIRM)]
         return tuple(rows)
 
     def _native_factors(self) -> gtsam.NonlinearFactorGraph:
@@ -485,9 +525,6 @@ class WalkGraph:
             own = self.priors.get(s)
             believed = own and native.calibration_factor(s, np.array(own.mean), own.covariance)
             graph.add(believed or native.change_factor(s, prior.change))
-        for (i, j), sigma in zip(self.closure_keyframe.tolist(), self.closures.sigma.tolist(), strict=True):
-            if self.closure_hold != UNBOUND:
-                graph.add(native.closure_factor(i, j, sigma, self.closure_hold == FIRM))
 
         told = [(self.heading_keyframe, self.headings)]
         told += [(self.corridors.keyframe, self.corridors.direction)] if self.corridors else []
@@ -533,6 +570,9 @@ def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, ro
     if floors is not None:
         return tuple(floors)
     known = () if floor is None else Building.around(floor).labels
+    if len(known) > 1:
+        found = f"none, with the floors {', '.join(known)[:80]}"
+        raise ValueError(f"WalkGraph, floors: found {found}, needed a label for each row, as of floors_of(…)")
     return (known[0] if len(known) == 1 else "",) * rows
 
 

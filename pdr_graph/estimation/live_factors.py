@@ -10,9 +10,10 @@ from gtsam.symbol_shorthand import C, X
 
 from pdr_graph.estimation import native
 from pdr_graph.estimation.factors import Evaluation
-from pdr_graph.estimation.graph import ANY_HEADING, FRAME_SIGMA
+from pdr_graph.estimation.graph import FRAME_SIGMA
 from pdr_graph.estimation.live_way import Interval
 from pdr_graph.estimation.tree import Name, linear
+from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.types import Array
 
 Factors = dict[Name, gtsam.NonlinearFactor]
@@ -20,12 +21,12 @@ Factors = dict[Name, gtsam.NonlinearFactor]
 
 def own_factors(intervals: Sequence[Interval], own: Evaluation, known: gtsam.Values) -> Factors:
     """Steps and walls of intervals, linear where they are: one factor for each."""
-    pdr, wall = own.pdr, own.wall
-    pressed = np.empty(0, dtype=np.intp) if wall is None else np.flatnonzero(wall.value[:, 0])
+    pdr, pressed = own.pdr, np.empty(0, dtype=np.intp) if own.springs is None else np.flatnonzero(own.springs[0])
     of_pressed, factors = own.pieces.interval[pressed], Factors()
+    wall = own.wall_of(pressed) if len(pressed) else None
     for n, one in enumerate(intervals):
         error, blocks = pdr.value[n], [pdr.by_i[n], pdr.by_j[n], pdr.by_c[n]]
-        if wall is not None and len(here := pressed[of_pressed == n]):
+        if wall is not None and len(here := np.flatnonzero(of_pressed == n)):
             rows = wall.take(here)
             error = np.append(error, rows.value[:, 0])
             beside = (rows.by_i[:, 0], rows.by_j[:, 0], rows.by_c[:, 0])

@@ -52,7 +52,7 @@ class Past:
             at_start = np.array([leaving[0].begin])
             self.left.append(Rows(at_start, start[None], np.zeros((1, 3, 3)), [leaving[0].label]))
         for n, one in enumerate(leaving):
-            pose = own.poses.value[own.pieces.first[n] + one.row_piece]
+            pose = own.ends[own.pieces.first[n] + one.row_piece]
             R = pose_rotation(np.full(len(pose), own.pose_i[n, 2]))
             spread = R @ one.bridge.spread[one.row_piece] @ R.transpose(0, 2, 1)
             self.left.append(Rows(one.row_time, pose, spread, [one.label] * len(pose)))

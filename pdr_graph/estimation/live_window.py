@@ -88,7 +88,7 @@ class Window:
         last = self.intervals[-1 - int(np.searchsorted(count, min(pieces, count[-1]))) :]
         own, labels = self.evaluate(last), [one.label for one in last for _ in one.fields]
         ground = Ground.of(self.known_plan, labels)
-        fields, of_piece, price = ground.walls_along(own.poses.value[:, :2], own.pieces.length > 0)
+        fields, of_piece, price = ground.walls_along(own.ends[:, :2], own.pieces.length > 0)
         named = [fields[n] if n >= 0 else None for n in of_piece.tolist()]
         for one, first in zip(last, own.pieces.first.tolist(), strict=True):
             now = named[first : first + len(one.fields)]

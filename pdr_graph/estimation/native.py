@@ -9,17 +9,16 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.robust import HUBER_WIDTH, WILD_WIDTH
 from pdr_graph.types import Array
 
-CLOSURE_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one in ten may be mistaken by metres
-ANY_TURN = 1e3  # [rad]
-
 NOISE = gtsam.noiseModel
 ESTIMATOR = gtsam.noiseModel.mEstimator
 
 
-def robustly(noise: gtsam.noiseModel.Base, wild: bool, flat: float = 0.0) -> gtsam.noiseModel.Base:
+def robustly(
+    noise: gtsam.noiseModel.Base, wild: bool, flat: float = 0.0, wild_width: float = WILD_WIDTH
+) -> gtsam.noiseModel.Base:
     """Huber's loss, or none within ``flat`` sigmas; what is wild lets go (Geman and McClure's)."""
     if wild:
-        return NOISE.Robust.Create(ESTIMATOR.GemanMcClure.Create(WILD_WIDTH), noise)
+        return NOISE.Robust.Create(ESTIMATOR.GemanMcClure.Create(wild_width), noise)
     return NOISE.Robust.Create(
         ESTIMATOR.L2WithDeadZone.Create(flat) if flat else ESTIMATOR.Huber.Create(HUBER_WIDTH), noise
     )
@@ -56,13 +55,3 @@ def calibration_factor(segment: int, mean: Array, covariance: Array) -> gtsam.No
 def change_factor(segment: int, sigmas: tuple[float, float, float]) -> gtsam.NonlinearFactor:
     """How a segment's calibration follows from that of the one before."""
     return gtsam.BetweenFactorVector(C(segment - 1), C(segment), np.zeros(3), NOISE.Diagonal.Sigmas(np.array(sigmas)))
-
-
-def closure_factor(one: int, other: int, sigma: float, firmly: bool) -> gtsam.NonlinearFactor:
-    """Two moments at one place, within ``sigma`` [m] per axis, whichever way the walkers faced.
-
-    firmly: not as if it might be mistaken.
-    """
-    noise = NOISE.Diagonal.Sigmas(np.array([sigma, sigma, ANY_TURN]))
-    loss = ESTIMATOR.Huber.Create(HUBER_WIDTH) if firmly else ESTIMATOR.GemanMcClure.Create(CLOSURE_WIDTH)
-    return gtsam.BetweenFactorPose2(X(one), X(other), gtsam.Pose2(), NOISE.Robust.Create(loss, noise))

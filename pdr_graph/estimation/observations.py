@@ -1,4 +1,4 @@
-"""Own factors of single keyframes, whatever they observe: whitened errors with robust losses."""
+"""Own factors of keyframes, whatever they observe: whitened errors with robust losses."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ class Rows:
 
     value: ``(n, r)`` errors, whitened.
     keys: ``(n, v)`` the variables of each; by: ``(n, v, r, 3)`` derivatives by each.
-    wild: ``(n,)`` True where the error is so far off that it lets go; None where the errors are Gaussian.
+    wild: ``(n,)`` True where the error is so far off that it lets go, from ``slip`` [σ] on; None where the errors are
+    Gaussian.
     """
 
     value: Array
     keys: Index
     by: Array
     wild: Mask | None = None
+    slip: float = WILD_WIDTH
 
     @cached_property
     def weight(self) -> Array:
@@ -34,7 +36,7 @@ class Rows:
         if self.wild is None:
             return np.ones(len(self.value))
         sigmas = np.linalg.norm(self.value, axis=1)
-        return np.where(self.wild, slipping(sigmas), gripping(sigmas, HUBER_WIDTH))
+        return np.where(self.wild, slipping(sigmas, self.slip), gripping(sigmas, HUBER_WIDTH))
 
     @cached_property
     def cost(self) -> float:
@@ -44,7 +46,7 @@ class Rows:
             return 0.5 * float(square.sum())
         sigmas = np.sqrt(square)
         huber = np.where(sigmas > HUBER_WIDTH, HUBER_WIDTH * (sigmas - HUBER_WIDTH / 2), square / 2)
-        geman_mcclure = 0.5 * WILD_WIDTH**2 * square / (WILD_WIDTH**2 + square)
+        geman_mcclure = 0.5 * self.slip**2 * square / (self.slip**2 + square)
         return float(np.where(self.wild, geman_mcclure, huber).sum())
 
     def add_to(self, graph: gtsam.GaussianFactorGraph) -> None:
@@ -59,4 +61,4 @@ class Rows:
     def noise(self, n: int) -> gtsam.noiseModel.Base:
         """What GTSAM takes of one of them: whitened errors under its loss."""
         unit = gtsam.noiseModel.Unit.Create(self.value.shape[1])
-        return unit if self.wild is None else robustly(unit, bool(self.wild[n]))
+        return unit if self.wild is None else robustly(unit, bool(self.wild[n]), wild_width=self.slip)

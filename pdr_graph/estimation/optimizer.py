@@ -10,11 +10,14 @@ import numpy as np
 from pdr_graph.estimation.factors import Evaluation
 from pdr_graph.estimation.graph import AMBIGUOUS, DOUBTED, FIRM, UNBOUND, State, WalkGraph
 from pdr_graph.estimation.hypotheses import hypotheses
+from pdr_graph.estimation.told import other_ends, told
 from pdr_graph.types import Array, Index, Mask
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
 SETTLED = 3e-5  # the cost has settled when an iteration takes less than this share, or this much, off it
+ROUGHLY = 1e-2  # the same where only the rooms and corridors about the walk are sought
+ALIKE = 30.0  # steps in a row whose places err alike, between fixes
 LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, whose pull is local
 LOOSE = 3.0  # times as loosely walls hold at first: hard walls keep a walk that starts 3° off in the wrong aisle
 WILD = 5.0  # [σ] beyond which a fix loses its grip in the second pass
@@ -34,7 +37,7 @@ def solutions(graph: WalkGraph) -> list[Optimum]:
     With a plan, the ways that it admits are followed; without, any direction where the measurements leave it open (one
     fix; two at the ends of a loop).
     """
-    return _distinct(_in_the_building(graph) if graph.walls else [_robustly(start) for start in _turned(graph)])
+    return _distinct(_in_the_building(graph) if graph.walled else [_robustly(start) for start in _turned(graph)])
 
 
 def near_start(graph: WalkGraph) -> Optimum:
@@ -60,7 +63,7 @@ def probabilities(found: list[Optimum], way: Index) -> Array:
 
 def ways(found: list[Optimum]) -> Index:
     """Which way each solution goes ``(n,)``: the first one's that it keeps near."""
-    tracks = np.array([one.own.poses.value[:, :2] for one in found])
+    tracks = np.array([one.own.ends[:, :2] for one in found])
     near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SAME_WAY
     return np.argmax(near, axis=1)
 
@@ -88,8 +91,10 @@ class Optimum:
         return self.cost + (self.graph.walls.price if self.graph.walls else 0.0)
 
 
-def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
+def optimize(graph: WalkGraph, start: gtsam.Values, settled: float = SETTLED) -> Optimum:
     """Gauss–Newton, with Levenberg–Marquardt damping where a step would raise the cost.
+
+    settled: share of the cost, or cost, below which a step ends it.
 
     The loop is our own because GTSAM's hands each Python callback a copy of all values (quadratic in the walk's
     length). METIS ordering: the default overflows the stack on long chains.
@@ -98,8 +103,9 @@ def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
     cost, damping = own.cost + graph.native.error(values), 0.0
     linear = graph.linearize(values, own)
     ordering = gtsam.Ordering.MetisGaussianFactorGraph(linear)
+    stay = dict[float, gtsam.GaussianFactorGraph]()
     for iteration in range(1, MOST_ITERATIONS + 1):
-        net = _damped(linear, damping).eliminateSequential(ordering)
+        net = _damped(linear, damping, stay).eliminateSequential(ordering)
         move = net.optimize()
         candidate = values.retract(_capped(move, len(graph.start.poses)) if graph.walls else move)
         candidate_own = graph.evaluate(candidate)
@@ -109,7 +115,7 @@ def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
             continue
         if decrease >= 0:
             values, own, cost = candidate, candidate_own, cost - decrease
-        if decrease <= SETTLED * (1 + cost):
+        if decrease <= settled * (1 + cost):
             net = linear.eliminateSequential(ordering) if damping else net
             return Optimum(graph, values, own, net, cost, iteration, converged=True)
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
@@ -118,14 +124,20 @@ def optimize(graph: WalkGraph, start: gtsam.Values) -> Optimum:
     return Optimum(graph, values, own, net, cost, MOST_ITERATIONS, converged=False)
 
 
-def _damped(linear: gtsam.GaussianFactorGraph, damping: float) -> gtsam.GaussianFactorGraph:
-    """The graph with Levenberg–Marquardt's prior on every variable to stay where it is."""
+def _damped(
+    linear: gtsam.GaussianFactorGraph, damping: float, stay: dict[float, gtsam.GaussianFactorGraph]
+) -> gtsam.GaussianFactorGraph:
+    """The graph with Levenberg–Marquardt's prior on every variable to stay where it is; ``stay`` keeps these."""
     if damping == 0:
         return linear
-    damped, unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(3)
+    if damping not in stay:
+        stay[damping], unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(3)
+        root, nothing = np.sqrt(damping) * np.eye(3), np.zeros(3)
+        for key in linear.keyVector():
+            stay[damping].add(key, root, nothing, unit)
+    damped = gtsam.GaussianFactorGraph()
     damped.push_back(linear)
-    for key in linear.keyVector():
-        damped.add(key, np.sqrt(damping) * np.eye(3), np.zeros(3), unit)
+    damped.push_back(stay[damping])
     return damped
 
 
@@ -180,6 +192,9 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     in_the_open = _robustly(graph.without_walls())
     held = in_the_open.graph.fix_held
     robust, expected = graph.with_offsets(in_the_open.graph.fix_wild, held), USUAL * in_the_open.cost
+    found = _distinct(_as_fixes_tell(robust, in_the_open))
+    if found and found[0].surprise < expected + STRAINED:
+        return [replace(one, unseen=expected + UNSEEN) for one in found]
     as_laid, found = [robust.start, State.of(in_the_open.values)], list[Optimum]()
     for attempt in range(ATTEMPTS):
         ways = hypotheses(robust, attempt) + (as_laid if attempt == 0 else [])
@@ -187,6 +202,23 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
         if min(one.surprise for one in found) < expected + STRAINED:
             break
     return [replace(one, unseen=expected + UNSEEN) for one in found]
+
+
+def _as_fixes_tell(graph: WalkGraph, in_the_open: Optimum) -> list[Optimum]:
+    """An optimum for each way that fixes leave open, where that is one but for its end; else none."""
+    until = told(graph, in_the_open.net)
+    if until is None:
+        return []
+    last, sigma = until
+    first = _closely(graph, _roughly(graph, State.of(in_the_open.values), sigma))
+    others = other_ends(first.graph, State.of(first.values), first.net, last)
+    return [first, *(_closely(graph, _loosely(graph, way)) for way in others)]
+
+
+def _roughly(graph: WalkGraph, way: State, sigma: Array) -> Optimum:
+    """About the optimum near a way that errs by ``sigma (m,)`` [m], between the loose walls that it may be between."""
+    about = graph.following(way, sigma, ALIKE).with_loose_walls(LOOSE).with_closures(FIRM)
+    return optimize(about, way.to_values(), ROUGHLY)
 
 
 def _loosely(graph: WalkGraph, way: State) -> Optimum:
@@ -214,8 +246,8 @@ def _distinct(solutions: list[Optimum]) -> list[Optimum]:
     """Different solutions that are not hopeless, the most probable first."""
     kept: list[Optimum] = []
     for one in sorted(solutions, key=lambda s: round(s.surprise, 3)):  # of equals the first: heading 0 with one fix
-        track = one.own.poses.value[:, :2]
-        apart = [np.abs(track - other.own.poses.value[:, :2]).max() for other in kept]
+        track = one.own.ends[:, :2]
+        apart = [np.abs(track - other.own.ends[:, :2]).max() for other in kept]
         if all(a > DIFFERENT for a in apart) and (not kept or one.surprise - kept[0].surprise < UNLIKELY):
             kept.append(one)
     return kept

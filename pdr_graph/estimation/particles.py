@@ -14,6 +14,7 @@ import numpy as np
 from pdr_graph.estimation.cloud import Cloud, Paths, Seen
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.preintegration import Pieces
+from pdr_graph.types import Array
 
 FEWEST, MOST = 1000, 8000  # particles
 
@@ -23,13 +24,26 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
 
     graph: with walls, and at least one fix that is used. times: as many particles as usual.
     """
+    cloud = Cloud(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
+    _begin(cloud, graph)
+    return _advanced(cloud, graph, 0)
+
+
+def particles_from(graph: WalkGraph, keyframe: int, state: Array) -> Paths:
+    """As `particle_filter`, from a keyframe on at which particles ``(6, n)`` are known."""
+    cloud = Cloud(graph.prior, 0, fewest=FEWEST, most=MOST)
+    cloud.begin_at(state)
+    return _advanced(cloud, graph, keyframe)
+
+
+def _advanced(cloud: Cloud, graph: WalkGraph, begin: int) -> Paths:
+    """The ways of a cloud that was at keyframe ``begin``, to the end."""
     ground, pieces = graph.ground, graph.pieces
     assert ground is not None, "asked for with a plan"
     ways = {piece: [way.field for way in others] for piece, others in ground.changes.items()}
-    cloud = Cloud(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
-    _begin(cloud, graph)
-    for interval, (first, last) in enumerate(zip(pieces.first.tolist(), pieces.last.tolist(), strict=True)):
-        here = range(first, last + 1)
+    for interval in range(begin, len(pieces.first)):
+        first = int(pieces.first[interval])
+        here = range(first, int(pieces.last[interval]) + 1)
         cloud.advance(
             _pieces(graph, interval),
             [ground.field(m) for m in here],

@@ -12,6 +12,7 @@ from pdr_graph.types import Array, BeaconReport, Calibration, FixReport, Index
 SURE = 0.9  # probability below which a user is warned
 DOUBTED = 0.1  # weight below which a fix counts for nothing
 MANY = 0.1  # share of doubted fixes at which a user is warned
+SAID = {"R_s": "the stride's scale R_s", "R_d": "the turns' scale R_d", "b": "the gyro's drift b"}
 
 
 def fix_reports(graph: WalkGraph, distance: Array, sigmas: Array, weight: Array, from_: str) -> tuple[FixReport, ...]:
@@ -68,9 +69,9 @@ def warnings(
     warned = {
         "no position fix: the track starts at (0, 0) with heading 0": used == 0,
         "one position fix: the direction of the walk is unknown, heading 0 was assumed": used == 1
-        and not graph.walls
+        and not graph.walled
         and not len(graph.headings),
-        "no fix lies near the floor plan: its walls were not used": bool(used and graph.ground and not graph.walls),
+        "no fix lies near the floor plan: its walls were not used": bool(used and graph.ground and not graph.walled),
         f"{given - used} fixes lie outside the recording, by {_beside(graph):.0f} s or more, and were not used": used
         < given,
         f"{walks} different walks explain the measurements, this way with a probability of {probability:.0%}; the "
@@ -80,8 +81,9 @@ def warnings(
         ),
         "the optimiser had not settled": not converged,
     }
-    for n, name in enumerate(calibration.names):
-        warned[f"{name} is the prior's: the measurements do not determine it"] = not calibration.learnt[:, n].any()
+    open_ = [SAID[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
+    be, them = ("is", "it") if len(open_) == 1 else ("are", "them")
+    warned[f"{', '.join(open_)} {be} the prior's: the measurements do not determine {them}"] = bool(open_)
     return tuple(text for text, holds in warned.items() if holds)
 
 

@@ -20,6 +20,6 @@ def outside(sigmas: Array, flat: float) -> Array:
     return np.maximum(0.0, 1 - flat / np.maximum(sigmas, 1e-9))
 
 
-def slipping(sigmas: Array) -> Array:
+def slipping(sigmas: Array, width: float = WILD_WIDTH) -> Array:
     """Geman and McClure's weight ``(n,)``: it lets go of what is far off."""
-    return (WILD_WIDTH**2 / (WILD_WIDTH**2 + sigmas**2)) ** 2
+    return (width**2 / (width**2 + sigmas**2)) ** 2

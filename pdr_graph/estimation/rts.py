@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.estimation.filters import Moment, estimate_of, moments
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import interpolate
@@ -26,6 +27,7 @@ def kalman_smoother(graph: WalkGraph) -> Estimate:
 
     graph: the same measurements as for ``smooth``; its walls are not used. What the filter refused stays refused.
     """
+    expect("kalman_smoother, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
     run = list(moments(graph))
     means, covariances = _backward(run)
     met = [one for moment in run for one in moment.met]

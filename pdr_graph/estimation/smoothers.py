@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.estimation.covariance import covariance_of_rows
 from pdr_graph.estimation.graph import State, WalkGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
@@ -18,7 +19,11 @@ def smooth(graph: WalkGraph) -> Estimate:
     """The most probable walk given every measurement in ``graph``, with the covariance of every step.
 
     Where other walks explain the measurements about as well, they widen the covariance and are warned of.
+
+    Raises TypeError without a graph, RuntimeError where GTSAM finds no solution.
     """
+    expect("smooth, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
+
     # The optimum, and whatever else explains the measurements; again without what a beacon's list says wrongly
     found = solutions(graph)
     while moved := _misplaced(found[0]):
@@ -64,7 +69,7 @@ def _misplaced(optimum: Optimum) -> list[int]:
 def _rows(optimum: Optimum) -> Array:
     """Poses ``(n + 2, 3)``: the start, the end of every step, the end."""
     own = optimum.own
-    return np.concatenate([own.pose_i[:1], own.poses.value[optimum.graph.pieces.row_end]])
+    return np.concatenate([own.pose_i[:1], own.ends[optimum.graph.pieces.row_end]])
 
 
 def _mixed_covariance(found: list[Optimum], weight: Array) -> tuple[Array, Array]:

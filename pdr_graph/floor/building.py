@@ -12,6 +12,7 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pdr_graph.errors import expect
 from pdr_graph.floor.areas import CONNECTING
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.plan import FloorPlan
@@ -46,6 +47,10 @@ class Building:
     """All floors of a plan in one frame, lowest first. A plan of one floor is a building with one floor."""
 
     floors: tuple[FloorPlan, ...]
+
+    def __post_init__(self) -> None:
+        """Raise TypeError unless floors are floors."""
+        expect("Building, floors", self.floors, tuple, instead="Building.load(path)")
 
     @classmethod
     def load(cls, path: str | Path) -> Building:
@@ -96,11 +101,6 @@ class Building:
                 if area.is_polygon and len(on) > 1 and on[0] == n:  # once, though it is drawn on each
                     found.append(Connection(area.kind, area.name, area.shape, tuple(on)))
         return tuple(found)
-
-    def connections_at(self, position: Array, floor: int, within: float) -> tuple[Connection, ...]:
-        """What leads elsewhere from a position ``(2,)`` [m] on a floor, or is ``within`` [m] of it; nearest first."""
-        here = [(c.distance(position[None])[0], c) for c in self.connections if floor in c.floors]
-        return tuple(c for away, c in sorted(here, key=lambda pair: pair[0]) if away <= within)
 
     def crosses_wall(self, position: Array, labels: Sequence[str]) -> Mask:
         """Which steps between positions ``(n, 2)`` [m] on floors of these labels lead through a wall. ``(n - 1,)``

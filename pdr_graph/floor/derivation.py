@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.signal import find_peaks
 
 from pdr_graph.floor.skeleton import Skeleton, skeleton
 from pdr_graph.geometry import length_along, wrap_angle
@@ -73,6 +72,8 @@ def _hubs(middle: Skeleton) -> _Hubs:
 
 def _bends(middle: Skeleton, chain: Index) -> Index:
     """Where a line turns by more than BEND from one arm's length before to one after, and by more than beside it."""
+    from scipy.signal import find_peaks  # here, since few walks need it and it takes half a second to load
+
     line = middle.position[chain]
     walked = length_along(line)
     arm = max(SHORTEST_ARM, ARM * float(np.median(middle.clearance[chain])))

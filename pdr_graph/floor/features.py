@@ -15,6 +15,7 @@ from pdr_graph.errors import InputError
 
 LARGEST_FILE = 200_000_000  # bytes
 FARTHEST = 1e8  # [m] of any coordinate
+WIDEST = 1.0  # [deg] of a plan; a larger one is in metres
 Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
 
 
@@ -24,8 +25,10 @@ def read_json(path: Path) -> dict[str, Any]:
         if path.stat().st_size > LARGEST_FILE:
             raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST_FILE}")
         value = json.loads(path.read_text(encoding="utf-8-sig"))
+    except InputError:
+        raise
     except (OSError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise error if isinstance(error, InputError) else InputError(path, "", str(error), "a JSON file") from None
+        raise InputError(path, "", f"no JSON ({error})", "a floor plan") from None
     if not isinstance(value, dict):
         raise InputError(path, "", f"a JSON {type(value).__name__}", "a JSON object")
     return value
@@ -71,6 +74,10 @@ def check_degrees(path: Path, features: list[Feature]) -> None:
         if not (np.abs(corners) <= (180, 90)).all():
             found = f"coordinates up to {np.abs(corners).max():.6g}"
             raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees, as RFC 7946 has them")
+    west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features])
+    if max(east - west, north - south) > WIDEST:
+        found = f"a plan of {east - west:.3g}° by {north - south:.3g}°"
+        raise InputError(path, "", found, f"at most {WIDEST:g}°: longitudes and latitudes in degrees, not metres")
 
 
 def _close(geometry: Any) -> list[Any]:

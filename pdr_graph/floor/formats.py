@@ -58,6 +58,8 @@ def read(path: Path) -> Drawing:
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
     if path.is_dir():
+        if not (path / MICROSOFT_MAP).is_file():
+            raise InputError(path, "", f"a folder without {MICROSOFT_MAP}", "a floor plan's file, or its floor folder")
         return microsoft_floor(path)
     collection, notes, mended = read_json(path), list[str](), list[str]()
     features = list(features_of(path, collection, notes, mended))

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import shapely
 
 from pdr_graph.floor.building import Building, Connection
 from pdr_graph.floor.distance import DistanceField
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.floor.regions import NOWHERE
+from pdr_graph.floor.regions import NOWHERE, STRAY
 from pdr_graph.types import Array, Index, Mask
 
 
@@ -62,15 +63,19 @@ class Ground:
             found[piece] = tuple(c for c in self.building.connections if floors <= set(c.floors))
         return found
 
-    def walls_along(self, track: Array, moved: Mask) -> tuple[tuple[DistanceField, ...], Index, float]:
-        """The walls about a walk through ``track (m, 2)`` [m], a point for each piece; moved: which led anywhere.
+    def walls_along(
+        self, track: Array, moved: Mask, stray: Array | float = STRAY, alike: float = 1.0
+    ) -> tuple[tuple[DistanceField, ...], Index, float]:
+        """The walls about a walk through ``track (m, 2)`` [m], a point for each piece; moved: which led anywhere;
+        stray, alike: by how much the track errs, see ``Regions.along``.
 
         Returns signed distances to the walls of a region, of two and the door between them, or of stairs; which of
         them holds for each piece ``(m,)``, −1 none; and what the regions' changes cost.
         """
         number, of_piece, total = dict[DistanceField, int](), np.full(len(track), NOWHERE), 0.0
+        stray = np.broadcast_to(stray, len(track))
         for floor, begin, end in self.stretches:
-            fields, which, price = floor.regions.walls_along(track[begin:end])
+            fields, which, price = floor.regions.walls_along(track[begin:end], stray[begin:end], alike)
             numbers = np.array([*(number.setdefault(field, len(number)) for field in fields), NOWHERE])
             of_piece[begin:end] = numbers[which]
             total += price
@@ -81,9 +86,30 @@ class Ground:
                 of_piece[before[-1]] = number.setdefault(nearest.field, len(number))
         return tuple(number), of_piece, total
 
+    def walled_off(self, one: Array, other: Array, pieces: Index) -> bool:
+        """Whether walls stand between two ways ``(n, 2)`` [m], where these pieces end: else they are one way, gone
+        faster or slower.
+        """
+        return all(self.crossed(a, _nearest(a, b), pieces).any() for a, b in ((one, other), (other, one)))
+
+    def crossed(self, one: Array, other: Array, pieces: Index) -> Mask:
+        """Whether a wall stands between places ``(n, 2)`` [m] and others, on the floors of these pieces ``(n,)``."""
+        level, found = self.level[pieces], np.zeros(len(one), dtype=bool)
+        for n in np.unique(level):
+            here = level == n
+            found[here] = self.building.floors[n].crosses_wall(one[here], other[here])
+        return found
+
     @property
     def stretches(self) -> list[tuple[FloorPlan, int, int]]:
         """The pieces [begin, end) that are on one floor after the other."""
         begins = [0, *self.changes]
         ends = [*begins[1:], len(self.level)]
         return [(self.building.floors[self.level[b]], b, e) for b, e in zip(begins, ends, strict=True)]
+
+
+def _nearest(places: Array, way: Array) -> Array:
+    """What of a way through ``way (n, 2)`` is nearest to each of some places ``(m, 2)``. [m]"""
+    line = shapely.linestrings(way) if len(way) > 1 else shapely.points(way[0])
+    between = shapely.shortest_line(shapely.points(places), line)
+    return shapely.get_coordinates(between).reshape(-1, 2, 2)[:, 1]

@@ -71,17 +71,19 @@ class Regions:
     def __len__(self) -> int:
         return len(self.polygons)
 
-    def along(self, track: Array) -> tuple[Index, float]:
+    def along(self, track: Array, stray: Array | float = STRAY, alike: float = 1.0) -> tuple[Index, float]:
         """The region that each point ``(n, 2)`` [m] of a walk is in ``(n,)``, NOWHERE far from all: the likeliest
         sequence, through doors where there are any (Viterbi's). And what its changes and places in none cost.
+
+        stray: by which the track errs, everywhere or at each point ``(n,)`` [m]; alike: points in a row that err alike.
         """
-        points = np.asarray(shapely.points(track), dtype=object)
-        near = np.unique(self._tree.query(points, predicate="dwithin", distance=2 * STRAY)[1])
+        points, stray = np.asarray(shapely.points(track), dtype=object), np.broadcast_to(stray, len(track))
+        near = np.unique(self._tree.query(points, predicate="dwithin", distance=2 * stray)[1])
         if not len(near):
             return np.full(len(track), NOWHERE), OUTSIDE_PRICE * len(track)
         cost = np.full((len(track), len(near) + 1), OUTSIDE_COST)
         for column, r in enumerate(near):
-            cost[:, column] = 0.5 * (shapely.distance(self.polygons[r], points) / STRAY) ** 2
+            cost[:, column] = 0.5 * (shapely.distance(self.polygons[r], points) / stray) ** 2 / alike
         states = np.append(near, NOWHERE)
         if len(near) == 1 and cost[:, 0].max() < OUTSIDE_COST:
             return np.full(len(track), near[0]), 0.0
@@ -90,11 +92,15 @@ class Regions:
         price = changes[np.arange(1, len(track)), likeliest[:-1], likeliest[1:]].sum()
         return states[likeliest], float(price + OUTSIDE_PRICE * np.sum(likeliest == len(near)))
 
-    def walls_along(self, track: Array) -> tuple[list[DistanceField], Index, float]:
+    def walls_along(
+        self, track: Array, stray: Array | float = STRAY, alike: float = 1.0
+    ) -> tuple[list[DistanceField], Index, float]:
         """The walls about a walk through ``track (n, 2)`` [m]: fields; which of them holds at each point ``(n,)``, −1
         none; and what the regions' changes cost. Where the region changes, both and the door between them hold.
+
+        stray, alike: as of `along`.
         """
-        region, price = self.along(track)
+        region, price = self.along(track, stray, alike)
         before, after = np.append(region[:1], region[:-1]), np.append(region[1:], region[-1:])
         sets, which = np.unique(np.sort([before, region, after], axis=0), axis=1, return_inverse=True)
         inside = [NOWHERE not in s for s in sets.T]

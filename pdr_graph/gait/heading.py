@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from pdr_graph.earth import EarthField, earth_field
+from pdr_graph.errors import expect
 from pdr_graph.frames import Frame
 from pdr_graph.gait.direction import Direction
 from pdr_graph.gait.forward import forward_axis
@@ -35,6 +36,9 @@ def magnetic_headings(recording: Recording | list[Gait], frame: Frame, near: Arr
     for the World Magnetic Model. Returns none in a frame that is nowhere on earth, or without an accelerometer,
     gyroscope and magnetometer.
     """
+    expect("magnetic_headings, recording", recording, Recording, list, instead="load(path)")
+    expect("magnetic_headings, frame", frame, Frame, instead="FloorPlan.frame or frame_of(fixes)")
+    expect("magnetic_headings, near", near, np.ndarray, instead="fixes.position[0]")
     whole = recording if isinstance(recording, Recording) else recording[0].recording
     if not frame.georeferenced or None in (whole.accelerometer, whole.gyroscope, whole.magnetometer):
         return Headings.none()

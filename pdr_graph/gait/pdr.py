@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.gait.features import StepFeatures
 from pdr_graph.gait.gait import Gait, gait_of
 from pdr_graph.gait.gaps import join
@@ -25,6 +26,8 @@ def detect_steps(recording: Recording | list[Gait], walker: Walker | None = None
 
     Raises InputError if there is no accelerometer.
     """
+    expect("detect_steps, recording", recording, Recording, list, instead="load(path)")
+    expect("detect_steps, walker", walker, Walker, None, instead="Walker(height=1.72)")
     walker = walker or Walker()
     steps = join([steps_of(part, walker) for part in gait_of(recording)])
     return walker.profile.corrected(steps) if walker.profile else steps

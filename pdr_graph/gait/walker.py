@@ -15,6 +15,7 @@ from pdr_graph.gait.profile import COEFFICIENTS, Profile
 from pdr_graph.settings import read_toml
 
 DEFAULT_STRIDE = "inverted pendulum"
+MOST = 3  # of a height [m] and of a step's heading error [rad]
 LARGEST = {"E_length": 0.6, "E_straight": 0.5, "E_corner": 0.5}  # beyond that it is another walker's, or degrees
 
 
@@ -34,6 +35,15 @@ class Walker:
     constants: dict[str, float] = field(default_factory=dict)
     profile: Profile | None = None
 
+    def __post_init__(self) -> None:
+        """Raise ValueError on what is nobody's: a height in centimetres, an unknown stride model."""
+        for name, unit in (("height", "metres"), ("sigma_turn", "radians")):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not 0 < value < MOST:
+                raise ValueError(f"Walker.{name}: found {value!r}, needed {unit} between 0 and {MOST}")
+        if self.stride not in MODELS:
+            raise ValueError(f"Walker.stride: found {self.stride!r}, needed one of {', '.join(MODELS)}")
+
     @classmethod
     def load(cls, path: str | Path) -> Walker:
         """Read ``walker.toml`` (``docs/formats.md``), everything in it optional. Raises InputError."""
@@ -41,7 +51,9 @@ class Walker:
         known = {"height", "sigma_turn", "stride", "calibration"}
         for name in given.keys() - known:
             raise InputError(path, name, "an unknown name", "one of " + ", ".join(sorted(known)))
-        numbers = {name: _number(path, name, given[name], 0, 3) for name in ("height", "sigma_turn") if name in given}
+        numbers = {
+            name: _number(path, name, given[name], 0, MOST) for name in ("height", "sigma_turn") if name in given
+        }
         stride, constants = _stride(path, given.get("stride", DEFAULT_STRIDE))
         profile = _profile(path, given["calibration"]) if "calibration" in given else None
         return cls(**numbers, stride=stride, constants=constants, profile=profile)

@@ -120,14 +120,14 @@ def dip_error(field: Array, dip: float) -> Array:
     return np.abs(np.arctan2(-field[:, 2], np.hypot(field[:, 0], field[:, 1])) - dip)
 
 
-def prediction_error(field: Array, period: float, over: float = PREDICTED_OVER) -> Array:
+def prediction_error(field: Array, period: float) -> Array:
     """[gps-dr] Sec. 3, second test: the angle ``(n,)`` between the field and the one that the gyroscope predicts. [rad]
 
     field: ``(n, 3)`` in the attitude's world. The paper predicts one sample by `predicted`; there the sensor's noise
     is larger than any disturbance, so that we let the attitude predict a second: in the world, the field of a second
     before.
     """
-    lag = min(max(1, round(over / period)), len(field) - 1)
+    lag = min(max(1, round(PREDICTED_OVER / period)), len(field) - 1)
     one, other = field[lag:], field[:-lag]
     angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.sum(one * other, axis=1))
     return np.concatenate([np.repeat(angle[:1], lag), angle])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, expect
 from pdr_graph.io import (
     geolife,
     get_sensor_data,
@@ -40,6 +40,7 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
 
     Raises InputError if nothing can read it, with the place and what was needed.
     """
+    expect("load, path", path, str, Path)
     source = Source(Path(path))
     for reader in READERS:
         if reader.recognizes(source):

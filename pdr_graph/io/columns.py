@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ DELIMITERS = "\t;,"  # in the order of trust: a comma may be a decimal one
 NOTHING = ("", "nan", "null", "none", "na", "n/a", "-")  # what recorders write for no value
 LARGEST = 1e20  # of any number: Unix nanoseconds have 1e18
 NO_CELLS = " \r\t;,"  # all that a row without a single cell has
+EMPTY_ROW = re.compile(rf"\n[{NO_CELLS}]*\n|\n[{NO_CELLS}]+\Z")
 LONGEST_LINE = 10_000  # characters of a row; recorders' rows have some hundred
 
 
@@ -52,7 +54,8 @@ class Rows:
         if table is None or len(table) != len(self.lines):  # loadtxt takes an open quote's line and the next for one
             table = self._floats_one_by_one(columns, cut_off_allowed)
         with np.errstate(invalid="ignore"):
-            return np.where(np.abs(table) < LARGEST, table, np.nan)
+            table[~(np.abs(table) < LARGEST)] = np.nan
+        return table
 
     def words(self, column: int) -> list[str]:
         """One column as text, empty where a row is too short."""
@@ -134,11 +137,12 @@ def table(where: str, text: str) -> Table:
     head = lines[first]
     delimiter = next((d for d in DELIMITERS if d in head), ",")
     header = tuple(name.strip() for name in split(head, delimiter))
+    if not lines[-1]:
+        lines.pop()  # after the last row's end
     numbers: Sequence[int] = range(first + 2, len(lines) + 1)
     rows = lines[first + 1 :]
-    filled = [bool(line.strip(NO_CELLS)) for line in rows]
-    if not all(filled):
-        numbers = [number for number, is_row in zip(numbers, filled, strict=True) if is_row]
+    if EMPTY_ROW.search(text):
+        numbers = [number for number in numbers if lines[number - 1].strip(NO_CELLS)]
         rows = [lines[number - 1] for number in numbers]
     if delimiter != "," and any("," in line for line in rows[:10]):
         rows = [line.replace(",", ".") for line in rows]

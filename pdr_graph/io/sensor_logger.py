@@ -62,13 +62,14 @@ def read(source: Source) -> Recording:
 def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
     """The acceleration with gravity, in Android's signs, from whatever was recorded; else the one without."""
     total = _samples(source, "TotalAcceleration.csv")
+    if total is not None:  # Android's alone, so that the others need not be read
+        return {"accelerometer": total}
     linear, gravity = _samples(source, "Accelerometer.csv"), _samples(source, "Gravity.csv")
     raw = _samples(source, "AccelerometerUncalibrated.csv")
-    if total is None and linear is None and raw is None and source.single:
+    if linear is None and raw is None and source.single:
         total = _samples(source, PurePosixPath(source.single).name)  # one table, renamed by its owner
-    sign = _sign(source, total is not None, gravity if gravity is not None else raw, notes)
-    if total is not None:
-        return {"accelerometer": total}
+        return {} if total is None else {"accelerometer": total}
+    sign = _sign(source, gravity if gravity is not None else raw, notes)
     there = np.empty((0, 4)) if gravity is None else gravity[np.isfinite(gravity).all(axis=1)]
     if linear is not None and len(linear) and len(there):
         down = interpolate(linear[:, 0], there[:, 0], there[:, 1:])
@@ -78,7 +79,7 @@ def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
     return {} if linear is None else {"linear_acceleration": linear * (1, sign, sign, sign)}
 
 
-def _sign(source: Source, is_android: bool, with_gravity: Array | None, notes: list[str]) -> float:
+def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float:
     """−1 where accelerations have iOS's signs.
 
     Without metadata: a phone that someone carries for a walk looks up more than down.
@@ -89,7 +90,7 @@ def _sign(source: Source, is_android: bool, with_gravity: Array | None, notes: l
             -1.0 if about["platform"].lower() == "ios" and about.get("standardisation", "").lower() != "true" else 1.0
         )
     z = np.empty(0) if with_gravity is None else with_gravity[np.isfinite(with_gravity[:, 3]), 3]
-    if is_android or not len(z):
+    if not len(z):
         return 1.0
     into_screen = bool(np.median(z) < 0)
     system = "iOS" if into_screen else "Android"

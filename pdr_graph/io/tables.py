@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
 from pdr_graph.io import columns, geolife, gpx, ipin21
 from pdr_graph.io.columns import Table
@@ -29,6 +29,9 @@ def read_fixes(
 
     Raises InputError naming the line; also if no fix lies within the recording, as when the clock is another one.
     """
+    expect("read_fixes, path", path, str, Path)
+    expect("read_fixes, recording", recording, Recording, instead="load(path)")
+    expect("read_fixes, frame", frame, Frame, None, instead="FloorPlan.load(path).frame")
     path = Path(path)
     unix = _unix_fixes(path, [] if notes is None else notes)
     if unix is None:
@@ -74,18 +77,20 @@ def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
     _each(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
 
 
-def read_trajectory(path: str | Path) -> Trajectory:
-    """A trajectory or truth ``time,x,y[,heading][,floor]``, rows in time order; time stays in the file's clock.
+def read_trajectory(path: str | Path, recording: Recording | None = None) -> Trajectory:
+    """A trajectory or truth ``time,x,y[,heading][,floor]``, rows in time order.
 
+    recording: whose clock the file has: times then are from its start, as an estimate's are; else as in the file.
     Covariance columns, as ``trajectory.csv`` has them, are read if they are there. Raises InputError naming the line.
     """
+    expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
     numbers, words = read_table(Path(path), [("time", "x", "y")], optional, words=("floor",))
     time = numbers["time"]
     back = np.diff(time, prepend=-np.inf) <= 0
     _each(path, back, time, "time", "times that increase from row to row")
     return Trajectory(
-        time=time,
+        time=time if recording is None else time - recording.clock_origin,
         position=np.stack([numbers["x"], numbers["y"]], axis=1),
         heading=numbers.get("heading", np.full(len(time), np.nan)),
         floor=words["floor"],
@@ -128,6 +133,8 @@ def read_table(
 
 
 def _one_file(path: Path) -> Source:
+    if not path.exists():
+        raise InputError(path, "", "no such file", "a table, a GPX track or a GeoLife file")
     source = Source(path)
     if source.single is None:
         raise InputError(path, "", f"{len(source.names)} files", "one file")

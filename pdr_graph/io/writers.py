@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +18,21 @@ STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn"
 
 def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
     """``trajectory.csv``: time in the recorder's clock, metres, radians, covariance in the output axes."""
-    lines = [TRAJECTORY_HEADER]
-    covariance = trajectory.covariance
-    assert covariance is not None, "an estimate has a covariance"
-    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    for t, (x, y), heading, floor, (sx, sy, sh), xy in zip(
-        trajectory.time + clock_origin,
-        trajectory.position,
-        trajectory.heading,
-        trajectory.floor,
-        sigma,
-        covariance[:, 0, 1],
-        strict=True,
-    ):
-        lines.append(f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}")
+    lines = [TRAJECTORY_HEADER, *trajectory_rows(trajectory, clock_origin)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def trajectory_rows(trajectory: Trajectory, later: float) -> Iterator[str]:
+    """The rows of a trajectory's CSV, so much later [s]; nan where there is no covariance."""
+    covariance = trajectory.covariance
+    if covariance is None:
+        covariance = np.full((len(trajectory), 3, 3), np.nan)
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    table = np.column_stack(
+        [trajectory.time + later, trajectory.position, trajectory.heading, sigma, covariance[:, 0, 1]]
+    )
+    for (t, x, y, heading, sx, sy, sh, xy), floor in zip(table.tolist(), trajectory.floor, strict=True):
+        yield f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}"
 
 
 def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:

@@ -18,7 +18,9 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.lifelog import files
 from pdr_graph.lifelog.content import content_hash
+from pdr_graph.lifelog.observation import check_tells
 from pdr_graph.lifelog.store import Entry, Store
+from pdr_graph.types import Fixes
 
 NOBODY_ELSE = "me"
 OPTIONS = ("person", "plan", "fixes", "walker", "floor", "begins")
@@ -163,8 +165,8 @@ def _check(path: Path, entry: Entry) -> None:
     walk = io.load(path)
     if walk.epoch is None and entry.begins is None:
         raise InputError(path, "", "no date", f"--begins, {TIME_FORM}, when it was recorded")
-    if entry.fixes:
-        read_fixes(Path(entry.fixes), walk)
+    given = read_fixes(Path(entry.fixes), walk) if entry.fixes else Fixes.none()
+    check_tells(path, walk, len(walk.fixes) + len(given))
 
 
 def _check_options(options: Mapping[str, Any]) -> None:

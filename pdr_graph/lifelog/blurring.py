@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdr_graph.estimation.fixes_alone import ANY_HEADING
+from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog.day import Outing, Segment, Stay
 from pdr_graph.lifelog.hiding import Hidden
 from pdr_graph.lifelog.parts import PRIVATE, Part

@@ -19,8 +19,7 @@ from zoneinfo import ZoneInfo
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.beacons import BESIDE
-from pdr_graph.lifelog import chains as days_of
-from pdr_graph.lifelog import files, observing
+from pdr_graph.lifelog import files
 from pdr_graph.lifelog.chains import Chain, Done, Planned, Reconstruct, past, reconstructed, rows_in, unmade
 from pdr_graph.lifelog.content import content_hash, plan_hash
 from pdr_graph.lifelog.fleet import Fleet, Lost, Work, fleet, packed
@@ -105,7 +104,7 @@ def _not_observed(log: Store) -> list[Sought]:
 def _not_there(log: Store, chains: Sequence[Chain]) -> list[Sought]:
     """Recordings to be observed again, since days are to be made of them and their observations are not there."""
     keys = {key for chain in chains for day in chain.days for _, key in day.recordings}
-    gone = {key for key in keys if not (log.folder / observing.FOLDER / key).exists()}
+    gone = {key for key in keys if not (log.folder / files.OBSERVATIONS / key).exists()}
     entries = [entry for entry in log.entries() if entry.observation in gone]
     return [found for _, found in _looked_at(log, entries) if isinstance(found, Sought) and found.key in gone]
 
@@ -127,7 +126,7 @@ def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]
     read = given | {"list of beacons": str(listed) if listed.is_file() else ""}
     content = [(name, _hash(hashes, name, said, entry)) for name, said in read.items() if said]
     key = files.key_of(entry.hash, entry.floor, entry.begins, entry.plan, content)
-    file = str(log.folder / observing.FOLDER / key)
+    file = str(log.folder / files.OBSERVATIONS / key)
     given |= {"floor": entry.floor, "begins": entry.begins, "made_by": files.MADE_BY}
     return Sought(entry.hash, key, file, entry.path, **given)
 
@@ -206,6 +205,6 @@ def _taken(log: Store, day: Done) -> bool:
 
 def _tidy(log: Store) -> None:
     """Remove what is no longer of use, and what processes that were killed have left."""
-    files.keep(log.folder / observing.FOLDER, {entry.observation for entry in log.entries()})
-    files.keep(log.folder / days_of.FOLDER, set())
+    files.keep(log.folder / files.OBSERVATIONS, {entry.observation for entry in log.entries()})
+    files.keep(log.folder / files.DAYS, set())
     files.keep_whole(log.folder / files.COPIES)

@@ -20,7 +20,6 @@ from pdr_graph.online.codec import pack, unpack
 if TYPE_CHECKING:
     from pdr_graph.lifelog.observation import Observation
 
-FOLDER = "days"  # in STORE.d
 Reconstruct = Callable[[str, str, "Mapping[str, Observation]", Profile | None], Day]  # as of days.reconstruct
 
 
@@ -58,7 +57,7 @@ class Chain:
     @property
     def file(self) -> Path:
         """Of the rows of the first day that is left."""
-        return Path(self.folder) / FOLDER / self.key
+        return Path(self.folder) / files.DAYS / self.key
 
     def after(self, profile: Profile | None) -> Chain:
         """The chain without its first day, after which this is known."""

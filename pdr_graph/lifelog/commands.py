@@ -11,9 +11,14 @@ from typing import Annotated
 
 import typer
 
-lifelog = typer.Typer(no_args_is_help=True, help="The days: recordings of many days and people, and what they tell.")
+lifelog = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Recordings of many days and people, and what they tell.",
+)
 
 RefusedExit, DegradedExit = 2, 3  # as of every verb of pdr-graph
+PAGES = ("report.html", "day.png")  # what to look at first
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]
 RecordingPaths = Annotated[
@@ -55,10 +60,12 @@ def add(
         bool, typer.Option("--copy", help="Keep a copy in STORE.d, so that the original may go; else it has to stay.")
     ] = False,
 ) -> None:
-    """Add recordings to a lifelog, which is made if there is none. What is there already is added once.
+    """Add recordings to a lifelog.
 
-    Options are of all the RECORDINGs; what is not said of one that is there already stays as it was.
+    It is made if there is none. What is there already is added once. Options are of all the RECORDINGs; what is not
+    said of one that is there already stays as it was.
 
+    \b
     pdr-graph lifelog add days.db walks/ --map maps/mall.geojson
     """
     from pdr_graph.lifelog.adding import add as added
@@ -99,10 +106,12 @@ def build(
         ),
     ] = False,
 ) -> None:
-    """Bring a lifelog up to date: find the steps of new recordings, and reconstruct the days that they change.
+    """Bring a lifelog up to date.
 
-    What is done is kept: a build that was interrupted goes on where it was.
+    Find the steps of new recordings, and reconstruct the days that they change. What is done is kept: a build that was
+    interrupted goes on where it was.
 
+    \b
     pdr-graph lifelog build days.db --zone Europe/Berlin --workers 2
     """
     from pdr_graph.lifelog.build import build as built
@@ -124,16 +133,26 @@ def show(
     date: Annotated[str | None, typer.Option(metavar="DATE", help="As 2024-05-01; default: the last day.")] = None,
     all_: Annotated[bool, typer.Option("--all", help="Only list the persons and days that there are.")] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="For timeline.csv, day.geojson and day.png.")
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="For the day as page, table and map; default: STORE's name-shown."),
     ] = None,
 ) -> None:
-    """Show what somebody did on a day: when, what, how far, and where.
+    """Show what somebody did on a day.
 
+    When, what, how far, and where: the list, and a folder with pictures of it that only its owner can read.
+
+    \b
+    pdr-graph lifelog show days.db
     pdr-graph lifelog show days.db --date 2024-05-01 --out monday
     """
     from pdr_graph.lifelog.show import listed, show_day
 
-    typer.echo(listed(store) if all_ else show_day(store, person, date, out), nl=False)
+    if all_:
+        typer.echo(listed(store), nl=False)
+        return
+    folder = out or Path(f"{store.stem}-shown")
+    typer.echo(show_day(store, person, date, folder), nl=False)
+    typer.echo(f"-> {next((folder / page for page in PAGES if (folder / page).exists()), folder)}")
 
 
 @lifelog.command()
@@ -156,8 +175,11 @@ def export(
         list[str] | None, typer.Option(metavar="PLACE", help="Say only roughly when one was where near it.")
     ] = None,
 ) -> None:
-    """Write days as GPX, GeoJSON or CSV, without the places that are to stay private.
+    """Write days as GPX, GeoJSON or CSV.
 
+    Without the places that are to stay private.
+
+    \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200
     """
     from pdr_graph.lifelog.giving import give

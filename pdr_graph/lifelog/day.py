@@ -14,7 +14,7 @@ from pdr_graph.gait.profile import Profile
 from pdr_graph.types import Array, Trajectory
 
 WALKING, STANDING, VEHICLE, GAP = "walking", "standing", "vehicle", "gap"
-KINDS = (WALKING, STANDING, VEHICLE, GAP)
+KINDS = (STANDING, WALKING, VEHICLE, GAP)  # numbered as in `estimation.positions`
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from pdr_graph.lifelog.grouping import Group, groups_of
 from pdr_graph.lifelog.joining import joined_fixes
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.places import stays_of_positions
-from pdr_graph.lifelog.positions import follow_positions
+from pdr_graph.lifelog.segments import follow_positions
 from pdr_graph.lifelog.walks import Walked, building_of, walked
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pdr_graph.io import gpx
 from pdr_graph.io.positions import RADIUS_68
-from pdr_graph.io.writers import TRAJECTORY_HEADER, cell
+from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
 from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
 from pdr_graph.lifelog.parts import floors_along, part, sigma, stretches
 from pdr_graph.lifelog.timeline import PASSING, STAY
@@ -141,10 +141,6 @@ def as_csv(day: Day) -> bytes:
 
 
 def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
-    covariance = np.full((len(track), 3, 3), np.nan) if track.covariance is None else track.covariance
     lonlat = outing.frame.to_lonlat(track.position) if outing.frame.georeferenced else np.full((len(track), 2), np.nan)
-    spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    table = np.column_stack([outing.epoch + track.time, track.position, track.heading, spread, covariance[:, 0, 1]])
-    for (t, x, y, h, sx, sy, sh, xy), floor, (lon, lat) in zip(table.tolist(), track.floor, lonlat, strict=True):
-        place = "," if np.isnan(lat) else f"{lat:.8f},{lon:.8f}"
-        yield f"{number},{t:.4f},{x:.4f},{y:.4f},{h:.5f},{cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f},{place}"
+    for row, (lon, lat) in zip(trajectory_rows(track, outing.epoch), lonlat, strict=True):
+        yield f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}"

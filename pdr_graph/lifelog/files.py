@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 
 from pdr_graph.errors import InputError
 
-MADE_BY = f"{version('pdr_graph')}, 1"  # raise the number whenever observations or days come out otherwise
-COPIES = "recordings"  # folder of copies
+MADE_BY = f"{version('pdr_graph')}, 2"  # raise the number whenever observations or days come out otherwise
+OBSERVATIONS, DAYS, COPIES = "observations", "days", "recordings"  # folders in STORE.d
 UNDER_WAY = ".part"  # how a name ends while the file is being written
 Made = TypeVar("Made")
 

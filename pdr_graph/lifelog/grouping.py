@@ -9,11 +9,10 @@ from itertools import groupby
 
 import numpy as np
 
-from pdr_graph.lifelog.observation import Observation
+from pdr_graph.lifelog.observation import FEWEST, Observation
 
 LONGEST_GAP = 600.0  # [s] over which recordings are still one outing: beyond, they may have gone anywhere
 OVERLAP = 1.0  # [s] by which a recording may begin before the one before has ended
-FEWEST = 2  # positions that make an outing
 
 Named = tuple[str, Observation]
 

@@ -17,6 +17,7 @@ from pdr_graph.types import Array, Index, Mask, Trajectory
 
 SHORTEST = 60.0  # [s] between two hidden stretches for which it is worth showing anything
 LEG = 30.0  # [m] over which a track's direction is taken
+AT_ONCE = 50  # rows that are looked at, from the end of a track on
 MOST_BEHIND = 1000  # rows among which a leg begins: it takes half a kilometre of steps to stand for so many
 
 
@@ -77,15 +78,18 @@ def _turned(track: Trajectory, run: Run, lonlat: Array, places: Sequence[Private
 
 
 def _turned_away(position: Array, lonlat: Array, own: Index, places: Sequence[PrivatePlace]) -> Index:
-    """Rows up to one from which the hidden area is not straight on, or which is far from it."""
+    """Rows up to the last one from which the hidden area is not straight on, or which is far from it."""
     if not len(own):
         return own
     place = min(places, key=lambda p: p.away(lonlat[own[-1:]])[0])
-    far = np.flatnonzero(place.away(lonlat[own]) > 2 * place.radius)
-    kept = int(far[-1]) + 1 if len(far) else 0
-    behind = [own[_behind(position[own[max(0, n - MOST_BEHIND) : n + 1]], n)] for n in range(kept, len(own))]
-    clear = np.flatnonzero(~place.ahead(lonlat[own[kept:]], lonlat[behind])) if behind else []
-    return own[: kept + (int(clear[-1]) + 1 if len(clear) else 0)]
+    for after in range(len(own), 0, -AT_ONCE):
+        number = range(max(after - AT_ONCE, 0), after)
+        behind = [own[_behind(position[own[max(0, n - MOST_BEHIND) : n + 1]], n)] for n in number]
+        here = lonlat[own[number]]
+        good = np.flatnonzero((place.away(here) > 2 * place.radius) | ~place.ahead(here, lonlat[behind]))
+        if len(good):
+            return own[: number[good[-1]] + 1]
+    return own[:0]
 
 
 def _behind(position: Array, number: int) -> int:

@@ -83,9 +83,9 @@ def frame_of(parts: Sequence[Observation]) -> Frame:
 
 def fixes_in(frame: Frame, part: Observation) -> Fixes:
     """The positions of a recording in another frame, which must be on earth if they are in one."""
-    if part.frame == frame or not len(part.fixes):
+    if not len(part.fixes):
         return part.fixes
-    return replace(part.fixes, position=frame.from_lonlat(part.frame.to_lonlat(part.fixes.position)))
+    return replace(part.fixes, position=frame.from_frame(part.frame, part.fixes.position))
 
 
 def joined_fixes(parts: Sequence[Observation]) -> tuple[Frame, Fixes]:

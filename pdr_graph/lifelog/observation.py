@@ -18,10 +18,11 @@ from pdr_graph.gait.pdr import detect_steps
 from pdr_graph.gait.profile import Profile
 from pdr_graph.inertial.magnetometer import measured_field
 from pdr_graph.inputs import placed_beacons, read_inputs
-from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Sightings, Signal, Steps
+from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
 
 AT_ENDS = 1.5  # [s] at either end of a recording over which the field is taken
 SHORTEST_LOOK = 1.0  # [s] of standing: less is the rhythm of a walk
+FEWEST = 2  # positions that make an outing without steps
 PRESSURE_RATE = 5.0  # [Hz] that are kept of a barometer: climbs take seconds
 
 
@@ -88,9 +89,10 @@ def observe(
     epoch = walk.epoch if begins is None else begins
     if epoch is None:
         raise InputError(recording, "", "no date", "--begins, when it was recorded")
+    check_tells(recording, walk, len(given.fixes))
     steps, looks, headings, ends = None, np.empty(0), Headings.none(), None
     last = [s.time[-1] for s in walk.signals.values()] or [given.fixes.time[-1]]
-    if walk.accelerometer is not None or walk.linear_acceleration is not None:
+    if walk.has_acceleration:
         gaits = gait_of(walk)
         steps, headings = detect_steps(gaits, known), magnetic_headings(gaits, given.frame, given.near)
         looks, ends = _looks(gaits, steps), _ends(gaits)
@@ -113,6 +115,12 @@ def observe(
         profile=given.walker.profile,
         notes=tuple(notes),
     )
+
+
+def check_tells(recording: Path, walk: Recording, positions: int) -> None:
+    """Raise InputError where a recording tells neither steps nor a way."""
+    if not walk.has_acceleration and positions < FEWEST:
+        raise InputError(recording, "", f"no acceleration and {positions} positions", f"steps, or {FEWEST} positions")
 
 
 def _looks(gaits: list[Gait], steps: Steps) -> Array:

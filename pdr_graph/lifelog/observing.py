@@ -15,7 +15,6 @@ from pdr_graph.lifelog.content import content_hash
 if TYPE_CHECKING:
     from pdr_graph.lifelog.observation import Observation
 
-FOLDER = "observations"  # in STORE.d
 LATEST = 7_258_118_400.0  # [s] Unix time of the year 2200: a clock beyond that, or before 1970, was never set
 Observe = Callable[..., "Observation"]  # as of observation.observe
 
@@ -83,7 +82,7 @@ def observations_in(folder: Path, recordings: Sequence[tuple[str, str]]) -> dict
     """
     found: dict[str, Observation] = {}
     for name, key in recordings:
-        file = folder / FOLDER / key
+        file = folder / files.OBSERVATIONS / key
         one = observation_in(file)
         if one is None:
             file.unlink(missing_ok=True)  # the next build has it made anew

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import GAP, VEHICLE, Day, Outing, Stay
-from pdr_graph.lifelog.parts import part, rows, stretches
+from pdr_graph.lifelog.parts import part, stretches
 from pdr_graph.types import Array, Trajectory
 
 SURROUNDINGS = 0.12  # share of what is shown around it
@@ -60,7 +60,7 @@ class Panel:
     @property
     def starts(self) -> tuple[Trajectory, ...]:
         """The first row of each outing."""
-        return tuple(rows(own[0], slice(0, 1)) for own in self.ways if own)
+        return tuple(own[0][0] for own in self.ways if own)
 
 
 def panels(day: Day) -> tuple[Panel, ...]:
@@ -131,22 +131,18 @@ def _drawn(outing: Outing, frame: Frame) -> Iterator[Drawn]:
 
 def _gap(before: Trajectory, after: Trajectory) -> Drawn:
     """From the last row of one to the first of the other."""
-    ends = rows(before, slice(-1, None)), rows(after, slice(0, 1))
+    ends = before[-1], after[0]
     time, position, heading = (np.concatenate([getattr(e, n) for e in ends]) for n in ("time", "position", "heading"))
     (one,), (other,) = (end.floor for end in ends)
     return Drawn(GAP, one if one == other else "", Trajectory(time, position, heading, (one, other)))
 
 
 def _in(frame: Frame, outing: Outing, track: Trajectory) -> Trajectory:
-    return replace(track, time=track.time + outing.epoch, position=_place(track.position, outing.frame, frame))
-
-
-def _place(position: Array, old: Frame, new: Frame) -> Array:
-    return position if old == new else new.from_lonlat(old.to_lonlat(position))
+    return replace(track, time=track.time + outing.epoch, position=frame.from_frame(outing.frame, track.position))
 
 
 def _moved(stay: Stay, old: Frame, new: Frame) -> Stay:
-    return replace(stay, position=_place(stay.position[None], old, new)[0])
+    return replace(stay, position=new.from_frame(old, stay.position[None])[0])
 
 
 def _by_floor(track: Trajectory) -> Iterator[Trajectory]:
@@ -154,7 +150,7 @@ def _by_floor(track: Trajectory) -> Iterator[Trajectory]:
     changes = [n for n, (one, other) in enumerate(pairwise(track.floor), 1) if one != other]
     for first, last in pairwise([0, *changes, len(track)]):
         if last > first:
-            yield rows(track, slice(max(first - 1, 0), last))
+            yield track[max(first - 1, 0) : last]
 
 
 def _around(position: Array, least: float) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_graph.geometry import interpolate, length_along, nearest, wrap_angle
 from pdr_graph.lifelog.day import GAP, Outing, Segment, Stay
-from pdr_graph.types import INSTANT, Array, Index, Mask, Trajectory
+from pdr_graph.types import INSTANT, Array, Trajectory
 
 PRIVATE = "private"  # kind of a segment that an export leaves out at its user's wish
 UNSEEN = (GAP, PRIVATE)
@@ -53,7 +53,7 @@ def recorded(outing: Outing) -> Trajectory:
     bridge = np.zeros(len(track), dtype=bool)
     for gap in (segment for segment in outing.segments if segment.kind == GAP):
         bridge |= (track.time > gap.start + INSTANT) & (track.time < gap.end - INSTANT)
-    return rows(track, ~bridge) if bridge.any() else track
+    return track[~bridge] if bridge.any() else track
 
 
 def _rows_of(track: Trajectory, segments: Sequence[Segment]) -> Trajectory:
@@ -65,22 +65,14 @@ def _rows_of(track: Trajectory, segments: Sequence[Segment]) -> Trajectory:
 def within(track: Trajectory, start: float, end: float) -> Trajectory:
     """The rows from ``start`` to ``end`` [s], both included."""
     first, last = np.searchsorted(track.time, [start - INSTANT, end + INSTANT])
-    return rows(track, slice(int(first), int(last)))
-
-
-def rows(track: Trajectory, which: slice | Mask | Index) -> Trajectory:
-    """Some rows of a trajectory."""
-    index = np.arange(len(track))[which]
-    covariance = None if track.covariance is None else track.covariance[index]
-    floor = tuple(track.floor[i] for i in index)
-    return Trajectory(track.time[index], track.position[index], track.heading[index], floor, covariance)
+    return track[int(first) : int(last)]
 
 
 def part(track: Trajectory, start: float, end: float) -> Trajectory:
     """A trajectory from ``start`` to ``end`` [s], or from where it begins to where it ends, with a row at both."""
     start, end = max(start, float(track.time[0])), min(end, float(track.time[-1]))
     between = track.time[(track.time > start + INSTANT) & (track.time < end - INSTANT)]
-    return at(track, np.unique([start, *between, end])) if start <= end else rows(track, slice(0))
+    return at(track, np.unique([start, *between, end])) if start <= end else track[:0]
 
 
 def at(track: Trajectory, time: Array) -> Trajectory:

@@ -17,7 +17,7 @@ from pdr_graph.lifelog.parts import UNSEEN
 from pdr_graph.lifelog.picture_hours import draw_hours
 from pdr_graph.lifelog.picture_map import draw_map
 from pdr_graph.lifelog.picture_style import COLOURS, families
-from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, spoken, timeline, totals
+from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, in_words, timeline, totals
 
 WIDTH, HOURS, HEAD, MARGIN = 13.0, 1.9, 0.7, 0.15  # [inch] of the picture; heights of its hours and head
 MAP_HEIGHT = (7.0, 5.0, 4.4)  # [inch] of one map in a row, of two, of three
@@ -54,13 +54,9 @@ def _drawn(day: Day, zone: tzinfo) -> Figure:
 
 def _draw_head(figure: Figure, day: Day, entries: Sequence[Entry], height: float) -> None:
     """Whose day it is, its sums, and what the colours mean."""
-    sums = totals(day, entries)
-    said = [f"walked {sums.walked / 1000:.2f} km in {spoken(sums.walking)}"]
-    said += [f"rode {sums.ridden / 1000:.1f} km in {spoken(sums.riding)}"] if sums.riding else []
-    said += [f"stayed {spoken(sums.staying)}"] if sums.staying else []
     whose = f"{one_line(day.person)}   {day.date}"
     figure.text(0.012, 1 - 0.25 / height, whose, fontsize=13, weight="bold", va="center")
-    figure.text(0.012, 1 - 0.52 / height, "     ".join(said), fontsize=9.5, va="center")
+    figure.text(0.012, 1 - 0.52 / height, "     ".join(in_words(totals(day, entries))), fontsize=9.5, va="center")
     kinds = [kind for kind in COLOURS if any(entry.kind == kind for entry in entries)]
     names, place = [WORDS.get(kind, kind) for kind in kinds], (0.995, 1 - 0.05 / height)
     style = {"ncols": max(len(kinds), 1), "frameon": False, "fontsize": 9, "handlelength": 1.6, "columnspacing": 1.2}

@@ -13,7 +13,7 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.lifelog.day import Stay
 from pdr_graph.lifelog.panels import Drawn, Panel
-from pdr_graph.lifelog.parts import UNSEEN, rows
+from pdr_graph.lifelog.parts import UNSEEN
 from pdr_graph.lifelog.picture_style import COLOURS, HALO, INK, LABEL, short, width
 from pdr_graph.lifelog.timeline import PASSING, STAY, spoken
 from pdr_graph.plotting import LONGEST_SIDE, TRACK, draw_plan, draw_uncertainty
@@ -88,14 +88,14 @@ def _near(track: Trajectory, low: Array, high: Array) -> list[Trajectory]:
     """The parts of a track that are on a map or not far from it."""
     margin = high - low
     inside = np.flatnonzero(np.all((track.position > low - margin) & (track.position < high + margin), axis=1))
-    return [rows(track, own) for own in np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(own)]
+    return [track[own] for own in np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(own)]
 
 
 def _corners_on(panel: Panel, other: Panel) -> Array | None:
     """Corners ``(2, 2)`` of another map on this one; None if it is not a part of it."""
     if other is panel or panel.plan or not (panel.frame.georeferenced and other.frame.georeferenced):
         return None
-    corners = panel.frame.from_lonlat(other.frame.to_lonlat(other.corners))
+    corners = panel.frame.from_frame(other.frame, other.corners)
     part = np.max(corners[1] - corners[0]) < panel.width and all(_lies_in(panel.corners, corner) for corner in corners)
     return corners if part else None
 

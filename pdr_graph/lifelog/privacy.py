@@ -30,7 +30,7 @@ from pdr_graph.frames import enu
 from pdr_graph.lifelog.blurring import blurred, quarter_after
 from pdr_graph.lifelog.day import WALKING, Day, Outing, Segment
 from pdr_graph.lifelog.hiding import Run, hidden_rows, shown_runs
-from pdr_graph.lifelog.parts import PRIVATE, Part, later, recorded, rows, shares
+from pdr_graph.lifelog.parts import PRIVATE, Part, later, recorded, shares
 from pdr_graph.lifelog.private_places import PrivatePlace, hides, same_name
 from pdr_graph.types import INSTANT, Trajectory
 
@@ -78,7 +78,7 @@ def _begin(outing: Outing, run: Run, free: float) -> float:
 
 def _shown(outing: Outing, run: Run, begin: float, places: Sequence[PrivatePlace]) -> Part:
     """A run as it is, from another time on."""
-    track = rows(outing.trajectory, slice(run.first, run.last + 1))
+    track = outing.trajectory[run.first : run.last + 1]
     start, end = float(track.time[0]), float(track.time[-1])
     by = begin - start
     bounds = [(s, max(s.start, start), min(s.end, end)) for s in outing.segments]
@@ -132,8 +132,8 @@ def _reframed(outing: Outing) -> Outing:
     position = outing.trajectory.position
     lon, lat = np.round(outing.frame.to_lonlat(position[:1])[0], ORIGIN_DIGITS).tolist()
     frame, old = enu(lat, lon), outing.frame
-    track = replace(outing.trajectory, position=frame.from_lonlat(old.to_lonlat(position)))
-    stays = tuple(replace(s, position=frame.from_lonlat(old.to_lonlat(s.position[None]))[0]) for s in outing.stays)
+    track = replace(outing.trajectory, position=frame.from_frame(old, position))
+    stays = tuple(replace(s, position=frame.from_frame(old, s.position[None])[0]) for s in outing.stays)
     return replace(outing, frame=frame, trajectory=track, stays=stays)
 
 

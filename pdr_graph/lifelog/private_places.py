@@ -19,7 +19,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -171,8 +171,8 @@ def _named(text: str, plans: Sequence[str], secret: bytes) -> Iterator[PrivatePl
         raise InputError("a private place", text, f"no such name on {len(plans)} plans", NEEDED)
     for frame, shape in found:
         lon, lat = frame.to_lonlat(shapely.get_coordinates(shapely.centroid(shape)))[0].tolist()
-        own, given = enu(lat, lon), frame
-        moved = shapely.transform(shape, lambda p, own=own, given=given: own.from_lonlat(given.to_lonlat(p)))
+        own = enu(lat, lon)
+        moved = shapely.transform(shape, partial(own.from_frame, frame))
         if shapely.get_dimensions(moved) < 2:  # a stand that the plan has as a point, a wall as a line
             moved = shapely.buffer(moved, SMALLEST)
         yield _hidden(text, own, moved, secret)

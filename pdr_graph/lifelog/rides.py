@@ -14,8 +14,7 @@ from pdr_graph.estimation.reach import DRIVEN, STRETCHED, WITHIN
 from pdr_graph.gait.gaps import SIGMA_TURN
 from pdr_graph.geometry import interpolate, length_along, walked
 from pdr_graph.lifelog.day import GAP, VEHICLE, Segment
-from pdr_graph.lifelog.positions import follow_positions
-from pdr_graph.lifelog.segments import PAUSE
+from pdr_graph.lifelog.segments import PAUSE, follow_positions
 from pdr_graph.types import INSTANT, Array, Fixes, Steps, Trajectory
 
 SPEED = 10.0  # [m/s] standard deviation per axis of where a ride takes them: traffic in a town

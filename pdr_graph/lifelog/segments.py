@@ -1,4 +1,4 @@
-"""What a walk with steps was made of: walking, standing, rides, and gaps in the recording."""
+"""What an outing was made of, by its steps or by positions alone: walking, standing, rides and gaps."""
 
 from __future__ import annotations
 
@@ -6,15 +6,23 @@ from itertools import pairwise
 
 import numpy as np
 
+from pdr_graph.estimation.moves import RIDES, STANDS, WALKS
+from pdr_graph.estimation.positions import LOST, way_through
 from pdr_graph.geometry import length_along
-from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING, Segment
-from pdr_graph.types import INSTANT, Array, Index, Mask, Steps, Trajectory
+from pdr_graph.lifelog.day import KINDS, Segment
+from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Steps, Trajectory
 
 # A bout of walking ends with a rest of 3 s and has two strides of either foot at least (Kluge et al., "Consensus based
 # framework for digital mobility monitoring", PLOS ONE 16(8), 2021); a detector may miss the first and the last step
 PAUSE = 5.0  # [s]
 FEWEST = 4  # steps: fewer between two pauses are shuffling
-WALKS, STANDS, RIDES, LOST = (KINDS.index(kind) for kind in (WALKING, STANDING, VEHICLE, GAP))
+
+
+def follow_positions(fixes: Fixes) -> tuple[Trajectory, tuple[Segment, ...]]:
+    """The way through positions alone, as of `way_through`, and its segments from the first fix to the last."""
+    way = way_through(fixes)
+    gone = np.diff(length_along(way.trajectory.position))
+    return way.trajectory, _segments(way.kind, way.trajectory.time, gone)
 
 
 def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Segment, ...]:
@@ -37,9 +45,13 @@ def segments_of(steps: Steps, trajectory: Trajectory, rides: Array) -> tuple[Seg
 
     lasting = np.diff(edge) > INSTANT
     parts, distance, edge = parts[lasting], distance[lasting], np.append(edge[:-1][lasting], edge[-1])
-    parts = _without_shuffling(parts, distance)
+    return _segments(_without_shuffling(parts, distance), edge, distance)
+
+
+def _segments(parts: Index, edge: Array, gone: Array) -> tuple[Segment, ...]:
+    """Runs of parts ``(p,)`` of one kind; from edge to edge ``(p + 1,)`` [s] each has gone so far [m]."""
     return tuple(
-        Segment(KINDS[parts[a]], float(edge[a]), float(edge[b]), _gone(parts[a], distance[a:b]))
+        Segment(KINDS[parts[a]], float(edge[a]), float(edge[b]), _distance(parts[a], gone[a:b]))
         for a, b in pairwise(_changes(parts))
     )
 
@@ -70,8 +82,8 @@ def _without_shuffling(parts: Index, distance: Array) -> Index:
 
 def _changes(parts: Index) -> list[int]:
     """Where runs of one kind begin, and the end."""
-    return [0, *(np.flatnonzero(np.diff(parts)) + 1).tolist(), len(parts)]
+    return [*np.flatnonzero(np.diff(parts, prepend=-1)).tolist(), len(parts)]
 
 
-def _gone(kind: int, distance: Array) -> float:
-    return float(distance.sum()) if kind in (WALKS, RIDES) else 0.0
+def _distance(kind: int, gone: Array) -> float:
+    return float(gone.sum()) if kind in (WALKS, RIDES) else 0.0

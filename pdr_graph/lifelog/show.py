@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from zoneinfo import ZoneInfo
 
@@ -26,7 +27,8 @@ def listed(path: Path) -> str:
 
 
 def show_day(path: Path, person: str | None = None, date: str | None = None, out: Path | None = None) -> str:
-    """The timeline of a day for a terminal; out: a folder for it as ``timeline.csv``, ``day.geojson`` and ``day.png``.
+    """The timeline of a day for a terminal; out: a folder for it as ``timeline.csv``, ``day.geojson``, ``day.png``
+    and ``report.html``.
 
     person: need not be said where there is only one; date: the last one if it is not said. Raises InputError if there
     is no such day.
@@ -46,14 +48,25 @@ def show_day(path: Path, person: str | None = None, date: str | None = None, out
             warnings.filterwarnings("ignore", "Glyph")  # names that no font here has are boxes
             picture(day, zone).savefig(drawn, format="png", dpi=DOTS)
         files.write(out / "day.png", drawn.getvalue())
-    return printed(day, entries, zone) + "".join(f"{line}\n" for line in _remarks(day))
+    missing = [line for outing in day.outings for line in outing.missing]
+    said = [*notes([day]), *(line for outing in day.outings for line in outing.notes)]
+    missing, said = ([one_line(line) for line in dict.fromkeys(lines)] for lines in (missing, said))
+    if out is not None:
+        missing += _write_report(out / "report.html", day, zone, missing, said)
+    remarks = [*(f"note: {line}" for line in said), *(f"missing: {line}" for line in missing)]
+    return printed(day, entries, zone) + "".join(f"{line}\n" for line in remarks)
 
 
-def _remarks(day: Day) -> list[str]:
-    """What a user must know of a day, a line each."""
-    said = [f"note: {one_line(line)}" for line in (*notes([day]), *(n for o in day.outings for n in o.notes))]
-    said += [f"missing: {one_line(line)}" for outing in day.outings for line in outing.missing]
-    return list(dict.fromkeys(said))
+def _write_report(path: Path, day: Day, zone: ZoneInfo, missing: Sequence[str], said: Sequence[str]) -> tuple[str, ...]:
+    """The day as a page; returns what could not be written."""
+    try:
+        from pdr_graph.lifelog.report import content
+        from pdr_graph.report.page import page
+
+        files.write(path, page(content(day, zone, missing, said)))
+    except Exception as error:  # a report must not cost the result
+        return (one_line(f"{path.name} ({type(error).__name__}: {error})"),)
+    return ()
 
 
 def _chosen(log: Store, person: str | None, date: str | None) -> tuple[str, str]:

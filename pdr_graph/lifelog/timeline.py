@@ -215,11 +215,14 @@ def printed(day: Day, entries: Sequence[Entry], zone: tzinfo) -> str:
         what, floor = WORDS.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
         far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
         lasted = spoken(entry.end - entry.start)
-        lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {_where(entry)}".rstrip())
-    return "\n".join([*lines, "", *_summed(totals(day, entries))]) + "\n"
+        lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {where(entry)}".rstrip())
+    sums = totals(day, entries)
+    places = ", ".join(f"{one_line(name)} {spoken(time)}" for name, time in sums.places if time >= LEAST_SAID)
+    lines += ["", "; ".join(in_words(sums)), *([f"at places: {places}"] if places else [])]
+    return "\n".join(lines) + "\n"
 
 
-def _where(entry: Entry) -> str:
+def where(entry: Entry) -> str:
     """Names with probabilities; the place in degrees where nothing has a name."""
     if entry.facing:
         (name, probability), *others = entry.facing
@@ -230,15 +233,13 @@ def _where(entry: Entry) -> str:
     return f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m" if np.isfinite(entry.x) else ""
 
 
-def _summed(sums: Totals) -> list[str]:
-    """The sums, in words."""
+def in_words(sums: Totals) -> list[str]:
+    """What was done that day, in words; of each kind that there was."""
     counted = f", {sums.steps} steps" if sums.steps else ""  # of positions alone nobody knows
     said = [f"walked {sums.walked / 1000:.2f} km in {spoken(sums.walking)}{counted}"]
     said += [f"rode {sums.ridden / 1000:.2f} km in {spoken(sums.riding)}"] if sums.riding else []
     said += [f"stayed {spoken(sums.staying)}"] if sums.staying else []
-    said += [f"not recorded {spoken(sums.unknown)}"] if sums.unknown else []
-    places = ", ".join(f"{one_line(name)} {spoken(time)}" for name, time in sums.places if time >= LEAST_SAID)
-    return ["; ".join(said), *([f"at places: {places}"] if places else [])]
+    return said + ([f"not recorded {spoken(sums.unknown)}"] if sums.unknown else [])
 
 
 def spoken(seconds: float) -> str:

@@ -126,9 +126,7 @@ def _handed_over(last: Walked | Outing | None, walk: Joined) -> Joined:
     gap = walk.epoch - (before.epoch + before.trajectory.time[-1])
     if gap > LONGEST_GAP or not (before.frame.georeferenced or before.frame == frame):
         return walk
-    place: Array = before.trajectory.position[-1:]
-    if before.frame != frame:
-        place = frame.from_lonlat(before.frame.to_lonlat(place))
+    place = frame.from_frame(before.frame, before.trajectory.position[-1:])
     variance = np.trace(before.trajectory.covariance[-1, :2, :2]) / 2 + (SPEED * max(gap, 0.0)) ** 2
     fix = Fixes(np.zeros(1), place, np.array([np.sqrt(variance)]), (before.trajectory.floor[-1],))
     return replace(walk, frame=frame, fixes=fix)

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.types import Array, Fixes, Recording, Sightings, Steps
 
 PACKET = 0.1  # [s] of samples that a phone hands over at once
@@ -38,7 +39,11 @@ Event = Samples | Fixes | Scan | Steps
 
 
 def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:
-    """A recording as it would have come in: samples in packets of so many seconds, then what was measured meanwhile."""
+    """A recording as it would have come in: samples in packets, then what was measured meanwhile.
+
+    packet: what a phone hands over at once [s].
+    """
+    expect("events_of, recording", recording, Recording, instead="load(path)")
     arriving: list[tuple[float, int, Event]] = []
     for sensor, signal in recording.signals.items():
         packets = _packets(signal.time, packet)

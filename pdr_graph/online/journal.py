@@ -35,7 +35,7 @@ Navigator = TypeVar("Navigator", bound=Journalled)
 
 
 class Journal(Generic[Navigator]):
-    """A navigator whose events outlive the process. One thread at a time.
+    """A navigator whose events outlive the process, begun or resumed by `Journal.open`. One thread at a time.
 
     navigator: rebuilt at every snapshot, not to be kept. count: events acknowledged so far, over all processes.
     """

@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.errors import expect
 from pdr_graph.estimation.graph import Prior
-from pdr_graph.estimation.incremental import IncrementalGraph, Rows
+from pdr_graph.estimation.incremental import IncrementalGraph
 from pdr_graph.estimation.initial import lay_dead_reckoning
 from pdr_graph.estimation.live_floors import LiveFloors
+from pdr_graph.estimation.live_past import Rows
 from pdr_graph.estimation.profiles import prior_of
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
@@ -29,7 +31,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.stream import Health
 from pdr_graph.online.contract import Pose
-from pdr_graph.online.events import Event, Samples
+from pdr_graph.online.events import Event, Samples, Scan
 from pdr_graph.state import restore, state_of
 from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Steps, Trajectory
 
@@ -64,7 +66,9 @@ class Navigator:
     """A walk under way.
 
     floor: whose walls are factors; lag: steps older than this are settled [s], None keeps all open; walker: whose
-    strides these are; frame: of the poses, by default the plan's, else that of the first fix; prior: see ``Prior``.
+    strides these are; frame: of the poses, by default the plan's, else that of the first fix; prior: see ``Prior``, by
+    default as of the walker's profile; beacons: where those are that scans hear; begins: label of the floor where the
+    walk begins, of a building with several; epoch: Unix time [s] of the events' 0, for the earth's magnetic field.
     """
 
     kept = ("_taken", "_early", "_absurd", "_certain")
@@ -81,6 +85,9 @@ class Navigator:
         begins: str | None = None,
         epoch: float | None = None,
     ):
+        expect("Navigator, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
+        if lag is not None and not lag > 0:
+            raise ValueError(f"Navigator, lag: found {lag}, needed seconds above 0, or None to settle nothing")
         self.walker = walker or Walker()
         self.building = None if floor is None else Building.around(floor)
         self.frame: Frame | None = None
@@ -103,6 +110,7 @@ class Navigator:
 
     def push(self, event: Event) -> None:
         """Take in an event, in the order in which they arrive."""
+        expect("Navigator.push, event", event, Samples, Fixes, Scan, Steps, instead="events_of(recording)")
         if isinstance(event, Samples):
             self._sample(event)
         elif isinstance(event, Steps):

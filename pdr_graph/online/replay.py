@@ -20,7 +20,7 @@ from pdr_graph.online.contract import Live, Pose, trajectory_of
 from pdr_graph.online.events import Event, events_of
 from pdr_graph.online.journal import Journal, fingerprint
 from pdr_graph.online.latency import Latency
-from pdr_graph.pipeline import Stages, check_rate, summarize, write_results
+from pdr_graph.pipeline import Stages, check_rate, summarize, write_report, write_results
 from pdr_graph.types import Estimate, Headings, Trajectory
 
 
@@ -38,7 +38,8 @@ def replay_recording(
     journal: Path | None = None,
     kind: Any = None,
 ) -> tuple[str, ...]:
-    """Push a recording through a navigator; write its poses, latency, smoothed trajectory, picture and summary.
+    """Push a recording through a navigator; write its poses, latency, smoothed trajectory, picture, report and
+    summary.
 
     Arguments as of ``pdr-graph replay``; lag: None keeps all of the walk open; kind: of navigator, by default
     ``Navigator``. Returns what could not be estimated or written. Raises InputError if an input cannot be used.
@@ -75,7 +76,9 @@ def replay_recording(
     summary = summarize(given.walk, None, Headings.none(), given.building, None, given.frame, estimate)
     summary |= {"steps": steps, "seconds": stage.seconds, "settings": settings | {"rate": rate}}
     summary |= {"missing": list(missing), "warnings": [*given.notes, *resumed, *estimate.warnings, *ailments]}
-    write_summary(out / "summary.json", summary)
+    with stage("report"):
+        missing += write_report(out, given, estimate, summary, causal=lambda: {"live": causal})
+    write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 
 
@@ -118,13 +121,13 @@ def _navigator() -> Any:
 
 
 def _finished(nav: Live, given: Inputs) -> tuple[Estimate, tuple[str, ...]]:
-    """The smoothed walk, and what of it could not be had; the fixes themselves where there are no steps."""
+    """The smoothed walk, and what of it could not be had; the fixes alone where there are no steps."""
     estimate = nav.finish()
     if len(estimate.trajectory):
         return estimate, () if estimate.converged else ("a settled optimum",)
     if not len(given.fixes):
         raise InputError(given.walk.source, "", "neither steps nor fixes", "accelerometer samples of a second or more")
-    return follow(given.fixes), ("steps: none could be had, so that this is the fixes themselves",)
+    return follow(given.fixes), ("steps: none could be had, so that this is the fixes alone, smoothed",)
 
 
 def _shown(events: Sequence[Event]) -> Iterable[Event]:

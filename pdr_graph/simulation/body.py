@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -20,6 +20,7 @@ REHOLD = 1.4  # [s] to take the phone from one place to another
 SMOOTHING = 0.10  # [s] by which no body changes its speed
 LIFT_SPEED, LIFT_ACCELERATION = 1.6, 0.9  # [m/s], [m/s²]
 CART_ACCELERATION = 0.5  # [m/s²]
+QUANTITIES = ("position", "height", "heading", "phase", "step_length", "rolling", "floor")  # of a piece of the movement
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,8 @@ def move(
 
     start: ``(2,)`` [m]; heading [rad], floor and hold of the phone there; rate [Hz]; clearances: by floor.
     """
-    mover = _Mover(walker, np.asarray(start, dtype=float), heading, floor, hold, rate, random, clearances or {})
+    held = [Event(0.0, 0.0, "hold", hold)]
+    mover = _Mover(walker, np.asarray(start, dtype=float), heading, [floor], held, rate, random, clearances or {})
     for stretch in stretches:
         match stretch:
             case Walk():
@@ -154,29 +156,24 @@ def move(
     return mover.body()
 
 
+@dataclass
 class _Mover:
     """Where the walker is, and the pieces of the movement so far: one array per quantity and piece."""
 
-    QUANTITIES = ("position", "height", "heading", "phase", "step_length", "rolling", "floor")
-
-    def __init__(
-        self,
-        walker: Walker,
-        start: Array,
-        heading: float,
-        floor: str,
-        hold: str,
-        rate: float,
-        random: np.random.Generator,
-        clearances: Mapping[str, Clearance],
-    ):
-        self.walker, self.rate, self.random, self.clearances = walker, rate, random, clearances
-        self.where, self.height, self.heading, self.strides = start, 0.0, heading, 0.0
-        self.floors, self.samples = [floor], 0
-        self.pieces: list[dict[str, Array]] = []
-        self.landings: list[Array] = []
-        self.lengths: list[Array] = []
-        self.events = [Event(0.0, 0.0, "hold", hold)]
+    walker: Walker
+    where: Array
+    heading: float
+    floors: list[str]
+    events: list[Event]
+    rate: float
+    random: np.random.Generator
+    clearances: Mapping[str, Clearance]
+    height: float = 0.0
+    strides: float = 0.0
+    samples: int = 0
+    pieces: list[dict[str, Array]] = field(default_factory=list)
+    landings: list[Array] = field(default_factory=list)
+    lengths: list[Array] = field(default_factory=list)
 
     def walk(self, stretch: Walk) -> None:
         """From standing to standing along the corners."""
@@ -249,7 +246,7 @@ class _Mover:
 
     def body(self) -> Body:
         """The whole movement."""
-        whole = {name: np.concatenate([piece[name] for piece in self.pieces]) for name in self.QUANTITIES}
+        whole = {name: np.concatenate([piece[name] for piece in self.pieces]) for name in QUANTITIES}
         smooth = SMOOTHING * self.rate
         for name in ("position", "height", "heading", "step_length"):
             whole[name] = gaussian_filter1d(whole[name], smooth, axis=0, mode="nearest")
@@ -278,7 +275,7 @@ class _Mover:
             "phase": self.strides,
             "floor": len(self.floors) - 1,
         }
-        shapes = {name: (count, 2) if name == "position" else (count,) for name in self.QUANTITIES}
+        shapes = {name: (count, 2) if name == "position" else (count,) for name in QUANTITIES}
         given = still | values
         self.pieces.append({name: np.broadcast_to(given.get(name, 0.0), shape) for name, shape in shapes.items()})
         self.samples += count

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.io.positions import RADIUS_68
 from pdr_graph.simulation.body import Body
 from pdr_graph.simulation.noise import autoregressive
 from pdr_graph.simulation.sensors import Scatter
 from pdr_graph.types import Array, Fixes, Index, Sightings
 
-RADIUS_68 = 1.51  # [σ per axis] of a circular normal distribution
 ACCURACY_SPREAD = 0.25  # of a receiver's reported accuracy about the true one (log-normal)
 SYSTEMATIC, SYSTEMATIC_TIME = 0.9, 50.0  # share of the error that stays, and for how long [s]: paths, atmosphere
 OUTLIER = 5.0  # of the usual accuracy

@@ -22,9 +22,11 @@ ROWS_AT_ONCE = 50_000
 def write(walk: Simulation, folder: Path) -> None:
     """Write the recording, ``truth.csv``, ``steps.csv``, ``events.csv``, and ``gnss.csv``, ``fixes.csv`` if any.
 
-    Times in all of them are the recorder's own.
+    Times in all of them are the recorder's own. A plan of one file is laid beside them, as ``plan.geojson``.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    if walk.scenario.plan is not None and walk.scenario.plan.is_file():
+        (folder / "plan.geojson").write_bytes(walk.scenario.plan.read_bytes())
     RECORDERS[walk.scenario.recorder](walk, folder)
     start, body = walk.scenario.start, walk.body
     every = max(1, round(body.rate / TRUTH_RATE))

@@ -20,6 +20,7 @@ from pdr_graph.simulation.itinerary import Route, route_of
 from pdr_graph.simulation.radio import Receiver, Transmitter
 from pdr_graph.simulation.recorders import RECORDERS
 from pdr_graph.simulation.sensors import Clock
+from pdr_graph.simulation.shipped import scenario_file
 
 RANGES = {
     "seed": (0, 1e15, ""),
@@ -88,10 +89,12 @@ class GivenFixes:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One simulated walk.
+    """One simulated walk (docs/simulation.md).
 
-    name: of its file; recorder: of RECORDERS; platform: "android" or "ios"; start: Unix time [s];
-    place: longitude and latitude of (0, 0) [deg]; gnss, given: None for none; beacons, access_points: who is heard.
+    name: of its file; route: where to; walker: who walks; phone: that is carried; seed: of all chance; recorder: of
+    RECORDERS; platform: "android" or "ios"; start: Unix time [s]; place: longitude and latitude of (0, 0) [deg];
+    plan: its file, None without one; plans: its floors by label; gnss, given: None for none; beacons, access_points:
+    who is heard.
     """
 
     name: str
@@ -101,6 +104,7 @@ class Scenario:
     recorder: str = "sensor_logger"
     platform: str = "android"
     place: tuple[float, float] = PLACE
+    plan: Path | None = None
     plans: Mapping[str, FloorPlan] = field(default_factory=dict)
     walker: Person = field(default_factory=Person)
     phone: Phone = field(default_factory=Phone)
@@ -111,8 +115,11 @@ class Scenario:
 
     @classmethod
     def load(cls, path: str | Path) -> Scenario:
-        """Read a scenario. Raises InputError naming the place in the file."""
-        path = Path(path)
+        """Read a scenario; path: of its file, or the name of one that comes with the package, as "arcade".
+
+        Raises InputError naming the place in the file.
+        """
+        path = scenario_file(path)
         return cls.of(read_toml(path), path)
 
     @classmethod
@@ -126,7 +133,8 @@ def _scenario(path: Path, given: dict[str, Any]) -> Scenario:
     known(path, "", given, allowed.split())
     seed = typed(path, "seed", given.get("seed", 0), int)
     _within(path, "seed", seed)
-    plans = _plans(path, given)
+    plan = path.parent / typed(path, "plan", given["plan"], str) if "plan" in given else None
+    plans = {floor.label: floor for floor in FloorPlan.load_all(plan)} if plan else {}
     phone = _section(path, "phone", given, Phone)
     one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
     for sensor in phone.sensors:
@@ -147,6 +155,7 @@ def _scenario(path: Path, given: dict[str, Any]) -> Scenario:
         recorder=one_of(path, "recorder", given.get("recorder", Scenario.recorder), tuple(RECORDERS)),
         platform=one_of(path, "platform", given.get("platform", Scenario.platform), ("android", "ios")),
         place=_place(path, given.get("place", PLACE)),
+        plan=plan,
         plans=plans,
         walker=person,
         phone=phone,
@@ -155,13 +164,6 @@ def _scenario(path: Path, given: dict[str, Any]) -> Scenario:
         beacons=_beacons(path, given.get("beacons", {}), plans),
         access_points=_access_points(path, given, plans, route),
     )
-
-
-def _plans(path: Path, given: dict[str, Any]) -> dict[str, FloorPlan]:
-    if "plan" not in given:
-        return {}
-    plan = path.parent / typed(path, "plan", given["plan"], str)
-    return {floor.label: floor for floor in FloorPlan.load_all(plan)}
 
 
 def _section(path: Path, name: str, given: dict[str, Any], kind: type[Section]) -> Section:

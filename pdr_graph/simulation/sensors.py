@@ -19,6 +19,7 @@ WARMING, WARMING_TIME = 8.0, 900.0  # [K] by which a phone that records warms up
 SEA_LEVEL, LAPSE, EXPONENT = 1013.25, 2.25577e-5, 5.25588  # [hPa], [1/m]: the standard atmosphere
 DISTURBANCE_RATE = 10.0  # [Hz] at which a walker's way through a disturbed field is seen
 WEATHER, WEATHER_TIME = 0.15, 1200.0  # [hPa] by which the air pressure wanders, over which time [s]
+WAVES = 24  # that make a random pattern
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,12 @@ class Scatter:
     sizes: Array
 
     @classmethod
-    def drawn(cls, random: np.random.Generator, length: float, values: int, waves: int = 24) -> Scatter:
+    def drawn(cls, random: np.random.Generator, length: float, values: int) -> Scatter:
         """length: over which it changes [m]; values: how many patterns."""
         return cls(
-            random.normal(0, 1 / length, (waves, 2)),
-            random.uniform(0, 2 * np.pi, (waves, values)),
-            random.normal(0, np.sqrt(2 / waves), (waves, values)),
+            random.normal(0, 1 / length, (WAVES, 2)),
+            random.uniform(0, 2 * np.pi, (WAVES, values)),
+            random.normal(0, np.sqrt(2 / WAVES), (WAVES, values)),
         )
 
     def at(self, position: Array) -> Array:

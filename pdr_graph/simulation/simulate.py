@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from pdr_graph.earth import earth_field
+from pdr_graph.errors import expect
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
 from pdr_graph.inertial.attitude import Attitude
@@ -77,6 +78,7 @@ def simulate(scenario: Scenario) -> Simulation:
 
     What steel and walls do to the magnetic field and to radio is the place's, and the same for every walk there.
     """
+    expect("simulate, scenario", scenario, Scenario, instead='Scenario.load("arcade")')
     streams = np.random.default_rng(scenario.seed).spawn(10)
     frame = next((plan.frame for plan in scenario.plans.values()), enu(*scenario.place[::-1]))
     place = np.random.default_rng(np.round((frame.to_lonlat(np.zeros((1, 2)))[0] + 360) * 1e6).astype(int))

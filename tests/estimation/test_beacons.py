@@ -4,12 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from test_incremental import some
 from test_receivers import assert_derivatives, meander, random_state
 from walks import dead_reckon, fixes_at, steps_of
 
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.beacons import HIGH, levels
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.incremental import IncrementalGraph
+from pdr_graph.estimation.live_observations import LiveBeacons, SeenLevel
 from pdr_graph.estimation.smoothers import smooth
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.beacons import beside, read_beacons
@@ -119,6 +122,27 @@ def test_a_beacon_that_nobody_surveyed_is_placed_by_the_walk():
     report = estimate.beacons[2]
     assert report.reason == "its place is learnt"
     assert (report.x, report.y) == pytest.approx(beacons.position[2], abs=4.0)
+
+
+def test_live_every_level_that_was_heard_is_in_the_graph(monkeypatch):
+    """Also those that are due at the very keyframe at which the walk is laid out anew."""
+    said, taken, due = round_the_block(120), list[SeenLevel](), LiveBeacons.due
+    monkeypatch.setattr(LiveBeacons, "due", lambda *given: (taken.extend(new := due(*given)), new)[1])
+    track = dead_reckon(said)
+    beacons = beacons_about(track)
+    sightings, graph = heard(track, beacons.position), IncrementalGraph()
+    graph.survey(beacons)
+    for n in range(len(said)):
+        own = (sightings.time > (said.time[n - 1] if n else 0.0)) & (sightings.time <= said.time[n])
+        names = tuple(sightings.transmitter[m] for m in np.flatnonzero(own))
+        graph.hear(Sightings(sightings.time[own], names, sightings.rssi[own]))
+        graph.extend(some(said, n, n + 1))
+        if n % 20 == 10:
+            graph.add_fix(said.time[n], track.position[n + 1], 1.0)
+    graph.finish()
+    assert graph.beacons is not None
+    assert len(taken) > 50
+    assert {id(level) for level in graph.beacons.levels.values()} == {id(level) for level in taken}
 
 
 def test_standing_still_hears_a_beacon_once():

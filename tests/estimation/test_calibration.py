@@ -1,10 +1,10 @@
 """A walker's own calibration: what a known line or enough fixes teach, and what the next walk gains."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from plans import MAPS
 
 from pdr_graph import InputError, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.calibration import calibrate
@@ -17,7 +17,6 @@ from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Steps
 
-MAPS = Path(__file__).parents[2] / "maps"
 EIGHT = MAPS / "figure_eight.geojson"
 
 

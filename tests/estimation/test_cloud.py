@@ -5,6 +5,7 @@ import tracemalloc
 import numpy as np
 import pytest
 import shapely
+from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation.cloud import Cloud, Seen
@@ -14,7 +15,6 @@ from pdr_graph.estimation.particles import particle_filter
 from pdr_graph.estimation.preintegration import intervals, whole_pieces
 from pdr_graph.floor.areas import Area
 from pdr_graph.frames import Frame
-from tests.walks import PERIOD, fixes_at, steps_of
 
 FEWEST, MOST = 400, 500
 STRIDE = 0.7  # [m]

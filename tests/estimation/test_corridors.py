@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from plans import plan
 from walks import fixes_at, steps_of
 
 from pdr_graph.estimation.corridors import Use
 from pdr_graph.estimation.graph import Prior, State, WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.turns import SIGMA_PLACE
-from pdr_graph.floor.areas import Area
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
 
 WIDTH = 4.0  # [m]: a walker in the middle of 4 m feels no wall, whose margin is 0.8 m
@@ -23,7 +21,7 @@ CORNER = (
     ("intersection", shapely.box(20 - WIDTH / 2, -WIDTH / 2, 20 + WIDTH / 2, WIDTH / 2)),
     ("corridor", shapely.box(20 - WIDTH / 2, WIDTH / 2, 20 + WIDTH / 2, 24)),
 )
-ELL = FloorPlan("L", tuple(Area(kind, "", shape) for kind, shape in CORNER), Frame())
+ELL = plan(*CORNER)
 
 
 def ell_walk(**use):

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import shapely
 from gtsam.symbol_shorthand import C, X
+from plans import plan
 from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
 from pdr_graph.estimation.corridors import Use
@@ -32,7 +33,7 @@ def ring():
     crossings = [shapely.box(x, y, x + w, y + w) for x in at for y in at]
     ways = [shapely.box(1.25, y, 12.75, y + w) for y in at] + [shapely.box(x, 1.25, x + w, 12.75) for x in at]
     areas = [("intersection", c) for c in crossings] + [("corridor", c) for c in ways]
-    return FloorPlan("ring", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
+    return plan(*areas)
 
 
 def turning_graph():

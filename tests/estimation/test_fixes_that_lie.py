@@ -10,7 +10,7 @@ from pdr_graph import kalman_filter, kalman_smoother, smooth
 from pdr_graph.estimation.fixes_alone import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.reach import within_reach
-from pdr_graph.gait.gaps import join
+from pdr_graph.gait.gaps import gap, join, joined_chunks, later
 from pdr_graph.geometry import unit
 from pdr_graph.types import Fixes, Steps
 
@@ -36,10 +36,6 @@ def shape_error(track, steps):
     z, w = (xy[:, 0] + 1j * xy[:, 1] for xy in (dead_reckon(steps).position, track.position))
     z, w = z - z.mean(), w - w.mean()
     return np.abs(w - z * np.vdot(z, w) / np.vdot(z, z)).max()
-
-
-def later(steps, by):
-    return replace(steps, start=steps.start + by, end=steps.end + by, time=steps.time + by)
 
 
 def both(one, other):
@@ -94,6 +90,16 @@ def test_what_follows_a_long_gap_is_anywhere_until_a_fix(method):
     assert sigma[200] < 3
     assert sigma[202:].min() > 500
     assert any("gap" in text for text in steps.unknown)
+
+
+@METHODS
+def test_a_recording_may_end_with_a_gap(method):
+    """No segment begins after it: the walk before is as it was."""
+    walk = wandering_walk(60)
+    fixes = fixes_on(dead_reckon(walk), every=20)
+    ended = honest(method(WalkGraph(joined_chunks([walk, gap(walk.end, walk.end + 20.0)]), fixes)))
+    alone = method(WalkGraph(walk, fixes))
+    assert ended.trajectory.position[:60] == pytest.approx(alone.trajectory.position[:60], abs=0.3)
 
 
 def test_pieces_with_fixes_of_their_own_are_each_where_these_say():
@@ -209,7 +215,7 @@ def test_without_steps_a_jump_there_and_back_is_passed_by_and_reported(off):
     fixes.position[30:33, 1] = off
     estimate = honest(follow(fixes))
     assert np.abs(estimate.trajectory.position[:, 1]).max() == 0
-    assert [fix.weight for fix in estimate.fixes] == [1] * 30 + [0] * 3 + [1] * 27
+    assert [round(fix.weight) for fix in estimate.fixes] == [1] * 30 + [0] * 3 + [1] * 27
     assert estimate.fixes[31].residual == pytest.approx(off)
     assert warned(estimate, "3 of 60 fixes lie where nobody gets so fast")
 
@@ -218,7 +224,24 @@ def test_without_steps_a_flight_is_believed():
     """Thirty fixes before and after: someone went there, however fast."""
     fixes = by_bus()
     fixes.position[30:] += 500_000.0
-    assert all(fix.weight == 1 for fix in follow(fixes).fixes)
+    estimate = honest(follow(fixes))
+    assert all(fix.weight > 0.99 for fix in estimate.fixes)
+    assert not estimate.warnings
+
+
+def test_without_steps_who_goes_nowhere_is_told_so():
+    """Indoors a short walk and a receiver's wander look alike."""
+    wander = np.random.default_rng(0).normal(0, 5.0, (240, 2))
+    assert warned(follow(fixes_at(np.arange(240.0), wander, 5.0)), "for 4 of 4 min: taken for standing")
+    assert not warned(follow(by_bus(240)), "standing")
+
+
+def test_without_steps_a_worse_fix_of_the_same_moment_is_not_used():
+    fixes = both(by_bus(), fixes_at([30.0], [[300.0, 400.0]], 50.0))
+    fixes = fixes[np.argsort(fixes.time, kind="stable")]
+    estimate = honest(follow(fixes))
+    assert estimate.fixes[31].reason.startswith("beside a better one")
+    assert np.abs(estimate.trajectory.position[:, 1]).max() == 0
 
 
 def test_a_wild_fix_just_within_reach_does_not_part_the_walk():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import shapely
+from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation.cloud import Paths
@@ -10,7 +11,6 @@ from pdr_graph.estimation.hypotheses import APART, bundles, hypotheses, thickest
 from pdr_graph.estimation.particles import particle_filter
 from pdr_graph.floor.areas import Area
 from pdr_graph.frames import Frame
-from tests.walks import fixes_at, steps_of
 
 STEM, BRANCH, HALF_ANGLE = 20.0, 22.0, np.radians(30)  # [m], [m], of each branch from straight ahead
 

@@ -1,28 +1,20 @@
 """A particle filter on the plan: walks that walls, fixes and stairs admit."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS, plan
+from walks import fixes_at, steps_of
 
-from pdr_graph import FloorPlan, Headings, WalkGraph
+from pdr_graph import Headings, WalkGraph
 from pdr_graph.estimation import cloud, particles
 from pdr_graph.estimation.particle_steps import stepped
 from pdr_graph.estimation.particles import particle_filter
-from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.regions import WALL_COST
-from pdr_graph.frames import Frame
 from pdr_graph.types import Fixes
-from tests.walks import fixes_at, steps_of
 
-MAPS = Path(__file__).resolve().parents[2] / "maps"
 SIGMA = np.array([0.07, 0.25, 0.02])  # of a step's length, sway [m] and turn [rad]
-
-
-def plan(*areas):
-    return FloorPlan("1", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
 
 
 def graph_of(steps, floor, start, heading=0.0, more=(), **given):

@@ -9,7 +9,7 @@ from nees import gaussian, interval, normalised_errors
 from walks import drawn_from_the_model, fixes_at
 
 from pdr_graph import WalkGraph, smooth
-from pdr_graph.estimation import native
+from pdr_graph.estimation import closures
 from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.together import smooth_together
 from pdr_graph.types import Estimate
@@ -105,11 +105,11 @@ def test_a_link_that_is_wrong_is_let_go():
 def test_covariance_is_honest():
     """NEES of a random row of one of two walks that met, with Gaussian closures and fixes."""
     low, high = interval(SEEDS)
-    with gaussian(), patch.object(native, "CLOSURE_WIDTH", 1e6):
+    with gaussian(), patch.object(closures, "CLOSURE_WIDTH", 1e6):
         assert low < np.mean(normalised_errors(one_that_met, first_of_both, SEEDS)) < high
 
 
 def test_links_five_times_as_bad_as_stated_are_found_out():
-    with gaussian(), patch.object(native, "CLOSURE_WIDTH", 1e6):
+    with gaussian(), patch.object(closures, "CLOSURE_WIDTH", 1e6):
         _, high = interval(SEEDS)
         assert np.mean(normalised_errors(one_that_met_far_off, first_of_both, SEEDS)) > high

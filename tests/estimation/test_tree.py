@@ -266,9 +266,9 @@ def test_a_rebuild_takes_a_moment(keyframes):
         at = at.compose(gtsam.Pose2(7.0, 0, 0))
         factors |= factors_of(i)
     tree.update(factors, values=values, times={X(i): SECONDS * i for i in range(keyframes)})
-    began = time.perf_counter()
+    began = time.process_time()
     tree.update({"of nobody": OF_NOBODY})
-    assert time.perf_counter() - began < 1.0
+    assert time.process_time() - began < 1.0
     assert len(tree.rebuilds) == 1
 
 

@@ -5,20 +5,16 @@ import json
 import numpy as np
 import pytest
 import shapely
+from plans import plan
 from typer.testing import CliRunner
 
 from pdr_graph import FloorPlan, InputError
 from pdr_graph.cli import app
-from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
-from pdr_graph.frames import Frame, enu
+from pdr_graph.frames import enu
 
 FRAME = enu(49.0, 8.0)
-
-
-def plan(*areas):
-    return FloorPlan("1", tuple(Area(kind, name, shape) for kind, name, shape in areas), Frame())
 
 
 def crosses(floor, a, b):

@@ -1,11 +1,11 @@
 """``map check``: each mistake that a hand makes in a good plan is named with its feature and place."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS
 from typer.testing import CliRunner
 
 from pdr_graph import FloorPlan, InputError
@@ -14,7 +14,6 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
 from pdr_graph.frames import enu
 
-MAPS = Path(__file__).resolve().parents[2] / "maps"
 OFFICE = MAPS / "two_floors.geojson"
 FRAME = enu(35.0, 135.0)
 

@@ -1,11 +1,12 @@
 """On which floor each piece of a walk is, and the walls about it."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS
+from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, WalkGraph
 from pdr_graph.floor.areas import Area
@@ -13,9 +14,6 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.ground import Ground
 from pdr_graph.floor.regions import NOWHERE
 from pdr_graph.frames import Frame
-from tests.walks import fixes_at, steps_of
-
-MAPS = Path(__file__).resolve().parents[2] / "maps"
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,11 @@
 """[map-matching]: links, turns, ranges, regions, and the track that keeps its shape."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS
 from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, dead_reckon
@@ -26,7 +26,7 @@ from pdr_graph.floor.stretches import Laid, tried_pairs
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
 
-LOOP = FloorPlan.load(Path(__file__).parents[2] / "maps" / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
+LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
 START = np.array([14.85, 1.25])
 EAST, NORTH = np.array([1.0, 0.0]), np.array([0.0, 1.0])
 CORNER = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])  # of two corridors of 2 m

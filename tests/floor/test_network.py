@@ -1,24 +1,16 @@
 """The walkable network: as a plan draws it, and as its polygons alone tell it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS, plan
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph import FloorPlan
-from pdr_graph.floor.areas import Area
 from pdr_graph.floor.derivation import derive
-from pdr_graph.frames import Frame
 
-MAPS = Path(__file__).parents[2] / "maps"
 W, X, Y = 2.5, 45.0, 28.0  # [m] of maps/loop.geojson
-
-
-def plan(*areas):
-    return FloorPlan("1", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
 
 
 def parts(network):

@@ -3,21 +3,15 @@
 import numpy as np
 import pytest
 import shapely
+from plans import plan
 
-from pdr_graph import FloorPlan
-from pdr_graph.floor.areas import Area
 from pdr_graph.floor.regions import DOOR_COST, NOWHERE, OUTSIDE_PRICE, WALL_COST
-from pdr_graph.frames import Frame
 
 HALL = ("corridor", "hall", shapely.box(0, 0, 20, 3))
 AISLE = ("corridor", "aisle", shapely.box(8, -6, 11, 0))
 ROOMS = (("room", "A", shapely.box(0, 3.12, 9.94, 9)), ("room", "B", shapely.box(10.06, 3.12, 20, 9)))
 DOOR_OF_A = ("door", "", shapely.box(4, 2.95, 5, 3.2))
 HALLS_REGION, A, B = 0, 1, 2
-
-
-def plan(*areas):
-    return FloorPlan("1", tuple(Area(kind, name, shape) for kind, name, shape in areas), Frame())
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,11 @@
 """Straight runs along corridors, and the turns between them, of walks whose way is known."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from plans import MAPS
 
 from pdr_graph import FloorPlan
 from pdr_graph.floor.areas import Area
@@ -14,7 +14,7 @@ from pdr_graph.floor.runs import straight_runs, turns_between
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
 
-LOOP = FloorPlan.load(Path(__file__).parents[2] / "maps" / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
+LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
 LAP = [[14.85, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 1.25], [14.0, 1.25]]
 STRIDE = 0.7
 

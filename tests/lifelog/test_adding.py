@@ -11,6 +11,7 @@ import recorders
 
 from pdr_graph import InputError
 from pdr_graph.lifelog.adding import Added, add, found_in, time_of
+from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.store import Entry, Store
 
 
@@ -113,6 +114,25 @@ def test_what_cannot_be_read_does_not_stop_the_others(tmp_path):
         "found the bytes b'Dear Ada'",
     ]
     assert all(line.isprintable() for line in result.refused)
+
+
+def test_what_tells_neither_steps_nor_a_way_is_refused_in_a_line(tmp_path):
+    """A gyroscope alone, and a single position: no outing could ever be made of them. Fixes beside them are a way."""
+    folder, log = phyphox(tmp_path / "experiment"), tmp_path / "log"
+    for file in folder.glob("*.csv"):
+        if file.name != "Gyroscope.csv":
+            file.unlink()
+    single = standin.recording(tmp_path / "single.plt")
+    single.write_text("".join(single.read_text().splitlines(keepends=True)[:7]))
+    said = [add(log, [one], begins=1.7e9).refused for one in (folder, single)]
+    assert [line.partition(": ")[2] for (line,) in said] == [
+        f"found no acceleration and {n} positions, needed steps, or 2 positions" for n in (0, 1)
+    ]
+    with pytest.raises(InputError, match="found no acceleration and 0 positions"):
+        observe(folder, begins=1.7e9)  # as of a lifelog that an older version made
+    fixes = tmp_path / "fixes.csv"
+    fixes.write_text("time,x,y,sigma\n1,0,0,3\n9,10,0,3\n")
+    assert add(log, [folder], begins=1.7e9, fixes=fixes).added == 1
 
 
 @pytest.mark.parametrize(

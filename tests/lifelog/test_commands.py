@@ -11,6 +11,8 @@ import days_standin as standin
 import pytest
 from test_adding import phyphox
 
+from pdr_graph.lifelog.adding import add
+
 
 def run(*arguments):
     """The installed command; its exit code, output and error lines."""
@@ -53,7 +55,7 @@ def test_a_recording_that_is_gone_at_build_is_a_line_and_exit_3(tmp_path):
     log = tmp_path / "days.db"
     for n in range(2):
         standin.recording(tmp_path / f"{n}.plt", n)
-    run("add", log, tmp_path / "0.plt", tmp_path / "1.plt")
+    add(log, [tmp_path])
     (tmp_path / "0.plt").unlink()
     code, said, errors = run("build", log)
     assert (code, said) == (3, f"1 days built, 0 up to date, 0 failed -> {log}\n")
@@ -78,9 +80,8 @@ def test_a_recording_that_is_gone_at_build_is_a_line_and_exit_3(tmp_path):
 )
 def test_a_refusal_is_one_line_and_exit_2(tmp_path, monkeypatch, arguments, said):
     monkeypatch.chdir(tmp_path)
-    standin.recording(tmp_path / "walk.plt")
     (tmp_path / "other").write_text("time,x,y\n")
-    assert run("add", "days.db", "walk.plt")[0] == 0
+    add(tmp_path / "days.db", [standin.recording(tmp_path / "walk.plt")])
     code, out, errors = run(*arguments)
     assert (code, out, len(errors)) == (2, "", 1)
     assert said in errors[0]
@@ -88,7 +89,7 @@ def test_a_refusal_is_one_line_and_exit_2(tmp_path, monkeypatch, arguments, said
 
 def test_a_full_disk_is_one_line(tmp_path):
     log = tmp_path / "days.db"
-    run("add", log, standin.recording(tmp_path / "walk.plt", points=2000))
+    add(log, [standin.recording(tmp_path / "walk.plt", points=2000)])
     limited = f"""
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (9000, resource.RLIM_INFINITY))

@@ -167,7 +167,7 @@ def test_show_prints_the_last_day_and_writes_it_for_its_owner_alone(store, tmp_p
     assert "Kiosk <1> 80%  (Bank 10%)" in result.output
     assert "note: home: a note" in result.output  # what its outings say, to its owner
     folder = tmp_path / "out"
-    assert sorted(f.name for f in folder.iterdir()) == ["day.geojson", "day.png", "timeline.csv"]
+    assert sorted(f.name for f in folder.iterdir()) == ["day.geojson", "day.png", "report.html", "timeline.csv"]
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert all(stat.S_IMODE(f.stat().st_mode) == 0o600 for f in folder.iterdir())
     assert (folder / "day.png").read_bytes()[:4] == b"\x89PNG"

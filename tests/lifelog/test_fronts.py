@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 import shapely
+from plans import plan
 
-from pdr_graph.floor.areas import Area
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.frames import Frame
 from pdr_graph.geometry import rotation, unit
 from pdr_graph.lifelog import fronts
 from pdr_graph.lifelog.fronts import Fronts
@@ -20,7 +18,7 @@ AISLE = (  # of 4 m along x, shops of 8 m on either side
 
 
 def fronts_of(*areas):
-    return Fronts.of(FloorPlan("1", tuple(Area(kind, name, shape) for kind, name, shape in areas), Frame()))
+    return Fronts.of(plan(*areas))
 
 
 def facing(plan, place, heading, sigma=0.3, sigma_heading=0.1):

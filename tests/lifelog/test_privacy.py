@@ -77,7 +77,7 @@ def in_degrees(text):
 
 def places_told(text):
     """Every two numbers ``(n, 2)`` within a line, a tag or a bracket that could be a longitude and a latitude there."""
-    units = re.findall(r"[^\n<>\[\]{}]*\d\.\d[^\n<>\[\]{}]*", text)
+    units = [unit for unit in re.split(r"[\n<>\[\]{}]+", text) if "-34." in unit or "-35." in unit]
     numbers = [[float(n) for n in re.findall(r"-?\d+\.\d+", unit)] for unit in units]
     pairs = [(lon, lat) for own in numbers for lat in own if abs(lat + 35) < 0.5 for lon in own if abs(lon + 71) < 0.5]
     return np.array(pairs).reshape(-1, 2)

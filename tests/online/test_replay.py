@@ -128,7 +128,9 @@ def test_the_command_line(folder, tmp_path, monkeypatch, said, lag):
 
     arguments = (folder / "walk.txt", "--fixes", folder / "fixes.csv", "--lag", said, "--out", tmp_path)
     done = invoked(monkeypatch, *arguments, kind=Seen)
-    assert (done.exit_code, done.output) == (0, ""), "nothing in a pipe"
+    assert done.exit_code == 0
+    assert "\r" not in done.output, "no progress in a pipe"
+    assert done.output.endswith(f"\n-> {tmp_path / 'report.html'}\n")
     assert seen == [lag]
 
 

@@ -12,9 +12,8 @@ from pdr_graph import Walker, detect_steps
 from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.inputs import read_inputs
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.positions import follow_positions
 from pdr_graph.lifelog.rides import rides, without_rides
-from pdr_graph.lifelog.segments import segments_of
+from pdr_graph.lifelog.segments import follow_positions, segments_of
 from pdr_graph.types import Fixes, Steps
 
 DAYS = ("geolife_sample/000", "geolife_sample/001", "geolife_sample/005", "geolife_sample/010", "gpx_sample")

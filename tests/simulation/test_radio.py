@@ -1,15 +1,14 @@
 """Satellites, beacons and access points."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from plans import MAPS
 
 from pdr_graph.geometry import interpolate
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
-MALL = Path(__file__).resolve().parents[2] / "maps" / "mall.geojson"
+MALL = MAPS / "mall.geojson"
 ROUTE = [[0, 0], {"to": [[150, 0], [150, 100], [0, 100]]}]
 
 

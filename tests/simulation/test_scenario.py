@@ -126,10 +126,18 @@ def test_from_a_scenario_to_a_score(tmp_path):
 def test_a_wrong_scenario_is_refused_in_one_line(tmp_path, text, said):
     path = tmp_path / "walk.toml"
     path.write_text(text)
+    with pytest.raises(InputError) as refusal:
+        Scenario.load(path)
+    assert said in str(refusal.value)
+    assert str(refusal.value).isprintable()
+
+
+def test_a_wrong_scenario_makes_nothing(tmp_path):
+    path = tmp_path / "walk.toml"
+    path.write_text("route = 3")
     code, _, errors = run("simulate", path, "--out", tmp_path / "out")
     assert code == 2
-    assert len(errors) == 1
-    assert said in errors[0]
+    assert [line.endswith("needed a list: where it starts, and what is done then") for line in errors] == [True]
     assert not (tmp_path / "out").exists()
 
 

@@ -62,16 +62,16 @@ def _wander(time: Array, way: Array, straight: Array) -> Array:
     Of a Gauss–Markov error of variance σ² the difference over LAG is Rayleigh's of 2σ² (1 − e^(−LAG/CORRELATED)).
     """
     index = np.arange(len(time))
-    before, after = (np.clip(index + k, 0, len(time) - 1) for k in half_windows(LAG))
+    before, after = (np.clip(index + k, 0, len(time) - 1) for k in (-_samples(LAG / 2), _samples(LAG / 2)))
     apart = np.hypot(*(way[after] - way[before]).T)
     nowhere = (straight < CROOKED) & (time[after] - time[before] < LAG + GRID)  # not over a gap
-    usual = percentile_filter(apart * nowhere, MOSTLY, 1 + 2 * half_windows(CONTEXT)[1], mode="nearest")
+    usual = percentile_filter(apart * nowhere, MOSTLY, 1 + 2 * _samples(CONTEXT / 2), mode="nearest")
     return usual / np.sqrt(2 * np.log(2) * 2 * (1 - np.exp(-LAG / CORRELATED)))
 
 
-def half_windows(span: float) -> tuple[int, int]:
-    """Samples before and after one, of a window [s]."""
-    return -int(span / GRID / 2), int(span / GRID / 2)
+def _samples(span: float) -> int:
+    """How many of the grid are in a time [s]."""
+    return int(span / GRID)
 
 
 def nearest_sample(straight: Straightness, time: Array) -> Index:

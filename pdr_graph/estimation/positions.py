@@ -1,44 +1,56 @@
-"""A stretch of a day of which there are positions alone: a GPX track, a watch, a logger of GNSS.
+"""The way of somebody of whom there are positions alone: a GPX track, a watch, a logger of GNSS.
 
-The way is smoothed twice: loosely, to see what was done, and then as people move who do that. Nothing is invented: who
+It is smoothed twice: loosely, to see what was done, and then as people move who do that. Nothing is invented: who
 stands goes nowhere however far the receiver wanders, and of a gap nobody knows more than that it was bridged.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.fixes_alone import ANY_HEADING, FASTEST, JUMP
+from pdr_graph.estimation.moves import EPOCH, RIDES, STATES, moves
 from pdr_graph.estimation.reach import WITHIN, chained
 from pdr_graph.estimation.receivers import WHITE
-from pdr_graph.geometry import length_along
-from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, WALKING, Segment
-from pdr_graph.lifelog.moves import EPOCH, moves
-from pdr_graph.lifelog.smooth_way import Motion, Seen, SmoothWay, smooth_way
-from pdr_graph.lifelog.wander import WIDEST, straightness
+from pdr_graph.estimation.smooth_way import Motion, Seen, SmoothWay, smooth_way
+from pdr_graph.estimation.wander import WIDEST, straightness
+from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Trajectory
 
-WALKS, RIDES, LOST = (KINDS.index(kind) for kind in (WALKING, VEHICLE, GAP))
+LOST = len(STATES)  # what was done where nobody recorded it
+FASTEST = 40.0  # [m/s] on the ground
+JUMP = 20.0  # fixes on either side that it takes to believe that someone went faster, or flew
 # a gap is longer than so many of the usual intervals, and than a minute [s]: loggers leave out a few fixes where they
 # see few satellites, and in a minute nobody walks round the block
 USUAL_INTERVALS, LONGEST = 5.0, 60.0
 BRIDGE = 4  # parts of a gap that rows divide: linear between them, its variance lacks a seventh at most
-# per axis, of KINDS: who walks turns at the next corner, who rides at the one after; errands of an unseen hour change
-SPEED = np.array([0.9, 0.05, 7.0, 1.0])  # [m/s]
-KEEPS = np.array([40.0, 1.0, 100.0, 600.0])  # [s]
+# per axis, of STANDS, WALKS, RIDES and LOST: who walks turns at the next corner, who rides at the one after; errands of
+# an unseen hour change
+SPEED = np.array([0.05, 0.9, 7.0, 1.0])  # [m/s]
+KEEPS = np.array([1.0, 40.0, 100.0, 600.0])  # [s]
 AT_FIRST, AFTERWARDS = (8.0, 2.0, 1.0), (1.0, 1.0)  # times the white noise, see `smooth_way`
 
 
-def follow_positions(fixes: Fixes) -> tuple[Trajectory, tuple[Segment, ...]]:
-    """The smoothed way with its covariance, a row per fix that is believed and some in gaps; and what it was made of.
+@dataclass(frozen=True)
+class Way:
+    """A smoothed way with its covariance, a row per fix that is in it and some in gaps, ``n`` of them.
 
-    fixes: at least one, in order of time, in a metric frame. Segments reach from the first fix to the last.
+    kind: ``(n - 1,)`` what was done from row to row: STANDS, WALKS, RIDES, LOST; used: ``(m,)`` which of the fixes are
+    in it, in order of time, and weight: ``(m,)`` what is believed of each, 0–1.
     """
-    fixes = _believed(fixes)
-    seen, lost = _seen(fixes), _lost(fixes.time)
+
+    trajectory: Trajectory
+    kind: Index
+    used: Index
+    weight: Array
+
+
+def way_through(fixes: Fixes) -> Way:
+    """The most probable way; fixes: at least one, in a metric frame."""
+    used = _believed(fixes)
+    fixes = fixes[used]
+    seen, lost = _seen(fixes), _lost(fixes)
 
     # Loosely, as if all of it were a ride
     kind = np.where(lost, LOST, RIDES)
@@ -50,15 +62,20 @@ def follow_positions(fixes: Fixes) -> tuple[Trajectory, tuple[Segment, ...]]:
     motion, weight = _motion(seen, kind), np.interp(rows.time, seen.time, first.weight)
     way = smooth_way(rows, motion.of(of), AFTERWARDS, weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
-    return _trajectory(rows.time, way, floor), _segments(rows.time, way.position, kind[of])
+    known = np.isfinite(rows.position[:, 0])
+    return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[known])
 
 
-def _believed(fixes: Fixes) -> Fixes:
-    """One of each moment, the best; without those that lie where nobody gets so fast, as `fixes_alone` has it."""
+def _believed(fixes: Fixes) -> Index:
+    """One of each moment, the best; without those that lie where nobody gets so fast, and back.
+
+    Most of a receiver's error stays from epoch to epoch, and what does not is small: jumps are wild.
+    """
     order = np.lexsort((fixes.sigma, fixes.time))
-    fixes = fixes[order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]]
-    way = FASTEST * (fixes.time - fixes.time[0])
-    return fixes[chained(fixes.position, WITHIN * _seen(fixes).white, way, JUMP)[1]]
+    order = order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]
+    one = fixes[order]
+    way = FASTEST * (one.time - one.time[0])
+    return order[chained(one.position, WITHIN * _seen(one).white, way, JUMP)[1]]
 
 
 def _seen(fixes: Fixes) -> Seen:
@@ -68,10 +85,11 @@ def _seen(fixes: Fixes) -> Seen:
     return Seen(fixes.time, fixes.position, slow, independent * fixes.sigma)
 
 
-def _lost(time: Array) -> Mask:
-    """True ``(n - 1,)`` where from one time to the next nothing was recorded, or too little to tell."""
-    span = np.diff(time)
-    lost = span > max(LONGEST, USUAL_INTERVALS * np.median(span)) if len(span) else np.empty(0, dtype=bool)
+def _lost(fixes: Fixes) -> Mask:
+    """True ``(n - 1,)`` where from one fix to the next nothing was recorded, or too little to tell, or they flew."""
+    time, span = fixes.time, np.diff(fixes.time)
+    flown = np.hypot(*np.diff(fixes.position, axis=0).T) > FASTEST * (span + LONGEST)  # shorter jumps are receivers'
+    lost = flown | (span > max(LONGEST, USUAL_INTERVALS * float(np.median(span)) if len(span) else 0.0))
     for begin, end in _stretches(lost):
         if time[end] - time[begin] < EPOCH:
             lost[begin:end] = True
@@ -85,7 +103,7 @@ def _stretches(lost: Mask) -> Index:
 
 
 def _done(seen: Seen, way: Array, lost: Mask) -> tuple[Index, Seen]:
-    """What was done from fix to fix ``(n - 1,)``, by its place in KINDS; and how far each fix errs, with its wander."""
+    """What was done from fix to fix ``(n - 1,)``, and how far each fix errs, with its wander."""
     begins, ends = seen.time[_stretches(lost)].T
     if not len(begins):
         return np.full(len(lost), LOST), seen
@@ -125,12 +143,3 @@ def _trajectory(time: Array, way: SmoothWay, floor: tuple[str, ...]) -> Trajecto
     sigma = np.minimum(ANY_HEADING, np.sqrt(variance[:, 1]) / np.maximum(speed, 1e-9))
     covariance[:, 2, 2] = sigma**2
     return Trajectory(time, way.position, np.arctan2(way.velocity[:, 1], way.velocity[:, 0]), floor, covariance)
-
-
-def _segments(time: Array, way: Array, kind: Index) -> tuple[Segment, ...]:
-    """Stretches of one kind from row to row ``(n - 1,)``."""
-    gone = np.append(0.0, np.cumsum(np.diff(length_along(way)) * np.isin(kind, (WALKS, RIDES))))
-    edge = [*np.flatnonzero(np.diff(kind, prepend=-1)), len(kind)]
-    return tuple(
-        Segment(KINDS[kind[a]], float(time[a]), float(time[b]), float(gone[b] - gone[a])) for a, b in pairwise(edge)
-    )

@@ -15,13 +15,13 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from pdr_graph.estimation.receivers import STANDING as CORRELATED
+from pdr_graph.estimation.smooth_way import Seen
+from pdr_graph.estimation.wander import Straightness, nearest_sample
 from pdr_graph.geometry import interpolate
-from pdr_graph.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.smooth_way import Seen
-from pdr_graph.lifelog.wander import Straightness, nearest_sample
 from pdr_graph.types import Array, Index, Mask
 from pdr_graph.viterbi import viterbi
 
+STANDS, WALKS, RIDES = STATES = range(3)  # what somebody does, as the hidden states and in what is made of them
 EPOCH = 10.0  # [s]
 WINDOW, NARROW = 40.0, 15.0  # [s] over which speeds are taken: to tell what was done, and when that changed
 LASTS = 300.0  # [s] that people usually do one thing
@@ -34,8 +34,6 @@ WILD, WILDER = 0.1, 3.0  # share of a receiver's errors that are so many times a
 BENDS = 0.1  # share of ways that lead anywhere or nowhere; the rest are distributed as (net / gross)^4
 UNLIKELY = 1e-12
 SHORTEST_RIDE = 3  # epochs
-RIDES = KINDS.index(VEHICLE)
-STATES = tuple(KINDS.index(kind) for kind in (STANDING, WALKING, VEHICLE))  # kinds of the model's states
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class Epochs:
 
 
 def moves(seen: Seen, way: Array, begins: Array, ends: Array, straight: Straightness) -> Index:
-    """What was done from each knot to the next ``(n - 1,)``, by its place in KINDS; nonsense in gaps.
+    """What was done from each knot to the next ``(n - 1,)``: STANDS, WALKS or RIDES; nonsense in gaps.
 
     way: ``(n, 2)`` [m], smooth; begins, ends: of stretches ``(s,)`` [s].
     """
@@ -75,10 +73,10 @@ def moves(seen: Seen, way: Array, begins: Array, ends: Array, straight: Straight
     changed = np.append(False, np.diff(state) != 0) & ~epochs.begins
     open_ = maximum_filter1d(changed, 1 + 2 * round(WINDOW / EPOCH / 2))
     cost = _by_speed(epochs, seen, way, NARROW) + lead
-    decided = np.where(np.arange(len(STATES)) == state[:, None], 0.0, np.inf)
+    decided = np.where(np.array(STATES) == state[:, None], 0.0, np.inf)
     state = _without_jumps(_most_probable(np.where(open_[:, None], cost, decided), epochs), epochs)
     at = np.searchsorted(epochs.start, (seen.time[1:] + seen.time[:-1]) / 2, side="right") - 1
-    return np.array(STATES)[state[at]]
+    return state[at]
 
 
 def _most_probable(cost: Array, epochs: Epochs) -> Index:
@@ -90,7 +88,7 @@ def _most_probable(cost: Array, epochs: Epochs) -> Index:
 def _without_jumps(state: Index, epochs: Epochs) -> Index:
     """Rides too short to be any are what came after them in the stretch, or before: a receiver found its place."""
     first = np.flatnonzero(epochs.begins | np.append(True, np.diff(state) != 0))
-    runs = [(a, b) for a, b in pairwise([*first, len(state)]) if STATES[state[a]] == RIDES and b - a < SHORTEST_RIDE]
+    runs = [(a, b) for a, b in pairwise([*first, len(state)]) if state[a] == RIDES and b - a < SHORTEST_RIDE]
     state = state.copy()
     for a, b in runs:
         if b < len(state) and not epochs.begins[b]:

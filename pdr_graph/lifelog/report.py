@@ -1,0 +1,208 @@
+"""The report of a day of a lifelog: its maps, its hours, and what was looked at.
+
+It tells what ``timeline.csv`` and ``day.png`` beside it tell: nothing of which files the day is made of, or where they
+and the plans lie.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime, tzinfo
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.confidence import band
+from pdr_graph.errors import InputError
+from pdr_graph.floor.building import Building
+from pdr_graph.lifelog.day import Day, Stay
+from pdr_graph.lifelog.panels import Drawn, Panel, panels
+from pdr_graph.lifelog.parts import UNSEEN, sigma
+from pdr_graph.lifelog.picture_style import COLOURS
+from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, Totals, spoken, timeline, totals, where
+from pdr_graph.plotting import TRACK
+from pdr_graph.report import charts, plans
+from pdr_graph.report.columns import CENTIMETRE, CENTISECOND, column, runs
+from pdr_graph.report.tables import Table, table
+from pdr_graph.report.tracks import NOWHERE, rings, track
+from pdr_graph.types import Array, Trajectory
+
+QUARTER = 900.0  # [s] at multiples of which clocks are changed
+SMALLEST_DOT, LARGEST_DOT = 7.0, 22.0  # [px] of a slow pass or a short stay, and of the longest
+LONGEST = 7200.0  # [s] of a stay with the largest dot
+BLOCK, LANE = 14, 26  # [px] height of what is drawn in the hours, and of a lane there
+
+
+def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str]) -> dict[str, Any]:
+    """The page, as the head of ``web/content.js`` says; missing, warnings: a line each."""
+    entries, maps = timeline(day), panels(day)
+    start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
+    ways = [_way(panel) for panel in maps]
+    return {
+        "title": f"{day.person}   {day.date}",
+        "subtitle": f"times of {zone}",
+        "headline": _headline(totals(day, entries)),
+        "missing": list(missing),
+        "warnings": list(warnings),
+        "offsets": _offsets(start, end, zone),
+        "start": start,
+        "end": end,
+        "maps": [_map(panel, n) for n, panel in enumerate(maps)],
+        "tracks": [line for n, panel in enumerate(maps) for line in _tracks(panel, ways[n], n, len(maps))],
+        "marks": [marks for n, panel in enumerate(maps) for marks in _stays(panel, n)],
+        "charts": [_hours(entries), *([_sigma(ways[0])] if ways else [])] if entries else [],
+        "phases": [{"start": e.start, "end": e.end, "text": _said(e)} for e in entries],
+        "tables": [_timeline(entries, zone)],
+    }
+
+
+def _headline(sums: Totals) -> list[list[str]]:
+    said = [["walked", f"{_far(sums.walked)} in {spoken(sums.walking)}"]]
+    said += [["ridden", f"{_far(sums.ridden)} in {spoken(sums.riding)}"]] if sums.riding else []
+    said += [["stayed", spoken(sums.staying)]] if sums.staying else []
+    said += [["steps", f"{sums.steps:,}"]] if sums.steps else []
+    said += [["not recorded", spoken(sums.unknown)]] if sums.unknown else []
+    return said + [[name, spoken(time)] for name, time in sums.places[:3]]
+
+
+def _far(metres: float) -> str:
+    return f"{metres / 1000:.2f} km" if metres >= 1000 else f"{metres:.0f} m"
+
+
+def _offsets(start: float, end: float, zone: tzinfo) -> list[list[float]]:
+    """By how much local time is ahead from which Unix time on. [s]"""
+    times = np.arange(QUARTER * np.floor(start / QUARTER), end + QUARTER, QUARTER).tolist()
+    ahead = [(time, datetime.fromtimestamp(time, zone).utcoffset()) for time in times]
+    changes = [next(same) for _, same in groupby(ahead, key=lambda one: one[1])]
+    return [[time, by.total_seconds() if by is not None else 0.0] for time, by in changes]
+
+
+def _map(panel: Panel, number: int) -> dict[str, Any]:
+    name = " ".join(word for word in (panel.letter, panel.floor) if word)
+    return {"name": name or f"map {number + 1}", "corners": panel.corners.tolist(), "plan": _plan(panel)}
+
+
+def _plan(panel: Panel) -> dict[str, Any] | None:
+    """The floor of a map; None if it has none, or the plan is not there any more."""
+    if not panel.plan:
+        return None
+    try:
+        floors = Building.load(panel.plan).floors
+    except InputError:
+        return None
+    return plans.drawn(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+
+
+def _way(panel: Panel) -> Trajectory:
+    """All that was gone on a map, with a row of NaN after each stretch."""
+    return _joined(path for own in panel.ways for path in own)
+
+
+def _joined(paths: Iterable[Trajectory]) -> Trajectory:
+    """Paths one after the other, in order of time, each followed by a row that is nowhere."""
+    ordered = sorted(paths, key=lambda path: float(path.time[0]))
+    parts = [_broken(path) for path in ordered]
+    time, position, heading, covariance = (
+        np.concatenate(column) for column in zip(*(p[:4] for p in parts), strict=True)
+    )
+    return Trajectory(time, position, heading, tuple(label for p in parts for label in p[4]), covariance)
+
+
+def _broken(path: Trajectory) -> tuple[Any, ...]:
+    """The columns of a path and a row that is nowhere."""
+    covariance = np.full((len(path), 3, 3), np.nan) if path.covariance is None else path.covariance
+    return (
+        np.append(path.time, path.time[-1]),
+        np.append(path.position, [[np.nan, np.nan]], axis=0),
+        np.append(path.heading, np.nan),
+        np.append(covariance, np.full((1, 3, 3), np.nan), axis=0),
+        (*path.floor, path.floor[-1]),
+    )
+
+
+def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[dict[str, Any]]:
+    """What was done where, by kinds, and the way that the walker goes, with its region."""
+    for kind in COLOURS:
+        own = [drawn for drawn in panel.drawn if drawn.kind == kind and len(drawn.track) > 1]
+        if own:
+            unseen = kind in UNSEEN
+            style = {"dash": "dot" if unseen else "solid", "width": 1.2 if unseen else 2.4}
+            yield _kind(WORDS.get(kind, kind), COLOURS[kind], own, number) | style
+    on = [number if panel.floor in ("", label) else NOWHERE for label in way.floor]
+    regions: list[Any] = [None] * maps
+    regions[number] = rings(np.concatenate([_region(panel, path) for own in panel.ways for path in own]))
+    yield track("where", TRACK, way, on, width=0, walker=True, lead=True, bands=regions)
+
+
+def _region(panel: Panel, path: Trajectory) -> Array:
+    return band(path, np.array([panel.floor in ("", label) for label in path.floor]))
+
+
+def _kind(name: str, colour: str, drawn: Sequence[Drawn], number: int) -> dict[str, Any]:
+    path = _joined(one.track for one in drawn)
+    bare = Trajectory(path.time, path.position, path.heading, path.floor)
+    return track(name, colour, bare, [number] * len(bare))
+
+
+def _stays(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
+    for kind in (STAY, PASSING):
+        own = [stay for stay in panel.stays if stay.passing == (kind == PASSING)]
+        if own:
+            x, y = (column(axis, CENTIMETRE) for axis in np.array([stay.position for stay in own]).T)
+            marks = {"name": WORDS.get(kind, kind), "colour": COLOURS[kind], "symbol": "circle", "x": x, "y": y}
+            dots = {"size": [_dot(stay) for stay in own], "text": [_stayed(stay) for stay in own]}
+            yield marks | dots | {"on": runs([number] * len(own))}
+
+
+def _dot(stay: Stay) -> float:
+    """Its diameter, by how long it was. [px]"""
+    share = 0.0 if stay.passing else min((stay.end - stay.start) / LONGEST, 1.0)
+    return round(float(np.sqrt(SMALLEST_DOT**2 + share * (LARGEST_DOT**2 - SMALLEST_DOT**2))), 1)
+
+
+def _stayed(stay: Stay) -> str:
+    named = [f"{name} {probability:.0%}" for name, probability in stay.facing]
+    return "\n".join([f"{spoken(stay.end - stay.start)}, ± {float(sigma(stay.covariance)):.1f} m", *named])
+
+
+def _said(entry: Entry) -> str:
+    what = WORDS.get(entry.kind, entry.kind)
+    return ", ".join(part for part in (what, " > ".join(entry.floor), where(entry)) if part)
+
+
+def _hours(entries: Sequence[Entry]) -> dict[str, Any]:
+    """What was done when, in a lane for each kind, the first on top."""
+    kinds = [kind for kind in COLOURS if any(entry.kind == kind for entry in entries)][::-1]
+    lanes = [_lane(kind, [e for e in entries if e.kind == kind], n) for n, kind in enumerate(kinds)]
+    labels = [WORDS.get(kind, kind) for kind in kinds]
+    return {"title": "the day", "unit": "", "lines": lanes, "labels": labels, "height": 40 + LANE * len(kinds)}
+
+
+def _lane(kind: str, entries: Sequence[Entry], lane: int) -> dict[str, Any]:
+    """Blocks; each says in its middle, too, what it is."""
+    time = np.array([(e.start, (e.start + e.end) / 2, e.end, e.end) for e in entries]).ravel()
+    y = np.tile([lane, lane, lane, np.nan], len(entries))
+    text = [f"{spoken(e.end - e.start)}\n{_said(e)}" for e in entries for _ in range(4)]
+    block = {"name": kind, "colour": COLOURS[kind], "width": BLOCK, "text": text}
+    return block | {"time": column(time, CENTISECOND), "y": column(y, 1.0)}
+
+
+def _sigma(way: Trajectory) -> dict[str, Any]:
+    return charts.sigma({"where": (TRACK, way)})
+
+
+def _timeline(entries: Sequence[Entry], zone: tzinfo) -> Table:
+    rows = [
+        [
+            f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}",
+            spoken(e.end - e.start),
+            WORDS.get(e.kind, e.kind),
+            f"{e.distance:,.0f} m" if e.distance >= 0.5 else "",
+            " > ".join(e.floor),
+            where(e),
+        ]
+        for e in entries
+    ]
+    head = ["from", "for", "what", "distance", "floor", "where"]
+    return table("The day", head, rows, [round(e.start, 2) for e in entries])

@@ -1,0 +1,271 @@
+"""The public surface: what it promises by name and signature, what each name gives, and what it says of a mistake."""
+
+import ast
+import inspect
+import re
+import subprocess
+import sys
+from dataclasses import is_dataclass, replace
+from pathlib import Path
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import pdr_graph as pdr
+
+# What other people's programs may rely on: a change here is a change for them, and belongs into CHANGELOG.md
+PROMISED = """
+Building(floors)
+Calibration(start, value, covariance, prior_sigma)
+Estimate(trajectory, dead_reckoning, calibration, fixes, iterations, cost, converged, probability=, beacons=, warnings=)
+Fixes(time, position, sigma, floor=, epsg=, source=)
+FloorPlan(label, areas, frame, notes=, mended=, height=)
+Frame(kind=, origin=, epsg=, metres_per_degree=)
+Headings(time, heading, sigma)
+InputError(source, place, found, needed)
+Journal(path, database, make, restored, every)
+Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, begins=, epoch=)
+Pose(time, x, y, heading, floor, covariance)
+Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, fix_flat=)
+Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
+fixes=, bluetooth=, wifi=, beacons=, truth=, notes=)
+Samples(sensor, time, values)
+Scan(radio, heard)
+Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, given=, \
+beacons=, access_points=)
+Sightings(time, transmitter, rssi, minor=)
+Signal(time, values)
+Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=)
+Trajectory(time, position, heading, floor=, covariance=, epsg=)
+WalkGraph(steps, fixes=, *, headings=, floor=, floors=, levels=, closures=, prior=, others=)
+Walker(height=, sigma_turn=, stride=, constants=, profile=)
+dead_reckon(steps, start=, heading=)
+detect_steps(recording, walker=)
+evaluate(estimate, truth, floor=, pairing=)
+events_of(recording, packet=)
+floors_of(steps, barometer, start, fixes, building)
+frame_of(fixes)
+kalman_filter(graph)
+kalman_smoother(graph)
+load(path, gnss_latency=)
+magnetic_headings(recording, frame, near)
+plot(estimate, floor=, truth=, title=)
+read_fixes(path, recording, frame=, notes=)
+read_trajectory(path, recording=)
+simulate(scenario)
+smooth(graph)
+"""
+
+
+def spelt(name):
+    """A public name with its parameters; those with a default have a ``=``."""
+    said, keyword = [], False
+    for parameter in inspect.signature(getattr(pdr, name)).parameters.values():
+        if parameter.kind is parameter.KEYWORD_ONLY and not keyword:
+            said, keyword = [*said, "*"], True
+        said.append(parameter.name + "=" * (parameter.default is not parameter.empty))
+    return f"{name}({', '.join(said)})"
+
+
+def test_the_public_surface_is_what_was_promised():
+    assert [spelt(name) for name in sorted(pdr.__all__)] == PROMISED.split("\n")[1:-1]
+
+
+def test_names_load_when_first_used():
+    """``import pdr_graph`` is what every command waits for: it brings in no array library."""
+    code = "import sys, pdr_graph; assert not {'numpy', 'gtsam', 'scipy', 'shapely', 'matplotlib'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    with pytest.raises(AttributeError, match="smoothe"):
+        _ = pdr.smoothe
+
+
+def test_a_type_checker_sees_each_name_where_it_is():
+    """The stub is the one list: what it imports is what is there, and nothing is defined twice."""
+    stub = ast.parse(Path(pdr.__file__).with_suffix(".pyi").read_text())
+    listed = [(node.module, alias) for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    assert sorted(alias.name for _, alias in listed) == sorted(pdr.__all__)
+    assert all(alias.asname == alias.name for _, alias in listed), "or it would not be exported"
+    for module, alias in listed:
+        assert getattr(pdr, alias.name).__module__ == f"pdr_graph.{module}"
+    assert Path(pdr.__file__).with_name("py.typed").exists()
+
+
+def test_help_names_everything_there_is():
+    """`help(pdr_graph)` begins with each public name, and each explains its parameters."""
+    words = set(re.findall(r"\w+", pdr.__doc__ or ""))
+    assert set(pdr.__all__) <= words
+    for name in pdr.__all__:
+        public = getattr(pdr, name)
+        told = set(re.findall(r"\w+", inspect.getdoc(public) or ""))
+        if name != "Journal":  # made by `Journal.open`
+            assert set(inspect.signature(public).parameters) - {"path"} <= told, name
+
+
+def test_the_version_is_said_once():
+    """The package's is the distribution's."""
+    root = Path(__file__).parent.parent
+    assert re.fullmatch(r"\d+\.\d+\.\d+", pdr.__version__)
+    others = [name for name in ("pyproject.toml", "CITATION.cff") if pdr.__version__ in (root / name).read_text()]
+    assert others == []
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A short simulated walk as its files, the plan beside them."""
+    from pdr_graph.simulation.recorders import write
+
+    folder = tmp_path_factory.mktemp("walk")
+    scenario = pdr.Scenario.load("arcade")
+    walk = pdr.simulate(scenario)
+    write(walk, folder)
+    return folder, walk
+
+
+@pytest.fixture(scope="module")
+def given(world):
+    """Arguments by the name of the parameter that takes them."""
+    folder, _ = world
+    recording, plan = pdr.load(folder), pdr.FloorPlan.load(folder / "plan.geojson")
+    fixes = pdr.read_fixes(folder / "fixes.csv", recording, plan.frame)
+    steps = pdr.detect_steps(recording)
+    graph = pdr.WalkGraph(steps, fixes)
+    return {
+        "scenario": pdr.Scenario.load("arcade"),
+        "recording": recording,
+        "frame": plan.frame,
+        "fixes": fixes,
+        "near": fixes.position[0],
+        "steps": steps,
+        "graph": graph,
+        "barometer": recording.barometer,
+        "building": None,
+        "start": None,
+        "estimate": pdr.smooth(graph),
+        "truth": pdr.read_trajectory(folder / "truth.csv", recording),
+        "path": folder,
+    }
+
+
+RETURNS = {
+    "dead_reckon": pdr.Trajectory,
+    "detect_steps": pdr.Steps,
+    "frame_of": pdr.Frame,
+    "kalman_filter": pdr.Estimate,
+    "kalman_smoother": pdr.Estimate,
+    "load": pdr.Recording,
+    "magnetic_headings": pdr.Headings,
+    "smooth": pdr.Estimate,
+    "plot": Figure,
+}
+
+
+@pytest.mark.parametrize("name", RETURNS)
+def test_each_verb_returns_the_noun_that_its_signature_names(given, name):
+    verb = getattr(pdr, name)
+    required = [p.name for p in inspect.signature(verb).parameters.values() if p.default is p.empty]
+    assert get_type_hints(verb)["return"] is RETURNS[name]
+    assert isinstance(verb(*(given[parameter] for parameter in required)), RETURNS[name])
+
+
+def test_an_estimate_is_scored_in_the_clock_of_the_recording(given):
+    """Truth read with its recording has the estimate's times; the fixes err by 1.5 m along each axis."""
+    scores = pdr.evaluate(given["estimate"].trajectory, given["truth"])
+    assert scores["n"] > 1000
+    assert scores["ce"]["p50"] < 1.5
+    own = pdr.read_trajectory(given["path"] / "truth.csv")
+    assert own.time - given["truth"].time == pytest.approx(given["recording"].clock_origin)
+
+
+def test_live_events_make_a_pose_and_nouns_are_frozen(given):
+    nav = pdr.Navigator(frame=given["frame"])
+    for event in (e for e in pdr.events_of(given["recording"]) if isinstance(e, pdr.Samples) and e.time[0] < 20):
+        nav.push(event)
+    assert isinstance(nav.pose, pdr.Pose)
+    assert isinstance(nav.finish(), pdr.Estimate)
+    nouns = [getattr(pdr, name) for name in pdr.__all__ if is_dataclass(getattr(pdr, name))]
+    assert len(nouns) > 10
+    assert all(noun.__dataclass_params__.frozen for noun in nouns)
+
+
+def test_lists_will_do_for_columns():
+    """Who types three fixes by hand need not know numpy, nor say that no floor is known."""
+    fixes = pdr.Fixes([0, 10], [[0, 0], [10, 5]], [1, 2])
+    assert fixes.time.dtype == fixes.position.dtype == np.float64
+    assert fixes.floor == ("", "")
+
+
+MISTAKES = {
+    "steps for a graph": (lambda g: pdr.smooth(g["steps"]), "found Steps, needed WalkGraph"),
+    "steps for a filter": (lambda g: pdr.kalman_filter(g["steps"]), "found Steps, needed WalkGraph"),
+    "a recording for steps": (lambda g: pdr.WalkGraph(g["recording"], g["fixes"]), "found Recording, needed Steps"),
+    "the wrong order": (lambda g: pdr.WalkGraph(g["fixes"], g["steps"]), "found Fixes, needed Steps"),
+    "positions for fixes": (lambda g: pdr.WalkGraph(g["steps"], g["fixes"].position), "found ndarray, needed Fixes"),
+    "a path for a plan": (
+        lambda g: pdr.WalkGraph(g["steps"], floor="plan.geojson"),
+        "found str 'plan.geojson', needed",
+    ),
+    "degrees for metres": (
+        lambda g: pdr.WalkGraph(
+            g["steps"], replace(g["fixes"], epsg=4326, position=g["frame"].to_lonlat(g["fixes"].position))
+        ),
+        "found those of EPSG:4326, needed metres",
+    ),
+    "a path for a recording": (lambda g: pdr.detect_steps("walk.zip"), "found str 'walk.zip', needed Recording"),
+    "a height for a walker": (lambda g: pdr.detect_steps(g["recording"], 1.72), "found float 1.72, needed Walker"),
+    "a height in centimetres": (lambda g: pdr.Walker(height=172), "found 172, needed metres"),
+    "an unknown stride": (lambda g: pdr.Walker(stride="long"), "found 'long', needed one of"),
+    "a direction in degrees": (lambda g: pdr.dead_reckon(g["steps"], heading=90), "found 90, needed radians"),
+    "headings in degrees": (lambda g: pdr.Headings([1], [90], [5]), "found 90.0, needed radians"),
+    "a fix without a number": (lambda g: pdr.Fixes([0, np.nan], [[0, 0], [1, 1]], [1, 1]), "found row 1: nan, needed"),
+    "one sigma for all": (lambda g: pdr.Fixes([0], [[0, 0]], 1.0), "found float, needed an array"),
+    "positions in space": (lambda g: pdr.Fixes([0], [[0, 0, 0]], [1]), "found shape (1, 3), needed (n, 2)"),
+    "steps out of order": (lambda g: replace(g["steps"], time=g["steps"].time[::-1]), "needed times that increase"),
+    "samples that are one too few": (lambda g: pdr.Signal(np.arange(3.0), np.zeros((2, 3))), "needed (n,) and (n, 3)"),
+    "a path without headings": (
+        lambda g: pdr.Trajectory(np.arange(3.0), np.zeros((3, 2)), np.zeros(2)),
+        "found shapes (3, 2) and (2,), and 3 labels at 3 times",
+    ),
+    "an array for a signal": (
+        lambda g: pdr.Recording("mine", 0.0, None, accelerometer=np.zeros((9, 3))),
+        "found ndarray, needed Signal",
+    ),
+    "an estimate for its trajectory": (
+        lambda g: pdr.evaluate(g["estimate"], g["truth"]),
+        "found Estimate, needed Trajectory, as of smooth(graph).trajectory",
+    ),
+    "no truth": (lambda g: pdr.evaluate(g["estimate"].trajectory, None), "found None, needed Trajectory"),
+    "another clock": (
+        lambda g: pdr.evaluate(g["estimate"].trajectory, pdr.read_trajectory(g["path"] / "truth.csv")),
+        "needed the same clock",
+    ),
+    "a trajectory to plot": (lambda g: pdr.plot(g["truth"]), "found Trajectory, needed Estimate"),
+    "a plan for its frame": (
+        lambda g: pdr.read_fixes(
+            g["path"] / "fixes.csv", g["recording"], pdr.FloorPlan.load(g["path"] / "plan.geojson")
+        ),
+        "found FloorPlan, needed Frame",
+    ),
+    "a recording as a plan": (lambda g: pdr.FloorPlan.load(g["path"]), "needed a floor plan's file"),
+    "fixes as a plan": (lambda g: pdr.FloorPlan.load(g["path"] / "fixes.csv"), "found no JSON"),
+    "no such fixes": (lambda g: pdr.read_fixes("nowhere.csv", g["recording"]), "found no such file, needed a table"),
+    "a recording at once": (lambda g: pdr.Navigator().push(g["recording"]), "found Recording, needed Samples"),
+    "no lag": (lambda g: pdr.Navigator(lag=0), "found 0, needed seconds above 0"),
+    "a name for a scenario": (lambda g: pdr.simulate("arcade"), 'as of Scenario.load("arcade")'),
+    "a scenario that is not there": (lambda g: pdr.Scenario.load("atlantis"), "one of arcade, campus"),
+    "latitude of nowhere": (lambda g: pdr.Frame().to_lonlat(np.zeros((1, 2))), "found a local frame, needed"),
+    "a prior that is certain": (lambda g: pdr.Prior(sigma=(0, 0, 0)), "found (0, 0, 0), needed standard deviations"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line_with_what_was_found_and_needed(given, mistake):
+    """Every slip of a first hour: never an error from the depths, never a wrong result in silence."""
+    make, said = MISTAKES[mistake]
+    with pytest.raises((TypeError, ValueError), match=re.escape(said)) as caught:
+        make(given)
+    message = str(caught.value)
+    assert "found " in message
+    assert "needed " in message
+    assert "\n" not in message

@@ -1,0 +1,55 @@
+"""What keeps the package fast, as claims about growth and about what is loaded; seconds are for scripts/benchmark."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from walks import fixes_on, wandering_walk
+
+from pdr_graph import WalkGraph, dead_reckon, smooth
+from pdr_graph.estimation.filters import kalman_filter
+
+SLOW_TO_LOAD = ("scipy.signal", "scipy.stats", "scipy.optimize", "matplotlib.pyplot", "sklearn", "pandas")
+RUNS = 3
+
+
+def least_time(function, graph_of):
+    """CPU time [s]: other processes of the machine add little to it."""
+    times = []
+    for _ in range(RUNS):
+        began = time.process_time()
+        function(graph_of())
+        times.append(time.process_time() - began)
+    return min(times)
+
+
+@pytest.mark.parametrize("function", [smooth, kalman_filter])
+def test_ten_times_the_steps_take_about_ten_times_as_long(function):
+    """20 instead of 10, since caches and a noisy machine have their part; what is quadratic would take 100."""
+
+    def graph_of(n):
+        steps = wandering_walk(n)
+        fixes = fixes_on(dead_reckon(steps), 30, sigma=2.0, seed=1)
+        return lambda: WalkGraph(steps, fixes)
+
+    short, long = (least_time(function, graph_of(n)) for n in (1000, 10_000))
+    assert long < 20 * short
+
+
+def test_memory_of_a_walk_does_not_grow_with_its_square():
+    """The covariance of every step, not of every pair: 10⁴ steps would need 7 GB of pairs."""
+    steps = wandering_walk(10_000)
+    track = smooth(WalkGraph(steps, fixes_on(dead_reckon(steps), 100))).trajectory
+    assert track.covariance is not None
+    assert track.covariance.shape == (10_002, 3, 3)
+    assert np.isfinite(track.covariance).all()
+
+
+def test_smoothing_loads_nothing_that_takes_long_and_is_not_needed():
+    """Each of these takes a tenth of a second to half of one; together as long as an hour's graph."""
+    modules = "pdr_graph.cli, pdr_graph.pipeline, pdr_graph.plotting, pdr_graph.report.walk"
+    said = f"import sys, {modules}; print(*(name for name in {SLOW_TO_LOAD} if name in sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", said], check=True, capture_output=True, text=True).stdout.split()
+    assert loaded == []
