@@ -1,0 +1,87 @@
+"""What is handed out: the wheel and the sdist hold what they must, and nothing else."""
+
+import ast
+import re
+import subprocess
+import sys
+import tarfile
+import tomllib
+import zipfile
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+import pdr_graph
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def build(source, out):
+    """As pip does it, without a network: the sdist and the wheel of a folder, as paths."""
+    command = [sys.executable, "-m", "hatchling", "build", "--directory", str(out)]
+    subprocess.run(command, check=True, cwd=source, capture_output=True, timeout=120)
+    return next(out.glob("*.tar.gz")), next(out.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    return build(ROOT, tmp_path_factory.mktemp("dist"))
+
+
+def test_the_wheel_has_the_package_with_all_it_reads_and_no_tests(built):
+    """Every file beside the code but what Python made itself; and scenarios with their plans, for a first walk."""
+    here = {f.relative_to(ROOT).as_posix() for f in (ROOT / "pdr_graph").rglob("*") if f.is_file()}
+    wanted = {name for name in here if "__pycache__" not in name}
+    wanted |= {f"pdr_graph/{f.relative_to(ROOT)}" for kind in ("maps", "scenarios") for f in (ROOT / kind).iterdir()}
+    with zipfile.ZipFile(built[1]) as wheel:
+        found = {name for name in wheel.namelist() if ".dist-info/" not in name}
+    assert found == wanted
+    assert {"pdr_graph/py.typed", "pdr_graph/__init__.pyi"} <= found
+
+
+def test_the_sdist_builds_the_same_wheel(built, tmp_path):
+    """Bit for bit; and it has what its own tests read."""
+    with tarfile.open(built[0]) as sdist:
+        sdist.extractall(tmp_path, filter="data")
+    (source,) = tmp_path.iterdir()
+    assert source.name == f"pdr_graph-{pdr_graph.__version__}"
+    for name in (
+        "tests/conftest.py",
+        "tests/test_api.py",
+        "docs/accuracy.md",
+        "scripts/demo",
+        "LICENSE",
+        "CITATION.cff",
+    ):
+        assert (source / name).exists(), name
+    assert not list(source.rglob("*.pyc"))
+    assert build(source, tmp_path / "dist")[1].read_bytes() == built[1].read_bytes()
+
+
+def test_what_is_imported_is_a_dependency():
+    """What stands at the head of a file must be there for all; what a function imports, for its extra at least."""
+
+    def named(requirements):
+        words = (word for line in requirements for word in re.findall(r"[\w-]+", line.split(">")[0]))
+        return {word.lower().replace("_", "-") for word in words}  # dask[distributed] brings both
+
+    core = named(PROJECT["dependencies"])
+    extra = named(r for extra in ("attitude", "gait", "fleet") for r in PROJECT["optional-dependencies"][extra])
+    distributions = packages_distributions()
+    for file in (ROOT / "pdr_graph").rglob("*.py"):
+        tree = ast.parse(file.read_text())
+        at_once = {id(node) for node in tree.body}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                modules = [node.module or ""]
+            elif isinstance(node, ast.Call) and ast.unparse(node.func) == "files":
+                modules = [ast.literal_eval(node.args[0])]  # what lies in a package
+            else:
+                continue
+            for top in {module.split(".")[0] for module in modules} - sys.stdlib_module_names - {"pdr_graph"}:
+                allowed = core if id(node) in at_once else core | extra
+                assert named(distributions[top]) & allowed, f"{file.name} imports {top}"
