@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import sys
 from collections import Counter
@@ -143,6 +144,8 @@ def smooth(
     pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
     """
     from pdr_graph.pipeline import smooth_recording
+
+    gc.freeze()  # what was imported stays: no collection need look at it again
 
     folder = out or _named(recording, "-smoothed")
     missing = smooth_recording(

@@ -13,25 +13,22 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
-import gtsam
 import numpy as np
 import shapely
-from gtsam.symbol_shorthand import C, X
 from lifelog_speed import lifelog_rows
 from live_speed import live_rows
+from profile_pipeline import profile_rows
 from read_speed import reading_rows
+from rivals import banded_limit, rival_rows
 from said import PERIOD, held_by_walls, walk
-from scipy.linalg import solveh_banded
+from scaling import scaling_rows
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, dead_reckon, detect_steps, io, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
 from pdr_graph.estimation import particles
-from pdr_graph.estimation.graph import Prior
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.estimation.preintegration import SIGMA_LATERAL
 from pdr_graph.gait.detection import StepDetector, walking_steps
 from pdr_graph.gait.live import LiveGait
-from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.inertial.published import METHODS, switching
 from pdr_graph.simulation.recorders import write
@@ -52,60 +49,6 @@ def median_time(function, runs):
         function()
         times.append(time.perf_counter() - started)
     return float(np.median(times[1:] or times))
-
-
-def textbook(steps, fixes):
-    """The same model as the tutorials write it: a Python CustomFactor per step, under GTSAM's Levenberg–Marquardt."""
-    prior, graph, start = Prior(), gtsam.NonlinearFactorGraph(), gtsam.Values()
-    sigmas = np.array([steps.sigma_length[0], SIGMA_LATERAL, steps.sigma_turn[0]])
-    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-
-    def step_factor(k, length, turn):
-        def error(this, values, jacobians):
-            d = values.atPose2(X(k)).between(values.atPose2(X(k + 1)))
-            R_s, R_d, b = values.atVector(C(k // 100))
-            angle = R_d * turn + b * PERIOD
-            forward = length * np.array([np.cos(angle / 2), np.sin(angle / 2), 0.0])
-            left = length * np.array([-np.sin(angle / 2), np.cos(angle / 2), 0.0])
-            if jacobians is not None:
-                jacobians[1] = np.eye(3, order="F")
-                jacobians[1][:2, :2] = d.rotation().matrix()
-                jacobians[0] = np.asfortranarray(-jacobians[1] @ d.inverse().AdjointMap())
-                by_turn = R_s * left / 2 + np.array([0, 0, 1.0])
-                jacobians[2] = np.asfortranarray(-np.column_stack([forward, by_turn * turn, by_turn * PERIOD]))
-            return np.array([d.x(), d.y(), wrap_angle(d.theta() - angle)]) - R_s * forward
-
-        return gtsam.CustomFactor(noise, [X(k), X(k + 1), C(k // 100)], error)
-
-    for k, (length, turn) in enumerate(zip(steps.length, steps.turn, strict=True)):
-        graph.add(step_factor(k, length, turn))
-    huber = gtsam.noiseModel.mEstimator.Huber.Create(2.45)
-    at = np.searchsorted(steps.time, fixes.time) + 1
-    for k, place, sigma in zip(at, fixes.position, fixes.sigma, strict=True):
-        robust = gtsam.noiseModel.Robust.Create(huber, gtsam.noiseModel.Isotropic.Sigma(2, sigma))
-        graph.add(gtsam.PoseTranslationPrior2D(X(int(k)), place, robust))
-    segments = (len(steps) - 1) // 100 + 1
-    graph.add(
-        gtsam.PriorFactorVector(C(0), np.array(prior.mean), gtsam.noiseModel.Diagonal.Sigmas(np.array(prior.sigma)))
-    )
-    change = gtsam.noiseModel.Diagonal.Sigmas(np.array(prior.change))
-    for s in range(segments - 1):
-        graph.add(gtsam.BetweenFactorVector(C(s), C(s + 1), np.zeros(3), change))
-    track = dead_reckon(steps)
-    for k in range(len(steps) + 1):
-        start.insert(X(k), gtsam.Pose2(*track.position[k], track.heading[k]))
-    for s in range(segments):
-        start.insert(C(s), np.array(prior.mean))
-    optimiser = gtsam.LevenbergMarquardtOptimizer(graph, start)
-    return optimiser.optimize(), graph
-
-
-def banded_limit(n):
-    """LAPACK's banded Cholesky of a chain of n poses and four iterations: what no general solver can beat."""
-    band = np.zeros((6, 3 * n))
-    band[0], band[1:, :] = 4.0, -0.1
-    for _ in range(4):
-        solveh_banded(band, np.ones(3 * n), lower=True, overwrite_ab=False, check_finite=False)
 
 
 def smoother_rows():
@@ -130,21 +73,6 @@ def smoother_rows():
     return table(header, rows)
 
 
-def textbook_ratio():
-    """2000 steps, ours and the textbook's, in turn; and how far apart their answers are."""
-    steps, fixes = walk(2000, 30)
-    ours = median_time(lambda: smooth(WalkGraph(steps, fixes)), 5)
-    started = time.perf_counter()
-    values, _ = textbook(steps, fixes)
-    theirs = time.perf_counter() - started
-    poses = gtsam.utilities.extractPose2(values)
-    apart = np.hypot(*(smooth(WalkGraph(steps, fixes)).trajectory.position[:-1] - poses[:, :2]).T)
-    rows = [["pdr_graph, with covariance", f"{ours:.3f}", "1"]]
-    rows += [["one CustomFactor per step, LevenbergMarquardtOptimizer", f"{theirs:.1f}", f"{theirs / ours:.0f}"]]
-    text = table(["2000 steps, fix every 30", "time [s]", "ratio"], rows)
-    return f"{text}\n\nThe two tracks are {np.median(apart):.2f} m apart in the median (fixes: 3 m)."
-
-
 def wall_rows():
     """The graph with walls; a step of particles, beside drawing its normal numbers; start-up by the floor's size."""
     plan = FloorPlan.load(ROOT / "maps" / "loop.geojson")
@@ -154,6 +82,10 @@ def wall_rows():
     seven = median_time(lambda: optimize(graph, good), 5)
     found = optimize(graph, good)
     rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{found.iterations} iterations"]]
+    told = median_time(lambda: smooth(WalkGraph(steps, fixes, floor=plan)), 5)
+    sought = median_time(lambda: particles.particle_filter(WalkGraph(steps, fixes, floor=plan)), 1)
+    rows += [["built and smoothed, with covariance; fixes tell the way", f"{told:.3f} s", ""]]
+    rows += [["particles alone, which need not be asked there", f"{sought:.3f} s", f"{sought / told:.0f} ×"]]
 
     particles.FEWEST = particles.MOST = PARTICLES
     short = WalkGraph(*held_by_walls(400), floor=plan)
@@ -281,8 +213,10 @@ def smoothers():
 
 if __name__ == "__main__":
     sections = {
+        "hour": profile_rows,
+        "rivals": rival_rows,
         "smoother": smoothers,
-        "textbook": textbook_ratio,
+        "scaling": scaling_rows,
         "walls": wall_rows,
         "commands": command_rows,
         "attitude": attitude_rows,

@@ -9,6 +9,7 @@ from pdr_graph import detect_steps, io
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.inertial.windows import runs
 from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.sensors import EXPONENT, LAPSE, SEA_LEVEL
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Signal
 
@@ -20,6 +21,7 @@ BAROMETERS = {  # noise [hPa] of a sample, rate [Hz], gusts a minute
     "1 Hz, noise 0.03 hPa, a gust a minute": (0.03, 1.0, 1.0),
     "1 Hz, noise 0.1 hPa, a gust a minute": (0.1, 1.0, 1.0),
 }
+ALTITUDE = 50.0  # [m]
 WEATHER = 1.0  # [hPa] an hour, at most
 GUST, LASTS = (0.1, 0.6), (1.0, 4.0)  # [hPa], [s]
 ON_A_FLOOR = 0.3  # [m] from its height
@@ -162,7 +164,8 @@ def weathered(walk, seed, noise, rate, gusts):
     random = np.random.default_rng(1000 + seed)
     end = walk.body.time[-1]
     time = np.arange(0, end, 1 / rate)
-    pressure = 1013.25 * (1 - 2.25577e-5 * (50 + np.interp(time, walk.body.time, walk.body.height))) ** 5.25588
+    height = ALTITUDE + np.interp(time, walk.body.time, walk.body.height)
+    pressure = SEA_LEVEL * (1 - LAPSE * height) ** EXPONENT
     pressure += random.uniform(-WEATHER, WEATHER) * time / 3600 + random.normal(0, noise, len(time))
     for at in random.uniform(0, end, random.poisson(gusts * end / 60)):
         lasts = random.uniform(*LASTS)

@@ -26,7 +26,7 @@ SLOWEST = 10  # [s] for inputs of some kilobytes
 
 def record(path):
     walk = io.load(path)
-    if walk.accelerometer or walk.linear_acceleration:
+    if walk.has_acceleration:
         detect_steps(walk)
 
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from recorded import WAYPOINT_NOISE, gaps
+from recorded import WAYPOINT_NOISE, gaps, given, rest
 from tables import publish, table
 
 from pdr_graph import io
@@ -17,25 +17,12 @@ from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = ("site1/B1", "site1/F1", "site2/F1")
 NO_PIECE = "5dda0214"  # of site1/F1, an hour later: no piece of its chain
-SIGMA = 0.5  # [m] stated of a waypoint that is given
 
 
 def observed(folder):
     """Every walk of a floor, in order of time, with its waypoints."""
     found = [(observe(path, folder), io.load(path)) for path in sorted(folder.glob("*.txt"))]
     return sorted(found, key=lambda pair: pair[0].epoch)
-
-
-def given(truth, which):
-    """Some waypoints as fixes."""
-    which = np.unique(np.arange(len(truth))[which])
-    return Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
-
-
-def rest(truth, which):
-    """The others."""
-    left = np.setdiff1d(np.arange(len(truth)), np.arange(len(truth))[which])
-    return Trajectory(truth.time[left], truth.position[left], np.zeros(len(left)), ("",) * len(left))
 
 
 def scores(pairs):
@@ -64,28 +51,37 @@ def by_ends(pieces, plan):
     return Group(tuple((str(n), one) for n, one in enumerate(ones)))
 
 
+def aware(group):
+    """As it is: the magnetic field says how far the walker turned between two recordings."""
+    return group
+
+
 def unaware(group):
     """The same, were nothing known of the time between two recordings."""
     return Group(tuple((name, replace(one, ends=None, epoch=one.epoch)) for name, one in group.parts))
 
 
-def chains(data):
-    """The three chains, each as one walk."""
-    rows, pooled = [], {}
+def as_one(data):
+    """Each chain as one walk, by what is given beside its two ends: its name, that, the walk, and the waypoints that
+    were not given.
+    """
     for name in CHAINS:
         pieces = [pair for pair in observed(data / "ms_indoor20" / name) if NO_PIECE not in pair[1].source]
         truth = whole_truth(pieces)
         length = np.hypot(*np.diff(truth.position, axis=0).T).sum()
-        for given_too, plan, of in (
-            ("", False, lambda g: g),
-            ("plan", True, unaware),
-            ("plan, field", True, lambda g: g),
-        ):
-            walk = walked(of(by_ends(pieces, plan)), None, None)
-            pair = walk.estimate.trajectory, rest(truth, [0, -1])
-            pooled.setdefault(given_too, []).append(pair)
-            rows.append([f"{name}, {len(pieces)} recordings, {length:.0f} m", given_too or "field", *scores([pair])])
-    rows += [["all three", given_too or "field", *scores(pairs)] for given_too, pairs in pooled.items()]
+        said = f"{name}, {len(pieces)} recordings, {length:.0f} m"
+        for beside, plan, of in (("field", False, aware), ("plan", True, unaware), ("plan, field", True, aware)):
+            yield said, beside, walked(of(by_ends(pieces, plan)), None, None), rest(truth, [0, -1])
+
+
+def chains(data):
+    """The three chains, each as one walk."""
+    rows, pooled = [], {}
+    for name, beside, walk, truth in as_one(data):
+        pair = walk.estimate.trajectory, truth
+        pooled.setdefault(beside, []).append(pair)
+        rows.append([name, beside, *scores([pair])])
+    rows += [["all three", beside, *scores(pairs)] for beside, pairs in pooled.items()]
     return table(["chain", "beside its two ends", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region"], rows)
 
 

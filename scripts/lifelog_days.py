@@ -10,7 +10,7 @@ from tables import publish, table
 
 from pdr_graph.inputs import read_inputs
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.positions import follow_positions
+from pdr_graph.lifelog.segments import follow_positions
 
 ROOT = Path(__file__).resolve().parents[1]
 ON_FOOT = {"walk", "run"}
@@ -19,20 +19,14 @@ COLOURS = {WALKING: "tab:green", STANDING: "tab:red", VEHICLE: "tab:blue", GAP: 
 
 def lifelog_days(data):
     """Both tables: the days, and what GeoLife's volunteer said beside what was found."""
-    sys.path.append(str(ROOT / "tests"))
-    from cleaned_track import cleaned_length, raw_length
-
     rows = []
     for path in days(data):
-        fixes = read_inputs(path).fixes
-        _, segments = follow_positions(fixes)
-        gone = sum(s.distance for s in segments)
-        clean = cleaned_length(fixes.time, fixes.position)
+        fixes, segments, raw, clean, gone = lengths(path)
         row = [name(path), hours(fixes.time[-1] - fixes.time[0])]
         row += [f"{hours(total(segments, kind)[0])}, {km(total(segments, kind)[1])}" for kind in (WALKING, VEHICLE)]
         row += [f"{hours(total(segments, STANDING)[0])}, {sum(s.kind == STANDING for s in segments)}"]
         row += [f"{hours(total(segments, GAP)[0])}, {sum(s.kind == GAP for s in segments)}"]
-        rows.append([*row, km(raw_length(fixes.position)), km(clean), km(gone), f"{100 * (gone / clean - 1):+.1f} %"])
+        rows.append([*row, km(raw), km(clean), km(gone), off(gone, clean)])
     header = [
         "day",
         "in all",
@@ -46,6 +40,21 @@ def lifelog_days(data):
         "difference",
     ]
     publish("accuracy.md", "lifelog-days", f"{table(header, rows)}\n\n{said_and_found(data)}")
+
+
+def lengths(path):
+    """A day's fixes and segments, and how far it led [m]: as recorded, cleaned by others' recipes, and by us."""
+    sys.path.append(str(ROOT / "tests"))
+    from cleaned_track import cleaned_length, raw_length
+
+    fixes = read_inputs(path).fixes
+    _, segments = follow_positions(fixes)
+    clean = cleaned_length(fixes.time, fixes.position)
+    return fixes, segments, raw_length(fixes.position), clean, sum(s.distance for s in segments)
+
+
+def off(length, clean):
+    return f"{100 * (length / clean - 1):+.1f} %"
 
 
 def days(data):

@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from microsoft import helped_walks
 from recorded import WAYPOINT_NOISE, Walk, gaps, ipin21_walks, ipin2023_walks, nju_walks, percentiles
 from tables import publish, table
 
@@ -64,10 +65,10 @@ class Live:
     asked: np.ndarray
 
 
-def live(data, microsoft_walks, recordings):
+def live(data):
     """The table of all walks, and that of a competition's view."""
     groups = [[case] for case in [*museum(data), *campus(data), *eight(data), *simulated_walks()]]
-    groups += microsoft(microsoft_walks, recordings)
+    groups += [list(mall(data, given, plan=True)) for given in ("first and last", "first only")]
     rows, ratios, view = [], [], []
     for cases in groups:
         told = [{**offline(case), **online(case)} for case in cases]
@@ -158,10 +159,14 @@ def museum(data):
 
 def campus(data):
     """NJU's, with most positions withheld."""
+    yield from (on_campus(data, walk) for walk in nju_walks(data))
+
+
+def on_campus(data, walk):
+    """Of NJU's walk with some of its positions."""
     recording = io.load(data / "nju_phyphox_outdoor")
     lon, lat = recording.fixes.position[0]
-    for walk in nju_walks(data):
-        yield Case("NJU campus", walk.name, walk, recording, enu(lat, lon))
+    return Case("NJU campus", walk.name, walk, recording, enu(lat, lon))
 
 
 def eight(data):
@@ -172,24 +177,12 @@ def eight(data):
         yield Case("IPIN21, eight", f"{walk.name}, plan", walk, recording, walk.floor.frame, walk.floor)
 
 
-def microsoft(microsoft_walks, recordings):
-    """The fifteen walks with the plan, all of them together."""
-    of_steps = {id(steps): recording for recording, steps, _, _ in recordings}
-    for given, walks in microsoft_walks:
-        if given != "every second waypoint":
-            yield [
-                Case(
-                    "Microsoft",
-                    f"{given}, plan",
-                    w,
-                    of_steps[id(w.steps)],
-                    w.floor.frame,
-                    w.floor,
-                    None,
-                    WAYPOINT_NOISE,
-                )
-                for w in walks
-            ]
+def mall(data, given, plan):
+    """Microsoft's walks by what is given of their waypoints, with or without the plan."""
+    said = f"{given}, plan" if plan else given
+    for recording, walk in helped_walks(data, given):
+        floor = walk.floor if plan else None
+        yield Case("Microsoft", said, walk, recording, walk.floor.frame, floor, noise=WAYPOINT_NOISE)
 
 
 def simulated_walks():

@@ -13,7 +13,7 @@ from tables import DOCS, publish, table
 from pdr_graph import FloorPlan, Headings, WalkGraph, detect_steps, smooth
 from pdr_graph.floor.links import straightened
 from pdr_graph.floor.matching import correct, match
-from pdr_graph.geometry import dead_reckon, interpolate
+from pdr_graph.geometry import dead_reckon, interpolate, length_along
 from pdr_graph.plotting import draw_plan
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -130,7 +130,7 @@ def known_start(steps, start=START):
 
 def errors(track, truth):
     """Distances [m] from the truth when the walker was at SHARES of the path."""
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth.position, axis=0).T))])
+    way = length_along(truth.position)
     rows = np.searchsorted(way, SHARES * way[-1] - 1e-9)
     return np.hypot(*(interpolate(truth.time[rows], track.time, track.position) - truth.position[rows]).T)
 

@@ -1,20 +1,20 @@
-"""Accuracy on walks that came with their own fixes, for docs/accuracy.md."""
+"""Real recordings as the back end sees them, what is given of their truth, and how an estimate is scored."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, read_fixes, smooth
+from pdr_graph import FloorPlan, detect_steps, io, magnetic_headings, read_fixes
 from pdr_graph.estimation.beacons import Levels, levels
 from pdr_graph.estimation.floors import floors_along
-from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.evaluation import pair
 from pdr_graph.frames import enu
 from pdr_graph.gait.gait import gait_of
 from pdr_graph.gait.treads import on_treads
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
+SIGMA = 0.5  # [m] stated of a waypoint that is given
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start
 WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the taps of Microsoft's surveyors
 INSIDE_90 = 4.605  # χ² of two degrees of freedom
@@ -59,6 +59,23 @@ def fixes_as_track(fixes):
     return Trajectory(fixes.time, fixes.position, np.zeros(len(fixes)), fixes.floor)
 
 
+def given(truth, which):
+    """The places ``which`` of a truth as fixes."""
+    which = np.unique(np.arange(len(truth))[which])
+    return Fixes(truth.time[which], truth.position[which], np.full(len(which), SIGMA), ("",) * len(which))
+
+
+def rest(truth, which):
+    """The others."""
+    left = np.setdiff1d(np.arange(len(truth)), np.arange(len(truth))[which])
+    return Trajectory(truth.time[left], truth.position[left], truth.heading[left], ("",) * len(left))
+
+
+def helped(walk, which):
+    """A walk that is given some places of its truth and nothing else; the others are left to score it."""
+    return replace(walk, fixes=given(walk.truth, which), truth=rest(walk.truth, which), levels=None)
+
+
 def ipin21_walks(data):
     """The figure of eight with the start alone and with each set of simulated fixes."""
     folder = data / "ipin21_hcu"
@@ -70,6 +87,13 @@ def ipin21_walks(data):
     sets = [("the start, alone", start), *((path.stem, read_fixes(path, walk, floor.frame)) for path in paths)]
     for name, fixes in sets:
         yield Walk(name, steps, magnetic_headings(gaits, floor.frame, fixes.position[0]), fixes, truth, floor)
+
+
+def ipin21_landmarks(data, truth):
+    """The rows of the figure of eight's truth when the walker was at the surveyed places."""
+    folder = data / "ipin21_hcu" / "eight"
+    at = np.loadtxt(folder / "ref.csv")[:, 0] / 1000 - io.load(folder).clock_origin
+    return np.unique([np.argmin(np.abs(truth.time - t)) for t in at])
 
 
 def ipin2023_walks(data):
@@ -100,42 +124,11 @@ def nju_walk(data):
 def nju_walks(data):
     """The campus walk with most positions withheld: these are its truth."""
     whole = nju_walk(data)
-    fixes = whole.fixes
     for every in (10, 30, 60, 120):
-        given = np.arange(0, len(fixes), every)
-        rest = fixes_as_track(fixes[np.setdiff1d(np.arange(len(fixes)), given)])
-        yield replace(whole, name=f"one in {every} s", fixes=fixes[given], truth=rest)
+        yield withheld(whole, f"one in {every} s", np.arange(0, len(whole.fixes), every))
 
 
-def ipin21(data):
-    """The figure of eight, without and with the plan's walls."""
-    rows = []
-    for walk in ipin21_walks(data):
-        fixes, truth, floor = walk.fixes, walk.truth, walk.floor
-        own = percentiles(circular_error(pair(truth, fixes_as_track(fixes)))) if len(fixes) > 1 else "—"
-        cells = [walk.name, own]
-        for plan in (None, floor):
-            track = smooth(WalkGraph(walk.steps, fixes, headings=walk.headings, floor=plan)).trajectory
-            crossing = 100 * floor.crosses_wall(track.position[:-1], track.position[1:]).mean()
-            cells += [percentiles(circular_error(pair(track, truth))), coverage(track, truth), f"{crossing:.0f} %"]
-        rows.append(cells)
-    header = ["fixes", "their own error [m]", "graph [m]", "in 90 %", "cross", "with map [m]", "in 90 %", "cross"]
-    publish("accuracy.md", "ipin21", table(header, rows))
-
-
-def gnss(data):
-    """Phones with their own GNSS: a museum's landmarks, and a campus walk of which most positions were withheld."""
-    rows = []
-    for walk in ipin2023_walks(data):
-        own = percentiles(circular_error(pair(fixes_as_track(walk.fixes), walk.truth)))
-        for given, beside in (("GNSS", None), ("GNSS, beacons", walk.levels)):
-            track = smooth(WalkGraph(walk.steps, walk.fixes, headings=walk.headings, levels=beside)).trajectory
-            errors = percentiles(circular_error(pair(track, walk.truth)))
-            rows.append([walk.name, given, own, errors, coverage(track, walk.truth)])
-    for walk in nju_walks(data):
-        between = percentiles(circular_error(pair(fixes_as_track(walk.fixes), walk.truth)))
-        track = smooth(WalkGraph(walk.steps, walk.fixes, headings=walk.headings)).trajectory
-        errors = percentiles(circular_error(pair(track, walk.truth)))
-        rows.append(["NJU campus", walk.name, between, errors, coverage(track, walk.truth)])
-    header = ["walk", "given", "straight lines between fixes [m]", "graph [m]", "in 90 %"]
-    publish("accuracy.md", "gnss", table(header, rows))
+def withheld(walk, name, which):
+    """A walk with the positions ``which`` of its receiver; the others are its truth."""
+    others = walk.fixes[np.setdiff1d(np.arange(len(walk.fixes)), np.arange(len(walk.fixes))[which])]
+    return replace(walk, name=name, fixes=walk.fixes[which], truth=fixes_as_track(others))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from pdr_graph import dead_reckon
+from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.types import Fixes, Steps
 
 PERIOD = 0.53  # [s] per step
@@ -11,7 +12,12 @@ LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] th
 
 def walk(n, every):
     """``n`` steps as a front end would say them, with a fix of 3 m every so many steps, at its own time."""
-    random = np.random.default_rng(0)
+    return walk_and_truth(n, every)[:2]
+
+
+def walk_and_truth(n, every, seed=0):
+    """The same, and where the walk was."""
+    random = np.random.default_rng(seed)
     time_, sigma_length, sigma_turn = PERIOD * np.arange(1, n + 1), np.full(n, 0.07), np.full(n, 0.02)
 
     def steps(length, turn):
@@ -24,7 +30,7 @@ def walk(n, every):
     place = truth.position[at] + random.normal(0, 3, (len(at), 2))
     fixes = Fixes(truth.time[at] - 0.1, place, np.full(len(at), 3.0), ("",) * len(at))
     said = steps(length * 0.95 + random.normal(0, 0.07, n), turn * 0.99 + random.normal(0, 0.02, n) - 0.0005)
-    return said, fixes
+    return said, fixes, truth
 
 
 def held_by_walls(n, period=PERIOD):
@@ -38,8 +44,7 @@ def held_by_walls(n, period=PERIOD):
     steps = Steps(0.0, time_[-1] + 0.5, time_, period * ones, 0.7 * ones, turn, 0 * ones, 0.07 * ones, 0.02 * ones)
     way = np.cumsum(0.7 * ones) % (2 * (LOOP_HIGH - LOOP_LOW).sum())
     knots = np.array([LOOP_LOW, [LOOP_HIGH[0], LOOP_LOW[1]], LOOP_HIGH, [LOOP_LOW[0], LOOP_HIGH[1]], LOOP_LOW])
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(knots, axis=0).T))])
-    place = np.stack([np.interp(way, along, knots[:, axis]) for axis in (0, 1)], axis=1)
+    place = interpolate(way, length_along(knots), knots)
     at = np.arange(0, n, 30)
     fixes = Fixes(time_[at], place[at] + random.normal(0, 3, (len(at), 2)), np.full(len(at), 3.0), ("",) * len(at))
     return steps, fixes

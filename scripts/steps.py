@@ -44,13 +44,23 @@ def steps(data):
 def counts(data):
     """Steps of the Oxford recordings, of an accelerometer alone."""
     rows = []
-    files = sorted((data / "oxford_steps").glob("validation/*.csv")) + sorted((data / "oxford_steps").glob("Pixel*"))
-    for name, (part, true) in OXFORD.items():
-        path = next(f for f in files if part in f.name)
+    for name, true, path in oxford(data):
         attitude = attitude_of(io.load(path))
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
-        rows.append([name, true, *(f"{n} ({100 * (n / true - 1):+.1f} %)" for n in found)])
+        rows.append([name, true, *(beside(n, true) for n in found)])
     publish("accuracy.md", "counts", table(["recording", "true", *DETECTORS], rows))
+
+
+def oxford(data):
+    """Each count of the Oxford recordings: what it is of, the true one, and the file."""
+    files = sorted((data / "oxford_steps").glob("validation/*.csv")) + sorted((data / "oxford_steps").glob("Pixel*"))
+    for name, (part, true) in OXFORD.items():
+        yield name, true, next(f for f in files if part in f.name)
+
+
+def beside(found, true):
+    """A count, and by how much it is off."""
+    return f"{found} ({100 * (found / true - 1):+.1f} %)"
 
 
 def quiet(data):

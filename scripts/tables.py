@@ -17,9 +17,20 @@ def publish(document, name, text):
     """Print a text; under --write replace what stands between ``<!-- name -->`` and ``<!-- /name -->``."""
     print(text)
     if "--write" in sys.argv:
-        path = DOCS / document
-        pattern = re.compile(rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", re.DOTALL)
-        page, count = pattern.subn(lambda m: f"{m[1]}{text}\n{m[2]}", path.read_text())
-        if count != 1:
-            raise SystemExit(f"{path}: {count} places for {name}, needed 1")
-        path.write_text(page)
+        _replace(DOCS / document, rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", f"{text}\n", name)
+
+
+def timed(document, name, seconds):
+    """Say how long ``scripts/reproduce name`` kept a processor busy; under --write in the last cell of its row."""
+    said = f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"
+    print(f"\n{name}: {said}\n", file=sys.stderr)
+    if "--write" in sys.argv:
+        _replace(DOCS / document, rf"(\| `{name}` \|[^\n]*\| )[^|\n]*( \|\n)", said, f"the time of {name}")
+
+
+def _replace(path, pattern, text, name):
+    """Put a text between the two groups of a pattern that is in the file once."""
+    page, count = re.subn(pattern, lambda m: f"{m[1]}{text}{m[2]}", path.read_text(), flags=re.DOTALL)
+    if count != 1:
+        raise SystemExit(f"{path}: {count} places for {name}, needed 1")
+    path.write_text(page)

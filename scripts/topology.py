@@ -13,7 +13,7 @@ from tables import publish, table
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.floor.network import Network
 from pdr_graph.gait.gait import gait_of
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory
@@ -161,18 +161,13 @@ def walked(path, label, seed):
     steps = detect_steps(gaits)
     stride = np.exp(STRIDE * random.standard_normal())
     steps = replace(steps, length=stride * steps.length, sigma_length=stride * steps.sigma_length)
-    return Walk(floor, steps, magnetic_headings(gaits, floor.frame, corners[0]), sampled(walk.truth, EVERY))
+    return Walk(floor, steps, magnetic_headings(gaits, floor.frame, corners[0]), walk.truth[::EVERY])
 
 
 @cache
 def loaded(path, label):
     """A floor, whose network is found only once."""
     return FloorPlan.load(path, label)
-
-
-def sampled(truth, every):
-    """Every so many rows of a truth."""
-    return Trajectory(truth.time[::every], truth.position[::every], truth.heading[::every], truth.floor[::every])
 
 
 def route(floor, random):
@@ -229,7 +224,7 @@ def _swayed(line, floor, random):
 
 
 def _length(line):
-    return float(np.hypot(*np.diff(line, axis=0).T).sum())
+    return float(length_along(line)[-1])
 
 
 def _course(line, leg):
@@ -237,6 +232,6 @@ def _course(line, leg):
 
 
 def _cut(line, begin, end):
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    along = length_along(line)
     inside = (along > begin + 0.5) & (along < end - 0.5)
     return interpolate(np.concatenate([[begin], along[inside], [min(end, along[-1])]]), along, line)

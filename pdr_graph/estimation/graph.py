@@ -19,10 +19,11 @@ from gtsam.symbol_shorthand import B, C, G, Q, X
 
 from pdr_graph.errors import expect
 from pdr_graph.estimation import native
+from pdr_graph.estimation.as_gtsam import as_gtsam
 from pdr_graph.estimation.beacons import LOSS, Levels
 from pdr_graph.estimation.closures import Closures
 from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
-from pdr_graph.estimation.factors import Evaluation, Walls, evaluate, guarded
+from pdr_graph.estimation.factors import Evaluation, Walls, evaluate
 from pdr_graph.estimation.initial import align, as_complex, sigma_direction
 from pdr_graph.estimation.observations import Rows
 from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
@@ -213,6 +214,10 @@ class WalkGraph:
         """The walls about the steps where they lead along the start; None where none are known or asked for."""
         return self._walls_along(self._evaluated(self.start)) if self.walled else None
 
+    def observed(self, values: gtsam.Values) -> tuple[Rows, ...]:
+        """The own factors at ``values`` but for steps, walls and turns: receivers, beacons, closures."""
+        return self._observed(State.of(values))
+
     @property
     def turns(self) -> Turns | None:
         """The turns that were matched to intersections."""
@@ -254,52 +259,7 @@ class WalkGraph:
 
     def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
         """The whole graph for GTSAM's own optimisers, with a guarded ``CustomFactor`` for each own factor."""
-        graph = gtsam.NonlinearFactorGraph(self.native)
-        for i, (x, c) in enumerate(zip(*self.keys, strict=True)):
-            keys = (x, x + 1, c)
-            pieces, own_bridge = self.pieces.only(i), self.bridge.only(self.pieces, i)
-            here = slice(int(self.pieces.first[i]), int(self.pieces.last[i]) + 1)
-            others = self.walls and self.walls.only(here), self.turns and self.turns.only(here)
-
-            def at(values: gtsam.Values, keys=keys, pieces=pieces, own_bridge=own_bridge, others=others) -> Evaluation:
-                i, j = (values.atPose2(k) for k in keys[:2])
-                pose_i, pose_j = np.array([[i.x(), i.y(), i.theta()]]), np.array([[j.x(), j.y(), j.theta()]])
-                return evaluate(pieces, own_bridge, pose_i, pose_j, values.atVector(keys[2])[None], *others)
-
-            def pdr(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
-                r = at(values).pdr
-                return r.value[0], [r.by_i[0], r.by_j[0], r.by_c[0]]
-
-            def wall(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
-                r = at(values).wall
-                assert r is not None
-                return r.value[:, 0], [r.by_i[:, 0], r.by_j[:, 0], r.by_c[:, 0]]
-
-            def corner(values: gtsam.Values, at=at) -> tuple[Array, list[Array]]:
-                r = at(values).corner
-                assert r is not None
-                return r.value.ravel(), [by.reshape(-1, 3) for by in (r.by_i, r.by_j, r.by_c)]
-
-            graph.add(guarded("PDR", gtsam.noiseModel.Unit.Create(3), keys, pdr))
-            if self.walls:
-                graph.add(guarded("wall", gtsam.noiseModel.Unit.Create(len(pieces.length)), keys, wall))
-            if others[1]:
-                graph.add(guarded("intersection", gtsam.noiseModel.Unit.Create(4 * len(others[1])), keys, corner))
-        if self.turns:
-            graph.push_back(_turn_factors(self.turns))
-        self._push_observed(graph)
-        return graph
-
-    def _push_observed(self, graph: gtsam.NonlinearFactorGraph) -> None:
-        """The factors of receivers, each a ``CustomFactor``."""
-        for kind, rows in enumerate(self._observed(self.start)):
-            for n, keys in enumerate(rows.keys.tolist()):
-
-                def seen(values: gtsam.Values, kind=kind, n=n) -> tuple[Array, list[Array]]:
-                    rows = self._observed(State.of(values))[kind]
-                    return rows.value[n], list(rows.by[n])
-
-                graph.add(guarded("receiver", rows.noise(n), keys, seen))
+        return as_gtsam(self)
 
     def _linearize_walls(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, pressed: Index) -> None:
         """Of the pieces that walls press, one factor for each interval."""
@@ -398,7 +358,7 @@ class WalkGraph:
         gripped = outside(sigmas, flat) if flat else gripping(sigmas, HUBER_WIDTH)
         weight = np.where(self.fix_wild, slipping(sigmas), gripped)
         if self.receivers is not None:
-            weight[self.receivers.fix] = self._observed(State.of(values))[0].weight
+            weight[self.receivers.fix] = self.observed(values)[0].weight
         return np.where(self.fix_held, weight, 0.0)
 
     def _priors(self, others: Sequence[tuple[float, Prior]]) -> dict[int, Prior]:
@@ -540,22 +500,6 @@ class WalkGraph:
             turn = FRAME_SIGMA if self.ground is None and not len(self.headings) else ANY_HEADING
             graph.add(native.start_factor(0, np.array([0.0, 0.0, heading]), (size, size, turn)))
         return graph
-
-
-def _turn_factors(turns: Turns) -> gtsam.NonlinearFactorGraph:
-    """The heading change of each turn, between the poses before and after it."""
-    graph = gtsam.NonlinearFactorGraph()
-    for n in range(len(turns)):
-        keys = X(int(turns.before[n])), X(int(turns.after[n]))
-        own = replace(turns.take(np.array([n])), before=np.array([0]), after=np.array([1]))
-
-        def turned(values: gtsam.Values, keys=keys, own=own) -> tuple[Array, list[Array]]:
-            value, slope = own.turned(np.array([values.atPose2(k).theta() for k in keys]))
-            by_after = np.array([[0.0, 0.0, slope[0]]])
-            return value, [-by_after, by_after]
-
-        graph.add(guarded("turn", gtsam.noiseModel.Unit.Create(1), keys, turned))
-    return graph
 
 
 def _track(delta: Array) -> tuple[Complex, Array]:

@@ -141,7 +141,10 @@ class LiveModel:
             for fix in self.waiting
             if at <= fix.time <= end
         ]
-        return predicted(self._last_belief(), whole, self.window.way.start, at, end, fixes, self.sure)
+        known = self._last_belief()
+        if fixes and not self.placed:
+            known = known.anywhere(fixes[0].position)
+        return predicted(known, whole, self.window.way.start, at, end, fixes, self.sure)
 
     def rows_past(self) -> list[Rows]:
         """What has left the window, and was not handed out."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.bank import Bank, measured
+from pdr_graph.estimation.bank import FAR, Bank, measured
 from pdr_graph.estimation.preintegration import bridge, intervals, preintegrate
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array
@@ -34,6 +34,14 @@ class Belief:
 
     mean: Array
     covariance: Array
+
+    def anywhere(self, near: Array) -> Belief:
+        """The same of a walk of which nothing has told yet where it was, until a fix near ``near (2,)`` does."""
+        mean, covariance = self.mean.copy(), self.covariance.copy()
+        mean[:2] = near
+        covariance[:2, :], covariance[:, :2] = 0.0, 0.0
+        covariance[:2, :2] = FAR**2 * np.eye(2)
+        return Belief(mean, covariance)
 
     def ahead(self, delta: Array, by_c: Array, spread: Array, mean_c: Array) -> Belief:
         """After steps that lead by ``delta (3,)``, in the mean of c ``mean_c (3,)``, within ``spread (3, 3)``."""

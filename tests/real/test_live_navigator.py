@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pdr_graph import WalkGraph, detect_steps, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
 from pdr_graph.inputs import read_inputs
-from pdr_graph.online.events import events_of
+from pdr_graph.online.events import Samples, events_of
 from pdr_graph.online.navigator import Navigator
+from pdr_graph.types import Fixes
 
 WALKS = {"IPIN": "ipin2023_track3/*Trial01*.txt", "NJU": "nju_phyphox_outdoor"}
 
@@ -35,3 +36,21 @@ def test_live_is_about_as_good_as_the_batch(data, name, lag):
     print(f"{name}, lag {lag}: live {live:.2f} m, batch {whole:.2f} m, {nav.status.restarts} restarts")
     limit = 1.3 * whole + 0.3
     assert live < (limit if given.walk.truth is not None else max(limit, 2.0)), "GNSS is no truth: some metres off"
+
+
+def test_the_pose_stands_where_its_first_fix_says(data):
+    """Before the steps that it lies among are certain: a frame's origin may be far away, UTM's 6000 km."""
+    walk = io.load(data / "ipin21_hcu" / "eight")
+    floor = FloorPlan.load(data / "ipin21_hcu" / "map" / "Plan4OG.geojson")
+    truth = floor.frame.place(walk.truth)
+    first = Fixes(truth.time[:1], truth.position[:1], np.array([0.3]), ("",))
+    nav, told = Navigator(frame=floor.frame), []
+    for event in events_of(replace(walk, fixes=first)):
+        nav.push(event)
+        if isinstance(event, Samples) and event.time[-1] > first.time[0] and (pose := nav.pose) is not None:
+            told.append((pose.time, pose.x, pose.y))
+            if pose.time > 20.0:
+                break
+    time, *place = np.array(told).T
+    walked = 1.5 * (time - first.time[0])  # [m] nobody walks faster in an office
+    assert (np.hypot(*(np.array(place).T - first.position[0]).T) < walked + 5.0).all()

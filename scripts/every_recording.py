@@ -1,0 +1,219 @@
+"""Every real recording by every method and with every kind of help: the first tables of docs/accuracy.md."""
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+from lifelog_chains import as_one
+from lifelog_days import days, km, lengths, name, off
+from live import LAG, campus, eight, followed, mall, museum, on_campus
+from microsoft import HELP, graph_of
+from recorded import WAYPOINT_NOISE, gaps, helped, ipin21_landmarks, nju_walk, withheld
+from steps import beside, oxford
+from tables import publish, table
+
+from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, io, kalman_filter, smooth
+from pdr_graph.evaluation import circular_error, pair
+
+PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, laid on", "filter", "graph online", "graph"
+COMPARED = [(GRAPH, PDR), (GRAPH, LAID), (GRAPH, FILTER), (GRAPH, ONLINE), (ONLINE, LAID), (ONLINE, FILTER)]
+MALLS, CHAINS = "Microsoft, 15 walks", "Microsoft, 3 chains"
+MUSEUM, EIGHT, CAMPUS = "IPIN 2023, 3 trials", "IPIN21, eight", "NJU campus"
+MINUTE = 60  # positions at 1 Hz that NJU's students were given
+WORSE = 1.1  # times another method's mean error, from where the graph is called worse
+NO_STEPS, NO_PLACE = "no accelerometer", "no gyroscope, no fix"
+IN_SHORT = (
+    (MALLS, "first only, plan"),
+    (MALLS, "first and last"),
+    (MALLS, "first and last, plan"),
+    (MALLS, "every second waypoint"),
+    (MALLS, "every second waypoint, plan"),
+    (CHAINS, "first and last, plan, field"),
+    (MUSEUM, "GNSS"),
+    (MUSEUM, "GNSS, beacons"),
+    (EIGHT, "simulated fixes"),
+    (EIGHT, "simulated fixes, plan"),
+    (CAMPUS, "GPS, one in 10 to 120 s"),
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A recording with one kind of help.
+
+    group, help: what it is pooled by; errors: by method at each place [m], NaN where it had no pose yet; inside: of
+    each place, whether it lies in the graph's 90 % region.
+    """
+
+    group: str
+    help: str
+    recording: str
+    given: str
+    errors: dict
+    inside: np.ndarray
+
+    @property
+    def inside_share(self):
+        return f"{100 * self.inside.mean():.0f} %"
+
+    def said(self, method, at):
+        """Percentiles of a method's errors."""
+        if method not in self.errors:
+            return "in pieces"
+        known = self.errors[method][~np.isnan(self.errors[method])]
+        return " / ".join(f"{p:.2f}" for p in np.percentile(known, at)) if len(known) else "no pose yet"
+
+    def fewer(self, method):
+        """At how many places a method had a pose, where these are some."""
+        known = int(np.sum(~np.isnan(self.errors.get(method, []))))
+        return f" ({known})" if 0 < known < len(self.inside) else ""
+
+
+def every_recording(data):
+    """The tables in short and in full, and where another method is better than the graph."""
+    rows = [scored(*one) for one in cases(data)] + [*chains(data)]
+    header = ["recordings", "given", *(f"{m} [m]" for m in METHODS[1:]), "in 90 %"]
+    publish("accuracy.md", "summary", table(header, in_short(rows)))
+    header = ["recording", "given", "places", *(f"{m} [m]" for m in METHODS), "in 90 %"]
+    publish("accuracy.md", "recordings", table(header, in_full(rows)))
+    publish("accuracy.md", "without places", table(["recording", "reference", *METHODS], [*counted(data), *led(data)]))
+    publish("accuracy.md", "out of order", out_of_order(rows))
+
+
+def in_short(rows):
+    """Median and 95 % of whole groups, with what is given most."""
+    for row in pooled(rows):
+        if (row.group, row.help) in IN_SHORT:
+            told = [row.said(method, (50, 95)) for method in METHODS[1:]]
+            yield [row.group, row.help, *told, row.inside_share]
+
+
+def in_full(rows):
+    """Every row, the usual percentiles."""
+    for row in rows:
+        told = [row.said(method, (50, 75, 95)) + row.fewer(method) for method in METHODS]
+        yield [row.recording, row.given, len(row.inside), *told, row.inside_share]
+
+
+def cases(data):
+    """Group, help and case of all that has places to score an estimate at."""
+    for given in HELP:
+        for plan in (False, True):
+            yield from ((MALLS, case.given, case.walk.name, case) for case in mall(data, given, plan))
+    for case in museum(data):
+        yield MUSEUM, case.given, case.name, case
+        if case.given == "GNSS":
+            yield from ((MUSEUM, one.given, one.name, one) for one in by_places(case, np.arange(len(case.walk.truth))))
+    for case in eight(data):
+        alone = case.given.startswith("the start, alone")
+        yield EIGHT, case.given if alone else f"simulated fixes{', plan' * (case.plan is not None)}", case.name, case
+        if alone:
+            places = ipin21_landmarks(data, case.walk.truth)
+            yield from ((EIGHT, one.given, one.name, one) for one in by_places(case, places) if "only" not in one.given)
+    for case in campus(data):
+        yield CAMPUS, "GPS, one in 10 to 120 s", case.name, case
+    for given, which in (("the first minute", slice(MINUTE)), ("first and last", [0, -1])):
+        yield CAMPUS, given, CAMPUS, on_campus(data, withheld(nju_walk(data), given, which))
+
+
+def by_places(case, places):
+    """A case by some of the places of its truth instead of its own positions and beacons."""
+    for given, choose in HELP.items():
+        said = given.replace("waypoint", "landmark") + ", plan" * (case.plan is not None)
+        walk = helped(case.walk, places[choose(len(places))])
+        yield replace(case, given=said, walk=walk, beacons=None)
+
+
+def scored(group, help_, recording, case):
+    """A case by all methods."""
+    walk = case.walk
+    graph = graph_of(walk, levels=walk.levels, floor=case.plan)
+    tracks = offline(graph, smooth(graph)) | {ONLINE: followed(case, LAG).causal}
+    return row(group, help_, recording, case.given, tracks, walk.truth, case.noise)
+
+
+def offline(graph, estimate):
+    """Tracks by all methods but the live one."""
+    alone = WalkGraph(graph.steps, graph.fixes[:1])
+    return {
+        PDR: smooth(alone).trajectory,
+        LAID: estimate.dead_reckoning,
+        FILTER: kalman_filter(graph).trajectory,
+        GRAPH: estimate.trajectory,
+    }
+
+
+def row(group, help_, recording, given, tracks, truth, noise):
+    """Tracks scored at a truth."""
+    errors = {method: errors_of(track, truth) for method, track in tracks.items()}
+    return Row(group, help_, recording, given, errors, gaps(tracks[GRAPH], truth, noise)[1])
+
+
+def errors_of(track, truth):
+    """At each place of a truth [m], NaN where there is no estimate."""
+    pairs = pair(track, truth)
+    errors = np.full(len(truth), np.nan)
+    errors[np.isin(truth.time, pairs.time)] = circular_error(pairs)
+    return errors
+
+
+def chains(data):
+    """Microsoft's walks that were recorded in pieces, each as one: by its two ends."""
+    for chain, beside_it, walk, truth in as_one(data):
+        given = f"first and last, {beside_it}"
+        tracks = offline(walk.graph, walk.estimate)
+        yield row(CHAINS, given, chain, given, tracks, truth, WAYPOINT_NOISE)
+
+
+def pooled(rows):
+    """All recordings of a group with one kind of help as one row."""
+    together = defaultdict(list)
+    for one in rows:
+        together[one.group, one.help].append(one)
+    for (group, help_), alike in together.items():
+        errors = {m: np.concatenate([one.errors[m] for one in alike]) for m in METHODS if m in alike[0].errors}
+        yield Row(group, help_, group, help_, errors, np.concatenate([one.inside for one in alike]))
+
+
+def counted(data):
+    """Steps of recordings without positions, at the end and live."""
+    for of, true, path in oxford(data):
+        recording = io.load(path)
+        nav = Navigator()
+        for event in events_of(recording):
+            nav.push(event)
+        nav.finish()
+        found = [beside(len(detect_steps(recording)), true), beside(nav.steps, true)]
+        yield [f"Oxford, {of}", f"{true} steps", found[0], NO_PLACE, NO_PLACE, found[1], NO_PLACE]
+
+
+def led(data):
+    """How far positions alone led."""
+    for path in days(data):
+        _, _, _, clean, gone = lengths(path)
+        none = [NO_STEPS] * 4
+        yield [name(path), f"cleaned: {km(clean)}", *none, f"{km(gone)} ({off(gone, clean)})"]
+
+
+def out_of_order(rows):
+    """How often one method is better than another, and the rows where the graph is worse than one by a tenth."""
+    lines, worse = [], []
+    for method, other in COMPARED:
+        both = [(one, *means(one, method, other)) for one in rows if {method, other} <= set(one.errors)]
+        both = [(one, own, its) for one, own, its in both if not np.isnan(own)]
+        found = [(one, own, its) for one, own, its in both if own > WORSE * its]
+        lines.append([method, other, len(both), sum(own < its for _, own, its in both), len(found)])
+        worse += [
+            [one.recording, one.given, len(one.inside), f"{other}: {its:.2f}", f"{own:.2f}"]
+            for one, own, its in found
+            if method == GRAPH
+        ]
+    counts = table(["", "beside", "rows", "its mean is smaller", f"larger by {WORSE - 1:.0%} and more"], lines)
+    return f"{counts}\n\n{table(['recording', 'given', 'places', 'better [m]', 'graph [m]'], worse)}"
+
+
+def means(row, *methods):
+    """Mean errors at the places where all have one. [m]"""
+    errors = np.array([row.errors[method] for method in methods])
+    known = ~np.isnan(errors).any(axis=0)
+    return errors[:, known].mean(axis=1) if known.any() else np.full(len(methods), np.nan)
