@@ -114,6 +114,11 @@ BeaconsPath = Annotated[
     typer.Option(metavar="CSV", help="beacon,x,y or beacon,lat,lon; default: BLE_Locations.csv beside the log."),
 ]
 
+TruthPath = Annotated[
+    Path | None,
+    typer.Option("--truth", metavar="CSV", help="time,x,y[,heading][,floor], drawn and scored; no estimate sees it."),
+]
+
 
 @app.command()
 def smooth(
@@ -136,6 +141,7 @@ def smooth(
         Path | None,
         typer.Option("--radio-map", metavar="FILE", help="What earlier walks heard where: fixes by Wi-Fi and BLE."),
     ] = None,
+    truth: TruthPath = None,
 ) -> None:
     """Reconstruct one walk.
 
@@ -150,7 +156,7 @@ def smooth(
     folder = out or _named(recording, "-smoothed")
     missing = smooth_recording(
         *(recording, folder, map_, fixes, walker, str(method), recorded_fixes),
-        *(rate, gnss_latency, floor, beacons, radio_map),
+        *(rate, gnss_latency, floor, beacons, radio_map, truth),
     )
     _end(missing, folder)
 
@@ -173,6 +179,7 @@ def replay(
         Path | None,
         typer.Option("--journal", metavar="FILE", help="Keep the walk in it, or go on with the one that it has."),
     ] = None,
+    truth: TruthPath = None,
 ) -> None:
     """Walk through a recording as if it were live.
 
@@ -186,7 +193,7 @@ def replay(
 
     folder = out or _named(recording, "-replayed")
     missing = replay_recording(
-        recording, folder, map_, fixes, walker, recorded_fixes, rate, floor, beacons, _lag(lag), journal
+        recording, folder, map_, fixes, walker, recorded_fixes, rate, floor, beacons, _lag(lag), journal, truth
     )
     _end(missing, folder)
 

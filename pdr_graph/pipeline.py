@@ -82,11 +82,12 @@ def smooth_recording(
     floor_label: str | None = None,
     beacons: Path | None = None,
     radio_map: Path | None = None,
+    truth: Path | None = None,
 ) -> tuple[str, ...]:
     """Reconstruct one walk and write trajectory, picture, report and summary to ``out``.
 
-    Arguments as of ``pdr-graph smooth``. Returns what could not be estimated or written; empty if all went well.
-    Raises InputError if an input cannot be used.
+    Arguments as of ``pdr-graph smooth``; truth: only drawn and scored. Returns what could not be estimated or written;
+    empty if all went well. Raises InputError if an input cannot be used.
     """
     check_rate(rate)
     out.mkdir(parents=True, exist_ok=True)
@@ -94,6 +95,7 @@ def smooth_recording(
 
     with stage("reading"):
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, gnss_latency, beacons, radio_map)
+        given = beside(given, truth)
     walk, known, building, frame, located = given.walk, given.walker, given.building, given.frame, given.fixes
     with stage("steps"):
         steps, headings = _observe(given)
@@ -112,13 +114,14 @@ def smooth_recording(
 
     settings = {"method": method, "walker": known.describe(), "recorded_fixes": use_recorded_fixes, "rate": rate}
     settings |= {"gnss_latency": gnss_latency, "floor": floor_label}
-    paths = {"map": plan, "fixes": fixes, "beacons": beacons, "radio_map": radio_map}
+    paths = {"map": plan, "fixes": fixes, "beacons": beacons, "radio_map": radio_map, "truth": truth}
     settings |= {name: str(path) if path else None for name, path in paths.items()}
     summary = summarize(walk, steps, headings, building, floors, frame, estimate)
     summary |= {"seconds": stage.seconds, "settings": settings, "missing": list(missing)}
     summary["warnings"] = [*given.notes, *estimate.warnings]
     with stage("report"):
         missing += write_report(out, given, estimate, summary, method, steps, partial(_filtered, graph, method))
+        missing += unscored(truth, given, estimate)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 
@@ -345,8 +348,25 @@ def write_report(
     return ()
 
 
+def beside(given: Inputs, truth: Path | None) -> Inputs:
+    """The same with a truth to be drawn and scored, which no estimate looks at.
+
+    Raises InputError if the file cannot be used.
+    """
+    if truth is None:
+        return given
+    return replace(given, walk=replace(given.walk, truth=read_trajectory(truth, given.walk)))
+
+
+def unscored(truth: Path | None, given: Inputs, estimate: Estimate) -> tuple[str, ...]:
+    """What is missing where a truth was given and says nothing of the walk."""
+    if truth is None or _truth_beside(given.walk.truth, given.frame, estimate) is not None:
+        return ()
+    return (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
+
+
 def _truth_beside(truth: Trajectory | None, frame: Frame, estimate: Estimate) -> Trajectory | None:
-    """Truth inside a recording, to be drawn where it has a place in the frame and lies where the walk is."""
+    """The truth, to be drawn where it has a place in the frame and lies where the walk is."""
     if truth is None or not estimate.fixes or (truth.epsg is not None and not frame.georeferenced):
         return None
     truth = frame.place(truth)

@@ -50,6 +50,28 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
+def test_a_truth_is_scored_and_no_estimate_sees_it(tmp_path):
+    walk, scored = tmp_path / "walk", "Against the truth"
+    run("simulate", "arcade", "--out", walk)
+    for verb in ("smooth", "replay"):
+        given = [verb, walk, "--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv", "--out"]
+        seen, blind = tmp_path / verb, tmp_path / f"{verb} blind"
+        assert run(*given, seen, "--truth", walk / "truth.csv")[0] == run(*given, blind)[0]
+        assert (seen / "trajectory.csv").read_bytes() == (blind / "trajectory.csv").read_bytes()
+        assert [scored in (out / "report.html").read_text(encoding="utf-8") for out in (seen, blind)] == [True, False]
+
+
+def test_a_truth_that_lies_elsewhere_is_told(folder, result, tmp_path):
+    table = np.genfromtxt(result / "trajectory.csv", delimiter=",", skip_header=1, usecols=(0, 1, 2))
+    elsewhere = tmp_path / "elsewhere.csv"
+    table[:, 1] += 5000
+    np.savetxt(elsewhere, table, delimiter=",", header="time,x,y", comments="", fmt="%.3f")
+    walk = [folder / "walk.txt", "--map", ARCADE, "--fixes", folder / "fixes.csv", "--out", tmp_path / "out"]
+    code, _, _ = run("smooth", *walk, "--truth", elsewhere)
+    assert code == 3
+    assert "elsewhere.csv" in json.loads((tmp_path / "out" / "summary.json").read_text())["missing"][0]
+
+
 def test_smooth_writes_what_the_contract_names(result):
     assert {p.name for p in result.iterdir()} == {
         "trajectory.csv",

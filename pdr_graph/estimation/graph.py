@@ -143,14 +143,7 @@ class WalkGraph:
         prior: Prior | None = None,
         others: Sequence[tuple[float, Prior]] = (),
     ):
-        expect("WalkGraph, steps", steps, Steps, instead="detect_steps(recording)")
-        expect("WalkGraph, fixes", fixes, Fixes, None, instead="read_fixes(path, recording, frame)")
-        expect("WalkGraph, headings", headings, Headings, None, instead="magnetic_headings(recording, frame, near)")
-        expect("WalkGraph, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
-        expect("WalkGraph, prior", prior, Prior, None)
-        if fixes is not None and fixes.epsg is not None and len(fixes):
-            needed = "metres: floor.frame.place(fixes), or frame_of(fixes).place(fixes) without a plan"
-            raise ValueError(f"WalkGraph, fixes: found those of EPSG:{fixes.epsg}, needed {needed}")
+        _check(steps, fixes, headings, floor, prior)
         self.steps = steps
         self.given = self.fixes = Fixes.none() if fixes is None else fixes
         self.floor = floor
@@ -500,6 +493,24 @@ class WalkGraph:
             turn = FRAME_SIGMA if self.ground is None and not len(self.headings) else ANY_HEADING
             graph.add(native.start_factor(0, np.array([0.0, 0.0, heading]), (size, size, turn)))
         return graph
+
+
+def _check(
+    steps: Steps,
+    fixes: Fixes | None,
+    headings: Headings | None,
+    floor: FloorPlan | Building | None,
+    prior: Prior | None,
+) -> None:
+    """Raise on arguments of other kinds, and on fixes that are not in metres."""
+    expect("WalkGraph, steps", steps, Steps, instead="detect_steps(recording)")
+    expect("WalkGraph, fixes", fixes, Fixes, None, instead="read_fixes(path, recording, frame)")
+    expect("WalkGraph, headings", headings, Headings, None, instead="magnetic_headings(recording, frame, near)")
+    expect("WalkGraph, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
+    expect("WalkGraph, prior", prior, Prior, None)
+    if fixes is not None and fixes.epsg is not None and len(fixes):
+        needed = "metres: floor.frame.place(fixes), or frame_of(fixes).place(fixes) without a plan"
+        raise ValueError(f"WalkGraph, fixes: found those of EPSG:{fixes.epsg}, needed {needed}")
 
 
 def _track(delta: Array) -> tuple[Complex, Array]:

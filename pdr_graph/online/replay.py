@@ -20,7 +20,7 @@ from pdr_graph.online.contract import Live, Pose, trajectory_of
 from pdr_graph.online.events import Event, events_of
 from pdr_graph.online.journal import Journal, fingerprint
 from pdr_graph.online.latency import Latency
-from pdr_graph.pipeline import Stages, check_rate, summarize, write_report, write_results
+from pdr_graph.pipeline import Stages, beside, check_rate, summarize, unscored, write_report, write_results
 from pdr_graph.types import Estimate, Headings, Trajectory
 
 
@@ -36,13 +36,15 @@ def replay_recording(
     beacons: Path | None = None,
     lag: float | None = 60.0,
     journal: Path | None = None,
+    truth: Path | None = None,
     kind: Any = None,
 ) -> tuple[str, ...]:
     """Push a recording through a navigator; write its poses, latency, smoothed trajectory, picture, report and
     summary.
 
-    Arguments as of ``pdr-graph replay``; lag: None keeps all of the walk open; kind: of navigator, by default
-    ``Navigator``. Returns what could not be estimated or written. Raises InputError if an input cannot be used.
+    Arguments as of ``pdr-graph replay``; lag: None keeps all of the walk open; truth: only drawn and scored; kind: of
+    navigator, by default ``Navigator``. Returns what could not be estimated or written. Raises InputError if an input
+    cannot be used.
     """
     check_rate(rate)
     out.mkdir(parents=True, exist_ok=True)
@@ -50,6 +52,7 @@ def replay_recording(
     files = {"map": plan, "fixes": fixes, "beacons": beacons}
     with stage("reading"):
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, beacons=beacons)
+        given = beside(given, truth)
         events = list(events_of(replace(given.walk, fixes=given.fixes)))
     settings = {"walker": given.walker.describe(), "recorded_fixes": use_recorded_fixes, "lag": lag}
     settings |= {"floor": floor_label}
@@ -72,12 +75,14 @@ def replay_recording(
         write_summary(out / "latency.json", latency.describe())
 
     resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
-    settings |= {name: str(path) if path else None for name, path in (files | {"journal": journal}).items()}
+    files |= {"journal": journal, "truth": truth}
+    settings |= {name: str(path) if path else None for name, path in files.items()}
     summary = summarize(given.walk, None, Headings.none(), given.building, None, given.frame, estimate)
     summary |= {"steps": steps, "seconds": stage.seconds, "settings": settings | {"rate": rate}}
     summary |= {"missing": list(missing), "warnings": [*given.notes, *resumed, *estimate.warnings, *ailments]}
     with stage("report"):
         missing += write_report(out, given, estimate, summary, causal=lambda: {"live": causal})
+        missing += unscored(truth, given, estimate)
     write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 

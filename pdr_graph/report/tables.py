@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from pdr_graph.evaluation import evaluate
 from pdr_graph.floor.building import Building
@@ -58,12 +57,17 @@ def of_walk(
 
 def scored(tracks: Mapping[str, Trajectory], truth: Trajectory, building: Building | None) -> Table | None:
     """The metrics of each track; None where no moment has a truth."""
-    with threadpool_limits(1):  # BLAS would wait for its threads far longer than it computes with them
-        scores = [evaluate(path, truth, building) for path in tracks.values()]
+    scores = [_evaluated(path, truth, building) for path in tracks.values()]
     if not scores[0]["n"]:
         return None
     rows = [[said, unit, *(_score(own, where) for own in scores)] for where, (said, unit) in SCORES.items()]
     return table("Against the truth", ["error", "unit", *tracks], [row for row in rows if any(row[2:])])
+
+
+def _evaluated(path: Trajectory, truth: Trajectory, building: Building | None) -> Mapping[str, Any]:
+    """The metrics of one track; one that knows no floor, as dead reckoning does not, is not scored for it."""
+    scores = evaluate(path, truth, building)
+    return scores if any(path.floor) else {**scores, "fe": None}
 
 
 def _score(scores: Mapping[str, Any], where: tuple[str, ...]) -> str:
