@@ -90,12 +90,12 @@ def smooth_recording(
     empty if all went well. Raises InputError if an input cannot be used.
     """
     check_rate(rate)
-    out.mkdir(parents=True, exist_ok=True)
     stage = Stages()
 
     with stage("reading"):
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, gnss_latency, beacons, radio_map)
         given = beside(given, truth)
+    out.mkdir(parents=True, exist_ok=True)
     walk, known, building, frame, located = given.walk, given.walker, given.building, given.frame, given.fixes
     with stage("steps"):
         steps, headings = _observe(given)

@@ -343,6 +343,15 @@ def test_refusals_are_one_line_and_exit_2(folder, arguments, complaint):
     assert complaint in errors[0]
 
 
+@pytest.mark.parametrize("verb", ["smooth", "replay"])
+def test_what_is_no_recording_is_told_of_all_that_are_and_leaves_nothing(tmp_path, verb):
+    (tmp_path / "notes.csv").write_text("8342,1,1\n")
+    code, _, errors = run(verb, "notes.csv", cwd=tmp_path)
+    assert (code, len(errors)) == (2, 1)
+    assert [name for name in (reader.NAME for reader in io.READERS) if name not in errors[0]] == []
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.csv"]
+
+
 def test_evaluating_against_another_clock_is_refused(folder, result, tmp_path):
     (tmp_path / "truth.csv").write_text("time,x,y\n1,2,3\n2,3,4\n")
     code, _, errors = run("evaluate", result / "trajectory.csv", tmp_path / "truth.csv")

@@ -47,7 +47,7 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
             walk = reader.read(source)
             return replace(walk, fixes=replace(walk.fixes, time=walk.fixes.time - gnss_latency))
     formats = ", ".join(reader.NAME for reader in READERS)
-    raise InputError(path, "", _found(source), f"a recording of a supported recorder ({formats})")
+    raise InputError(path, "", _found(source), f"a recording of a supported recorder: {formats}")
 
 
 def _found(source: Source) -> str:

@@ -10,7 +10,7 @@ from pdr_graph.io.positions import receiver_fixes
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Fixes, Recording
 
-NAME = "GeoLife (.plt)"
+NAME = "GeoLife"
 HEADER_LINES = 6
 EPOCH_1899 = -2_209_161_600.0  # [s] Unix time of 1899-12-30, from which days are counted
 DAY = 86_400.0  # [s]

@@ -21,7 +21,7 @@ from pdr_graph.io.positions import receiver_fixes, surveyed
 from pdr_graph.io.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
 
-NAME = "GetSensorData, IPIN and xDR (.txt)"
+NAME = "GetSensorData (IPIN, xDR)"
 SENSORS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer", "PRES": "barometer"}
 TAGS = (*SENSORS, "GNSS", "POSI", "BLE4", "WIFI")
 SEPARATORS = (";", ",", "\t")

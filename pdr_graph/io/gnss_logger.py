@@ -17,7 +17,7 @@ from pdr_graph.io.positions import receiver_fixes
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Fixes, Recording
 
-NAME = "GnssLogger (.txt)"
+NAME = "GnssLogger"
 SENSORS = {
     "accelerometer": ("Accel", "UncalAccel"),
     "gyroscope": ("Gyro", "UncalGyro"),

@@ -22,7 +22,7 @@ from pdr_graph.io.positions import receiver_fixes
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Fixes, Recording, Trajectory
 
-NAME = "GPX (.gpx)"
+NAME = "GPX"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
 OWN = "urn:pdr_graph"  # of what GPX itself has not: the accuracy of a point
 ACCURACY_PER_HDOP = 5.3  # [m] 68 % radius: a phone's range error of 5 m, times HDOP, is the root mean square distance

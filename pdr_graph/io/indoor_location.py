@@ -18,7 +18,7 @@ from pdr_graph.io.positions import surveyed
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Recording, Sightings, Trajectory
 
-NAME = "Indoor Location Competition 2.0 (.txt)"
+NAME = "Indoor Location Competition 2.0"
 SENSORS = {
     "TYPE_ACCELEROMETER": "accelerometer",
     "TYPE_GYROSCOPE": "gyroscope",

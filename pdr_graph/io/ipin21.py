@@ -17,7 +17,7 @@ from pdr_graph.io.positions import surveyed
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Fixes, Recording
 
-NAME = "IPIN21Data (folder of acc.csv, gyr.csv, …)"
+NAME = "IPIN21Data"
 SENSORS = {"acc.csv": "accelerometer", "gyr.csv": "gyroscope", "mag.csv": "magnetometer", "bar.csv": "barometer"}
 ROW = re.compile(rb"^\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)")
 EPSG = 32632

@@ -15,7 +15,7 @@ from pdr_graph.io.door import admit
 from pdr_graph.io.source import Source
 from pdr_graph.types import Recording
 
-NAME = "Oxford step counter (.csv, or a folder with accelerometer.csv)"
+NAME = "Oxford step counter"
 NUMBER = rb"-?[0-9.]+(?:[eE][+-]?[0-9]+)?"
 VALIDATION = re.compile(rb"^[0-9]{9,19}(?:," + NUMBER + rb"){3}(?:,[0-9]+){3}\r?\n")
 WITH_ACCURACY = re.compile(rb"^[0-9]{9,19},[0-3](?:," + NUMBER + rb"){3}\r?\n")

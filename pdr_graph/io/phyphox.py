@@ -22,7 +22,7 @@ from pdr_graph.io.positions import receiver_fixes
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Fixes, Recording
 
-NAME = "phyphox (CSV export: folder, .zip or .csv)"
+NAME = "phyphox"
 SENSOR_OF_UNIT = {"m/s2": "accelerometer", "rad/s": "gyroscope", "°/s": "gyroscope", "t": "magnetometer"}
 SENSOR_OF_UNIT |= {"hpa": "barometer", "°": "location"}
 WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in the name of a table or a column

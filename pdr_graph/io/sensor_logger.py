@@ -20,7 +20,7 @@ from pdr_graph.io.positions import receiver_fixes
 from pdr_graph.io.source import Source
 from pdr_graph.types import Array, Fixes, Recording, Sightings
 
-NAME = "Sensor Logger (folder, .zip or .csv)"
+NAME = "Sensor Logger"
 XYZ = ("x", "y", "z")
 NANOSECOND = 1e-9  # [s]
 PLAIN = {

@@ -47,13 +47,13 @@ def replay_recording(
     cannot be used.
     """
     check_rate(rate)
-    out.mkdir(parents=True, exist_ok=True)
     stage, latency = Stages(), Latency()
     files = {"map": plan, "fixes": fixes, "beacons": beacons}
     with stage("reading"):
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, beacons=beacons)
         given = beside(given, truth)
         events = list(events_of(replace(given.walk, fixes=given.fixes)))
+    out.mkdir(parents=True, exist_ok=True)
     settings = {"walker": given.walker.describe(), "recorded_fixes": use_recorded_fixes, "lag": lag}
     settings |= {"floor": floor_label}
     with stage("opening"):
