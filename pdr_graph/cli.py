@@ -17,9 +17,7 @@ from typer.core import TyperGroup
 import pdr_graph
 from pdr_graph.errors import InputError
 from pdr_graph.lifelog.commands import lifelog
-
-RefusedExit, DegradedExit = 2, 3
-PAGES = ("report.html", "figure.png")  # what to look at first; the picture where there is no page
+from pdr_graph.verbs import DegradedExit, RefusedExit, first_look
 
 
 class Verbs(TyperGroup):
@@ -483,7 +481,7 @@ def _end(missing: tuple[str, ...], out: Path) -> None:
     typer.echo(f"{steps}{told['distance']:.1f} m in {told['duration']:.1f} s")
     for warning in told["warnings"]:
         typer.echo(f"note: {warning}")
-    typer.echo(f"-> {next((out / page for page in PAGES if (out / page).exists()), out)}")
+    typer.echo(f"-> {first_look(out)}")
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
         raise typer.Exit(DegradedExit)

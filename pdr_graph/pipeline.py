@@ -94,7 +94,7 @@ def smooth_recording(
 
     with stage("reading"):
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, gnss_latency, beacons, radio_map)
-        given = beside(given, truth)
+        given = with_truth(given, truth)
     out.mkdir(parents=True, exist_ok=True)
     walk, known, building, frame, located = given.walk, given.walker, given.building, given.frame, given.fixes
     with stage("steps"):
@@ -107,7 +107,7 @@ def smooth_recording(
         graph = None if steps is None else walk_graph(steps, located, headings, building, floors, heard, known)
         estimate, missing = _estimate(graph, located, method)
     with stage("write"):
-        missing += write_results(out, walk, building, frame, estimate, rate)
+        missing += write_results(out, given, estimate, rate)
         if steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
             learnt = replace(known, profile=posterior_profile(estimate, steps, known.profile))
             learnt.save(out / "walker.toml", f"what {walk.source} taught of its walker, for --walker of the next walk")
@@ -299,10 +299,9 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     return replace(alone, trajectory=replace(track, floor=graph.floors), fixes=tuple(reports))
 
 
-def write_results(
-    out: Path, walk: Recording, building: Building | None, frame: Frame, estimate: Estimate, rate: float | None
-) -> tuple[str, ...]:
-    """All files but the summary; returns what could not be written."""
+def write_results(out: Path, given: Inputs, estimate: Estimate, rate: float | None) -> tuple[str, ...]:
+    """The trajectory in all its forms, and the picture; returns what could not be written."""
+    walk, frame = given.walk, given.frame
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
     writers.write_tum(out / "trajectory.tum", trajectory, walk.clock_origin)
@@ -314,8 +313,8 @@ def write_results(
     try:
         from pdr_graph.plotting import plot
 
-        truth = _truth_beside(walk.truth, frame, estimate)
-        plot(estimate, building, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(
+        truth = _truth_beside(given, estimate)
+        plot(estimate, given.building, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(
             out / "figure.png", dpi=120
         )
     except Exception as error:  # a picture must not cost the result
@@ -340,7 +339,7 @@ def write_report(
         from pdr_graph.report.page import page
         from pdr_graph.report.walk import Shown, content
 
-        truth = _truth_beside(given.walk.truth, given.frame, estimate)
+        truth = _truth_beside(given, estimate)
         shown = Shown(given.walk, given.building, estimate, method, summary, steps, causal(), truth)
         (out / "report.html").write_bytes(page(content(shown)))
     except Exception as error:  # a report must not cost the result
@@ -348,7 +347,7 @@ def write_report(
     return ()
 
 
-def beside(given: Inputs, truth: Path | None) -> Inputs:
+def with_truth(given: Inputs, truth: Path | None) -> Inputs:
     """The same with a truth to be drawn and scored, which no estimate looks at.
 
     Raises InputError if the file cannot be used.
@@ -360,13 +359,14 @@ def beside(given: Inputs, truth: Path | None) -> Inputs:
 
 def unscored(truth: Path | None, given: Inputs, estimate: Estimate) -> tuple[str, ...]:
     """What is missing where a truth was given and says nothing of the walk."""
-    if truth is None or _truth_beside(given.walk.truth, given.frame, estimate) is not None:
+    if truth is None or _truth_beside(given, estimate) is not None:
         return ()
     return (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
 
 
-def _truth_beside(truth: Trajectory | None, frame: Frame, estimate: Estimate) -> Trajectory | None:
+def _truth_beside(given: Inputs, estimate: Estimate) -> Trajectory | None:
     """The truth, to be drawn where it has a place in the frame and lies where the walk is."""
+    truth, frame = given.walk.truth, given.frame
     if truth is None or not estimate.fixes or (truth.epsg is not None and not frame.georeferenced):
         return None
     truth = frame.place(truth)

@@ -23,6 +23,7 @@ from pdr_graph.types import Array, Estimate, Trajectory
 
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
 ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
+CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # kinds of cells that have a colour
 TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
 MANY = 50  # points above which their marks must not hide the track
@@ -112,7 +113,7 @@ def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     borders = shapely.geometrycollections([area.shape for area in solid])
     axes.add_collection(_patches(borders, facecolor="none", edgecolor=BORDER, lw=0.4, zorder=1))
     axes.add_collection(_patches(floor.walkable, facecolor=WALKABLE, edgecolor=EDGE, lw=0.5, zorder=2))
-    for kinds, colour in ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS)):
+    for kinds, colour in CELLS:
         cells = shapely.geometrycollections([c.polygon for c in floor.cells.cells if c.kind in kinds])
         axes.add_collection(_patches(cells, facecolor=colour, lw=0, zorder=2.1))
     _lines(axes, floor.cells.barriers, color=EDGE, lw=0.7, zorder=2.2)

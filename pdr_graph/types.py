@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # points or moves of the plane
+Columns = TypeVar("Columns", "Fixes", "Trajectory")
 SENSORS = ("accelerometer", "gyroscope", "magnetometer", "linear_acceleration", "barometer")
 MOST_TURNED = 4 * np.pi  # [rad] of a heading, that may be unwrapped; beyond, it is in degrees
 INSTANT = 1e-6  # [s]: times closer than this are the same
@@ -156,15 +157,7 @@ class Fixes:
 
     def __getitem__(self, which: int | slice | Mask | Index) -> Fixes:
         """A selection, itself ``Fixes``: ``fixes[0]``, ``fixes[2:5]``, ``fixes[mask]``."""
-        index = np.atleast_1d(np.arange(len(self))[which])
-        return replace(
-            self,
-            time=self.time[index],
-            position=self.position[index],
-            sigma=self.sigma[index],
-            floor=tuple(self.floor[i] for i in index),
-            source=tuple(self.sources[i] for i in index),
-        )
+        return _rows(self, which)
 
 
 @dataclass(frozen=True)
@@ -238,15 +231,7 @@ class Trajectory:
 
     def __getitem__(self, which: int | slice | Mask | Index) -> Trajectory:
         """Some rows, themselves a ``Trajectory``: ``track[0]``, ``track[2:5]``, ``track[mask]``."""
-        index = np.atleast_1d(np.arange(len(self))[which])
-        return replace(
-            self,
-            time=self.time[index],
-            position=self.position[index],
-            heading=self.heading[index],
-            floor=tuple(self.floor[i] for i in index),
-            covariance=None if self.covariance is None else self.covariance[index],
-        )
+        return _rows(self, which)
 
 
 @dataclass(frozen=True)
@@ -431,6 +416,18 @@ class Estimate:
     probability: float = 1.0
     beacons: tuple[BeaconReport, ...] = ()
     warnings: tuple[str, ...] = ()
+
+
+def _rows(of: Columns, which: int | slice | Mask | Index) -> Columns:
+    """Some rows of what has an array or a tuple for each column; a column that is None or empty stays so."""
+    index = np.atleast_1d(np.arange(len(of.time))[which])
+    taken: dict[str, Array | tuple[str, ...]] = {}
+    for name, column in vars(of).items():
+        if isinstance(column, np.ndarray):
+            taken[name] = column[index]
+        elif isinstance(column, tuple) and column:
+            taken[name] = tuple(column[i] for i in index)
+    return replace(of, **taken)
 
 
 def _check_finite(of: object, *columns: str) -> None:

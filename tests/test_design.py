@@ -19,7 +19,7 @@ FLOORS = [
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io", "confidence"],
     ["inertial", "floor"],
-    ["geometry", "frames", "earth", "settings", "database", "viterbi", "types", "errors", "state"],
+    ["geometry", "frames", "earth", "settings", "database", "viterbi", "types", "errors", "state", "verbs"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {

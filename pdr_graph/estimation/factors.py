@@ -182,7 +182,8 @@ def steps_between(
 
     with G_k of ``Bridge``; the last piece ends exactly at x_j, so the track has no jump at a keyframe.
 
-    Returns poses ``(n, 3)`` of the pieces ``which (n,)``, with derivatives of (x, y, θ) by x_i, x_j and c.
+    Returns poses ``(n, 3)`` of the pieces ``which (n,)``, with derivatives of (x, y, θ) by x_i, x_j and c;
+    ``Evaluation.ends`` has the same poses without.
     """
     interval = pieces.interval[which]
     shared = left_over.take(interval).times(bridge.gain[which])

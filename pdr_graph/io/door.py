@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Recording, Sightings, Signal, Trajectory
+from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
 
 MOST_MISSING = 0.2  # of a sensor's rows without a value: beyond, the file is damaged
 MOST_UNORDERED, FARTHEST_BACK = 0.01, 1.0  # share of rows, and [s]: a recorder's threads, not a shuffled file
@@ -207,10 +207,15 @@ def _check_rates(signals: dict[str, Signal], said: list[str]) -> None:
         if signal.rate < SLOWEST_RATE:
             said.append(f"{sensor}: {signal.rate:.1f} Hz is too slow to see every step")
         interval = np.diff(signal.time)
-        gaps = interval[interval > max(SHORTEST_GAP, 5 / signal.rate)]
+        gaps = interval[are_gaps(signal)]
         if len(gaps):
             place = signal.time[int(np.argmax(interval))] - signal.time[0]
             said.append(f"{sensor}: {len(gaps)} gaps, the longest of {gaps.max():.2f} s after {place:.1f} s")
+
+
+def are_gaps(signal: Signal) -> Mask:
+    """Which intervals between samples ``(n - 1,)`` are far longer than the others."""
+    return np.diff(signal.time) > max(SHORTEST_GAP, 5 / signal.rate if signal.rate else np.inf)
 
 
 def _check_together(path: str, signals: dict[str, Signal], said: list[str]) -> None:

@@ -11,14 +11,13 @@ from typing import Annotated
 
 import typer
 
+from pdr_graph.verbs import DegradedExit, RefusedExit, first_look
+
 lifelog = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Recordings of many days and people, and what they tell.",
 )
-
-RefusedExit, DegradedExit = 2, 3  # as of every verb of pdr-graph
-PAGES = ("report.html", "day.png")  # what to look at first
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]
 RecordingPaths = Annotated[
@@ -152,7 +151,7 @@ def show(
         return
     folder = out or Path(f"{store.stem}-shown")
     typer.echo(show_day(store, person, date, folder), nl=False)
-    typer.echo(f"-> {next((folder / page for page in PAGES if (folder / page).exists()), folder)}")
+    typer.echo(f"-> {first_look(folder)}")
 
 
 @lifelog.command()

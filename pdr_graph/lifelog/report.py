@@ -20,7 +20,7 @@ from pdr_graph.lifelog.day import Day, Stay
 from pdr_graph.lifelog.panels import Drawn, Panel, panels
 from pdr_graph.lifelog.parts import UNSEEN, sigma
 from pdr_graph.lifelog.picture_style import COLOURS
-from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, Totals, spoken, timeline, totals, where
+from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, Totals, cells, spoken, timeline, totals
 from pdr_graph.plotting import TRACK
 from pdr_graph.report import charts, plans
 from pdr_graph.report.columns import CENTIMETRE, CENTISECOND, column, runs
@@ -167,8 +167,8 @@ def _stayed(stay: Stay) -> str:
 
 
 def _said(entry: Entry) -> str:
-    what = WORDS.get(entry.kind, entry.kind)
-    return ", ".join(part for part in (what, " > ".join(entry.floor), where(entry)) if part)
+    _, what, _, floor, place = cells(entry)
+    return ", ".join(part for part in (what, floor, place) if part)
 
 
 def _hours(entries: Sequence[Entry]) -> dict[str, Any]:
@@ -193,16 +193,6 @@ def _sigma(way: Trajectory) -> dict[str, Any]:
 
 
 def _timeline(entries: Sequence[Entry], zone: tzinfo) -> Table:
-    rows = [
-        [
-            f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}",
-            spoken(e.end - e.start),
-            WORDS.get(e.kind, e.kind),
-            f"{e.distance:,.0f} m" if e.distance >= 0.5 else "",
-            " > ".join(e.floor),
-            where(e),
-        ]
-        for e in entries
-    ]
+    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *cells(e)] for e in entries]
     head = ["from", "for", "what", "distance", "floor", "where"]
     return table("The day", head, rows, [round(e.start, 2) for e in entries])

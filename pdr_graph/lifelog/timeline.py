@@ -212,17 +212,22 @@ def printed(day: Day, entries: Sequence[Entry], zone: tzinfo) -> str:
     lines = [f"{one_line(day.person)}  {day.date}  {zone}".rstrip()]
     for entry in entries:
         clock = "  ".join(f"{datetime.fromtimestamp(t, zone):%H:%M:%S}" for t in (entry.start, entry.end))
-        what, floor = WORDS.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
-        far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
-        lasted = spoken(entry.end - entry.start)
-        lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {where(entry)}".rstrip())
+        lasted, what, far, floor, place = cells(entry)
+        lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {place}".rstrip())
     sums = totals(day, entries)
     places = ", ".join(f"{one_line(name)} {spoken(time)}" for name, time in sums.places if time >= LEAST_SAID)
     lines += ["", "; ".join(in_words(sums)), *([f"at places: {places}"] if places else [])]
     return "\n".join(lines) + "\n"
 
 
-def where(entry: Entry) -> str:
+def cells(entry: Entry) -> tuple[str, str, str, str, str]:
+    """An entry in words: how long, what, how far, on which floors, where."""
+    what, floor = WORDS.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
+    far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
+    return spoken(entry.end - entry.start), what, far, floor, _where(entry)
+
+
+def _where(entry: Entry) -> str:
     """Names with probabilities; the place in degrees where nothing has a name."""
     if entry.facing:
         (name, probability), *others = entry.facing

@@ -20,7 +20,7 @@ from pdr_graph.online.contract import Live, Pose, trajectory_of
 from pdr_graph.online.events import Event, events_of
 from pdr_graph.online.journal import Journal, fingerprint
 from pdr_graph.online.latency import Latency
-from pdr_graph.pipeline import Stages, beside, check_rate, summarize, unscored, write_report, write_results
+from pdr_graph.pipeline import Stages, check_rate, summarize, unscored, with_truth, write_report, write_results
 from pdr_graph.types import Estimate, Headings, Trajectory
 
 
@@ -51,7 +51,7 @@ def replay_recording(
     files = {"map": plan, "fixes": fixes, "beacons": beacons}
     with stage("reading"):
         given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, beacons=beacons)
-        given = beside(given, truth)
+        given = with_truth(given, truth)
         events = list(events_of(replace(given.walk, fixes=given.fixes)))
     out.mkdir(parents=True, exist_ok=True)
     settings = {"walker": given.walker.describe(), "recorded_fixes": use_recorded_fixes, "lag": lag}
@@ -70,7 +70,7 @@ def replay_recording(
             estimate, missing = _finished(nav, given)
         steps, ailments = nav.steps, nav.status.ailments
     with stage("write"):
-        missing += write_results(out, given.walk, given.building, given.frame, estimate, rate)
+        missing += write_results(out, given, estimate, rate)
         write_trajectory(out / "causal.csv", causal, given.walk.clock_origin)
         write_summary(out / "latency.json", latency.describe())
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
+from pdr_graph.floor.areas import BEACON, CLOSED, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.plotting import BORDER, EDGE, OPENING, ROOM, SOLID_FILL, STAIRS, WALKABLE
+from pdr_graph.plotting import BORDER, CELLS, EDGE, SOLID_FILL, WALKABLE
 from pdr_graph.types import Array
 
 THIN, WALL = 0.05, 0.12  # [m] as wide as borders and walls are drawn
@@ -20,10 +20,9 @@ def drawn(floor: FloorPlan) -> dict[str, Any]:
     areas = [area for area in floor.areas if area.is_polygon and area.kind not in (LINK, BEACON)]
     solid = shapely.geometrycollections([area.shape for area in areas if area.kind in SOLID])
     ground = shapely.union_all([area.shape for area in areas])
-    kinds = (CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS)
     cells = [
         (shapely.geometrycollections([cell.polygon for cell in floor.cells.cells if cell.kind in kind]), colour)
-        for kind, colour in kinds
+        for kind, colour in CELLS
     ]
     links = shapely.geometrycollections([area.shape for area in floor.of_kind(LINK)])
     shapes = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.io.door import INERTIAL, SHORTEST_GAP
+from pdr_graph.io.door import INERTIAL, are_gaps
 from pdr_graph.types import Array, Recording, Sightings, Signal
 
 TELLS = {  # what is not known of a walk without it
@@ -50,8 +50,7 @@ class Health:
 def health(name: str, signal: Signal) -> Health:
     """What the samples of a sensor, at least one, tell of it."""
     inertial, rate = name in INERTIAL, signal.rate
-    interval = np.diff(signal.time)
-    gap = interval > max(SHORTEST_GAP, 5 / rate if rate else np.inf)
+    interval, gap = np.diff(signal.time), are_gaps(signal)
     axes = signal.values.T.copy()  # each in one piece, as it is read
     moved = np.append(True, np.logical_or.reduce(axes[:, 1:] != axes[:, :-1]))
     since = signal.time[np.maximum.accumulate(np.where(moved, np.arange(len(moved)), 0))]

@@ -10,6 +10,7 @@ import numpy as np
 from pdr_graph.evaluation import evaluate
 from pdr_graph.floor.building import Building
 from pdr_graph.report import sensors
+from pdr_graph.report.charts import MEANING
 from pdr_graph.types import BeaconReport, Calibration, FixReport, Recording, Trajectory
 
 SCORES = {  # where `evaluate` has it: what it is, its unit
@@ -24,7 +25,6 @@ SCORES = {  # where `evaluate` has it: what it is, its unit
     ("fe",): ("FE: share on the right floor", ""),
     ("n",): ("moments with a truth", ""),
 }
-COEFFICIENTS = ("stride scale R_s", "turn scale R_d", "gyro drift b [rad/s]")
 MOST_OPEN = 30  # rows of a table that is shown unasked
 Table = dict[str, Any]
 
@@ -80,9 +80,10 @@ def _score(scores: Mapping[str, Any], where: tuple[str, ...]) -> str:
 def _calibration(found: Calibration) -> Table:
     """What is known of walker and gyro at the end of the walk."""
     value, sigma, prior, learnt = found.value[-1], found.sigma[-1], found.prior_sigma[-1], found.learnt[-1]
+    names = [MEANING[name] + (" [rad/s]" if name == "b" else "") for name in found.names]
     rows = [
         [name, f"{v:.4f}", f"{s:.4f}", f"{p:.4f}", "learnt" if known else "the prior's: the walk does not tell it"]
-        for name, v, s, p, known in zip(COEFFICIENTS, value, sigma, prior, learnt, strict=True)
+        for name, v, s, p, known in zip(names, value, sigma, prior, learnt, strict=True)
     ]
     return table("What the walk taught, at its end", ["coefficient", "value", "sigma", "sigma before", ""], rows)
 

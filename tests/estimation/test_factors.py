@@ -122,6 +122,13 @@ def test_sub_steps_end_at_the_keyframes():
     assert np.exp(1j * placed[:, 2]) == pytest.approx(np.exp(1j * state.poses[1:, 2]))
 
 
+def test_ends_are_the_sub_steps_without_their_derivatives():
+    """What a move that is only tried is judged by is what its derivatives are of; to rounding."""
+    graph = walled_graph()
+    own = graph.evaluate(random_state(graph, np.random.default_rng(1)).to_values())
+    assert own.ends == pytest.approx(own.poses.value, abs=1e-12)
+
+
 def test_nothing_presses_in_the_open():
     said = wandering_walk(10)
     graph = WalkGraph(said, fixes_on(dead_reckon(said), every=3), floor=hall())
