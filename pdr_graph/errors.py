@@ -1,46 +1,66 @@
-"""What is said of input that cannot be used: one line with its place, what was found there and what was needed."""
+"""Errors of one line for bad input: source, place, what was found, what was expected. Exit codes and TOML files."""
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
+from typing import Any
 
-LONGEST_PART = 250  # characters; names and contents of files are their makers' and may be anything
+LONGEST_PART = 250  # characters of a message's part: file names and contents are untrusted and may be very long
 
 
 class InputError(ValueError):
-    """Input that cannot be used. Its text is one printable line: ``source, place: found …, needed …``.
+    """Input that cannot be used. Its text is one printable line: ``source, place: found …, expected …``.
 
-    source: a file, or an option; place: in it, a line or a column; found: what is there; needed: what should be.
+    source: the file or the option; place: the line or the column in it, may be empty; found: what is there;
+    expected: what should be there.
     """
 
-    def __init__(self, source: str | Path, place: str, found: str, needed: str):
+    def __init__(self, source: str | Path, place: str, found: str, expected: str):
         where = f"{one_line(str(source))}, {one_line(place)}" if place else one_line(str(source))
-        super().__init__(f"{where}: found {one_line(found)}, needed {one_line(needed)}")
-        self._parts = str(source), place, found, needed
+        super().__init__(f"{where}: found {one_line(found)}, expected {one_line(expected)}")
+        self._parts = str(source), place, found, expected
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
-        return InputError, self._parts  # from one process to another
+        return InputError, self._parts  # pickling: workers raise it in another process
 
 
-def expect(place: str, given: object, *kinds: type | None, instead: str = "") -> None:
-    """Raise TypeError unless an argument is of one of some kinds, None among them or not.
+def expect(place: str, argument: object, *kinds: type | None, instead: str = "") -> None:
+    """Raise TypeError unless `argument` is of one of the types `kinds`; None among them allows None.
 
-    place: function and argument; instead: how to come by what was needed.
+    place: function and argument; instead: code that makes an object of the expected type.
     """
-    if any(given is None if kind is None else isinstance(given, kind) for kind in kinds):
+    if any(argument is None if kind is None else isinstance(argument, kind) for kind in kinds):
         return
-    needed = " or ".join("None" if kind is None else kind.__name__ for kind in kinds)
-    raise TypeError(f"{place}: found {_kind(given)}, needed {needed}{instead and f', as of {instead}'}")
+    expected = " or ".join("None" if kind is None else kind.__name__ for kind in kinds)
+    raise TypeError(f"{place}: found {_description(argument)}, expected {expected}{instead and f', as of {instead}'}")
 
 
-def _kind(given: object) -> str:
-    """What an argument is, and itself where that is short."""
-    said = one_line(repr(given)) if isinstance(given, str | Path | int | float) else ""
-    return "None" if given is None else f"{type(given).__name__} {said}".strip()
+def _description(argument: object) -> str:
+    """The type of an argument, with its value if that is short."""
+    value = one_line(repr(argument)) if isinstance(argument, str | Path | int | float) else ""
+    return "None" if argument is None else f"{type(argument).__name__} {value}".strip()
 
 
 def one_line(text: str) -> str:
-    """A text on one line, without what a terminal would obey; the middle of a long one is left out."""
+    """`text` on one line, without control characters; the middle of a long text is replaced by an ellipsis."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     half = LONGEST_PART // 2
     return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
+
+
+RefusedExit, DegradedExit = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
+PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open, the most complete first
+
+
+def first_look(folder: Path) -> Path:
+    """The file in a folder of results to open first: the report, else a figure, else the folder itself."""
+    return next((folder / page for page in PAGES if (folder / page).exists()), folder)
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The tables of a TOML file. Raises InputError if it cannot be read or parsed."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(path, "", str(error), "a TOML file") from None

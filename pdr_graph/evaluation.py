@@ -62,7 +62,7 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
         its ends: the end's row); ``nearest`` takes the row nearest in time, the earlier of two, as the tools do.
     """
     if pairing not in ("linear", "nearest"):
-        raise ValueError(f"evaluate, pairing: found {pairing!r}, needed 'linear' or 'nearest'")
+        raise ValueError(f"evaluate, pairing: found {pairing!r}, expected 'linear' or 'nearest'")
     t = truth.time
     row = nearest(estimate.time, t)
     if pairing == "nearest":
@@ -188,8 +188,8 @@ def evaluate(
     expect("evaluate, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
     pairs = pair(estimate, truth, pairing)
     if not len(pairs.time) and abs(truth.time[0] - estimate.time[0]) > ANOTHER_CLOCK:
-        found, needed = (f"{t[0]:.3f} to {t[-1]:.3f} s" for t in (truth.time, estimate.time))
-        raise ValueError(f"evaluate, truth: found times {found}, needed the same clock as the estimate's, {needed}")
+        found, expected = (f"{t[0]:.3f} to {t[-1]:.3f} s" for t in (truth.time, estimate.time))
+        raise ValueError(f"evaluate, truth: found times {found}, expected the same clock as the estimate's, {expected}")
     on_floor = pairs.where(pairs.same_floor)
     return {
         "ce": _statistics(circular_error(on_floor)),

@@ -1,12 +1,14 @@
-"""Metric frames and their way to latitude and longitude."""
+"""Metric frames, their conversion to latitude and longitude, and the earth's magnetic field."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from pygeomag import GeoMag
 
 from pdr_graph.errors import expect
 from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Trajectory
@@ -14,8 +16,8 @@ from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Trajectory
 if TYPE_CHECKING:
     from pyproj import Transformer
 
-EAST = 1e-4  # [deg] of longitude: some metres
-Placed = TypeVar("Placed", Fixes, Trajectory, Beacons)
+
+Positioned = TypeVar("Positioned", Fixes, Trajectory, Beacons)
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class Frame:
     kind: ``local`` (not georeferenced), ``enu`` (about an origin), ``plan`` (a floor plan's own, linear in degrees) or
         ``projected`` (a map projection).
     origin: latitude and longitude of (0, 0) [deg], None if not georeferenced.
-    epsg: of a projected frame.
-    metres_per_degree: x per degree of longitude and y per degree of latitude, of a plan's frame.
+    epsg: code of a projected frame.
+    metres_per_degree: x per degree of longitude and y per degree of latitude [m/deg] of a plan's frame.
     """
 
     kind: str = "local"
@@ -36,51 +38,52 @@ class Frame:
 
     @property
     def georeferenced(self) -> bool:
-        """True if positions have a latitude and a longitude."""
+        """True if positions can be converted to latitude and longitude."""
         return self.kind != "local"
 
     def from_lonlat(self, lonlat: Array) -> Array:
-        """Positions ``(n, 2)`` [m] of longitudes and latitudes ``(n, 2)`` [deg]."""
+        """Positions ``(n, 2)`` [m] from longitudes and latitudes ``(n, 2)`` [deg]."""
         if self.metres_per_degree is not None:
             return (lonlat - self._origin_lonlat) * self.metres_per_degree
         return np.stack(self._transformer.transform(*lonlat.T), axis=1)
 
     def to_lonlat(self, position: Array) -> Array:
-        """Longitudes and latitudes ``(n, 2)`` [deg] of positions ``(n, 2)`` [m]."""
+        """Longitudes and latitudes ``(n, 2)`` [deg] from positions ``(n, 2)`` [m]."""
         if self.metres_per_degree is not None:
             return position / self.metres_per_degree + self._origin_lonlat
         return np.stack(self._transformer.transform(*position.T, direction="INVERSE"), axis=1)
 
     def from_frame(self, other: Frame, position: Array) -> Array:
-        """Positions ``(n, 2)`` [m] of another frame in this one; both are on earth if they are not the same."""
+        """Positions ``(n, 2)`` [m] converted from frame `other`; both must be georeferenced unless equal."""
         return position if other == self else self.from_lonlat(other.to_lonlat(position))
 
-    def place(self, what: Placed) -> Placed:
-        """What has places brought into this frame from that of its ``epsg``; without one as it is."""
-        if what.epsg is None:
-            return what
-        position = what.position
-        if what.epsg != self.epsg:
-            lonlat = position if what.epsg == LONLAT else projected(what.epsg).to_lonlat(position)
+    def place(self, data: Positioned) -> Positioned:
+        """`data` with positions converted to this frame [m] from the frame of its ``epsg``; unchanged without one."""
+        if data.epsg is None:
+            return data
+        position = data.position
+        if data.epsg != self.epsg:
+            lonlat = position if data.epsg == LONLAT else projected(data.epsg).to_lonlat(position)
             position = self.from_lonlat(lonlat)
-        return replace(what, position=position, epsg=None)
+        return replace(data, position=position, epsg=None)
 
     def bearing_of_east(self, position: Array) -> float:
-        """Where true east lies at a position ``(2,)``, counter-clockwise from +x: a projection's convergence. [rad]"""
+        """Direction of true east at a position ``(2,)``, counter-clockwise from +x: the grid convergence. [rad]"""
         lon, lat = self.to_lonlat(position[None])[0]
-        x, y = np.diff(self.from_lonlat(np.array([[lon, lat], [lon + EAST, lat]])), axis=0)[0]
+        east = lon + 1e-4  # [deg]: some metres
+        x, y = np.diff(self.from_lonlat(np.array([[lon, lat], [east, lat]])), axis=0)[0]
         return float(np.arctan2(y, x))
 
     def describe(self) -> dict[str, Any]:
-        """As ``summary.json`` has it."""
+        """The frame as in ``summary.json``."""
         lat, lon = self.origin or (None, None)
         return {"kind": self.kind, "origin_lat": lat, "origin_lon": lon, "epsg": self.epsg}
 
     @classmethod
-    def described(cls, said: dict[str, Any]) -> Frame:
-        """The frame of which `describe` says so; not of a plan, which has its own scale."""
-        lat, lon = said["origin_lat"], said["origin_lon"]
-        return cls(said["kind"], None if lat is None else (lat, lon), said["epsg"])
+    def from_description(cls, description: dict[str, Any]) -> Frame:
+        """The frame from the output of `describe`; not for a plan's frame, whose scale is not in it."""
+        lat, lon = description["origin_lat"], description["origin_lon"]
+        return cls(description["kind"], None if lat is None else (lat, lon), description["epsg"])
 
     @property
     def _origin_lonlat(self) -> Array:
@@ -92,23 +95,25 @@ class Frame:
         if self.kind == "projected":
             return _transformer(f"EPSG:{self.epsg}")
         if self.origin is None:
-            raise ValueError("Frame: found a local frame, needed one with a latitude, as of frame_of(fixes) or a plan")
+            raise ValueError(
+                "Frame: found a local frame, expected a georeferenced one, as of frame_of(fixes) or a plan"
+            )
         lat, lon = self.origin
         return _transformer(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +ellps=WGS84")
 
 
 @lru_cache(maxsize=64)
 def _transformer(projection: str) -> Transformer:
-    """From longitude and latitude; made once, since that takes 30 ms."""
-    from pyproj import CRS, Transformer  # here, since few walks need it and it takes time to load
+    """The transformer from longitude and latitude [deg] to the projection [m]; cached: making one takes 30 ms."""
+    from pyproj import CRS, Transformer  # here: few walks need it and it is slow to load
 
     return Transformer.from_crs("EPSG:4326", CRS(projection), always_xy=True)
 
 
 def frame_of(fixes: Fixes) -> Frame:
-    """That in which fixes are, of at least one; about the first where they are longitude and latitude.
+    """The metric frame for fixes, at least one: their projection, or East-North about the first fix in degrees.
 
-    ``frame_of(fixes).place(fixes)`` has them in metres.
+    ``frame_of(fixes).place(fixes)`` converts them to metres.
     """
     expect("frame_of, fixes", fixes, Fixes, instead="load(path).fixes")
     if fixes.epsg == LONLAT:
@@ -118,10 +123,38 @@ def frame_of(fixes: Fixes) -> Frame:
 
 
 def enu(lat: float, lon: float) -> Frame:
-    """East-North about an origin [deg]: azimuthal equidistant, centimetres from the tangent plane within 10 km."""
+    """East-North frame about an origin [deg]: azimuthal equidistant, centimetres from the tangent plane at 10 km."""
     return Frame("enu", origin=(lat, lon))
 
 
 def projected(epsg: int) -> Frame:
-    """The frame of a map projection, as it is."""
+    """The frame of a map projection by its EPSG code."""
     return Frame("projected", epsg=epsg)
+
+
+DEFAULT_YEAR = 2025.0  # for a recording without absolute time: declination changes by a degree in ten years
+FIRST_YEAR, LAST_YEAR = 2010.0, 2029.9  # covered by the models that pygeomag ships
+
+
+@dataclass(frozen=True)
+class EarthField:
+    """Field of the earth: magnitude [µT]; declination east of true north and dip below horizontal [rad]."""
+
+    magnitude: float
+    declination: float
+    dip: float
+
+    @property
+    def vector(self) -> Array:
+        """The field vector ``(3,)``: east, north, up. [µT]"""
+        level = self.magnitude * np.cos(self.dip)
+        up = -self.magnitude * np.sin(self.dip)
+        return np.array([level * np.sin(self.declination), level * np.cos(self.declination), up])
+
+
+def earth_field(lat: float, lon: float, epoch: float | None = None) -> EarthField:
+    """The field by the World Magnetic Model (pygeomag) at a latitude and longitude [deg] and Unix time [s]."""
+    year = DEFAULT_YEAR if epoch is None else 1970 + epoch / (365.25 * 86400)
+    year = min(max(year, FIRST_YEAR), LAST_YEAR)
+    model = GeoMag(base_year=datetime(int(year), 1, 1)).calculate(glat=lat, glon=lon, alt=0.0, time=year)
+    return EarthField(model.f / 1000, float(np.radians(model.d)), float(np.radians(model.i)))

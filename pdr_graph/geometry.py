@@ -1,28 +1,31 @@
-"""Angles, plane geometry and dead reckoning."""
+"""Angles, plane geometry, dead reckoning, 95 % confidence regions and the Viterbi algorithm."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import shapely
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.errors import expect
-from pdr_graph.types import MOST_TURNED, Array, Fixes, Index, Steps, Trajectory
+from pdr_graph.types import LARGEST_HEADING, Array, Fixes, Index, Mask, Steps, Trajectory
 
-ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a direction that nobody knows
+ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a uniformly distributed direction
 
 
 def wrap_angle(angle: Array | float) -> Array:
-    """An angle in [-π, π). [rad]"""
+    """The angle wrapped to [-π, π). [rad]"""
     return (np.asarray(angle) + np.pi) % (2 * np.pi) - np.pi
 
 
 def interpolate(at: Array, time: Array, values: Array) -> Array:
-    """Rows ``(m, k)`` at ``at (m,)`` of ``values (n, k)`` at ``time (n,)``: linear between, held beyond the ends."""
+    """Values ``(m, k)`` at times ``at (m,)``: linear between ``values (n, k)`` at ``time (n,)``, constant outside."""
     return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
 
 
 def nearest(sorted_times: Array, time: Array) -> Index:
-    """Which of the sorted times is nearest to each of ``time (m,)``; the earlier of two that are as near."""
+    """Index ``(m,)`` of the sorted time nearest to each of ``time (m,)``; of two equally near, the earlier."""
     last = len(sorted_times) - 1
     after = np.clip(np.searchsorted(sorted_times, time), min(1, last), last)
     before = np.maximum(after - 1, 0)
@@ -30,28 +33,28 @@ def nearest(sorted_times: Array, time: Array) -> Index:
 
 
 def unit(angle: Array) -> Array:
-    """Unit vectors ``(…, 2)`` at the given angles ``(…,)`` [rad] from +x."""
+    """Unit vectors ``(…, 2)`` at angles ``(…,)`` [rad] from +x."""
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def length_along(line: Array) -> Array:
-    """Length of a line ``(n, 2)`` up to each of its points ``(n,)``. [m]"""
+    """Arc length ``(n,)`` of a line ``(n, 2)`` up to each of its points. [m]"""
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 
-def turn_between(one: Array, other: Array) -> float:
-    """The angle from one way ``(2,)`` to another, counter-clockwise. [rad]"""
-    return float(np.arctan2(one[0] * other[1] - one[1] * other[0], one @ other))
+def turn_between(before: Array, after: Array) -> float:
+    """The angle from vector ``before (2,)`` to vector ``after (2,)``, counter-clockwise. [rad]"""
+    return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))
 
 
 def rotation(angle: Array | float) -> Array:
-    """Rotation matrices ``(…, 2, 2)`` by the given angles ``(…,)`` [rad]."""
+    """Rotation matrices ``(…, 2, 2)`` by angles ``(…,)`` [rad]."""
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
 
 
 def pose_rotation(heading: Array) -> Array:
-    """From a pose's own axes (forward, left, turn) to (x, y, heading): matrices ``(n, 3, 3)``."""
+    """Matrices ``(n, 3, 3)`` from body axes (forward, left, turn) to (x, y, heading); heading ``(n,)`` [rad]."""
     R = np.zeros((len(heading), 3, 3))
     R[:, :2, :2] = rotation(heading)
     R[:, 2, 2] = 1.0
@@ -59,40 +62,40 @@ def pose_rotation(heading: Array) -> Array:
 
 
 def compose(first: Rotation, second: Rotation) -> Rotation:
-    """Products of n rotations by n or by one: `Rotation`'s own takes ten times as long on many."""
+    """The products ``first * second`` of n rotations by n or by one: ten times as fast as `Rotation`'s own product."""
     a, b = first.as_quat().reshape(-1, 4).T, second.as_quat().reshape(-1, 4).T
     vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3], axis=0)
     return Rotation.from_quat(np.vstack([vector, a[3] * b[3] - np.sum(a[:3] * b[:3], axis=0)]).T)
 
 
 def courses(steps: Steps) -> Array:
-    """The direction half-way through each step ``(n,)``, from that at the start. [rad]"""
+    """The direction ``(n,)`` half-way through each step, relative to the heading at the start. [rad]"""
     before = np.concatenate([[0.0], np.cumsum(steps.turn)[:-1]])
     return before + (steps.turn + steps.pause_turn) / 2
 
 
-def walked(steps: Steps, time: Array, length: Array | None = None) -> Array:
-    """How far the steps have led ``(m,)`` [m] by ``time (m,)``; length: ``(n,)`` of each [m], if not their own."""
+def distance_walked(steps: Steps, time: Array, length: Array | None = None) -> Array:
+    """Distance walked ``(m,)`` [m] by ``time (m,)`` [s]; length: ``(n,)`` replaces the lengths of the steps [m]."""
     length = steps.length if length is None else length
     return np.interp(time, row_times(steps)[:-1], np.append(0.0, np.cumsum(length)))
 
 
 def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) -> Trajectory:
-    """The track that the steps alone draw: [heading] Sec. 1, p_k = p_{k-1} + L_k (cos θ_k, sin θ_k).
+    """The track from the steps alone: [heading] Sec. 1, p_k = p_{k-1} + L_k (cos θ_k, sin θ_k).
 
-    θ_k is the direction half-way through the step, where the paper takes the step's one heading: in a turn the
-    foot follows the chord. The track starts at the first of ``start`` (or the origin), heading ``heading`` [rad].
+    θ_k is the direction half-way through the step; the paper uses one heading per step, but in a turn the foot follows
+    the chord. The track starts at the first fix of ``start``, or the origin, with heading ``heading`` [rad].
 
     Returns ``n + 2`` rows: the start, the end of each step, the end of the recording.
     """
     expect("dead_reckon, steps", steps, Steps, instead="detect_steps(recording)")
     expect("dead_reckon, start", start, Fixes, None, instead="fixes[0]")
-    if not abs(heading) <= MOST_TURNED:
-        raise ValueError(f"dead_reckon, heading: found {heading}, needed radians")
+    if not abs(heading) <= LARGEST_HEADING:
+        raise ValueError(f"dead_reckon, heading: found {heading}, expected radians: degrees?")
     theta = heading + np.concatenate([[0.0], np.cumsum(steps.turn)])
     origin = np.zeros(2) if start is None or not len(start) else start.position[0]
-    moves = steps.length[:, None] * unit(heading + courses(steps))
-    track = origin + np.concatenate([np.zeros((1, 2)), np.cumsum(moves, axis=0)])
+    displacement = steps.length[:, None] * unit(heading + courses(steps))
+    track = origin + np.concatenate([np.zeros((1, 2)), np.cumsum(displacement, axis=0)])
     return Trajectory(
         time=row_times(steps),
         position=np.concatenate([track, track[-1:]]),
@@ -102,12 +105,12 @@ def dead_reckon(steps: Steps, start: Fixes | None = None, heading: float = 0.0) 
 
 
 def row_times(steps: Steps) -> Array:
-    """Times ``(n + 2,)`` of a trajectory's rows: the start, the end of each step, the end. [s]"""
+    """Times ``(n + 2,)`` of a trajectory's rows: the start, the end of each step, the end of the recording. [s]"""
     return np.concatenate([[steps.start], steps.time, [steps.end]])
 
 
 def resample(trajectory: Trajectory, rate: float) -> Trajectory:
-    """The trajectory at ``rate`` [Hz] from its first row on, with its last row; position is linear between rows."""
+    """The trajectory at ``rate`` [Hz] from its first row on, and its last row; position is linear between rows."""
     start, end = trajectory.time[0], trajectory.time[-1]
     time = np.append(start + np.arange(np.ceil((end - start) * rate)) / rate, end)
     after = np.searchsorted(trajectory.time, time)
@@ -120,3 +123,44 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     covariance = None if trajectory.covariance is None else between(trajectory.covariance)
     heading = wrap_angle(between(np.unwrap(trajectory.heading)))
     return Trajectory(time, between(trajectory.position), heading, floor, covariance)
+
+
+CHI_SQUARE = 5.99  # 95 % quantile for two degrees of freedom
+CORNERS = 24  # of the polygon drawn for an ellipse
+
+
+def confidence_band(trajectory: Trajectory, here: Mask, ellipses: int = 400) -> Array:
+    """Convex polygons ``(k,)`` whose union is the 95 % confidence region: each hulls the ellipses of two adjacent rows.
+
+    here: ``(n,)`` the rows to cover; ellipses: about how many of them are used, evenly spaced.
+    """
+    every = max(1, len(trajectory) // ellipses)
+    here, position = here[::every], trajectory.position[::every]
+    if trajectory.covariance is None or np.count_nonzero(here) < 2:
+        return np.empty(0, dtype=object)
+    variance, direction = np.linalg.eigh(trajectory.covariance[::every, :2, :2])
+    half_axes = np.sqrt(CHI_SQUARE * np.maximum(variance, 1e-6))  # [m], at least 2.4 mm: an ellipse, not a line
+    circle = unit(np.linspace(0, 2 * np.pi, CORNERS, endpoint=False))
+    rims = np.einsum("nij,nj,kj->nki", direction, half_axes, circle) + position[:, None]
+    pairs = np.concatenate([rims[:-1], rims[1:]], axis=1)[here[:-1] & here[1:]]
+    return np.asarray(shapely.convex_hull(shapely.linestrings(pairs)))
+
+
+def viterbi(costs: Sequence[Array] | Array, moves: Sequence[Array] | Array) -> tuple[Index, Array]:
+    """The sequence of states ``(…, n)`` of least total cost, and that cost ``(…,)``.
+
+    costs: ``(…, s)`` of each state, n times; moves: ``(…, s, s)`` of the transition from one state to another, n − 1
+    times. Costs are negative log-probabilities. Among sequences of equal cost, the one with lower state numbers.
+    """
+    total, origin = costs[0], list[Index]()
+    for cost, move in zip(costs[1:], moves, strict=True):
+        through = total[..., :, None] + move
+        origin.append(through.argmin(axis=-2))
+        total = through.min(axis=-2)
+        total += cost
+    best = total.argmin(axis=-1)
+    shape, rows = best.shape, np.arange(best.size)
+    states = [best.ravel()]
+    for before in reversed(origin):
+        states.append(before.reshape(len(rows), -1)[rows, states[-1]])
+    return np.stack(states[::-1], axis=-1).reshape(*shape, -1), total.min(axis=-1)

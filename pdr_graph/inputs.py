@@ -1,10 +1,10 @@
-"""What a walk is estimated from, read from files and brought into one frame."""
+"""What a walk is estimated from: options, and files read into one frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,19 +15,70 @@ from pdr_graph.floor.building import Building
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
-from pdr_graph.io.tables import read_fixes
+from pdr_graph.io.ranges import read_ranges
+from pdr_graph.io.tables import read_fixes, read_trajectory
 from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Recording
 
 if TYPE_CHECKING:
-    from pdr_graph.estimation.radio_map import RadioMap
+    from pdr_graph.estimation.fingerprinting import RadioMap
+
+FASTEST_RATE = 1000.0  # [Hz]
+LIVE = "live"  # the method of a navigator
+LIVE_ONLY = ("lag", "journal")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a walk is estimated, and from which files beside the recording. The defaults of every verb."""
+
+    plan: Path | None = None
+    """Floor plan; its frame is the output's."""
+    fixes: Path | None = None
+    """CSV of positions, `time,x,y,sigma[,floor]` or `time,lat,lon,sigma[,floor]`."""
+    beacons: Path | None = None
+    """CSV of surveyed beacons; default: the list beside the recording, else the plan's."""
+    ranges: Path | None = None
+    """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
+    radio_map: Path | None = None
+    """What earlier walks heard where, as `pdr-graph radio-map` writes it."""
+    walker: Path | None = None
+    """TOML of what is known of the walker."""
+    truth: Path | None = None
+    """CSV of the true trajectory; drawn and scored, never estimated from."""
+    method: str = "graph"
+    """`graph`, `filter`, `rts`, `pdr`, or `live` (a navigator, as `replay` has it)."""
+    recorded_fixes: bool = True
+    """Use positions inside the recording too."""
+    rate: float | None = None
+    """Rows of the trajectory per second [Hz]; None: a row per step."""
+    gnss_latency: float = 0.0
+    """How late the phone's own positions are [s]."""
+    floor: str | None = None
+    """Label of the floor on which the walk begins; None: as the fixes say."""
+    lag: float | None = 60.0
+    """Time after which a live navigator finalizes a step [s]; None: never."""
+    journal: Path | None = None
+    """File in which a live walk is kept, and from which it is resumed."""
+
+    def __post_init__(self) -> None:
+        """Raise InputError where a trajectory cannot be resampled so often."""
+        if self.rate is not None and not 0 < self.rate <= FASTEST_RATE:
+            raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
+
+    def describe(self) -> dict[str, Any]:
+        """Return the options as `summary.json` has them, by the names of the command line."""
+        names = [field.name for field in fields(self) if self.method == LIVE or field.name not in LIVE_ONLY]
+        values = {"map" if name == "plan" else name: getattr(self, name) for name in names}
+        return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
 class Inputs:
     """A recording and what else is known.
 
-    walk: with the beacons that are listed; walker; building: None without a plan; frame: the output's; fixes: all that
-    are used, in it and in order of time; notes: what was left out or assumed, one line each.
+    walk; walker; building: None without a plan; frame: the output's; fixes: all that are used, in it and in order of
+    time; notes: what was left out or assumed, one line each; beacons: those that can be heard, in the frame.
+    radio_map: whose fixes are among these already.
     """
 
     walk: Recording
@@ -35,7 +86,9 @@ class Inputs:
     building: Building | None
     frame: Frame
     fixes: Fixes
-    notes: list[str]
+    notes: tuple[str, ...]
+    beacons: Beacons | None = None
+    radio_map: RadioMap | None = None
 
     @property
     def near(self) -> Array:
@@ -44,34 +97,39 @@ class Inputs:
             return self.fixes.position[0]
         return np.zeros(2) if self.building is None else self.building.floors[0].corners.mean(axis=0)
 
+    @property
+    def other_fixes(self) -> Fixes:
+        """The fixes without those of the radio map, which a navigator makes of the scans itself."""
+        if self.radio_map is None:
+            return self.fixes
+        return self.fixes[np.array([name != self.radio_map.source for name in self.fixes.source], dtype=bool)]
 
-def read_inputs(
-    recording: Path,
-    plan: Path | None = None,
-    fixes: Path | None = None,
-    walker: Path | None = None,
-    use_recorded_fixes: bool = True,
-    gnss_latency: float = 0.0,
-    beacons: Path | None = None,
-    radio_map: Path | None = None,
-) -> Inputs:
-    """Read what ``pdr-graph smooth`` is given; arguments as of it. Raises InputError if a file cannot be used."""
-    walk = io.load(recording, gnss_latency)
-    known = Walker.load(walker) if walker else Walker()
+
+def read(recording: Path, options: Options | None = None) -> Inputs:
+    """Read all files of a walk into one frame. Raises InputError if a file cannot be used."""
+    options = options or Options()
+    walk = io.load(recording, options.gnss_latency)
     notes = list(walk.notes)
-    given = read_fixes(fixes, walk, notes=notes) if fixes else Fixes.none()
-    building = Building.load(plan) if plan else None
-    listed = beside(recording) if use_recorded_fixes else None
-    walk = replace(walk, beacons=_beacons(walk, beacons, listed, building, notes))
-    places = _radio_map(radio_map, building) if radio_map else None
-    recorded = walk.fixes if use_recorded_fixes else Fixes.none()
-    frame, located = _locate(building, places, given, recorded, notes)
-    if places is not None:
-        located = Fixes.together([located, _radio_fixes(places, walk, frame, radio_map, notes)])
-    return Inputs(walk, known, building, frame, located, notes)
+    walker = Walker.load(options.walker) if options.walker else Walker()
+    listed_fixes = read_fixes(options.fixes, walk, notes=notes) if options.fixes else Fixes.none()
+    building = Building.load(options.plan) if options.plan else None
+    listed = beside(recording) if options.recorded_fixes else None
+    walk = replace(walk, beacons=_beacons(walk, options.beacons, listed, building, notes))
+    radio_map = load_radio_map(options.radio_map, building) if options.radio_map else None
+    recorded = walk.fixes if options.recorded_fixes else Fixes.none()
+    frame, fixes = _in_one_frame(building, radio_map, listed_fixes, recorded, notes)
+    if radio_map is not None:
+        fixes = Fixes.concatenate([fixes, _radio_fixes(radio_map, walk, frame, options.radio_map, notes)])
+    beacons = _placed_beacons(walk, frame, notes)
+    if options.ranges is not None:
+        frame, anchors = _anchors(walk, options.ranges, frame, located=len(fixes) > 0 or building is not None)
+        walk = replace(walk, measurements=(*walk.measurements, read_ranges(options.ranges, walk, anchors)))
+    if options.truth is not None:
+        walk = replace(walk, truth=read_trajectory(options.truth, walk))
+    return Inputs(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map)
 
 
-def placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons | None:
+def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons | None:
     """The beacons of a walk in the output frame; None where none was heard or they have no place in it."""
     if walk.beacons is None or walk.bluetooth is None:
         return None
@@ -81,12 +139,24 @@ def placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons |
     return frame.place(walk.beacons)
 
 
+def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tuple[Frame, Beacons]:
+    """The frame and the anchors of ranges in it; they define it where nothing else has: located is False."""
+    anchors = walk.beacons
+    if anchors is None:
+        raise InputError(ranges, "anchor", "no places of anchors", "--beacons, or a plan on which they are drawn")
+    if not located and anchors.epsg is not None:
+        frame = frame_of(Fixes(np.zeros(1), anchors.position[:1], np.ones(1), epsg=anchors.epsg))
+    if anchors.epsg is not None and not frame.georeferenced:
+        raise InputError(ranges, "anchor", "places by latitude in a frame that has none", "anchors as x,y [m]")
+    return frame, frame.place(anchors)
+
+
 def _beacons(
-    walk: Recording, given: Path | None, listed: Path | None, building: Building | None, notes: list[str]
+    walk: Recording, path: Path | None, listed: Path | None, building: Building | None, notes: list[str]
 ) -> Beacons | None:
-    """Where beacons are: as a list that was given says, or one beside the recording, or the plan."""
-    if given is not None:
-        return read_beacons(given, walk)
+    """Where beacons are: by the list at ``path``, else by one beside the recording, else by the plan."""
+    if path is not None:
+        return read_beacons(path, walk)
     if listed is not None and walk.bluetooth is not None:
         try:
             return read_beacons(listed, walk)
@@ -96,28 +166,28 @@ def _beacons(
     return drawn_beacons(drawn, walk) if drawn else None
 
 
-def _radio_map(path: Path, building: Building | None) -> RadioMap:
-    """A radio map that has a frame: its own, or that of the plan it was learnt on."""
-    from pdr_graph.estimation.radio_map import RadioMap  # it takes scipy.optimize, long to import
+def load_radio_map(path: Path, building: Building | None) -> RadioMap:
+    """Read a radio map that has a frame: its own, or that of the plan it was learnt on."""
+    from pdr_graph.estimation.fingerprinting import RadioMap  # it takes scipy.optimize, long to import
 
-    heard = RadioMap.load(path)
-    if building is None and heard.frame["kind"] == "plan":
+    radio_map = RadioMap.load(path)
+    if building is None and radio_map.frame["kind"] == "plan":
         raise InputError(path, "frame", "that of a floor plan", "--map, the plan of the walks that it was learnt from")
-    return heard
+    return radio_map
 
 
-def _radio_fixes(heard: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
-    """What a radio map says of a walk in the output frame, which must be its own."""
-    if heard.frame != frame.describe():
-        raise InputError(path or "--radio-map", "frame", f"{heard.frame}", f"that of the walk, {frame.describe()}")
-    fixes = heard.fixes(walk)
+def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
+    """The fixes of a radio map along a walk in the output frame, which must be the map's own."""
+    if radio_map.frame != frame.describe():
+        raise InputError(path or "--radio-map", "frame", f"{radio_map.frame}", f"that of the walk, {frame.describe()}")
+    fixes = radio_map.fixes(walk)
     if not len(fixes):
         notes.append("radio map: nothing that was heard is like what it knows, so that it gives no fix")
     return fixes
 
 
-def _locate(
-    building: Building | None, heard: RadioMap | None, given: Fixes, recorded: Fixes, notes: list[str]
+def _in_one_frame(
+    building: Building | None, radio_map: RadioMap | None, listed: Fixes, recorded: Fixes, notes: list[str]
 ) -> tuple[Frame, Fixes]:
     """The output frame and all fixes in it; a note on fixes that have no place in it.
 
@@ -125,15 +195,15 @@ def _locate(
     """
     if building is not None:
         frame = building.floors[0].frame
-    elif heard is not None:
-        frame = Frame.described(heard.frame)
-    elif len(given) and given.epsg != LONLAT:
-        frame = frame_of(given)
-    elif not len(given) + len(recorded):
+    elif radio_map is not None:
+        frame = Frame.from_description(radio_map.frame)
+    elif len(listed) and listed.epsg != LONLAT:
+        frame = frame_of(listed)
+    elif not len(listed) + len(recorded):
         frame = Frame()
     else:
-        frame = frame_of(min((f for f in (given, recorded) if len(f)), key=lambda f: f.time[0]))
+        frame = frame_of(min((f for f in (listed, recorded) if len(f)), key=lambda f: f.time[0]))
     if not frame.georeferenced and len(recorded):
         notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
         recorded = Fixes.none()
-    return frame, Fixes.together([frame.place(given), frame.place(recorded)])
+    return frame, Fixes.concatenate([frame.place(listed), frame.place(recorded)])

@@ -13,12 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from pdr_graph.confidence import band
 from pdr_graph.errors import expect
 from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory
 
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
@@ -72,7 +71,12 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
     """What of a walk was on the floor of that label, or all of it."""
     track = _on(estimate.trajectory, label)
     axes.plot(
-        *_on(estimate.dead_reckoning, label).T, color=GREY, lw=1.2, ls=(0, (4, 2)), label="dead reckoning", zorder=3
+        *_on(estimate.dead_reckoning, label).T,
+        color=GREY,
+        lw=1.2,
+        ls=(0, (4, 2)),
+        label="dead reckoning, rigidly aligned",
+        zorder=3,
     )
     draw_uncertainty(axes, estimate.trajectory, label)
     axes.plot(*track.T, color=TRACK, lw=2.2, label="most probable walk", zorder=5, solid_joinstyle="round")
@@ -155,7 +159,7 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
 
 def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
     """The 95 % ellipses of the steps, joined to a band."""
-    region = shapely.union_all(band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
+    region = shapely.union_all(confidence_band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
     axes.add_collection(_patches(region, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
 
 
@@ -174,7 +178,7 @@ def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
     gaps = list(np.stack([place, at], axis=1))
     axes.add_collection(LineCollection(gaps, color=FIX, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5))
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
-    label = "fixes" if weight.min() > 0.99 else "fixes (pale: weighted down)"
+    label = "fixes" if weight.min() > 0.99 else "fixes (pale: low weight)"
     axes.scatter(*place.T, s=max(42 * share, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)
 
 

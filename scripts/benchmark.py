@@ -25,12 +25,12 @@ from scaling import scaling_rows
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
-from pdr_graph.estimation import particles
+from pdr_graph.estimation import particle_filter
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.gait.detection import StepDetector, walking_steps
-from pdr_graph.gait.live import LiveGait
+from pdr_graph.gait.step_detection import StepDetector, walking_steps
+from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.inertial.attitude import vqf_offline
-from pdr_graph.inertial.published import METHODS, switching
+from pdr_graph.papers.attitude_filters import METHODS, switching
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -83,13 +83,13 @@ def wall_rows():
     found = optimize(graph, good)
     rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{found.iterations} iterations"]]
     told = median_time(lambda: smooth(WalkGraph(steps, fixes, floor=plan)), 5)
-    sought = median_time(lambda: particles.particle_filter(WalkGraph(steps, fixes, floor=plan)), 1)
+    sought = median_time(lambda: particle_filter.particle_filter(WalkGraph(steps, fixes, floor=plan)), 1)
     rows += [["built and smoothed, with covariance; fixes tell the way", f"{told:.3f} s", ""]]
     rows += [["particles alone, which need not be asked there", f"{sought:.3f} s", f"{sought / told:.0f} ×"]]
 
-    particles.FEWEST = particles.MOST = PARTICLES
+    particle_filter.FEWEST = particle_filter.MOST = PARTICLES
     short = WalkGraph(*held_by_walls(400), floor=plan)
-    step = median_time(lambda: particles.particle_filter(short), 9) / 400
+    step = median_time(lambda: particle_filter.particle_filter(short), 9) / 400
     random = np.random.default_rng(0)
     drawn = median_time(lambda: [random.standard_normal((3, PARTICLES)) for _ in range(100)], 9) / 100
     rows += [
@@ -179,7 +179,7 @@ def attitude_rows():
         "steps alone, `walking_steps`": lambda: walking_steps(time_, samples),
         "steps, live, packets of 0.2 s, `StepDetector`": lambda: live_steps(samples),
         "**recording to `Steps`, all stages**": lambda: detect_steps(recording),
-        "**the same live, packets of 0.1 s, `LiveGait`**": lambda: live_gait(recording),
+        "**the same live, packets of 0.1 s, `StepStream`**": lambda: live_gait(recording),
     }
     times = {name: median_time(stage, 3) for name, stage in stages.items()}
     rows = [[name, f"{t:.2f} s"] for name, t in times.items()]
@@ -196,7 +196,7 @@ def live_steps(samples):
 
 def live_gait(recording):
     """All samples of accelerometer and gyroscope, ten at a time."""
-    gait = LiveGait()
+    gait = StepStream()
     for first in range(0, HOUR, 10):
         for sensor in ("accelerometer", "gyroscope"):
             signal = recording.signals[sensor]

@@ -7,12 +7,13 @@ from tables import publish, table
 
 from pdr_graph import detect_steps
 from pdr_graph.estimation.calibration import calibrate
-from pdr_graph.floor.route import read_route
-from pdr_graph.gait import length, published
-from pdr_graph.gait.features import StepFeatures
-from pdr_graph.gait.gait import gait_of
+from pdr_graph.floor.formats import read_route
+from pdr_graph.gait import step_length
+from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import dead_reckon, interpolate, wrap_angle
+from pdr_graph.papers import step_detectors
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -41,10 +42,10 @@ def twenty_steps():
         for manner in MANNERS:
             attitude, forward, ours = twenty(sex, seed, manner)
             columns = (
-                published.trough_to_peak(attitude),
-                published.without_closing(attitude, forward),
-                published.peak_pairs(attitude),
-                published.vertical_forward(attitude, forward),
+                step_detectors.trough_to_peak(attitude),
+                step_detectors.without_closing(attitude, forward),
+                step_detectors.peak_pairs(attitude),
+                step_detectors.vertical_forward(attitude, forward),
                 ours,
             )
             for counted, column in zip(found.values(), columns, strict=True):
@@ -63,8 +64,8 @@ def further_walks():
     for seed in range(100, 125):
         for manner in MANNERS:
             attitude, forward, _, landed = walked(seed, manner, 13 + seed % 7 / 2, {})
-            before.append(len(published.trough_to_peak(attitude)))
-            after.append(len(published.without_closing(attitude, forward)))
+            before.append(len(step_detectors.trough_to_peak(attitude)))
+            after.append(len(step_detectors.without_closing(attitude, forward)))
             true.append(landed - 1)
     rows = [
         [name, sum(n), sum(n) - sum(true), f"{np.mean(np.equal(n, true)):.0%}"]
@@ -88,7 +89,7 @@ def walked(seed, manner, metres, walker):
     """Attitude, forward acceleration, our landings, and how often feet landed, the last time to close."""
     route = [[0, 0], {"stand": 2}, {"to": [[metres, 0]], "manner": manner}, {"stand": 2}]
     walk = simulate(Scenario.of({"seed": seed, "route": route, "walker": walker, "phone": {"hold": HELD, "rate": 50}}))
-    gait = gait_of(walk.recording("accelerometer", "gyroscope"))[0]
+    gait = gait_signals(walk.recording("accelerometer", "gyroscope"))[0]
     return gait.attitude, gait.forward, gait.landings, len(walk.body.landings)
 
 
@@ -96,12 +97,12 @@ def hundred_metres():
     """Sixteen walkers of the paper's heights: distance error by stride model, position error by calibration."""
     walkers = [(seed, height, "f" if seed in WOMEN else "m") for seed, height in enumerate(HEIGHTS)]
     walks = [simulated(TURNS, *walker) for walker in walkers]
-    gaits = [gait_of(walk.recording("accelerometer", "gyroscope")) for walk in walks]
+    gaits = [gait_signals(walk.recording("accelerometer", "gyroscope")) for walk in walks]
     profiles = [calibrated(*walker) for walker in walkers]
     way = [walk.body.lengths.sum() for walk in walks]
 
     rows = []
-    for name, model in length.MODELS.items():
+    for name, model in step_length.MODELS.items():
         walked = [model(StepFeatures(g[0]), height=h)[0].sum() for g, h in zip(gaits, HEIGHTS, strict=True)]
         shown = f"**{name}, ours**" if name == "inverted pendulum" else name
         rows.append([shown, f"{np.mean(np.abs(np.subtract(walked, way))):.2f}", PAPER_DISTANCE.get(name, "")])

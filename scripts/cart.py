@@ -8,9 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
-from pdr_graph.inertial.published import switching
-from pdr_graph.inertial.stationary import below_threshold, learnt_threshold
-from pdr_graph.inertial.strapdown import strapdown
+from pdr_graph.inertial.attitude import below_threshold, learnt_threshold
+from pdr_graph.papers.attitude_filters import strapdown, switching
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Signal

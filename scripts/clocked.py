@@ -16,17 +16,21 @@ START = "interpreter and imports"
 REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
     "reading the recording": ("pdr_graph.io:load",),
-    "plan, fixes, frame": ("pdr_graph.pipeline:read_inputs",),
-    "attitude": ("pdr_graph.gait.gait:attitude_of",),
-    "steps": ("pdr_graph.pipeline:gait_of", "pdr_graph.pipeline:detect_steps", "pdr_graph.pipeline:on_treads"),
-    "headings": ("pdr_graph.pipeline:magnetic_headings",),
-    "floors": ("pdr_graph.pipeline:floors_walked",),
-    "graph, built": ("pdr_graph.pipeline:walk_graph",),
-    "graph, particles": (
-        "pdr_graph.estimation.hypotheses:particle_filter",
-        "pdr_graph.estimation.told:particles_from",
+    "plan, fixes, frame": ("pdr_graph.pipeline:read",),
+    "attitude": ("pdr_graph.gait.signals:attitude_of",),
+    "steps": (
+        "pdr_graph.pipeline:gait_signals",
+        "pdr_graph.pipeline:detect_steps",
+        "pdr_graph.pipeline:with_stair_lengths",
     ),
-    "graph, solved": ("pdr_graph.pipeline:smoothed",),
+    "headings": ("pdr_graph.pipeline:magnetic_headings",),
+    "floors": ("pdr_graph.pipeline:with_floors",),
+    "graph, built": ("pdr_graph.pipeline:WalkGraph",),
+    "graph, particles": (
+        "pdr_graph.estimation.path_modes:particle_filter",
+        "pdr_graph.estimation.endings:particles_from",
+    ),
+    "graph, solved": ("pdr_graph.pipeline:smooth",),
     "graph, covariance": ("pdr_graph.estimation.smoothers:_mixed_covariance",),
     "tracks and tables, written": (
         "pdr_graph.io.writers:write_trajectory",
@@ -35,10 +39,10 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
         "pdr_graph.io.writers:write_summary",
         "pdr_graph.io.gpx:write",
     ),
-    "picture": ("pdr_graph.pipeline:write_results",),
+    "picture": ("pdr_graph.outputs:write_results",),
     "report: filter": ("pdr_graph.pipeline:kalman_filter",),
-    "report: page": ("pdr_graph.pipeline:write_report",),
-    "summary": ("pdr_graph.pipeline:summarize",),
+    "report: page": ("pdr_graph.outputs:write_report",),
+    "summary": ("pdr_graph.outputs:summarize",),
 }
 GRAPH = ("graph, built", "graph, particles", "graph, solved", "graph, covariance")
 

@@ -8,15 +8,14 @@ from tables import publish, table
 
 from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
-from pdr_graph.gait.direction import walking_direction
-from pdr_graph.gait.forward import braking_axis, forward_axis, principal_axis, reading_axis
-from pdr_graph.gait.gait import gait_of
+from pdr_graph.gait.heading import braking_axis, forward_axis, principal_axis, reading_axis, walking_direction
+from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io import load
+from pdr_graph.simulation.carrying import turned_in_hand
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.simulation.turned import turned_in_hand
 
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
@@ -61,7 +60,7 @@ def heading_errors(path):
     walk = load(path)
     truth = walk.truth if walk.truth is not None else walk.fixes[::12]
     frame = enu(*(truth.position[0][::-1] if truth.epsg else HANGZHOU))
-    gaits, truth = gait_of(walk), frame.place(truth)
+    gaits, truth = gait_signals(walk), frame.place(truth)
     headings, steps = magnetic_headings(gaits, frame, np.zeros(2)), detect_steps(gaits)
     heading = np.cumsum(steps.turn)
     way, errors = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2))), []
@@ -94,7 +93,7 @@ def ahead(paths):
 
 def seen(recording):
     """Attitude, heading, when they walk, and the duration of a step, of a recording's first part."""
-    gait = gait_of(recording)[0]
+    gait = gait_signals(recording)[0]
     return gait.attitude, gait.direction.heading, gait.walking, gait.landings.usual_step
 
 
@@ -121,7 +120,7 @@ def reheld(paths):
     """Real walks in which the phone is turned by a quarter in the hand: is that a turn of the walker?"""
     told, tried, errors = 0, 0, []
     for path in paths:
-        gait = gait_of(load(path))[0]
+        gait = gait_signals(load(path))[0]
         recording, attitude, heading = gait.recording, gait.attitude, gait.direction.heading
         landed, step = gait.landings.time, gait.landings.usual_step
         if len(landed) < 60:
@@ -139,7 +138,7 @@ def reheld(paths):
                     told += 1
                     errors.append(error)
     rows = [[tried, told, f"{np.median(errors):.0f}", f"{max(errors):.0f}"]]
-    header = ["re-holds put in", "told from corners", "error [deg]: median", "largest"]
+    header = ["re-holds put in", "detected as grip changes", "error [deg]: median", "largest"]
     publish("accuracy.md", "reheld", table(header, rows))
 
 

@@ -10,8 +10,8 @@ from simulations import EVERY, simulated
 from tables import publish, table
 
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
+from pdr_graph.errors import read_toml
 from pdr_graph.geometry import unit
-from pdr_graph.settings import read_toml
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.types import Fixes
 

@@ -15,7 +15,7 @@ from tables import publish, table
 from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, io, kalman_filter, smooth
 from pdr_graph.evaluation import circular_error, pair
 
-PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, laid on", "filter", "graph online", "graph"
+PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, rigidly aligned", "filter", "graph online", "graph"
 COMPARED = [(GRAPH, PDR), (GRAPH, LAID), (GRAPH, FILTER), (GRAPH, ONLINE), (ONLINE, LAID), (ONLINE, FILTER)]
 MALLS, CHAINS = "Microsoft, 15 walks", "Microsoft, 3 chains"
 MUSEUM, EIGHT, CAMPUS = "IPIN 2023, 3 trials", "IPIN21, eight", "NJU campus"

@@ -18,13 +18,15 @@ from reproduce import DATA
 from tables import publish
 
 from pdr_graph import Prior, WalkGraph, smooth
-from pdr_graph.estimation import graph as graphs
-from pdr_graph.estimation import native, observations, optimizer, preintegration
-from pdr_graph.estimation.closures import Closures
-from pdr_graph.estimation.corridors import Use
+from pdr_graph.estimation import optimizer
+from pdr_graph.estimation.factors import fixes as fix_factors
+from pdr_graph.estimation.factors import losses as loss_functions
+from pdr_graph.estimation.factors import preintegration
+from pdr_graph.estimation.factors.start import CorridorUse
 from pdr_graph.evaluation import circular_error, pair
-from pdr_graph.gait.gaps import follow, gap
-from pdr_graph.lifelog import joining
+from pdr_graph.gait.signals import append_steps, gap
+from pdr_graph.lifelog import sessions
+from pdr_graph.measurements import Closures
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"
 FIRMLY = 1e-3  # of the usual sigmas: a calibration that is not estimated
@@ -93,7 +95,7 @@ def wall():
 
 def direction():
     walks = malls(FIRST)
-    told = with_plan(walks, corridors=Use(directions=True))
+    told = with_plan(walks, corridors=CorridorUse(directions=True))
     return f"mall walks with the plan, the first waypoint alone given: {with_plan(walks)}; with directions {told}."
 
 
@@ -102,11 +104,10 @@ def losses():
     walks = [replace(walk, fixes=scattered(walk.fixes, WILD, random)[0]) for walk in walks]
     robust = scored(walks)
     with (
-        patch.object(native, "HUBER_WIDTH", NO_WIDTH),
-        patch.object(graphs, "HUBER_WIDTH", NO_WIDTH),
-        patch.object(observations, "HUBER_WIDTH", NO_WIDTH),
-        patch.object(optimizer, "WILD", NO_WIDTH),
-        patch.object(graphs, "within_reach", all_believed),
+        patch.object(loss_functions, "HUBER_WIDTH", NO_WIDTH),
+        patch.object(loss_functions, "huber_weight", lambda deviation, _=NO_WIDTH: np.ones_like(deviation)),
+        patch.object(fix_factors, "OUTLIER", NO_WIDTH),
+        patch.object(fix_factors, "consistent_chains", all_believed),
     ):
         gaussian = scored(walks)
     return f"one in five of the given waypoints moved by 50 to 500 m: {gaussian}; with both losses {robust}."
@@ -158,7 +159,7 @@ def chained(beside):
 
 def closure():
     tied = chained("plan, field")
-    with patch.object(joining, "_stops", lambda parts, shift: Closures.of([])):
+    with patch.object(sessions, "_stops", lambda parts, shift: Closures.of([])):
         free = chained("plan, field")
     return f"twelve mall recordings as three walks, their six ends and the plan given: {free}; with closures {tied}."
 
@@ -177,8 +178,8 @@ def holed(walk, **how):
     """A walk whose recorder did not run for a while."""
     steps, begin = walk.steps, (walk.steps.start + walk.steps.end - HOLE) / 2
     first, then = steps.time <= begin, steps.time - steps.duration >= begin + HOLE
-    whole = follow(part(steps, first, steps.start, begin), gap(begin, begin + HOLE, **how))
-    return replace(walk, steps=follow(whole, part(steps, then, begin + HOLE, steps.end)))
+    whole = append_steps(part(steps, first, steps.start, begin), gap(begin, begin + HOLE, **how))
+    return replace(walk, steps=append_steps(whole, part(steps, then, begin + HOLE, steps.end)))
 
 
 def part(steps, rows, start, end):

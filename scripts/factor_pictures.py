@@ -5,10 +5,11 @@ import sys
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import G, X
+from gtsam.symbol_shorthand import X
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -18,19 +19,26 @@ from simulations import simulated
 from tables import DOCS
 
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
-from pdr_graph.estimation import beacons, native, preintegration, robust
-from pdr_graph.estimation.closures import CLOSURE_WIDTH, Closures
-from pdr_graph.estimation.corridors import Use
-from pdr_graph.estimation.factors import Walls, evaluate, springs
-from pdr_graph.estimation.graph import ANY_HEADING, State
-from pdr_graph.estimation.incremental import IncrementalGraph
-from pdr_graph.estimation.optimizer import _turned, solutions
-from pdr_graph.estimation.together import smooth_together
-from pdr_graph.gait.gaps import follow, gap, later
-from pdr_graph.gait.heading import COMPASS_SIGMA
+from pdr_graph.estimation.factors import preintegration
+from pdr_graph.estimation.factors.base import State
+from pdr_graph.estimation.factors.beacon_rssi import LEVEL_SIGMA, PATH_LOSS, PATH_LOSS_SIGMA, BeaconRssiFactor
+from pdr_graph.estimation.factors.chain import Chain
+from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.gnss_bias import GnssBias
+from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, DOUBTED, FIRM, LoopClosureFactor
+from pdr_graph.estimation.factors.losses import GEMAN_MCCLURE_WIDTH, HUBER_WIDTH
+from pdr_graph.estimation.factors.start import CorridorUse, StartFactor
+from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.estimation.multi_walk import smooth_together
+from pdr_graph.estimation.optimizer import _rotated, solutions
+from pdr_graph.gait.compass import COMPASS_SIGMA
+from pdr_graph.gait.signals import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
-from pdr_graph.lifelog.encounters import Carried, encounters
-from pdr_graph.lifelog.joining import STOOD
+from pdr_graph.lifelog.multi_day import Carried, encounters
+from pdr_graph.lifelog.sessions import STOOD
+from pdr_graph.measurements import Closures, Levels, take
 from pdr_graph.plotting import draw_plan
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.types import Fixes, Sightings, Steps, Trajectory
@@ -153,7 +161,7 @@ KINDS = {  # names by the letters of the variables and the rows of the error
 BELIEF = "belief of g, b, q", PALE
 STEPS, WALL = ("PDR", BLUE), ("wall", INK)
 LEVEL = {"c": 2.0, "x": 0.0, "g": -1.7, "b": -2.8, "q": -2.8}
-PLACED = {"g": (1.0, 6.0), "b": (2.4, 7.4), "q": (4.7,)}  # by the poses that they go with
+PLACED = {"g": (0.5, 1.6, 4.9, 5.9), "b": (2.4, 7.4), "q": (4.7,)}  # by the poses that they go with
 BELOW = {"xgg": 0.9, "xbq": 1.35}  # how far below its pose a factor is drawn
 ARC = 4.2  # of a closure
 
@@ -167,9 +175,9 @@ def graph():
     for n in range(factors.size()):
         draw_factor(axes, factors.at(n), place, taken, named)
     for key, at in place.items():
-        symbol = gtsam.Symbol(key)
+        letter, row = letter_and_row(whole, key)
         axes.plot(*at, "o", ms=27, mfc="white", mec=INK, mew=1.5, zorder=5)
-        axes.text(*at, f"${chr(symbol.chr())}_{{{symbol.index()}}}$", ha="center", va="center", zorder=6)
+        axes.text(*at, f"${letter}_{{{row}}}$", ha="center", va="center", zorder=6)
     for name, colour in sorted(named.items()):
         axes.plot([], [], "s", ms=10, color=colour, label=name)
     axes.set(xlim=(-0.6, len(whole.start.poses) - 0.4), ylim=(-ARC - 0.2, 3.2))
@@ -181,28 +189,34 @@ def graph():
 def a_short_walk():
     """Half a minute and a gap, with every kind of measurement, in the hall of the arcade."""
     first, then = steps_of(np.full(14, 0.02)), steps_of(np.full(16, -0.04))
-    steps = follow(follow(first, gap(first.end, first.end + 6)), later(then, first.end + 6))
+    steps = append_steps(append_steps(first, gap(first.end, first.end + 6)), shifted(then, first.end + 6))
     track = dead_reckon(steps, heading=0.4)
     track = replace(track, position=track.position + np.array([8.0, 12.0]))
     user = fixes_at(track, [0, len(track) - 1])
     phone = replace(fixes_at(track, [4, 21], 4.0), source=("GNSS",) * 2)
     near = track.position[[8, 26]] + 2.0
-    heard = beacons.Levels(track.time[[8, 26]], np.arange(2), np.full(2, -70.0), ("a", "b"), near, np.full(2, 0.5))
-    both = Fixes.together([user, phone])
+    heard = Levels(track.time[[8, 26]], np.arange(2), np.full(2, -70.0), ("a", "b"), near, np.full(2, 0.5))
+    both = Fixes.concatenate([user, phone])
     headings = Headings(track.time[[11]], track.heading[[11]], np.array([0.3]))
     closures = Closures.of([(steps.start, steps.end, 5.0)])
     arcade = FloorPlan.load(DOCS.parent / "maps" / "arcade.geojson")
     whole = WalkGraph(steps, both, headings=headings, levels=heard, closures=closures, floor=arcade)
-    return whole.with_offsets(np.zeros(len(both), bool), whole.fix_used)
+    return whole.refined(whole.evaluate(whole.start))
 
 
 def node_place(whole, key):
     """Where a variable is drawn: poses in a row, a calibration above its own."""
-    letter, number = chr(gtsam.Symbol(key).chr()), gtsam.Symbol(key).index()
+    letter, row = letter_and_row(whole, key)
     if letter == "x":
-        return np.array([number, LEVEL["x"]])
-    across = np.mean(np.flatnonzero(whole.segment == number)) + 0.5 if letter == "c" else PLACED[letter][number]
+        return np.array([row, LEVEL["x"]])
+    across = np.mean(np.flatnonzero(whole.segment == row)) + 0.5 if letter == "c" else PLACED[letter][row]
     return np.array([across, LEVEL[letter]])
+
+
+def letter_and_row(whole, key):
+    """The symbol of a variable and its row: nodes of receivers are not numbered from 0."""
+    letter = chr(gtsam.Symbol(key).chr())
+    return letter, whole.start.keys(letter).tolist().index(key)
 
 
 def draw_factor(axes, factor, place, taken, named):
@@ -287,9 +301,9 @@ def bridge():
     pieces = preintegration.cut(steps_of(np.linspace(0.1, -0.12, 10)), np.empty(0))
     usual, start = np.array([[1.0, 1.0, 0.0]]), np.zeros((1, 3))
     increments = preintegration.preintegrate(pieces, usual)
-    shares = preintegration.bridge(pieces, increments)
-    end = increments.delta[-1:] + np.array([0.5, 1.4, 0.12])
-    own = evaluate(pieces, shares, start, end, usual)
+    chain = Chain.of(pieces, np.zeros(1, dtype=np.intp), usual)
+    shares, end = chain.bridge, increments.delta[-1:] + np.array([0.5, 1.4, 0.12])
+    own = chain.evaluate(State({"x": np.concatenate([start, end]), "c": usual}))
     ends = sums_drawn(pieces)[:60]
     given = ends + np.einsum("kij,dj->dki", shares.gain, end[0] - ends[:, -1])
     for walk in given:
@@ -297,9 +311,9 @@ def bridge():
     axes.plot([], [], color=PALE, label="walks drawn between both")
     felt = np.concatenate([start, increments.delta])
     axes.plot(*felt[:, :2].T, "o--", ms=5, color=ORANGE, lw=1.4, label="the steps as they were felt")
-    placed = np.concatenate([start, own.poses.value])
+    placed = np.concatenate([start, own.ends])
     axes.plot(*placed[:, :2].T, "o-", ms=5, color=BLUE, label="sub-steps, and what stays uncertain (95 %)")
-    for pose, spread in zip(own.poses.value[:-1], shares.spread[:-1], strict=True):
+    for pose, spread in zip(own.ends[:-1], shares.spread[:-1], strict=True):
         ellipse(axes, pose[:2], spread[:2, :2], color=BLUE, lw=0.9)
     for pose, name in ((start[0], "$x_i$"), (end[0], "$x_j$")):
         axes.plot(*pose[:2], "o", ms=24, mfc="white", mec=INK, zorder=6)
@@ -313,7 +327,7 @@ def bridge():
 def gap_row():
     """Half a minute that nobody recorded."""
     first, then, seconds = steps_of(np.full(45, 0.01)), steps_of(np.full(45, -0.02)), 30.0
-    whole = follow(follow(first, gap(first.end, first.end + seconds)), later(then, first.end + seconds))
+    whole = append_steps(append_steps(first, gap(first.end, first.end + seconds)), shifted(then, first.end + seconds))
     track = dead_reckon(whole, heading=0.2)
     moved = np.where(np.arange(len(track)) > 45, 1.0, 0.0)[:, None] * [14.0, 12.0]
     truth = replace(track, position=track.position + moved)
@@ -366,9 +380,8 @@ def walls():
 def wall_error(field, points, prior):
     """The wall factor of steps that end at some points ``(n, 2)``."""
     n = len(points)
-    pieces = replace(preintegration.cut(steps_of(np.zeros(2)), np.empty(0)), length=np.ones(n))
-    about = Walls((field,), np.zeros(n, dtype=np.intp), 0.0, prior.wall_margin, prior.wall_sigma)
-    return springs(np.column_stack([points, np.zeros(n)]), pieces, about)[0]
+    about = WallFactor(None, (field,), np.zeros(n, dtype=np.intp), 0.0, prior.wall_margin, prior.wall_sigma)
+    return about.residual(SimpleNamespace(ends=points, pieces=SimpleNamespace(length=np.ones(n))))[0]
 
 
 def a_lap(use):
@@ -385,16 +398,16 @@ def a_lap(use):
     truth = dead_reckon(steps)
     first = Fixes(truth.time[:1], place[:1], np.array([0.5]), ("",))
     whole = WalkGraph(steps, first, floor=plan, prior=Prior(corridors=use))
-    return plan, whole.following(whole.start), truth.position + place[0]
+    return plan, whole.associated_at(whole.start), truth.position + place[0]
 
 
 def direction():
     """The straight runs of a lap and the direction that each tells."""
-    plan, whole, track = a_lap(Use(directions=True))
+    plan, whole, track = a_lap(CorridorUse(directions=True))
     figure, axes = canvas(1, 5.2)
     draw_plan(axes, plan)
     axes.plot(*track.T, color=BLUE, label="a walk", zorder=4)
-    told = whole.corridors
+    told = whole.find(CorridorFactor)
     rows = zip(told.keyframe, told.direction.heading, told.direction.sigma, strict=True)
     for n, (k, heading, sigma) in enumerate(rows):
         at = whole.start.poses[k, :2]
@@ -411,7 +424,7 @@ def direction():
 
 def turn():
     """The least and the greatest turn at an intersection, and what the factor makes of them."""
-    plan, whole, _ = a_lap(Use(turns=True))
+    plan, whole, _ = a_lap(CorridorUse(turns=True))
     figure, (above, law) = canvas(ratios=[1, 1.1])
     draw_plan(above, plan)
     out, far = np.array([2.5, 0.0]), 12.0
@@ -424,13 +437,13 @@ def turn():
     above.set(xlim=(29.5, 46), ylim=(-out[0], 15.5))
     above.legend(loc="upper left")
 
-    turns = whole.turns
+    turns = whole.find(CorridorFactor).turns
     angle = np.radians(np.linspace(20, 160, 400))
     residual = []
     for change in angle:
         heading = np.zeros(turns.after.max() + 1)
         heading[turns.after[0]] = change
-        residual.append(turns.turned(heading)[0][0])
+        residual.append(turns.heading_change(heading)[0][0])
     law.axvspan(*np.degrees([turns.least[0], turns.most[0]]), color=PALE, alpha=0.6, lw=0, label="free: α to β")
     law.plot(np.degrees(angle), residual, color=BLUE, label="residual [σ]")
     law.set(xlabel="heading change δ [deg]", xticks=[30, 60, 90, 120, 150])
@@ -445,8 +458,8 @@ def losses():
     """What a residual costs, and how much of its weight is left."""
     s, M = np.linspace(0, 10, 400), gtsam.noiseModel.mEstimator
     laws = {
-        f"Huber, {robust.HUBER_WIDTH} σ": (M.Huber.Create(robust.HUBER_WIDTH), BLUE, "-"),
-        f"Geman–McClure, {robust.WILD_WIDTH} σ": (M.GemanMcClure.Create(robust.WILD_WIDTH), ORANGE, "-"),
+        f"Huber, {HUBER_WIDTH} σ": (M.Huber.Create(HUBER_WIDTH), BLUE, "-"),
+        f"Geman–McClure, {GEMAN_MCCLURE_WIDTH} σ": (M.GemanMcClure.Create(GEMAN_MCCLURE_WIDTH), ORANGE, "-"),
         f"Geman–McClure, {CLOSURE_WIDTH} σ (closures)": (
             M.GemanMcClure.Create(CLOSURE_WIDTH),
             PURPLE,
@@ -477,10 +490,10 @@ def receiver():
     """A receiver's errors, and the offset that the graph believes in."""
     walk = gps_walk()
     best = solutions(WalkGraph(walk.steps, walk.fixes, headings=walk.headings))[0]
-    seen, g, fixes = best.graph.receivers, State.of(best.values).g, best.graph.fixes
+    seen, g, fixes = best.graph.find(GnssBias), best.state["g"], best.graph.positions.fixes
     true = interpolate(fixes.time, walk.truth.time, walk.truth.position)
-    marginals = gtsam.Marginals(best.graph.to_gtsam(), best.values)
-    sigma = np.sqrt([marginals.marginalCovariance(G(m))[0, 0] for m in range(len(g))])
+    marginals = gtsam.Marginals(best.graph.to_gtsam(), best.state.to_values())
+    sigma = np.sqrt([marginals.marginalCovariance(key)[0, 0] for key in best.state.keys("g").tolist()])
     offset, spread = ((1 - seen.share) * of[seen.node] + seen.share * of[seen.node + 1] for of in (g[:, 0], sigma))
     figure, axes = canvas(1)
     for n, (begin, end) in enumerate(stops(walk.truth)):
@@ -507,12 +520,12 @@ def beacon():
     """How loud a beacon is at a distance, ahead and behind; and of any phone."""
     metres = np.geomspace(0.5, 40, 200)
     figure, axes = canvas(1)
-    draws = np.random.default_rng(0).normal(beacons.LOSS, beacons.LOSS_SIGMA, (400, 3))
+    draws = np.random.default_rng(0).normal(PATH_LOSS, PATH_LOSS_SIGMA, (400, 3))
     low, high = np.percentile([level(metres, 0.0, q) for q in draws], [2.5, 97.5], axis=0)
     axes.fill_between(metres, low, high, color=PALE, alpha=0.5, lw=0, label="a phone of which nothing is known, 95 %")
     for name, facing, colour in (("ahead", 0.0, BLUE), ("behind", np.pi, ORANGE)):
-        usual = level(metres, facing, beacons.LOSS)
-        axes.fill_between(metres, *(usual + s * beacons.LEVEL_SIGMA for s in (-1, 1)), color=colour, alpha=0.15, lw=0)
+        usual = level(metres, facing, PATH_LOSS)
+        axes.fill_between(metres, *(usual + s * LEVEL_SIGMA for s in (-1, 1)), color=colour, alpha=0.15, lw=0)
         axes.plot(metres, usual, color=colour, label=f"the usual one, the beacon {name}, ±1 σ")
     axes.set(xscale="log", xlabel="distance [m]", ylabel="level [dBm]", xticks=[1, 2, 5, 10, 20, 40])
     axes.set_xticklabels(["1", "2", "5", "10", "20", "40"])
@@ -525,8 +538,10 @@ def level(metres, facing, q):
     """What the factor expects of a beacon at those distances [dBm]. facing: its bearing from where the walker faces."""
     n = len(metres)
     poses = np.column_stack([-metres, np.zeros(n), np.full(n, -facing)])
-    silent = beacons.Levels(np.zeros(n), np.zeros(n, int), np.zeros(n), ("a",), np.zeros((1, 2)), np.ones(1))
-    return silent.heard(np.arange(n), poses, np.zeros((1, 3)), q).value[:, 0] * beacons.LEVEL_SIGMA
+    silent = Levels(np.zeros(n), np.zeros(n, dtype=np.intp), np.zeros(n), ("a",), np.zeros((1, 2)), np.ones(1))
+    factor = replace(BeaconRssiFactor.of(silent, None, Prior()), keyframe=np.arange(n))
+    state = State({"x": poses, "b": np.zeros((1, 3)), "q": q[None]})
+    return factor.factors(SimpleNamespace(state=state))[0].residual * LEVEL_SIGMA
 
 
 def heading():
@@ -581,17 +596,18 @@ def first_heading():
     steps = steps_of(np.where(np.arange(60) == 35, 1.2, 0.0))
     one = WalkGraph(steps, fixes_at(dead_reckon(steps), [0], 0.5))
     figure, (around, law) = canvas()
-    for n, start in enumerate(_turned(one)):
+    for n, start in enumerate(_rotated(one)):
         named = "where the optimiser starts" if n == 0 else None
         around.plot(*start.start.poses[:, :2].T, color=BLUE, lw=1.6, label=named)
-    around.plot(*one.fixes.position[0], "o", ms=11, color=ORANGE, zorder=5, label="the only fix")
+    around.plot(*one.positions.fixes.position[0], "o", ms=11, color=ORANGE, zorder=5, label="the only fix")
     plane(around)
     around.legend(loc="upper left")
     around.set(ylim=(-45, 62))
     angles = np.linspace(-np.pi, np.pi, 200)
-    hold = native.hold_factor(0, 0.0, ANY_HEADING)
+    hold = StartFactor.heading(0.0)
     law.plot(np.degrees(angles), [cost_at(hold, angle) for angle in angles], color=BLUE, label="the hold, 104°")
-    known = native.heading_factor(0, 0.0, np.radians(20))
+    known = Headings(np.zeros(1), np.zeros(1), np.radians([20.0]))
+    known = HeadingFactor(known, np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))
     law.plot(np.degrees(angles), [cost_at(known, angle) for angle in angles], color=ORANGE, label="a heading of 20°")
     law.set(ylim=(0, 8), xlabel="first heading, from the start's [deg]", title="cost", xticks=[-180, -90, 0, 90, 180])
     law.legend(loc="upper center")
@@ -600,9 +616,12 @@ def first_heading():
 
 def cost_at(factor, angle):
     """What a factor of the first pose costs at a heading."""
-    values = gtsam.Values()
-    values.insert(X(0), gtsam.Pose2(0, 0, angle))
-    return factor.error(values)
+    return cost_of(factor, np.array([[0.0, 0.0, angle]]))
+
+
+def cost_of(factor, poses):
+    """What a factor of poses alone costs."""
+    return sum(block.cost for block in factor.factors(SimpleNamespace(state=State({"x": poses}))))
 
 
 # Moments at one place
@@ -612,7 +631,7 @@ def closure():
     """What a closure costs, and a lap that it closes."""
     figure, (law, above) = canvas(ratios=[1, 1.1])
     metres = np.linspace(0, 5, 300)
-    for name, firmly, colour in (("firm: Huber", True, PALE), ("doubted: Geman–McClure", False, BLUE)):
+    for name, firmly, colour in (("firm: Gaussian", True, PALE), ("doubted: Geman–McClure", False, BLUE)):
         law.plot(metres, [cost_apart(d, firmly) for d in metres], color=colour, label=name)
     law.axhline(CLOSURE_WIDTH**2 / 2, color=GREY, lw=1, ls=":", label="8: the most that it costs")
     law.set(ylim=(0, 14), xlabel=f"apart [m], σ = {STOOD} m", title="cost")
@@ -637,7 +656,8 @@ def closure():
 def cost_apart(metres, firmly):
     """What a stop costs whose two moments are so far apart."""
     poses = np.array([[0.0, 0.0, 0.0], [metres, 0.0, 0.0]])
-    return Closures.of([(0.0, 1.0, STOOD)]).seen(np.array([[0, 1]]), poses, firmly).cost
+    closures, hold = Closures.of([(0.0, 1.0, STOOD)]), FIRM if firmly else DOUBTED
+    return cost_of(LoopClosureFactor(closures, np.zeros(1, dtype=np.intp), np.array([[0, 1]]), hold), poses)
 
 
 def encounter():
@@ -679,17 +699,19 @@ def marginal():
     steps = steps_of(np.where(np.arange(330) % 60 == 59, np.pi / 2, 0.0))
     truth = drawn(steps, seed=2)
     fixes = fixes_at(truth, [0, 30, 60, 90, 120], 1.0)
-    walk = IncrementalGraph(lag=30.0)
+    walk = LiveSmoother(lag=30.0)
     time, known, forgotten = [], [], []
     for begin in range(0, len(steps), 5):
         walk.extend(some(steps, begin, begin + 5))
-        for n in np.flatnonzero((fixes.time > begin * PERIOD - 1e-6) & (fixes.time <= (begin + 5) * PERIOD)):
-            walk.add_fix(float(fixes.time[n]), fixes.position[n], float(fixes.sigma[n]))
-        if begin % 10 == 5 and walk.tree.past:
-            time.append(walk.window.times[-1])
-            last = X(walk.window.keyframes[-1])
-            known.append(spread_of(walk.tree.graph(), walk.tree, last))
-            forgotten.append(spread_of(_held(walk.tree), walk.tree, last))
+        new = (fixes.time > begin * PERIOD - 1e-6) & (fixes.time <= (begin + 5) * PERIOD)
+        if new.any():
+            walk.append(take(fixes, np.flatnonzero(new)))
+        window, isam = walk.graph.window, walk.graph.isam
+        if begin % 10 == 5 and isam.marginal:
+            time.append(window.times[-1])
+            last = X(window.keyframes[-1])
+            known.append(spread_of(isam.graph(), isam, last))
+            forgotten.append(spread_of(_held(isam), isam, last))
     figure, axes = canvas(1)
     axes.plot(time, known, color=BLUE, label="with the marginal on what was left of the window")
     axes.plot(time, forgotten, color=ORANGE, ls="--", label="without: what left the window is forgotten")
@@ -707,22 +729,22 @@ def some(steps, begin, end):
     return replace(steps, start=start, end=float(rows["time"][-1]), **rows)
 
 
-def _held(tree):
+def _held(isam):
     """The factors of the window alone, its variables held as loosely as nothing."""
     alone = gtsam.NonlinearFactorGraph()
-    for factor in tree.factors.values():
-        alone.add(factor)
-    for key in tree.values.keys():
+    for one in isam.factors.values():
+        alone.add(one.factor)
+    for key in isam.values.keys():
         loose = gtsam.noiseModel.Isotropic.Sigma(3, NOTHING)
         pose = gtsam.Symbol(key).chr() == ord("x")
         prior = gtsam.PriorFactorPose2 if pose else gtsam.PriorFactorVector
-        alone.add(prior(key, (tree.values.atPose2 if pose else tree.values.atVector)(key), loose))
+        alone.add(prior(key, (isam.values.atPose2 if pose else isam.values.atVector)(key), loose))
     return alone
 
 
-def spread_of(graph, tree, key):
+def spread_of(graph, isam, key):
     """Root of the mean variance of a pose's position. [m]"""
-    covariance = gtsam.Marginals(graph, tree.values).marginalCovariance(key)
+    covariance = gtsam.Marginals(graph, isam.values).marginalCovariance(key)
     return np.sqrt(np.trace(covariance[:2, :2]) / 2)
 
 

@@ -5,8 +5,8 @@ from recorded import INSIDE_90, WAYPOINT_NOISE, gaps
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
-from pdr_graph.estimation.radio_map import SHARED, RadioMap
-from pdr_graph.gait.gait import gait_of
+from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
+from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.types import Fixes
 
@@ -23,7 +23,7 @@ def observed(folder):
     floor, walks = FloorPlan.load(folder), []
     for path in sorted(folder.glob("*.txt")):
         walk = io.load(path)
-        gaits, truth = gait_of(walk), walk.truth
+        gaits, truth = gait_signals(walk), walk.truth
         steps, headings = detect_steps(gaits), magnetic_headings(gaits, floor.frame, np.zeros(2))
         given = Fixes(truth.time, truth.position, np.full(len(truth), SIGMA), ("",) * len(truth))
         track = smooth(WalkGraph(steps, given, headings=headings, floor=floor)).trajectory

@@ -7,7 +7,7 @@ from tables import publish, table
 
 from pdr_graph import detect_steps, io
 from pdr_graph.estimation.floors import floors_along
-from pdr_graph.inertial.windows import runs
+from pdr_graph.inertial.attitude import runs
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.sensors import EXPONENT, LAPSE, SEA_LEVEL
 from pdr_graph.simulation.simulate import simulate

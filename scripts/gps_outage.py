@@ -21,7 +21,11 @@ CORNERS += [[290, 420], [60, 420], [-40, 330], [-40, 110], [0, 0]]
 ACCURACY = 5.0  # [m] 68 %, of a receiver at 1 Hz
 BEGINS = 180.0  # [s] from the start of the walk, of every outage
 OUTAGES = {"20 s": 20.0, "2 min": 120.0, "5 min": 300.0, "10 min": 600.0}
-ACROSS, HELD, PDR = "GPS alone, straight across", "GPS alone, last position", "dead reckoning, laid on the GPS"
+ACROSS, HELD, PDR = (
+    "GPS alone, straight across",
+    "GPS alone, last position",
+    "dead reckoning, rigidly aligned with the GPS",
+)
 EKF, RTS, OURS = "EKF", "EKF, smoothed (RTS)", "**the graph**"
 SHOWN, SHOWN_OUTAGE = 0, "2 min"  # the walk of the figure
 

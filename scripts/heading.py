@@ -7,11 +7,11 @@ from tables import DOCS, publish, table
 
 from pdr_graph import detect_steps
 from pdr_graph.frames import enu
-from pdr_graph.gait.direction import acceleration_axis, accumulate_turn, angular_rate_axis, walking_direction
-from pdr_graph.gait.gaps import uninterrupted
+from pdr_graph.gait.heading import acceleration_axis, accumulate_turn, angular_rate_axis, walking_direction
+from pdr_graph.gait.signals import uninterrupted
 from pdr_graph.inertial.attitude import vqf_offline
-from pdr_graph.inertial.published import imu_filter
 from pdr_graph.io import load
+from pdr_graph.papers.attitude_filters import imu_filter
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import LONLAT

@@ -7,12 +7,11 @@ from recorded import WAYPOINT_NOISE, gaps, given, rest
 from tables import publish, table
 
 from pdr_graph import io
-from pdr_graph.estimation.fingerprints import scans_of
-from pdr_graph.estimation.revisits import revisits
-from pdr_graph.estimation.together import smooth_together
-from pdr_graph.lifelog.grouping import Group
+from pdr_graph.estimation.fingerprinting import revisits, scans_of
+from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.walks import walked
+from pdr_graph.lifelog.reconstruct import walked
+from pdr_graph.lifelog.sessions import Group
 from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = ("site1/B1", "site1/F1", "site2/F1")
@@ -46,7 +45,7 @@ def by_ends(pieces, plan):
     ones = [replace(one, fixes=Fixes.none(), plan=one.plan if plan else "") for one, _ in pieces]
     ones[0] = replace(ones[0], fixes=given(pieces[0][1].truth, [0]))
     end = given(pieces[-1][1].truth, [-1])
-    both = Fixes.together([ones[-1].fixes, end])
+    both = Fixes.concatenate([ones[-1].fixes, end])
     ones[-1] = replace(ones[-1], fixes=both)
     return Group(tuple((str(n), one) for n, one in enumerate(ones)))
 

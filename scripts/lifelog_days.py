@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from tables import publish, table
 
-from pdr_graph.inputs import read_inputs
+from pdr_graph.inputs import read
+from pdr_graph.lifelog.activities import follow_positions
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.segments import follow_positions
 
 ROOT = Path(__file__).resolve().parents[1]
 ON_FOOT = {"walk", "run"}
@@ -47,7 +47,7 @@ def lengths(path):
     sys.path.append(str(ROOT / "tests"))
     from cleaned_track import cleaned_length, raw_length
 
-    fixes = read_inputs(path).fixes
+    fixes = read(path).fixes
     _, segments = follow_positions(fixes)
     clean = cleaned_length(fixes.time, fixes.position)
     return fixes, segments, raw_length(fixes.position), clean, sum(s.distance for s in segments)
@@ -94,7 +94,7 @@ def unix(text):
 def agreement(data):
     """Time [s] by what was said (on foot, in a vehicle) and found (walking or standing, in a vehicle) ``(2, 2)``."""
     (path,) = data.glob("geolife_sample/010/*.plt")
-    given = read_inputs(path)
+    given = read(path)
     _, segments = follow_positions(given.fixes)
     said, result = labels(path.with_name("labels.txt")), np.zeros((2, 2))
     for segment in segments:
@@ -119,7 +119,7 @@ def draw(path, out):
     """A picture of one day: its way by what was done, and when."""
     import matplotlib.pyplot as plt
 
-    fixes = read_inputs(path).fixes
+    fixes = read(path).fixes
     way, segments = follow_positions(fixes)
     figure, (plan, hour) = plt.subplots(2, 1, figsize=(14, 14), height_ratios=[5, 1], layout="constrained")
     plan.plot(*fixes.position.T, ".", color="0.8", markersize=2)

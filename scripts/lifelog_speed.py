@@ -22,7 +22,7 @@ from tables import table
 from pdr_graph import dead_reckon, io
 from pdr_graph.frames import enu
 from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.content import content_hash
+from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import Observation, observe
 from pdr_graph.lifelog.store import Entry, Store
 from pdr_graph.simulation.recorders import write

@@ -18,10 +18,10 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.lifelog.day import Stay
-from pdr_graph.lifelog.grouping import Group
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.places import stays_of
-from pdr_graph.lifelog.walks import walked
+from pdr_graph.lifelog.reconstruct import walked
+from pdr_graph.lifelog.sessions import Group
+from pdr_graph.lifelog.stays import stays_of
 from pdr_graph.simulation.itinerary import FRONT
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario

@@ -12,14 +12,14 @@ from recorded import WAYPOINT_NOISE, Walk, gaps, ipin21_walks, ipin2023_walks, n
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, magnetic_headings, smooth
-from pdr_graph.estimation.beacons import levels
+from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait.gait import gait_of
+from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate
-from pdr_graph.inputs import placed_beacons, read_inputs
+from pdr_graph.inputs import Options, read
 from pdr_graph.io.beacons import read_beacons
-from pdr_graph.online.events import Samples, events_of
+from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
@@ -198,11 +198,11 @@ def simulated(scenario, plan):
     made = simulate(scenario)
     with TemporaryDirectory() as folder:
         write(made, Path(folder))
-        given = read_inputs(Path(folder), plan, Path(folder) / "fixes.csv")
+        given = read(Path(folder), Options(plan=plan, fixes=Path(folder) / "fixes.csv"))
     recording, frame, fixes = given.walk, given.frame, given.fixes
-    gaits, beacons = gait_of(recording), placed_beacons(recording, frame, given.notes)
+    gaits, beacons = gait_signals(recording), given.beacons
     steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
-    heard = levels(recording.bluetooth, beacons, steps) if beacons and recording.bluetooth else None
+    heard = levels_along(recording.bluetooth, beacons, steps) if beacons and recording.bluetooth else None
     time = np.arange(0.0, made.truth.time[-1], EVERY)
     place = interpolate(time, made.truth.time, made.truth.position)
     time = time + scenario.start - recording.clock_origin

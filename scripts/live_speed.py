@@ -15,8 +15,7 @@ from said import held_by_walls, walk
 from tables import table
 
 from pdr_graph import FloorPlan
-from pdr_graph.estimation.tree import RELINEARISE
-from pdr_graph.online.events import events_of
+from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -58,11 +57,11 @@ class Run:
 
     def state(self, name):
         """What it has in memory, and how long it takes to make the graph anew."""
-        graph = self.nav._graph
-        slots = graph.tree._smoother.getFactors().size()
+        graph = self.nav._graph.graph
+        slots = graph.isam._smoother.getFactors().size()
         status = self.nav.status
         began = time.process_time()
-        graph.tree.anew(RELINEARISE)
+        graph.rebuild(graph.lag)
         anew = time.process_time() - began
         began = time.process_time()
         options = {"floor": self.nav.building, "lag": None if np.isinf(graph.lag) else graph.lag}
@@ -83,7 +82,7 @@ def live_rows():
     loop = [spread("before", before), spread("after", spun())]
     control = table([f"a loop of {1e3 * SPUN:.0f} ms CPU, on the wall [ms]", *PERCENTILES], loop)
     header = ["walk", *(f"MB at {share:.0%}" for share in SHARES), "keyframes", "factor slots", "restarts / rebuilds"]
-    header += ["the tree anew [ms]", "from a snapshot [ms]"]
+    header += ["the solver anew [ms]", "from a snapshot [ms]"]
     memory = table(header, [run.state(name) for name, run in runs.items()])
     hour = runs[OF_SAMPLES]
     busy = hour.took[:, [0, 2]].sum() / hour.nav.pose.time
@@ -136,7 +135,7 @@ def pushed(nav, events, steps):
         took[count] = np.append(since, clocks() - before)
         count, since = count + 1, np.zeros(2)
         if count % HANDED_OUT == 0:
-            nav.settled()
+            nav.finalized()
         if looks and count >= looks[0]:
             memory.append(resident())
             del looks[0]

@@ -8,7 +8,7 @@ from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, kalman_smoother, magnetic_headings, smooth
 from pdr_graph.evaluation import circular_error, pair
-from pdr_graph.gait.gait import gait_of
+from pdr_graph.gait.signals import gait_signals
 from pdr_graph.types import Fixes
 
 HELP = {
@@ -38,7 +38,7 @@ def recordings(data):
 
 def walk_of(recording, floor, path):
     """A recording, and the walk that it is of."""
-    gaits = gait_of(recording)
+    gaits = gait_signals(recording)
     headings = magnetic_headings(gaits, floor.frame, np.zeros(2))
     name = f"{path.parent.parent.name}/{path.parent.name} {path.stem[:12]}"
     return recording, Walk(name, detect_steps(gaits), headings, Fixes.none(), recording.truth, floor)

@@ -67,7 +67,7 @@ def outliers(data, malls):
                 row = [name, kind, f"{100 * share:.0f} %", *(cells(spoilt[m], clean[m]) for m in METHODS)]
                 row += [cells(without, clean["graph"]), doubled(spoilt["graph"], clean["graph"])]
                 rows.append([*row, seen(spoilt["graph"], "found"), seen(spoilt["graph"], "blamed")])
-    header = ["walk", "wild fixes", "share", *(f"{m}: 50 / 95 % [m]" for m in METHODS), "graph, wild ones left out"]
+    header = ["walk", "wild fixes", "share", *(f"{m}: 50 / 95 % [m]" for m in METHODS), "graph, outliers left out"]
     header += ["graph: walks more than doubled", "wild ones seen", "good ones blamed"]
     publish("accuracy.md", "outliers", table(header, rows))
 

@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph import FloorPlan, detect_steps, io, magnetic_headings, read_fixes
-from pdr_graph.estimation.beacons import Levels, levels
+from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.evaluation import pair
 from pdr_graph.frames import enu
-from pdr_graph.gait.gait import gait_of
-from pdr_graph.gait.treads import on_treads
+from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.stairs import with_stair_lengths
 from pdr_graph.io.beacons import read_beacons
+from pdr_graph.measurements import Levels
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given
@@ -80,7 +81,7 @@ def ipin21_walks(data):
     """The figure of eight with the start alone and with each set of simulated fixes."""
     folder = data / "ipin21_hcu"
     walk, floor = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
-    gaits, truth = gait_of(walk), floor.frame.place(walk.truth)
+    gaits, truth = gait_signals(walk), floor.frame.place(walk.truth)
     steps = detect_steps(gaits)
     paths = sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower())
     start = Fixes(truth.time[:1], truth.position[:1], np.array([START_SIGMA]), ("",))
@@ -102,11 +103,11 @@ def ipin2023_walks(data):
         walk = io.load(path)
         lon, lat = walk.fixes.position[0]
         frame = enu(lat, lon)
-        gaits, fixes = gait_of(walk), frame.place(walk.fixes)
+        gaits, fixes = gait_signals(walk), frame.place(walk.fixes)
         headings, steps = magnetic_headings(gaits, frame, fixes.position[0]), detect_steps(gaits)
         floors = floors_along(steps, walk.barometer, "", fixes, None)
-        steps = on_treads(steps, floors.climbs, floors.kinds)
-        heard = levels(walk.bluetooth, frame.place(read_beacons(path.parent / "BLE_Locations.csv", walk)), steps)
+        steps = with_stair_lengths(steps, floors.climbs, floors.kinds)
+        heard = levels_along(walk.bluetooth, frame.place(read_beacons(path.parent / "BLE_Locations.csv", walk)), steps)
         yield Walk(path.stem, steps, headings, fixes, frame.place(walk.truth), levels=heard)
 
 
@@ -116,7 +117,7 @@ def nju_walk(data):
     lon, lat = walk.fixes.position[0]
     frame = enu(lat, lon)
     fixes = frame.place(walk.fixes)
-    gaits = gait_of(walk)
+    gaits = gait_signals(walk)
     steps, headings = detect_steps(gaits), magnetic_headings(gaits, frame, fixes.position[0])
     return Walk("one in 1 s", steps, headings, fixes, fixes_as_track(fixes))
 

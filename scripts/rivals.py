@@ -18,9 +18,9 @@ from scipy.sparse.linalg import splu
 from tables import table
 
 from pdr_graph import WalkGraph, dead_reckon, smooth
-from pdr_graph.estimation.filters import kalman_filter
-from pdr_graph.estimation.graph import Prior
-from pdr_graph.estimation.preintegration import SIGMA_LATERAL
+from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.kalman import kalman_filter
 from pdr_graph.geometry import wrap_angle
 
 SEEDS = 3  # walks

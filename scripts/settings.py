@@ -9,8 +9,8 @@ from recorded import percentiles
 from tables import publish, table
 
 from pdr_graph import smooth
-from pdr_graph.estimation import preintegration
-from pdr_graph.estimation.graph import Prior
+from pdr_graph.estimation.factors import preintegration
+from pdr_graph.estimation.factors.start import Prior
 
 GIVEN = ("every second waypoint", "first and last")
 SWAYS, STRIDES, TURNS = (0.1, 0.25, 0.4), (0.2, 0.3, 0.4), (0.01, 0.04)  # [m], share of a step, [rad] per step

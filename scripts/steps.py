@@ -5,14 +5,14 @@ from scipy.optimize import least_squares
 from tables import publish, table
 
 from pdr_graph import Walker, WalkGraph, detect_steps, io, smooth
-from pdr_graph.estimation.profiles import posterior_profile, prior_of
+from pdr_graph.estimation.calibration import posterior_profile, prior_of
 from pdr_graph.frames import enu
-from pdr_graph.gait import length
-from pdr_graph.gait.detection import walking_steps
-from pdr_graph.gait.features import StepFeatures
-from pdr_graph.gait.gait import gait_of
-from pdr_graph.gait.published import peak_pairs, trough_to_peak
+from pdr_graph.gait import step_length
+from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.step_detection import walking_steps
+from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.papers.step_detectors import peak_pairs, trough_to_peak
 from pdr_graph.types import LONLAT, Fixes
 
 OXFORD = {  # true counts of the data page
@@ -83,7 +83,7 @@ class Measured:
     def __init__(self, name, walk, truth, every=1):
         self.name = name
         self.truth = enu(*truth.position[0][::-1]).place(truth) if truth.epsg == LONLAT else truth
-        self.gait = gait_of(walk)[0]
+        self.gait = gait_signals(walk)[0]
         self.features, landings = StepFeatures(self.gait), self.gait.landings
         begin, time = landings.time - landings.period, self.truth.time[::every]
         self.legs = []
@@ -119,7 +119,7 @@ def strides(walks):
     known = [walk for walk in walks if walk.name.startswith("site")]
     others = [walk for walk in walks if walk not in known]
     rows = []
-    for name, model in length.MODELS.items():
+    for name, model in step_length.MODELS.items():
         ratios, elsewhere = (np.array([w.ratio(model(w.features)[0]) for w in of]) for of in (known, others))
         shown = f"**{name}**" if name == "inverted pendulum" else name
         rows.append([shown, *spread(known, ratios), *(f"{ratio:.2f}" for ratio in elsewhere)])
@@ -150,8 +150,10 @@ def refitted(walks, walk):
     legs = [(d, share.sum(), share @ bounce(other)) for other in rest for d, share in other.legs]
     distance, count, bounced = np.array(legs).T
     sigma = np.sqrt(2 * 0.47**2 + 0.15**2 * count)
-    k = least_squares(lambda k: (length.K0 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[0]
-    return length.K0 + k * bounce(walk)
+    k = least_squares(lambda k: (step_length.K0 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[
+        0
+    ]
+    return step_length.K0 + k * bounce(walk)
 
 
 def bounce(walk):
@@ -169,7 +171,7 @@ def profiles(walks):
             for other in pieces:
                 profile = profile if other is piece else learnt(other, profile)
             factor = 1 + profile.E_length
-            lengths = length.inverted_pendulum(piece.features)[0]
+            lengths = step_length.inverted_pendulum(piece.features)[0]
             plain.append(piece.ratio(lengths))
             taught.append(piece.ratio(factor * lengths))
             rows.append([piece.name, f"{piece.way:.0f}", f"{plain[-1]:.2f}", f"{factor:.2f}", f"{taught[-1]:.2f}"])

@@ -32,5 +32,5 @@ def _replace(path, pattern, text, name):
     """Put a text between the two groups of a pattern that is in the file once."""
     page, count = re.subn(pattern, lambda m: f"{m[1]}{text}{m[2]}", path.read_text(), flags=re.DOTALL)
     if count != 1:
-        raise SystemExit(f"{path}: {count} places for {name}, needed 1")
+        raise SystemExit(f"{path}: {count} places for {name}, expected 1")
     path.write_text(page)

@@ -12,7 +12,7 @@ from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.floor.network import Network
-from pdr_graph.gait.gait import gait_of
+from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -157,7 +157,7 @@ def walked(path, label, seed):
         "phone": {"rate": 50, "disturbance": DISTURBANCE},
     }
     walk = simulate(Scenario.of(given))
-    gaits = gait_of(walk.recording())
+    gaits = gait_signals(walk.recording())
     steps = detect_steps(gaits)
     stride = np.exp(STRIDE * random.standard_normal())
     steps = replace(steps, length=stride * steps.length, sigma_length=stride * steps.sigma_length)

@@ -9,21 +9,25 @@ from scipy.stats import chi2
 from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver
 
 from pdr_graph import smooth
-from pdr_graph.estimation import bank, native, observations, robust
-from pdr_graph.estimation import graph as walk_graph
+from pdr_graph.estimation import kalman
+from pdr_graph.estimation.factors import losses
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
 
 SEEDS = 120
 STEPS = 90
+WIDE = 1e6  # [σ] within which Huber's loss is Gaussian
 
 
 @contextmanager
 def gaussian():
     """Without robust loss, which is not Gaussian."""
     with ExitStack() as patches:
-        for module in (walk_graph, native, observations, robust, bank):
-            patches.enter_context(patch.object(module, "HUBER_WIDTH", 1e6))
+        for module in (losses, kalman):
+            patches.enter_context(patch.object(module, "HUBER_WIDTH", WIDE))
+            patches.enter_context(
+                patch.object(module, "huber_weight", lambda deviation, _=WIDE: np.ones_like(deviation))
+            )
         yield
 
 

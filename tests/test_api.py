@@ -19,18 +19,18 @@ import pdr_graph as pdr
 PROMISED = """
 Building(floors)
 Calibration(start, value, covariance, prior_sigma)
-Estimate(trajectory, dead_reckoning, calibration, fixes, iterations, cost, converged, probability=, beacons=, warnings=)
+Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=)
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, mended=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
 Headings(time, heading, sigma)
-InputError(source, place, found, needed)
+InputError(source, place, found, expected)
 Journal(path, database, make, restored, every)
-Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, begins=, epoch=)
+Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, epoch=)
 Pose(time, x, y, heading, floor, covariance)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, fix_flat=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
-fixes=, bluetooth=, wifi=, beacons=, truth=, notes=)
+fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)
 Samples(sensor, time, values)
 Scan(radio, heard)
 Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, given=, \
@@ -39,7 +39,7 @@ Sightings(time, transmitter, rssi, minor=)
 Signal(time, values)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=)
 Trajectory(time, position, heading, floor=, covariance=, epsg=)
-WalkGraph(steps, fixes=, *, headings=, floor=, floors=, levels=, closures=, prior=, others=)
+WalkGraph(steps, fixes=, *, headings=, floor=, floors=, levels=, closures=, measurements=, prior=, others=)
 Walker(height=, sigma_turn=, stride=, constants=, profile=)
 dead_reckon(steps, start=, heading=)
 detect_steps(recording, walker=)
@@ -197,75 +197,81 @@ def test_lists_will_do_for_columns():
 
 
 MISTAKES = {
-    "steps for a graph": (lambda g: pdr.smooth(g["steps"]), "found Steps, needed WalkGraph"),
-    "steps for a filter": (lambda g: pdr.kalman_filter(g["steps"]), "found Steps, needed WalkGraph"),
-    "a recording for steps": (lambda g: pdr.WalkGraph(g["recording"], g["fixes"]), "found Recording, needed Steps"),
-    "the wrong order": (lambda g: pdr.WalkGraph(g["fixes"], g["steps"]), "found Fixes, needed Steps"),
-    "positions for fixes": (lambda g: pdr.WalkGraph(g["steps"], g["fixes"].position), "found ndarray, needed Fixes"),
+    "steps for a graph": (lambda g: pdr.smooth(g["steps"]), "found Steps, expected WalkGraph"),
+    "steps for a filter": (lambda g: pdr.kalman_filter(g["steps"]), "found Steps, expected WalkGraph"),
+    "a recording for steps": (lambda g: pdr.WalkGraph(g["recording"], g["fixes"]), "found Recording, expected Steps"),
+    "the wrong order": (lambda g: pdr.WalkGraph(g["fixes"], g["steps"]), "found Fixes, expected Steps"),
+    "positions for fixes": (lambda g: pdr.WalkGraph(g["steps"], g["fixes"].position), "found ndarray, expected Fixes"),
     "a path for a plan": (
         lambda g: pdr.WalkGraph(g["steps"], floor="plan.geojson"),
-        "found str 'plan.geojson', needed",
+        "found str 'plan.geojson', expected",
     ),
     "degrees for metres": (
         lambda g: pdr.WalkGraph(
             g["steps"], replace(g["fixes"], epsg=4326, position=g["frame"].to_lonlat(g["fixes"].position))
         ),
-        "found those of EPSG:4326, needed metres",
+        "found those of EPSG:4326, expected metres",
     ),
-    "a path for a recording": (lambda g: pdr.detect_steps("walk.zip"), "found str 'walk.zip', needed Recording"),
-    "a height for a walker": (lambda g: pdr.detect_steps(g["recording"], 1.72), "found float 1.72, needed Walker"),
-    "a height in centimetres": (lambda g: pdr.Walker(height=172), "found 172, needed metres"),
-    "an unknown stride": (lambda g: pdr.Walker(stride="long"), "found 'long', needed one of"),
-    "a direction in degrees": (lambda g: pdr.dead_reckon(g["steps"], heading=90), "found 90, needed radians"),
-    "headings in degrees": (lambda g: pdr.Headings([1], [90], [5]), "found 90.0, needed radians"),
-    "a fix without a number": (lambda g: pdr.Fixes([0, np.nan], [[0, 0], [1, 1]], [1, 1]), "found row 1: nan, needed"),
-    "one sigma for all": (lambda g: pdr.Fixes([0], [[0, 0]], 1.0), "found float, needed an array"),
-    "positions in space": (lambda g: pdr.Fixes([0], [[0, 0, 0]], [1]), "found shape (1, 3), needed (n, 2)"),
-    "steps out of order": (lambda g: replace(g["steps"], time=g["steps"].time[::-1]), "needed times that increase"),
-    "samples that are one too few": (lambda g: pdr.Signal(np.arange(3.0), np.zeros((2, 3))), "needed (n,) and (n, 3)"),
+    "a path for a recording": (lambda g: pdr.detect_steps("walk.zip"), "found str 'walk.zip', expected Recording"),
+    "a height for a walker": (lambda g: pdr.detect_steps(g["recording"], 1.72), "found float 1.72, expected Walker"),
+    "a height in centimetres": (lambda g: pdr.Walker(height=172), "found 172, expected metres"),
+    "an unknown stride": (lambda g: pdr.Walker(stride="long"), "found 'long', expected one of"),
+    "a direction in degrees": (lambda g: pdr.dead_reckon(g["steps"], heading=90), "found 90, expected radians"),
+    "headings in degrees": (lambda g: pdr.Headings([1], [90], [5]), "found 90.0, expected radians"),
+    "a fix without a number": (
+        lambda g: pdr.Fixes([0, np.nan], [[0, 0], [1, 1]], [1, 1]),
+        "found row 1: nan, expected",
+    ),
+    "one sigma for all": (lambda g: pdr.Fixes([0], [[0, 0]], 1.0), "found float, expected an array"),
+    "positions in space": (lambda g: pdr.Fixes([0], [[0, 0, 0]], [1]), "found shape (1, 3), expected (n, 2)"),
+    "steps out of order": (lambda g: replace(g["steps"], time=g["steps"].time[::-1]), "expected times that increase"),
+    "samples that are one too few": (
+        lambda g: pdr.Signal(np.arange(3.0), np.zeros((2, 3))),
+        "expected (n,) and (n, 3)",
+    ),
     "a path without headings": (
         lambda g: pdr.Trajectory(np.arange(3.0), np.zeros((3, 2)), np.zeros(2)),
-        "found shapes (3, 2) and (2,), and 3 labels at 3 times",
+        "found shapes (3, 2) and (2,) at 3 times",
     ),
     "an array for a signal": (
         lambda g: pdr.Recording("mine", 0.0, None, accelerometer=np.zeros((9, 3))),
-        "found ndarray, needed Signal",
+        "found ndarray, expected Signal",
     ),
     "an estimate for its trajectory": (
         lambda g: pdr.evaluate(g["estimate"], g["truth"]),
-        "found Estimate, needed Trajectory, as of smooth(graph).trajectory",
+        "found Estimate, expected Trajectory, as of smooth(graph).trajectory",
     ),
-    "no truth": (lambda g: pdr.evaluate(g["estimate"].trajectory, None), "found None, needed Trajectory"),
+    "no truth": (lambda g: pdr.evaluate(g["estimate"].trajectory, None), "found None, expected Trajectory"),
     "another clock": (
         lambda g: pdr.evaluate(g["estimate"].trajectory, pdr.read_trajectory(g["path"] / "truth.csv")),
-        "needed the same clock",
+        "expected the same clock",
     ),
-    "a trajectory to plot": (lambda g: pdr.plot(g["truth"]), "found Trajectory, needed Estimate"),
+    "a trajectory to plot": (lambda g: pdr.plot(g["truth"]), "found Trajectory, expected Estimate"),
     "a plan for its frame": (
         lambda g: pdr.read_fixes(
             g["path"] / "fixes.csv", g["recording"], pdr.FloorPlan.load(g["path"] / "plan.geojson")
         ),
-        "found FloorPlan, needed Frame",
+        "found FloorPlan, expected Frame",
     ),
-    "a recording as a plan": (lambda g: pdr.FloorPlan.load(g["path"]), "needed a floor plan's file"),
+    "a recording as a plan": (lambda g: pdr.FloorPlan.load(g["path"]), "expected a floor plan's file"),
     "fixes as a plan": (lambda g: pdr.FloorPlan.load(g["path"] / "fixes.csv"), "found no JSON"),
-    "no such fixes": (lambda g: pdr.read_fixes("nowhere.csv", g["recording"]), "found no such file, needed a table"),
-    "a recording at once": (lambda g: pdr.Navigator().push(g["recording"]), "found Recording, needed Samples"),
-    "no lag": (lambda g: pdr.Navigator(lag=0), "found 0, needed seconds above 0"),
+    "no such fixes": (lambda g: pdr.read_fixes("nowhere.csv", g["recording"]), "found no such file, expected a table"),
+    "a recording at once": (lambda g: pdr.Navigator().push(g["recording"]), "found Recording, expected Samples"),
+    "no lag": (lambda g: pdr.Navigator(lag=0), "found 0, expected seconds above 0"),
     "a name for a scenario": (lambda g: pdr.simulate("arcade"), 'as of Scenario.load("arcade")'),
     "a scenario that is not there": (lambda g: pdr.Scenario.load("atlantis"), "one of arcade, campus"),
-    "latitude of nowhere": (lambda g: pdr.Frame().to_lonlat(np.zeros((1, 2))), "found a local frame, needed"),
-    "a prior that is certain": (lambda g: pdr.Prior(sigma=(0, 0, 0)), "found (0, 0, 0), needed standard deviations"),
+    "latitude of nowhere": (lambda g: pdr.Frame().to_lonlat(np.zeros((1, 2))), "found a local frame, expected"),
+    "a prior that is certain": (lambda g: pdr.Prior(sigma=(0, 0, 0)), "found (0, 0, 0), expected standard deviations"),
 }
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_one_line_with_what_was_found_and_needed(given, mistake):
+def test_a_mistake_is_one_line_with_what_was_found_and_expected(given, mistake):
     """Every slip of a first hour: never an error from the depths, never a wrong result in silence."""
     make, said = MISTAKES[mistake]
     with pytest.raises((TypeError, ValueError), match=re.escape(said)) as caught:
         make(given)
     message = str(caught.value)
     assert "found " in message
-    assert "needed " in message
+    assert "expected " in message
     assert "\n" not in message

@@ -1,7 +1,9 @@
-"""The house is as docs/design.md draws it: every file has its place, imports point down, a dependency has its rooms."""
+"""The source layout is that of docs/design.md: each file is listed once, imports point down."""
 
 import ast
 import re
+from collections import Counter
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -10,29 +12,32 @@ ROOT = Path(__file__).resolve().parent.parent
 HOUSE = ROOT / "pdr_graph"
 # From the top: a file may import what stands on its own floor or below
 FLOORS = [
-    ["cli"],
-    ["lifelog"],
+    ["cli", "papers"],
+    ["lifelog", "evaal"],
     ["online"],
     ["pipeline"],
+    ["outputs"],
     ["report"],
     ["inputs"],
     ["estimation", "simulation", "plotting", "evaluation"],
-    ["gait", "io", "confidence"],
+    ["gait", "io"],
     ["inertial", "floor"],
-    ["geometry", "frames", "earth", "settings", "database", "viterbi", "types", "errors", "state", "verbs"],
+    ["geometry", "frames", "storage", "measurements", "types", "columns", "errors"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {
     "gtsam": {"estimation"},
     "matplotlib": {"plotting", "lifelog"},
     "pyproj": {"frames"},
-    "pygeomag": {"earth"},
+    "pygeomag": {"frames"},
     "lxml": {"io"},
-    "vqf": {"inertial"},
+    "vqf": {"inertial", "papers"},
     "joblib": {"lifelog"},
     "dask": {"lifelog"},
-    "typer": {"cli", "lifelog"},
+    "sqlite3": {"storage", "online", "lifelog"},
+    "typer": {"cli"},
 }
+LONGEST_FILE, LONGEST_FUNCTION = 450, 60  # [lines]
 
 
 def files():
@@ -40,28 +45,41 @@ def files():
     return [path for path in HOUSE.rglob("*.py") if path.name != "__init__.py"]
 
 
+def everything():
+    """Every file of the package, those of packages themselves too."""
+    return sorted(HOUSE.rglob("*.py"))
+
+
 def room(path):
     """The folder of a file, or the file itself at the top of the package."""
     return path.relative_to(HOUSE).parts[0].removesuffix(".py")
 
 
-def imported(path):
-    """The modules that a file imports, wherever in it."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+def is_type_checking(node):
+    """Whether a block is for type checkers alone."""
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def imported(path, checking=True):
+    """What a file imports, wherever in it, in functions too: module and name; checking: for type checkers too."""
+    nodes = [ast.parse(path.read_text(encoding="utf-8"))]
+    while nodes:
+        node = nodes.pop()
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield node.module
-            yield from (f"{node.module}.{alias.name}" for alias in node.names if node.module == "pdr_graph")
+            yield from ((node.module or "", alias.name) for alias in node.names)
+        if checking or not is_type_checking(node):
+            nodes += ast.iter_child_nodes(node)
 
 
 def drawn():
     """The files that the page names."""
     page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
-    house = page.split("## The house")[1].split("\n## ")[0]
+    house = page.split("## Source layout")[1].split("\n## ")[0]
     folder = ""
     for row in (line for line in house.splitlines() if line.startswith("|")):
-        heading = re.match(r"\| \*\*`?([\w ]+)/?`?\*\*", row)
+        heading = re.match(r"\| \*\*`?([\w/ ]+?)/?`?\*\*", row)
         folder = "" if heading and heading[1] == "pdr_graph" else heading[1] if heading else folder
         yield from (f"{folder}/{name}".lstrip("/") for name in re.findall(r"`(\w+\.py)`", row))
 
@@ -74,11 +92,44 @@ def test_every_file_has_its_place_in_the_page_once():
 @pytest.mark.parametrize("path", files(), ids=lambda p: p.relative_to(HOUSE).as_posix())
 def test_imports_point_down(path):
     own = HEIGHT[room(path)]
-    below = [name.split(".")[1] for name in imported(path) if name and name.startswith("pdr_graph.")]
+    below = [f"{module}.{name}".split(".")[1] for module, name in imported(path) if module.split(".")[0] == "pdr_graph"]
     assert [name for name in below if name in HEIGHT and HEIGHT[name] > own] == []
 
 
 @pytest.mark.parametrize("library", ROOMS)
 def test_a_dependency_has_its_rooms(library):
-    using = {room(path) for path in files() if any(n and n.split(".")[0] == library for n in imported(path))}
+    using = {room(path) for path in files() if any(module.split(".")[0] == library for module, _ in imported(path))}
     assert using <= ROOMS[library]
+
+
+def test_no_import_circle_even_among_imports_in_functions():
+    names = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in everything()}
+    graph = {}
+    for name, path in names.items():
+        found = {whole if (whole := f"{module}.{of}") in names else module for module, of in imported(path, False)}
+        graph[name] = found & names.keys()
+    TopologicalSorter(graph).prepare()  # raises CycleError, which says which
+
+
+def test_no_two_modules_have_the_same_name():
+    count = Counter(path.stem for path in files())
+    assert {name for name, times in count.items() if times > 1} == set()
+
+
+def test_the_product_imports_no_papers():
+    for path in everything():
+        if room(path) != "papers":
+            assert not [name for name in imported(path) if ".".join(name).startswith("pdr_graph.papers")], path
+
+
+def test_files_and_functions_are_not_too_long():
+    long = set()
+    for path in everything():
+        text, name = path.read_text(encoding="utf-8"), path.relative_to(HOUSE).as_posix()
+        if len(text.splitlines()) > LONGEST_FILE:
+            long.add(name)
+        for node in ast.walk(ast.parse(text)):
+            function = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
+            if function and node.end_lineno - node.lineno + 1 > LONGEST_FUNCTION:
+                long.add(f"{name}: {node.name}")
+    assert long == set()

@@ -11,12 +11,13 @@ import pages
 import pytest
 from matplotlib.mathtext import MathTextParser
 
-from pdr_graph.estimation.graph import Prior
+from pdr_graph.estimation.factors.start import Prior
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "factors.md"
 TEXT = PAGE.read_text(encoding="utf-8")
-HOMES = {"gaps": "gait", "heading": "gait", "encounters": "lifelog", "joining": "lifelog"}
+FILES = (ROOT / "pdr_graph").rglob("*.py")  # no two have one name
+MODULES = {path.stem: ".".join(path.relative_to(ROOT).with_suffix("").parts) for path in FILES}
 LARGEST = 60_000  # [bytes] of a picture
 QUICK = ("graph", "bridge", "wall", "turn", "beacon", "closure")  # to draw, and of all kinds of code
 
@@ -35,7 +36,7 @@ def test_constants_are_the_codes():
     stated = re.findall(r"`(\w+)\.(\w+)` = (\([^)]*\)|[-\d.]+\d)", TEXT)
     assert len(stated) > 45
     for home, name, value in stated:
-        of = Prior() if home == "Prior" else import_module(f"pdr_graph.{HOMES.get(home, 'estimation')}.{home}")
+        of = Prior() if home == "Prior" else import_module(MODULES[home])
         found = getattr(of, name)
         found = tuple(found) if isinstance(ast.literal_eval(value), tuple) else found
         assert found == ast.literal_eval(value), f"{home}.{name}: the page says {value}, the code {found}"

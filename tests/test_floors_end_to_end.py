@@ -48,8 +48,8 @@ def test_up_the_stairs_and_down_in_the_lift(walk, tmp_path):
 
 
 def test_a_building_wants_to_know_where_the_walk_begins(walk, tmp_path):
-    assert "found 2 floors, 1, 2, needed --floor" in str(smooth(walk, tmp_path).exception)
+    assert "found 2 floors, 1, 2, expected --floor" in str(smooth(walk, tmp_path).exception)
 
 
 def test_a_floor_that_the_plan_has_not_is_refused(walk, tmp_path):
-    assert "needed a floor 'B3'" in str(smooth(walk, tmp_path, "--floor", "B3").exception)
+    assert "expected a floor 'B3'" in str(smooth(walk, tmp_path, "--floor", "B3").exception)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from walks import fixes_at, square_walk, wandering_walk
 
-from pdr_graph.geometry import dead_reckon, length_along, resample, row_times, walked, wrap_angle
+from pdr_graph.geometry import dead_reckon, distance_walked, length_along, resample, row_times, wrap_angle
 from pdr_graph.types import Trajectory
 
 
@@ -33,12 +33,12 @@ def test_dead_reckoning_starts_where_and_how_it_is_told():
 def test_steps_lead_as_far_as_the_track_that_they_draw_is_long():
     """By the end of each, nothing before the first, no further after the last; half-way through one, half of it."""
     steps = wandering_walk(40)
-    far = walked(steps, row_times(steps))
+    far = distance_walked(steps, row_times(steps))
     assert far == pytest.approx(length_along(dead_reckon(steps).position))
-    assert walked(steps, np.array([steps.start - 5, steps.end + 5])) == pytest.approx([0, far[-1]])
+    assert distance_walked(steps, np.array([steps.start - 5, steps.end + 5])) == pytest.approx([0, far[-1]])
     between = (steps.time[1:] + steps.time[:-1]) / 2
-    assert walked(steps, between) == pytest.approx((far[2:-1] + far[1:-2]) / 2)
-    assert walked(steps, steps.time, np.ones(40)) == pytest.approx(np.arange(40) + 1)
+    assert distance_walked(steps, between) == pytest.approx((far[2:-1] + far[1:-2]) / 2)
+    assert distance_walked(steps, steps.time, np.ones(40)) == pytest.approx(np.arange(40) + 1)
 
 
 def test_resampled_rows_lie_on_the_track():

@@ -11,7 +11,7 @@ from pdr_graph.geometry import dead_reckon
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 if TYPE_CHECKING:
-    from pdr_graph.estimation.beacons import Levels
+    from pdr_graph.measurements import Levels
 
 PERIOD = 0.55  # [s] per step
 
@@ -64,8 +64,8 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
 
     Returns what the front end would say, the fixes, and the truth.
     """
-    from pdr_graph.estimation.graph import Prior
-    from pdr_graph.estimation.preintegration import SIGMA_LATERAL
+    from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL
+    from pdr_graph.estimation.factors.start import Prior
     from pdr_graph.geometry import rotation, row_times, unit
 
     random, prior = np.random.default_rng(seed), Prior()
@@ -96,8 +96,9 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
 
     period: of its fixes [s], at least that of the offset's nodes, between which it is no Gauss–Markov process.
     """
+    from pdr_graph.estimation.factors.fixes import drift
+    from pdr_graph.estimation.factors.gnss_bias import LAG, LAG_CHANGE, WHITE, GnssBias
     from pdr_graph.estimation.graph import WalkGraph
-    from pdr_graph.estimation.receivers import LAG, LAG_CHANGE, WHITE, drift
     from pdr_graph.geometry import interpolate, rotation
 
     said, _, truth = drawn_from_the_model(n, seed)
@@ -112,9 +113,10 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
 
     graph = WalkGraph(said, fixes_at(time, where, sigma))
-    ahead = np.array(
-        [rotation(h) @ v for h, v in zip(truth.heading[rows], graph.velocity[graph.fix_keyframe], strict=True)]
-    )
+    gnss = graph.find(GnssBias)
+    assert gnss is not None
+    velocity = gnss.velocity[graph.positions.keyframe]
+    ahead = np.array([rotation(h) @ v for h, v in zip(truth.heading[rows], velocity, strict=True)])
     white = WHITE * random.normal(0, 1, where.shape)
     fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)
     return said, replace(fixes, source=("GNSS",) * len(fixes)), truth
@@ -125,19 +127,25 @@ def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, 
 
     ``wrong`` multiplies the levels' true errors.
     """
-    from pdr_graph.estimation.beacons import LEVEL_SIGMA, LOSS, LOSS_SIGMA, OWN_SIGMA, Levels
+    from pdr_graph.estimation.factors.beacon_rssi import HEIGHT, LEVEL_SIGMA, PATH_LOSS, PATH_LOSS_SIGMA, POWER_SIGMA
+    from pdr_graph.geometry import unit
+    from pdr_graph.measurements import Levels
 
     said, fixes, truth = drawn_from_the_model(n, seed, every=30)
     random, count, surveyed = np.random.default_rng([seed, 2]), 4, 0.5
     low, high = truth.position.min(axis=0) - 8, truth.position.max(axis=0) + 8
     listed = random.uniform(low, high, (count, 2))
-    b = np.column_stack([listed + random.normal(0, surveyed, (count, 2)), random.normal(0, OWN_SIGMA, count)])
+    b = np.column_stack([listed + random.normal(0, surveyed, (count, 2)), random.normal(0, POWER_SIGMA, count)])
     row = np.repeat(np.arange(8, n, 8), count)
     beacon = np.tile(np.arange(count), len(row) // count)
-    exact = Levels(truth.time[row], beacon, np.zeros(len(row)), tuple("abcd"), listed, np.full(count, surveyed))
-    poses = np.column_stack([truth.position, truth.heading])
-    expected = exact.heard(row, poses, b, random.normal(LOSS, LOSS_SIGMA)).value[:, 0] * LEVEL_SIGMA
-    return said, fixes, replace(exact, rssi=expected + random.normal(0, wrong * LEVEL_SIGMA, len(row))), truth
+    gap = b[beacon, :2] - truth.position[row]
+    distance = np.sqrt(np.sum(gap**2, axis=1) + HEIGHT**2)
+    facing = np.sum(unit(truth.heading[row]) * gap, axis=1) / distance
+    power, exponent, shade = random.normal(PATH_LOSS, PATH_LOSS_SIGMA)
+    expected = power + b[beacon, 2] - 10 * exponent * np.log10(distance) + shade * facing
+    rssi = expected + random.normal(0, wrong * LEVEL_SIGMA, len(row))
+    levels = Levels(truth.time[row], beacon, rssi, tuple("abcd"), listed, np.full(count, surveyed))
+    return said, fixes, levels, truth
 
 
 __all__ = [

@@ -1,9 +1,9 @@
-"""A walker's own calibration, from a walk along a known line.
+"""A walker's own calibration from a walk along a known line; profiles as priors of the graph, and from its posterior.
 
-[calibration-walk] Sec. 3.3 fits three coefficients by gradient descent to the way that was walked, and names what goes
+[calibration-walk] Sec. 3.3 fits three coefficients by gradient descent to the path that was walked, and names what goes
 wrong: they stand in for each other, and the direction in which the walk began is not known. Here the direction is a
-variable like the others, and what the walk does not tell stays what was believed before: the answer is the graph's
-posterior with its covariance, not three numbers.
+variable like the others, and what the walk does not tell keeps its prior: the answer is the graph's posterior with its
+covariance, not three numbers.
 """
 
 from __future__ import annotations
@@ -12,15 +12,51 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from scipy.optimize import least_squares
 
 from pdr_graph.errors import InputError
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.profiles import posterior_profile
-from pdr_graph.estimation.smoothers import smooth
-from pdr_graph.gait.profile import Profile
+from pdr_graph.estimation.smoother import smooth
+from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit
 from pdr_graph.types import Array, Estimate, Fixes, Steps
+
+BETWEEN_WALKS = (0.05, 0.01, 0.001)  # of R_s, R_d, b [rad/s]: how they differ from one walk of somebody to the next
+
+
+def posterior_profile(estimate: Estimate, steps: Steps, known: Profile | None = None) -> Profile:
+    """What a walk taught of its walker, for the next one: the calibration at its end.
+
+    steps: of this walk, as the graph had them; known: the profile by which they were already corrected.
+    """
+    calibration = estimate.calibration
+    assert calibration is not None, "a graph's or a filter's estimate has one"
+    speed = float(steps.length.sum() / steps.duration[~steps.is_gap].sum())
+    before = known or Profile(0.0, 0.0, 0.0, np.zeros((3, 3)), 0.0, speed)
+    to_paper = np.array([[1, 0, 0], [0, 0, 1 / speed], [0, 1, 0]])  # (R_s, R_d, b) to (length, straight, corner)
+    length, straight, corner = to_paper @ (calibration.value[-1] - (1, 1, 0))
+    used = np.array([fix.residual for fix in estimate.fixes if fix.weight > 0])
+    return Profile(
+        E_length=float((1 + before.E_length) * (1 + length) - 1),
+        E_straight=float((1 + before.E_length) * straight + (1 + corner) * before.E_straight),
+        E_corner=float((1 + before.E_corner) * (1 + corner) - 1),
+        covariance=to_paper @ calibration.covariance[-1] @ to_paper.T,
+        residual=float(np.sqrt(np.mean(used**2))) if len(used) else 0.0,
+        speed=speed / (1 + before.E_length),
+    )
+
+
+def prior_of(profile: Profile | None) -> Prior:
+    """The graph's prior for a walk whose steps the profile has already corrected."""
+    if profile is None:
+        return Prior()
+    usual = Prior()
+    to_graph = np.array([[1, 0, 0], [0, 0, 1], [0, profile.speed, 0]])
+    covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(BETWEEN_WALKS))
+    sigma = np.sqrt(np.diag(covariance))
+    correlation = (covariance / np.outer(sigma, sigma))[np.triu_indices(3, 1)]
+    return replace(usual, sigma=tuple(np.minimum(sigma, usual.sigma).tolist()), correlation=tuple(correlation.tolist()))
+
 
 MOST_LAPS = 5
 PLAUSIBLE = 1.5  # of the true length that steps may be said to be, or its inverse: 0.86 to 1.4 on real walks
@@ -54,12 +90,12 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
         raise InputError(source, "", f"{len(steps)} steps", "a walk of at least twenty along the route")
     likely = _possible_laps(steps, route)
     if not likely:
-        needed = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
-        raise InputError(source, "", f"steps of {steps.length.sum():.0f} m", needed)
+        expected = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
+        raise InputError(source, "", f"steps of {steps.length.sum():.0f} m", expected)
     found = min((_follow(steps, route, laps) for laps in likely), key=lambda f: f.apart)
     if found.apart > FARTHEST:
-        needed = f"a walk from its first to its last point, within {FARTHEST} m"
-        raise InputError(source, "", f"steps that leave the route by {found.apart:.1f} m (rms)", needed)
+        expected = f"a walk from its first to its last point, within {FARTHEST} m"
+        raise InputError(source, "", f"steps that leave the route by {found.apart:.1f} m (rms)", expected)
     line = _line(route, found.laps)
     held = np.linspace(0, line.length, max(4, round(line.length / SPACING)))
     time = np.interp(held, found.along, np.append(steps.time[0] - steps.duration[0], steps.time))
@@ -78,6 +114,8 @@ def _possible_laps(steps: Steps, route: Array) -> list[int]:
 
 def _follow(steps: Steps, route: Array, laps: int) -> Followed:
     """Fit the walk's shape to the line: its start, direction, and the three coefficients."""
+    from scipy.optimize import least_squares  # here, since few walks need it and it takes time to load
+
     line = _line(route, laps)
     walked = np.append(0.0, np.cumsum(steps.length))
     along = walked * line.length / walked[-1]

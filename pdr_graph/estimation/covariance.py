@@ -18,46 +18,40 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.factors import Evaluation
-from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
 
 
-def covariance_of_rows(graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBayesNet) -> tuple[Array, Array]:
-    """Covariance ``(n + 2, 3, 3)`` of (x, y, heading) of each row in the output axes, and ``(s, 3, 3)`` of c.
+def covariance_of_ends(at: Evaluation, net: gtsam.GaussianBayesNet, which: Index) -> tuple[Array, Array]:
+    """Covariance of (x, y, heading) of the start and of the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
-    Between keyframes: the joint of x_i, x_j and c through the derivatives of ``steps_between``, plus the spread that
-    a step keeps when both ends are known. own, net: the own factors at the optimum, and the graph factorised there.
+    Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the spread that a step
+    keeps when both ends are known. at, net: the walk at the optimum, and its graph factorised there.
+
+    Returns that of c ``(s, 3, 3)`` as well.
     """
-    return covariance_of_ends(graph, own, net, graph.pieces.row_end)
-
-
-def covariance_of_ends(
-    graph: WalkGraph, own: Evaluation, net: gtsam.GaussianBayesNet, which: Index
-) -> tuple[Array, Array]:
-    """As `covariance_of_rows`, of the start and the ends of some pieces ``(1 + n, 3, 3)``; and of c."""
-    blocks, R_0 = CovarianceBlocks(net), pose_rotation(own.pose_i[:1, 2])
-    keys = [(x, x + 1, c) for x, c in zip(*graph.keys, strict=True)]
-    of_pieces = covariance_of_pieces(blocks, keys, own, which)
-    of_start = R_0 @ blocks.joint([(X(0),)]) @ R_0.transpose(0, 2, 1)
-    of_c = blocks.joint([(C(s),) for s in range(len(graph.start.c))])
+    blocks, R_0, state = CovarianceBlocks(net), pose_rotation(at.pose_i[:1, 2]), at.state
+    x, c = state.keys("x").tolist(), state.keys("c").tolist()
+    keys = [(i, j, c[s]) for i, j, s in zip(x[:-1], x[1:], at.chain.segment.tolist(), strict=True)]
+    of_pieces = covariance_of_pieces(blocks, keys, at, which)
+    of_start = R_0 @ blocks.joint([(x[0],)]) @ R_0.transpose(0, 2, 1)
+    of_c = blocks.joint([(one,) for one in c])
     return np.concatenate([of_start, of_pieces]), of_c
 
 
 def covariance_of_pieces(
-    blocks: CovarianceBlocks, keys: Sequence[tuple[int, ...]], own: Evaluation, which: Index
+    blocks: CovarianceBlocks, keys: Sequence[tuple[int, ...]], at: Evaluation, which: Index
 ) -> Array:
     """Covariance ``(n, 3, 3)`` of the poses at the ends of some pieces, in the output axes.
 
     keys: of x_i, x_j and c of each interval.
     """
-    joint, placed, interval = blocks.joint(keys), own.poses, own.pieces.interval[which]
-    D = np.concatenate([placed.by_i[which], placed.by_j[which], placed.by_c[which]], axis=2)
-    R = pose_rotation(own.pose_i[interval, 2])
-    spread = own.bridge.spread[which]
+    joint, placed, interval = blocks.joint(keys), at.poses_of(which), at.pieces.interval[which]
+    D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
+    R = pose_rotation(at.pose_i[interval, 2])
+    spread = at.chain.bridge.spread[which]
     return D @ joint[interval] @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
 
 

@@ -1,118 +1,42 @@
-"""The factor graph of one walk: which variables, which factors, and their linearisation.
+"""The factor graph of one walk: its keyframes, its measurements as factors, and where the search starts.
 
-x_0 ──PDR── x_1 ──PDR── x_2 ── … ── x_k         x_i  Pose2 at keyframe i
- │   ╲c_0╱   ╲  c_0 ╱    │                      c_s  (R_s, R_d, b) of segment s, a random walk
-fix          wall       fix                     g_m  offset and lag of a receiver, slowly varying
- ╰── g_0 ───── g_1 ──────╯                      b_m  place and power of a beacon; q  (P, n, k) of their path loss
+x_0 ──steps── x_1 ──steps── x_2 ── … ── x_k     x_i  Pose2 at keyframe i
+ │    ╲c_0╱    ╲  c_0 ╱      │                  c_s  (R_s, R_d, b) of segment s, a random walk
+fix           walls         fix                 g_m  offset and lag of a receiver, slowly varying
+ ╰─── g_0 ────── g_1 ───────╯                   b_m  place and power of a beacon; q  (P, n, k) of their path loss
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, G, Q, X
 
 from pdr_graph.errors import expect
-from pdr_graph.estimation import native
-from pdr_graph.estimation.as_gtsam import as_gtsam
-from pdr_graph.estimation.beacons import LOSS, Levels
-from pdr_graph.estimation.closures import Closures
-from pdr_graph.estimation.corridors import Corridors, Use, corridors_along
-from pdr_graph.estimation.factors import Evaluation, Walls, evaluate
-from pdr_graph.estimation.initial import align, as_complex, sigma_direction
-from pdr_graph.estimation.observations import Rows
-from pdr_graph.estimation.preintegration import DECIMALS, Pieces, bridge, cut, preintegrate
-from pdr_graph.estimation.reach import within_reach
-from pdr_graph.estimation.receivers import Receivers, receivers, repeated, together, velocities
-from pdr_graph.estimation.robust import HUBER_WIDTH, gripping, outside, slipping
-from pdr_graph.estimation.turns import Turns
-from pdr_graph.floor.building import Building
-from pdr_graph.floor.ground import Ground
+from pdr_graph.estimation.factors import measurements_of
+from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
+from pdr_graph.estimation.factors.chain import Chain, Evaluation
+from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.gnss_bias import GnssBias
+from pdr_graph.estimation.factors.gtsam_export import to_gtsam
+from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
+from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
+from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
+from pdr_graph.estimation.initialization import initial_walk, pivot, reach
+from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.floor.regions import STRAY
-from pdr_graph.geometry import ANY_HEADING, nearest, rotation, wrap_angle
-from pdr_graph.types import Array, Complex, Fixes, Headings, Index, Mask, Steps
+from pdr_graph.measurements import Closures, Levels
+from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
 STEPS_PER_SEGMENT = 100
-LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
-WALKING_SPEED = 1.4  # [m/s] at which an overhanging fix grows stale
-AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the fixes' scale is not believed, and more starts are tried
-LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
-LOOSELY = 5.0  # times its sigma a fix holds where all places are about as likely
-FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how closures hold
-FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is believed of walker, gyro and walls before the walk.
-
-    mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
-    correlation: of (R_s, R_d), (R_s, b), (R_d, b).
-    change: standard deviation of their change from one segment to the next.
-    wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m]; corridors: see ``Use``.
-    fix_flat: within so many sigmas of a fix all places are about as likely, for receivers that tell a radius and no
-        more; what fixes of one source have in common is then left out.
-    """
-
-    mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
-    sigma: tuple[float, float, float] = (0.15, 0.03, 0.002)
-    change: tuple[float, float, float] = (0.03, 0.005, 0.0005)
-    correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    wall_margin: float = 0.8
-    wall_sigma: float = 1.0
-    corridors: Use = field(default_factory=Use)
-    fix_flat: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Raise ValueError on what no factor can be made of."""
-        for name in ("sigma", "change"):
-            if not all(np.isfinite(s) and s > 0 for s in getattr(self, name)):
-                raise ValueError(f"Prior.{name}: found {getattr(self, name)}, needed standard deviations above 0")
-
-    @property
-    def covariance(self) -> Array:
-        """Of (R_s, R_d, b) ``(3, 3)``."""
-        correlation = np.eye(3)
-        correlation[np.triu_indices(3, 1)] = correlation.T[np.triu_indices(3, 1)] = self.correlation
-        return correlation * np.outer(self.sigma, self.sigma)
-
-
-@dataclass(frozen=True)
-class State:
-    """All variables as arrays: poses ``(k + 1, 3)`` x, y, θ; c ``(s, 3)``; g, b, q ``(…, 3)``."""
-
-    poses: Array
-    c: Array
-    g: Array = field(default_factory=lambda: np.empty((0, 3)))
-    b: Array = field(default_factory=lambda: np.empty((0, 3)))
-    q: Array = field(default_factory=lambda: np.empty((0, 3)))
-
-    def to_values(self) -> gtsam.Values:
-        """As ``gtsam.Values``, keys x0…, c0… and so on."""
-        values = gtsam.Values()
-        for key, (x, y, theta) in enumerate(self.poses.tolist(), X(0)):
-            values.insert(key, gtsam.Pose2(x, y, theta))
-        for symbol, vectors in ((C, self.c), (G, self.g), (B, self.b), (Q, self.q)):
-            for key, vector in enumerate(vectors, symbol(0)):
-                values.insert(key, vector)
-        return values
-
-    def turned(self, angle: float, pivot: Array) -> State:
-        """All poses turned by ``angle`` [rad] about ``pivot (2,)`` [m]."""
-        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
-        return replace(self, poses=np.column_stack([position, self.poses[:, 2] + angle]))
-
-    @classmethod
-    def of(cls, values: gtsam.Values) -> State:
-        """From ``gtsam.Values``."""
-        vectors = (gtsam.utilities.extractVectors(values, name).reshape(-1, 3) for name in "cgbq")
-        return cls(gtsam.utilities.extractPose2(values), *vectors)
+FIX_KINDS = (FixFactor.name, GnssBias.name)
+Kind = TypeVar("Kind", bound=Measurement)
 
 
 class WalkGraph:
@@ -120,12 +44,13 @@ class WalkGraph:
 
     steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
     headings: walking directions in that frame; floor: whose walls are factors, optional, or a building; floors: the
-    floor's label for each row of the trajectory ``(n + 2,)``, needed with a building of several; levels: of beacons
-    that were heard; closures: moments that were spent at one place; prior: see ``Prior``; others: of further walks in
-    the same steps, when they begin, in order [s], and what is believed of their walkers.
+    floor's label for each row of the trajectory ``(n + 2,)``, expected with a building of several; levels: of beacons;
+    closures: moments at one place; measurements: of any other kind (`Ranges`);
+    prior: see ``Prior``; others: of further walks in the same steps, when they begin, in order [s], and
+    the priors of their walkers.
 
-    The batch smoother evaluates the own factors of all keyframes at once (``evaluate``, ``linearize``). The same graph
-    as GTSAM knows it, own factors as ``CustomFactor``, is ``to_gtsam()``.
+    chain: keyframes and steps; measurements: its factors, kind by kind; start: where the search starts;
+    sigma_direction: how well fixes and headings determine the walk's direction [rad]; walled: walls are used.
 
     Raises TypeError, or ValueError where fixes are not in metres or nothing tells the floors of a building.
     """
@@ -140,359 +65,250 @@ class WalkGraph:
         floors: Sequence[str] | None = None,
         levels: Levels | None = None,
         closures: Closures | None = None,
+        measurements: Sequence[Any] = (),
         prior: Prior | None = None,
         others: Sequence[tuple[float, Prior]] = (),
     ):
         _check(steps, fixes, headings, floor, prior)
-        self.steps = steps
-        self.given = self.fixes = Fixes.none() if fixes is None else fixes
-        self.floor = floor
-        self.prior = prior or Prior()
-        self.closures = Closures.of([]) if closures is None else closures
+        self.steps, self.floor, self.prior = steps, floor, prior or Prior()
+        self.given = Fixes.none() if fixes is None else fixes
+        others_given = [one for one in (levels, closures, *measurements) if one is not None and len(one)]
+        self.data = [self.given, headings or Headings.none(), *others_given]
 
-        # Variables: a pose per keyframe, a calibration per segment
-        self.levels = levels if levels is not None and len(levels) else None
-        fresh, self.fix_sigma = _freshness(self.fixes, steps)
-        self.by_proximity = self.levels is not None and not fresh.any()
-        if self.levels is not None and self.by_proximity:
-            self.fixes = self.levels.proximity()
-            fresh, self.fix_sigma = _freshness(self.fixes, steps)
-        self.fix_repeats = repeated(self.fixes)
-        self.fix_used = fresh & ~self.fix_repeats
-        self.fix_run, self.fix_believed = within_reach(steps, self.fixes, self.fix_sigma, self.fix_used)
-        self.fix_sigma_together = together(self.fixes, self.fix_sigma, self.fix_believed, steps)
-        lost = steps.length == 0
-        gap_ends = np.append(steps.time[lost] - steps.duration[lost], steps.time[lost])
-        self.headings = _within(Headings.none() if headings is None else headings, steps)
-        at = [self.fixes.time[self.fix_used], self.headings.time, gap_ends, self.levels.time if self.levels else []]
-        at += [self.closures.time.ravel()]
-        self.pieces = cut(steps, np.concatenate(at))
-        row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
+        # Keyframes where something was measured, and a calibration for each segment between
+        kinds = [kind for one in self.data for kind in measurements_of(one, steps, self.prior)]
+        kinds = _with_rough_fixes(kinds, steps, self.prior)
+        lost = steps.is_gap
+        gaps = [steps.time[lost] - steps.duration[lost], steps.time[lost]]
+        pieces = cut(steps, np.concatenate([*(one.keyframe_times() for one in kinds), *gaps]))
+        segment = segments(pieces, steps)
+        begins = {_segment_at(pieces, segment, time): prior for time, prior in others} | {0: self.prior}
+        c = _prior_means(begins, int(segment[-1]) + 1)
+        self.chain = Chain.of(pieces, segment, c)
         self.floors = _labels(floor, floors, len(steps) + 2)
-        self.ground = None if floor is None else Ground.of(floor, [self.floors[r] for r in row.tolist()])
-        self.fix_keyframe = nearest(self.pieces.keyframe_time, self.fixes.time)
-        self.heading_keyframe = nearest(self.pieces.keyframe_time, self.headings.time)
-        self.level_keyframe = nearest(self.pieces.keyframe_time, self.levels.time) if self.levels else np.empty(0, int)
-        self.closure_keyframe, self.closure_hold = nearest(self.pieces.keyframe_time, self.closures.time), DOUBTED
-        self.segment = _segments(self.pieces, steps)
-        self.priors = self._priors(others)
-        self.keys = [X(i) for i in range(len(self.segment))], [C(s) for s in self.segment.tolist()]
 
-        # How steps add up, where to start, what a receiver's fixes have in common, and GTSAM's own factors
-        c = self._usual_c()
-        increments = preintegrate(self.pieces, c[self.segment])
-        self.bridge = bridge(self.pieces, increments)
-        self.track, heading = _track(increments.delta[self.pieces.last])
-        self.velocity = velocities(self.track, heading, self.pieces.keyframe_time)
-        self.start, self.sigma_direction = self._pointed(*self._lay_on_fixes(heading))
-        self.fix_wild, self.fix_held = np.zeros(len(self.fixes), dtype=bool), self.fix_believed
-        self.corridors: Corridors | None = None
-        self.receivers: Receivers | None = None
-        if self.levels is not None:
-            self._place_beacons(self.levels)
-        self.native = self._native_factors()
+        # Where to start
+        kinds = [one.on(self.chain) for one in kinds]
+        self._measurements: tuple[Measurement, ...] = tuple(kinds)
+        self._associated = True
+        initial = initial_walk(self.chain, self.positions, self.headings, steps, c, self.prior.sigma[0])
+        self.sigma_direction = initial.sigma_direction
 
-        # Walls say nothing of a walk that could be anywhere, or is elsewhere
+        # All factors; no walls for a walk without a position, or off the plan
+        self.floor_sequence = None if floor is None else FloorSequence.of(floor, self._floor_of_pieces)
+        known = {s: (np.array(one.mean), one.covariance) for s, one in begins.items()}
+        hold = _hold(self.positions, self.headings, self.floor_sequence, float(initial.poses[0, 2]))
+        kinds = [StepFactor(), *(one.initialized(initial.poses) for one in kinds)]
+        self._measurements = (*kinds, CalibrationFactor(known, self.prior.change), hold)
+        self.start = initial_state(initial.poses, initial.c, self._measurements)
         self.walled = False
-        if self.ground is not None and self.ground.near(self.fixes.position[self.fix_used]).any():
-            self.ground, self.walled = self.ground.within(*self._reach()), True
+        used = self.positions.fixes.position[self.positions.used]
+        if self.floor_sequence is not None and self.floor_sequence.near(used).any():
+            self._use_plan(self.floor_sequence.within(*reach(self.chain, self.positions, steps)))
 
-    def evaluate(self, values: gtsam.Values) -> Evaluation:
-        """The own factors at ``values``."""
-        state = State.of(values)
-        return replace(self._evaluated(state, self.walls, self.turns), observed=self._observed(state))
+    @classmethod
+    def of(cls, steps: Steps, data: Sequence[Any], **options: Any) -> WalkGraph:
+        """The graph of measurements of any types; options: as of ``WalkGraph``."""
+        own = {type(one): one for one in data}
+        fixes, headings = own.pop(Fixes, None), own.pop(Headings, None)
+        return cls(steps, fixes, headings=headings, measurements=list(own.values()), **options)
 
-    @cached_property
-    def walls(self) -> Walls | None:
-        """The walls about the steps where they lead along the start; None where none are known or asked for."""
-        return self._walls_along(self._evaluated(self.start)) if self.walled else None
+    def _use_plan(self, floor_sequence: FloorSequence) -> None:
+        self.floor_sequence, self.walled, self._associated = floor_sequence, True, False
+        self._measurements += (WallFactor.about(floor_sequence, self.prior.wall_margin, self.prior.wall_sigma),)
+        use = self.prior.corridors
+        if use.turns or use.directions:
+            self._measurements += (CorridorFactor.about(floor_sequence, use),)
 
-    def observed(self, values: gtsam.Values) -> tuple[Rows, ...]:
-        """The own factors at ``values`` but for steps, walls and turns: receivers, beacons, closures."""
-        return self._observed(State.of(values))
+    # What it is made of
 
     @property
-    def turns(self) -> Turns | None:
-        """The turns that were matched to intersections."""
-        return self.corridors and self.corridors.turns
+    def measurements(self) -> tuple[Measurement, ...]:
+        """All kinds of factors; those on the plan associated along the start if not along another walk."""
+        if not self._associated:
+            at = self.chain.evaluate(self.start)
+            self._measurements = tuple(one.associated(at) for one in self._measurements)
+            self._associated = True
+        return self._measurements
+
+    def find(self, kind: type[Kind]) -> Kind | None:
+        """The measurements of one kind, None if there are none."""
+        return next((one for one in self._measurements if isinstance(one, kind)), None)
+
+    @property
+    def positions(self) -> FixFactor:
+        """The fixes, with the classification of each."""
+        found = self.find(FixFactor)
+        assert found is not None, "every graph has one"
+        return found
+
+    @property
+    def headings(self) -> HeadingFactor:
+        """The headings."""
+        found = self.find(HeadingFactor)
+        assert found is not None, "every graph has one"
+        return found
+
+    @property
+    def walls(self) -> WallFactor | None:
+        """The walls about the steps; None where none are known or asked for."""
+        return next((one for one in self.measurements if isinstance(one, WallFactor)), None)
+
+    @property
+    def pieces(self) -> Pieces:
+        """The walk, cut."""
+        return self.chain.pieces
+
+    @property
+    def segment(self) -> Index:
+        """The calibration segment of each interval ``(k,)``."""
+        return self.chain.segment
 
     @property
     def keyframe_time(self) -> Array:
         """When the poses x0, x1, … are ``(k + 1,)``. [s]"""
-        return self.pieces.keyframe_time
-
-    def initial_values(self) -> gtsam.Values:
-        """Where the optimiser starts, as GTSAM has it: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
-        return self.start.to_values()
+        return self.chain.time
 
     @property
-    def segment_first(self) -> Index:
-        """The first interval of each calibration segment ``(s,)``."""
-        return np.flatnonzero(np.diff(self.segment, prepend=-1))
+    def _floor_of_pieces(self) -> list[str]:
+        row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
+        return [self.floors[r] for r in row.tolist()]
 
-    def error(self, values: gtsam.Values) -> float:
-        """The cost at ``values``: half the sum of squared, robustly weighted errors, as GTSAM counts it."""
-        return self.evaluate(values).cost + self.native.error(values)
+    # At one state
 
-    def linearize(self, values: gtsam.Values, own: Evaluation | None = None) -> gtsam.GaussianFactorGraph:
-        """All factors at ``values``, whitened, as GTSAM's linear graph; ``own`` if already evaluated there."""
-        own = own or self.evaluate(values)
-        graph = self.native.linearize(values)
-        noise = gtsam.noiseModel.Unit.Create(3)
-        pdr = own.pdr
-        for x, c, by_i, by_j, by_c, b in zip(*self.keys, pdr.by_i, pdr.by_j, pdr.by_c, -pdr.value, strict=True):
-            graph.add(x, by_i, x + 1, by_j, c, by_c, b, noise)
-        for rows in own.observed:
-            rows.add_to(graph)
-        if own.turns is not None:
-            self._linearize_turns(graph, own, own.turns)
-        if own.springs is not None:
-            self._linearize_walls(graph, own, np.flatnonzero(own.springs[0]))
-        return graph
+    def evaluate(self, state: State) -> Evaluation:
+        """All factors at one state."""
+        return self.chain.evaluate(state, self.measurements)
+
+    def initial_values(self) -> gtsam.Values:
+        """Where the search starts, as GTSAM has it: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
+        return self.start.to_values()
 
     def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
-        """The whole graph for GTSAM's own optimisers, with a guarded ``CustomFactor`` for each own factor."""
-        return as_gtsam(self)
+        """The whole graph for GTSAM's own optimisers, with a guarded ``CustomFactor`` where GTSAM has no factor."""
+        return to_gtsam(self.chain, self.measurements, self.start)
 
-    def _linearize_walls(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, pressed: Index) -> None:
-        """Of the pieces that walls press, one factor for each interval."""
-        wall = own.wall_of(pressed)
-        error, by_i, by_j, by_c = -wall.value[:, 0], wall.by_i[:, 0], wall.by_j[:, 0], wall.by_c[:, 0]
-        interval, first = np.unique(self.pieces.interval[pressed], return_index=True)
-        ends = [*first[1:].tolist(), len(pressed)]
-        for i, a, b in zip(interval.tolist(), first.tolist(), ends, strict=False):
-            x, c, noise = self.keys[0][i], self.keys[1][i], gtsam.noiseModel.Unit.Create(b - a)
-            graph.add(x, by_i[a:b], x + 1, by_j[a:b], c, by_c[a:b], error[a:b], noise)
+    def error(self, values: gtsam.Values) -> float:
+        """The cost at ``values``: half the sum of squared, robustly weighted residuals, as GTSAM counts it."""
+        return self.evaluate(self.start.updated(values)).cost
 
-    def _linearize_turns(self, graph: gtsam.GaussianFactorGraph, own: Evaluation, turns: Turns) -> None:
-        """Of turns beyond their range, and of those outside their intersection."""
-        (value, slope), corner = own.turned, own.corner
-        assert corner is not None
-        noise = gtsam.noiseModel.Unit.Create(1)
-        for n in np.flatnonzero(value):
-            by_after = np.array([[0.0, 0.0, slope[n]]])
-            graph.add(X(int(turns.before[n])), -by_after, X(int(turns.after[n])), by_after, -value[n : n + 1], noise)
-        noise = gtsam.noiseModel.Unit.Create(4)
-        for n in np.flatnonzero(corner.value.any(axis=1)):
-            x, c = (keys[self.pieces.interval[turns.piece[n]]] for keys in self.keys)
-            graph.add(x, corner.by_i[n], x + 1, corner.by_j[n], c, corner.by_c[n], -corner.value[n], noise)
+    # The same measurements otherwise
 
-    def turned(self, angle: float) -> WalkGraph:
-        """The same measurements, started ``angle`` [rad] further round the fixes and loosely held there."""
-        other = copy(self)
-        other.start = self.start.turned(angle, self._pivot(self.start))
-        other.native = other._native_factors()
-        return other
+    def rotated(self, angle: float) -> WalkGraph:
+        """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""
+        start = self.start.rotated(angle, pivot(self.start.poses, self.positions))
+        return self._replaced(_measurements=self._restarted(start), start=start, _associated=not self.walled)
 
-    def following(self, start: State, stray: Array | float = STRAY, alike: float = 1.0) -> WalkGraph:
-        """The same measurements, started at ``start``: its rooms and corridors are those of the walk.
+    def associated_at(self, start: State, stray: Array | float = STRAY, alike: float = 1.0) -> WalkGraph:
+        """Start the search at ``start``, whose rooms and corridors are taken for those of the walk.
 
-        stray: by how much it errs, everywhere or at each piece's end ``(m,)`` [m]; alike: pieces in a row that do.
+        stray, alike: by how much it errs, see `Measurement.associated`.
         """
-        other = copy(self)
-        other.start, way = start, self._evaluated(start)
+        measurements = self._restarted(start)
         if self.walled:
-            other.walls = self._walls_along(way, stray, alike)
-            other.corridors = self._corridors_along(way, start)
-        other.native = other._native_factors()
-        return other
+            at = self.chain.evaluate(start)
+            measurements = tuple(one.associated(at, stray, alike) for one in measurements)
+        return self._replaced(_measurements=measurements, start=start, _associated=True)
 
-    def without_walls(self) -> WalkGraph:
-        """The same measurements without the plan."""
-        other = copy(self)
-        other.walled, other.walls, other.corridors = False, None, None
-        if self.corridors:
-            other.native = other._native_factors()
-        return other
+    def without_plan(self) -> WalkGraph:
+        """Leave out what is evidence of the floor plan."""
+        kept = tuple(one for one in self._measurements if not one.on_plan)
+        return self._replaced(_measurements=kept, walled=False, _associated=True)
 
-    def with_loose_walls(self, times: float) -> WalkGraph:
-        """The same measurements, walls ``times`` as loose."""
-        assert self.walls is not None, "there is a plan"
-        other = copy(self)
-        other.walls = replace(self.walls, sigma=times * self.walls.sigma)
-        return other
+    def staged(self, stage: Stage) -> WalkGraph:
+        """All factors in their version for a stage of the search."""
+        return self._replaced(_measurements=tuple(one.staged(stage) for one in self.measurements))
 
-    def with_closures(self, hold: str) -> WalkGraph:
-        """The same measurements; closures are right (FIRM), may be mistaken (DOUBTED), or are left out (UNBOUND)."""
-        other = copy(self)
-        other.closure_hold = hold
-        return other
+    def alternatives(self) -> list[WalkGraph]:
+        """Versions from whose optima the search must start too; empty if one start will do."""
+        found = []
+        for n, one in enumerate(self.measurements):
+            for other in one.alternatives():
+                found.append(self._replaced(_measurements=(*self.measurements[:n], other, *self.measurements[n + 1 :])))
+        return found
 
-    def with_offsets(self, wild: Mask, held: Mask) -> WalkGraph:
-        """The same measurements; fixes in the mask ``wild (f,)`` lose their hold the further off they are, those not
-        in ``held (f,)`` have none, and those of one source share an offset, instead of each counting for less. Fixes
-        that only told where to start are let go.
-        """
-        other = copy(self)
-        other.fix_wild = wild
-        other.fix_held = held & (not self.by_proximity)
-        shared, sigma = other.fix_held & (self.prior.fix_flat == 0), self.fix_sigma
-        other.receivers = receivers(self.fixes, shared, sigma, self.fix_keyframe, self.velocity, self.steps)
-        nodes = 0 if other.receivers is None else len(other.receivers.keep)
-        other.start = replace(self.start, g=np.zeros((nodes, 3)))
-        other.native = other._native_factors()
-        return other
+    def refined(self, at: Evaluation) -> WalkGraph:
+        """The second pass from an optimum: less weight for outliers, common errors. Itself if nothing changes."""
+        refined = tuple(one.refined(at) for one in self.measurements)
+        if all(one is other for one, other in zip(refined, self.measurements, strict=True)):
+            return self
+        return self._with_variables(tuple(one.on(self.chain) for one in refined))
 
-    def with_beacons_elsewhere(self, which: list[int]) -> WalkGraph:
-        """The same measurements; nobody knows where those beacons are."""
-        assert self.levels is not None, "there are beacons"
-        other = copy(self)
-        other._place_beacons(self.levels.elsewhere(which))
-        return other
-
-    def fix_distance(self, values: gtsam.Values) -> Array:
-        """Distance ``(f,)`` [m] of each fix from the walk at its time."""
-        return np.hypot(*(State.of(values).poses[self.fix_keyframe, :2] - self.fixes.position).T)
-
-    def fix_weight(self, values: gtsam.Values) -> Array:
-        """The share ``(f,)`` of each fix's information that is used."""
-        sigmas = self.fix_distance(values) / self.fix_sigma
-        flat = self.prior.fix_flat
-        gripped = outside(sigmas, flat) if flat else gripping(sigmas, HUBER_WIDTH)
-        weight = np.where(self.fix_wild, slipping(sigmas), gripped)
-        if self.receivers is not None:
-            weight[self.receivers.fix] = self.observed(values)[0].weight
-        return np.where(self.fix_held, weight, 0.0)
-
-    def _priors(self, others: Sequence[tuple[float, Prior]]) -> dict[int, Prior]:
-        """What is believed of the segments with which a walk begins."""
-        time = np.array([time for time, _ in others])
-        first = self.segment[np.searchsorted(self.pieces.keyframe_time[:-1], np.round(time, DECIMALS))]
-        return {0: self.prior, **dict(zip(first.tolist(), (prior for _, prior in others), strict=True))}
-
-    def _usual_c(self) -> Array:
-        """The calibration of each segment ``(s, 3)`` as it is believed to be."""
-        begins = np.array(sorted(self.priors))
-        means = np.array([self.priors[s].mean for s in begins.tolist()])
-        return means[np.searchsorted(begins, np.arange(self.segment[-1] + 1), side="right") - 1]
-
-    def _place_beacons(self, levels: Levels) -> None:
-        """Start with the beacons where they are believed to be."""
-        self.levels = levels
-        self.believed = levels.prior(self.start.poses[self.level_keyframe, :2])
-        self.start = replace(self.start, b=self.believed, q=LOSS[None])
-
-    def _lay_on_fixes(self, heading: Array) -> tuple[State, float]:
-        """The start: the dead-reckoned track, of headings ``(k + 1,)``, laid on the fixes; and how well these determine
-        its direction [rad].
-        """
-        track, used = self.track, self.fix_believed
-        at, sigma = self.fix_keyframe[used], self.fix_sigma_together[used]
-        fix = as_complex(self.fixes.position[used])
-        uncertain = sigma_direction(track[at], sigma, float(np.sum(self.pieces.length)))
-
-        c = self._usual_c()
-        if len(fix) < 2:
-            track = track + (fix - track[at] if len(fix) else 0.0)
-            return State(np.stack([track.real, track.imag, heading], axis=1), c), uncertain
-        laid = align(track, np.append(self.segment[:1], self.segment), at, fix, sigma, *self._gaps())
-        if uncertain < AMBIGUOUS:
-            c[:, 0] = np.clip(laid.scale, *(c[:, 0] + np.array([[-2], [2]]) * self.prior.sigma[0]))
-        poses = np.stack([laid.position.real, laid.position.imag, heading + laid.turned], axis=1)
-        return State(poses, c), uncertain
-
-    def _pointed(self, start: State, uncertain: float) -> tuple[State, float]:
-        """The start turned as the headings say, if they know the direction better than the fixes; how well then."""
-        if not len(self.headings):
-            return start, uncertain
-        weight = self.headings.sigma**-2.0
-        sigma = float(weight.sum() ** -0.5)
-        if sigma > uncertain:
-            return start, uncertain
-        apart = wrap_angle(self.headings.heading - start.poses[self.heading_keyframe, 2])
-        turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
-        return start.turned(turn, self._pivot(start)), sigma
-
-    def _reach(self) -> tuple[Array, Array]:
-        """South-west and north-east corner ``(2,)`` [m] of where the walk can have been."""
-        place, at = self.fixes.position[self.fix_used], np.append(self.pieces.first, len(self.pieces.length))
-        walked = np.append(0.0, np.cumsum(self.pieces.length))[at]
-        at_fixes = np.sort(walked[self.fix_keyframe[self.fix_used]])
-        to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
-        gaps = float(np.sum(self.steps.sigma_length[self.steps.length == 0]))
-        reach = LONGER * (to_fix.max() + gaps + self.fix_sigma[self.fix_used].max()) + BEYOND
-        return place.min(axis=0) - reach, place.max(axis=0) + reach
-
-    def _pivot(self, start: State) -> Array:
-        """The point ``(2,)`` about which the fixes let a start be turned. [m]"""
-        held = self.fix_keyframe[self.fix_believed] if self.fix_used.any() else [0]
-        return start.poses[held, :2].mean(axis=0)
-
-    def _gaps(self) -> tuple[Array, Array]:
-        """How far the walker may have gone unrecorded from each segment to the next ``(s - 1,)`` [m], and how little is
-        known of their turn meanwhile [rad].
-        """
-        lost = np.flatnonzero(self.steps.length == 0)
-        begins = self.pieces.keyframe_time[self.segment_first[1:]]
-        after = np.searchsorted(begins, np.round(self.steps.time[lost], DECIMALS))
-        inside = after < len(begins)  # after a gap with which the recording ends there is no segment
-        gap, turn = np.zeros((2, len(begins)))
-        for total, sigma in ((gap, self.steps.sigma_length), (turn, self.steps.sigma_turn)):
-            np.maximum.at(total, after[inside], sigma[lost[inside]])
-        return gap, turn
-
-    def _walls_along(self, way: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Walls:
-        """The walls about the steps where they lead along a way."""
-        assert self.ground is not None, "there is a plan"
-        walls = self.ground.walls_along(way.ends[:, :2], self.pieces.length > 0, stray, alike)
-        return Walls(*walls, self.prior.wall_margin, self.prior.wall_sigma)
-
-    def _corridors_along(self, way: Evaluation, state: State) -> Corridors | None:
-        """The turns and straight runs of the steps along a way, that of ``state``."""
-        assert self.ground is not None, "there is a plan"
-        use = self.prior.corridors
-        if not (use.turns or use.directions):
+    def corrected(self, at: Evaluation) -> WalkGraph | None:
+        """Leave out what an optimum shows to be listed wrongly; None if nothing is."""
+        corrected = [one.corrected(at) for one in self.measurements]
+        if not any(corrected):
             return None
-        return corridors_along(self.ground, self.pieces, way.poses.value, state.poses[:, 2], use)
+        merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
+        return self._with_variables(merged)
 
-    def _evaluated(self, state: State, walls: Walls | None = None, turns: Turns | None = None) -> Evaluation:
-        ends = state.poses[:-1], state.poses[1:]
-        return evaluate(self.pieces, self.bridge, *ends, state.c[self.segment], walls, turns)
+    def decided(self, decisions: Mapping[str, Mapping[str, AnyArray]]) -> WalkGraph:
+        """Take over what was decided about measurements, by kind (beacons that are elsewhere)."""
+        kinds = [one.continued(decisions[one.name]) if one.name in decisions else one for one in self._measurements]
+        return self._with_variables(tuple(kinds)) if decisions else self
 
-    def _observed(self, state: State) -> tuple[Rows, ...]:
-        """The own factors of keyframes, but for steps and walls."""
-        rows: list[Rows] = []
-        if self.receivers is not None:
-            rows += [self.receivers.seen(state.poses, state.g, self.fix_wild), *self.receivers.kept(state.g)]
-        if self.levels is not None:
-            rows += [self.levels.heard(self.level_keyframe, state.poses, state.b, state.q[0])]
-            rows += self.levels.believed(self.believed, state.b, state.q[0])
-        if len(self.closures) and self.closure_hold != UNBOUND:
-            rows += [self.closures.seen(self.closure_keyframe, state.poses, self.closure_hold == FIRM)]
-        return tuple(rows)
+    def classified_as(self, other: WalkGraph) -> WalkGraph:
+        """Classify measurements (outliers, consistent chain) as ``other``, the same graph but for the plan."""
+        plan = tuple(one for one in self._measurements if one.on_plan)
+        return self._with_variables((*(one for one in other.measurements if not one.on_plan), *plan))
 
-    def _native_factors(self) -> gtsam.NonlinearFactorGraph:
-        """Fixes, headings, calibration, and a loose hold on the first heading for when nothing else determines it."""
-        graph, prior, flat = gtsam.NonlinearFactorGraph(), self.prior, self.prior.fix_flat
-        alone, sigma = self.fix_held.copy(), self.fix_sigma if flat else self.fix_sigma_together
-        if self.receivers is not None:
-            alone[self.receivers.fix] = False
-        for n in np.flatnonzero(alone):
-            keyframe, position = int(self.fix_keyframe[n]), self.fixes.position[n]
-            graph.add(native.fix_factor(keyframe, position, sigma[n], bool(self.fix_wild[n]), flat))
-            if flat:  # or nothing would hold a walk of which all fixes are near enough
-                loosely = gtsam.noiseModel.Isotropic.Sigma(2, LOOSELY * self.fix_sigma_together[n])
-                graph.add(gtsam.PoseTranslationPrior2D(X(keyframe), position, loosely))
+    def same_association(self, other: WalkGraph) -> bool:
+        """True if both lead through the same rooms and corridors."""
+        return all(a.same_association(b) for a, b in zip(self.measurements, other.measurements, strict=True))
 
-        for s in range(int(self.segment[-1]) + 1):
-            own = self.priors.get(s)
-            believed = own and native.calibration_factor(s, np.array(own.mean), own.covariance)
-            graph.add(believed or native.change_factor(s, prior.change))
+    def _restarted(self, start: State) -> tuple[Measurement, ...]:
+        return tuple(one.restarted(start.poses) for one in self._measurements)
 
-        told = [(self.heading_keyframe, self.headings)]
-        told += [(self.corridors.keyframe, self.corridors.direction)] if self.corridors else []
-        for at, headings in told:
-            for k, heading, sigma in zip(at.tolist(), headings.heading, headings.sigma, strict=True):
-                graph.add(native.heading_factor(k, heading, sigma))
+    def _with_variables(self, measurements: tuple[Measurement, ...]) -> WalkGraph:
+        """With the variables that these measurements bring, at their initial values."""
+        start = initial_state(self.start.poses, self.start.c, measurements)
+        return self._replaced(_measurements=measurements, start=start)
 
-        heading = float(self.start.poses[0, 2])
-        if self.fix_used.any():
-            graph.add(native.hold_factor(0, heading, ANY_HEADING))
-        else:
-            size = FRAME_SIGMA if self.ground is None else self.ground.size
-            turn = FRAME_SIGMA if self.ground is None and not len(self.headings) else ANY_HEADING
-            graph.add(native.start_factor(0, np.array([0.0, 0.0, heading]), (size, size, turn)))
-        return graph
+    def _replaced(self, **changes: Any) -> WalkGraph:
+        other = copy(self)
+        vars(other).update(changes)
+        return other
+
+
+def segments(pieces: Pieces, steps: Steps) -> Index:
+    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps."""
+    walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
+    count = max(1, round(len(steps) / STEPS_PER_SEGMENT))
+    segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
+    gaps = np.searchsorted(np.round(steps.time[steps.is_gap], DECIMALS), pieces.keyframe_time[:-1], side="right")
+    return np.unique(segment + gaps, return_inverse=True)[1]
+
+
+def _with_rough_fixes(kinds: list[Measurement], steps: Steps, prior: Prior) -> list[Measurement]:
+    """Add approximate positions from other measurements if no fix can be used."""
+    fixed = any(isinstance(one, FixFactor) and one.used.any() for one in kinds)
+    rough = next((rough for one in kinds if len(rough := one.rough_fixes())), None)
+    if fixed or rough is None:
+        return kinds
+    return [FixFactor.of(rough, steps, prior, approximate=True), *(one for one in kinds if one.name not in FIX_KINDS)]
+
+
+def _hold(
+    positions: FixFactor, headings: HeadingFactor, floor_sequence: FloorSequence | None, heading: float
+) -> StartFactor:
+    """Prior of the first pose."""
+    if positions.used.any():
+        return StartFactor.heading(heading)
+    return StartFactor.frame(
+        heading, None if floor_sequence is None else floor_sequence.size, len(headings.headings) > 0
+    )
+
+
+def _segment_at(pieces: Pieces, segment: Index, time: float) -> int:
+    """The calibration segment that begins at a time [s]."""
+    return int(segment[np.searchsorted(pieces.keyframe_time[:-1], np.round(time, DECIMALS))])
+
+
+def _prior_means(begins: Mapping[int, Prior], count: int) -> Array:
+    """Prior mean ``(s, 3)`` of the calibration of each segment."""
+    first = np.array(sorted(begins))
+    means = np.array([begins[s].mean for s in first.tolist()])
+    return means[np.searchsorted(first, np.arange(count), side="right") - 1]
 
 
 def _check(
@@ -502,22 +318,15 @@ def _check(
     floor: FloorPlan | Building | None,
     prior: Prior | None,
 ) -> None:
-    """Raise on arguments of other kinds, and on fixes that are not in metres."""
+    """Raise on arguments of other types, and on fixes that are not in metres."""
     expect("WalkGraph, steps", steps, Steps, instead="detect_steps(recording)")
     expect("WalkGraph, fixes", fixes, Fixes, None, instead="read_fixes(path, recording, frame)")
     expect("WalkGraph, headings", headings, Headings, None, instead="magnetic_headings(recording, frame, near)")
     expect("WalkGraph, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
     expect("WalkGraph, prior", prior, Prior, None)
     if fixes is not None and fixes.epsg is not None and len(fixes):
-        needed = "metres: floor.frame.place(fixes), or frame_of(fixes).place(fixes) without a plan"
-        raise ValueError(f"WalkGraph, fixes: found those of EPSG:{fixes.epsg}, needed {needed}")
-
-
-def _track(delta: Array) -> tuple[Complex, Array]:
-    """Keyframes ``(k + 1,)`` as complex numbers [m] and their headings [rad], of the increments between ``(k, 3)``."""
-    heading = np.concatenate([[0.0], np.cumsum(delta[:, 2])])
-    moves = (delta[:, 0] + 1j * delta[:, 1]) * np.exp(1j * heading[:-1])
-    return np.concatenate([[0.0], np.cumsum(moves)]), heading
+        expected = "metres: floor.frame.place(fixes), or frame_of(fixes).place(fixes) without a plan"
+        raise ValueError(f"WalkGraph, fixes: found those of EPSG:{fixes.epsg}, expected {expected}")
 
 
 def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, rows: int) -> tuple[str, ...]:
@@ -527,26 +336,5 @@ def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, ro
     known = () if floor is None else Building.around(floor).labels
     if len(known) > 1:
         found = f"none, with the floors {', '.join(known)[:80]}"
-        raise ValueError(f"WalkGraph, floors: found {found}, needed a label for each row, as of floors_of(…)")
+        raise ValueError(f"WalkGraph, floors: found {found}, expected a label for each row, as of floors_of(…)")
     return (known[0] if len(known) == 1 else "",) * rows
-
-
-def _freshness(fixes: Fixes, steps: Steps) -> tuple[Mask, Array]:
-    """Which fixes are used, and their sigma: one shortly outside the recording holds at its end, less exactly."""
-    overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
-    return overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
-
-
-def _within(headings: Headings, steps: Steps) -> Headings:
-    """The headings that were measured while the recording ran."""
-    inside = (headings.time >= steps.start) & (headings.time <= steps.end)
-    return Headings(headings.time[inside], headings.heading[inside], headings.sigma[inside])
-
-
-def _segments(pieces: Pieces, steps: Steps) -> Index:
-    """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps."""
-    walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
-    count = max(1, round(len(steps) / STEPS_PER_SEGMENT))
-    segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
-    gaps = np.searchsorted(np.round(steps.time[steps.length == 0], DECIMALS), pieces.keyframe_time[:-1], side="right")
-    return np.unique(segment + gaps, return_inverse=True)[1]

@@ -1,4 +1,4 @@
-"""What a floor plan draws."""
+"""Areas of a floor plan, and their kinds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import shapely
 
 OUTLINE = "floor"
-OPEN = ("corridor", "intersection", "stairs")  # one steps from one into the next
-CLOSED = ("room", "lift")  # walls all round, but for doors
+OPEN = ("corridor", "intersection", "stairs")  # open to each other
+CLOSED = ("room", "lift")  # enclosed by walls, except at doors
 CONNECTING = ("stairs", "lift")  # from floor to floor
 DOOR = "door"
 WALKABLE = (*OPEN, *CLOSED, DOOR)
@@ -24,8 +24,8 @@ class Area:
     """One feature of a plan.
 
     kind: one of KINDS. shape [m]: a polygon; a wall or door may be a line, a door, place or beacon a point, a link is
-    a line that people walk along. properties: whatever else the file says of it. floors: labels of those that it is
-    on, none said: on all.
+    a line that people walk along. properties: all other properties in the file. floors: labels of its floors, empty
+    if it is on all.
     """
 
     kind: str
@@ -36,5 +36,5 @@ class Area:
 
     @property
     def is_polygon(self) -> bool:
-        """True if it has an area."""
+        """True if the shape is two-dimensional."""
         return shapely.get_dimensions(self.shape) == 2

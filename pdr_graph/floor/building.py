@@ -1,4 +1,4 @@
-"""A building: its floors, and the stairs and lifts that join them."""
+"""A building: floors, stairs and lifts, and the floor and walls of each piece of a walk."""
 
 from __future__ import annotations
 
@@ -12,19 +12,21 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import expect
 from pdr_graph.floor.areas import CONNECTING
-from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.cells import NOWHERE, STRAY
+from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index, Mask
 
 
 @dataclass(frozen=True, eq=False)
-class Connection:
+class Connection(OneLineRepr):
     """Stairs or a lift.
 
-    kind: of CONNECTING; polygon: the same on each floor that it joins [m]; floors: which of the building's, lowest
-    first.
+    kind: one of CONNECTING; polygon: the same on each floor that it joins [m]; floors: indices of these floors in the
+    building, lowest first.
     """
 
     kind: str
@@ -32,18 +34,21 @@ class Connection:
     polygon: shapely.Geometry
     floors: tuple[int, ...]
 
+    def _summary(self) -> list[str]:
+        return [self.kind, repr(self.name), f"floors {self.floors}"]
+
     def distance(self, position: Array) -> Array:
-        """From positions ``(n, 2)`` [m] to its polygon, 0 in it. ``(n,)`` [m]"""
+        """Distance ``(n,)`` [m] of positions ``(n, 2)`` [m] to the polygon, 0 inside."""
         return np.asarray(shapely.distance(self.polygon, shapely.points(position)))
 
     @cached_property
     def field(self) -> DistanceField:
-        """Signed distance to its border, positive in it."""
+        """Field of the signed distance to the border of the polygon [m], positive inside."""
         return DistanceField(self.polygon)
 
 
 @dataclass(frozen=True)
-class Building:
+class Building(OneLineRepr):
     """All floors of a plan in one frame, lowest first. A plan of one floor is a building with one floor."""
 
     floors: tuple[FloorPlan, ...]
@@ -52,60 +57,63 @@ class Building:
         """Raise TypeError unless floors are floors."""
         expect("Building, floors", self.floors, tuple, instead="Building.load(path)")
 
+    def _summary(self) -> list[str]:
+        return [count(len(self.floors), "floor"), ", ".join(repr(label) for label in self.labels)]
+
     @classmethod
     def load(cls, path: str | Path) -> Building:
-        """A plan of any format. Raises InputError as `FloorPlan.load_all` does."""
+        """Read all floors of a plan in any format. Raises InputError as `FloorPlan.load_all` does."""
         return cls.of(*FloorPlan.load_all(path))
 
     @classmethod
     def of(cls, *floors: FloorPlan) -> Building:
-        """Some floors of one frame, or a single one."""
+        """A building of some floors in one frame, or of a single floor."""
         return cls(tuple(sorted(floors, key=lambda floor: floor.height)))
 
     @classmethod
     def around(cls, plan: FloorPlan | Building) -> Building:
-        """A single floor as a building, a building as it is."""
+        """Convert a single floor to a building; a building is returned unchanged."""
         return cls.of(plan) if isinstance(plan, FloorPlan) else plan
 
     def __getitem__(self, label: str) -> FloorPlan:
-        """The floor of that label; a KeyError if there is none."""
+        """The floor with that label. Raises KeyError if there is none."""
         return self.floors[self.index(label)]
 
     def index(self, label: str) -> int:
-        """Which floor has that label; a KeyError if none."""
+        """Index of the floor with that label. Raises KeyError if there is none."""
         if label not in self.labels:
             raise KeyError(f"floor {label!r}: found only {', '.join(self.labels)}")
         return self.labels.index(label)
 
     def within(self, low: Array, high: Array) -> Building:
-        """What of each floor is drawn in or into a box from ``low (2,)`` to ``high (2,)`` [m]."""
+        """Crop each floor to a box from ``low (2,)`` to ``high (2,)`` [m]."""
         return Building(tuple(floor.within(low, high) for floor in self.floors))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Of the floors."""
+        """Labels of the floors, lowest first."""
         return tuple(floor.label for floor in self.floors)
 
     @property
     def heights(self) -> Array:
-        """Of the floors ``(f,)``, above whatever the plan takes for zero. [m]"""
+        """Heights of the floors ``(f,)`` above the plan's zero level [m]."""
         return np.array([floor.height for floor in self.floors])
 
     @cached_property
     def connections(self) -> tuple[Connection, ...]:
-        """Stairs and lifts that are on several floors."""
-        found = []
+        """Stairs and lifts that join several floors."""
+        connections = []
         for n, floor in enumerate(self.floors):
             for area in floor.of_kind(*CONNECTING):
                 on = [k for k, label in enumerate(self.labels) if not area.floors or label in area.floors]
-                if area.is_polygon and len(on) > 1 and on[0] == n:  # once, though it is drawn on each
-                    found.append(Connection(area.kind, area.name, area.shape, tuple(on)))
-        return tuple(found)
+                if area.is_polygon and len(on) > 1 and on[0] == n:  # it is drawn on each floor: take it from the lowest
+                    connections.append(Connection(area.kind, area.name, area.shape, tuple(on)))
+        return tuple(connections)
 
     def crosses_wall(self, position: Array, labels: Sequence[str]) -> Mask:
-        """Which steps between positions ``(n, 2)`` [m] on floors of these labels lead through a wall. ``(n - 1,)``
+        """``(n - 1,)`` True where the segment between consecutive positions ``(n, 2)`` [m] crosses a wall.
 
-        The only floor is any label's; nothing is known of a step on a floor that the building has not.
+        labels: floor of each position. A single floor stands for every label; segments on unknown floors are False.
         """
         on = np.array(labels[:-1], dtype=object)
         crossed = np.zeros(len(on), dtype=bool)
@@ -116,7 +124,7 @@ class Building:
 
     @cached_property
     def parts(self) -> tuple[Index, ...]:
-        """Which connected part of the building each cell belongs to, on foot or by lift: ``(n,)`` per floor."""
+        """Number of the connected component (on foot or by lift) of each cell: ``(n,)`` per floor."""
         first = np.cumsum([0, *(len(floor.cells) for floor in self.floors)])
         pairs = [floor.cells.passages + begin for floor, begin in zip(self.floors, first[:-1], strict=True)]
         for connection in self.connections:
@@ -128,9 +136,114 @@ class Building:
         return tuple(np.split(parts.astype(np.intp), first[1:-1]))
 
     def _cells_of(self, connection: Connection, floor: int) -> Index:
-        """The cells of a floor that draw a connection."""
+        """Indices of the cells of a floor that belong to a connection."""
         cells = self.floors[floor].cells.cells
         same = [k for k, cell in enumerate(cells) if (cell.kind, cell.name) == (connection.kind, connection.name)]
         shapes = np.array([cells[k].polygon for k in same], dtype=object)
         shared = shapely.area(shapely.intersection(shapes, connection.polygon))
         return np.array(same, dtype=np.intp)[shared > shapely.area(shapes) / 2]
+
+
+@dataclass(frozen=True, eq=False)
+class FloorSequence(OneLineRepr):
+    """The floor of each piece of a walk: its index ``level (m,)`` into the floors of a building."""
+
+    building: Building
+    level: Index
+
+    def _summary(self) -> list[str]:
+        return [repr(self.building), count(len(self.level), "piece")]
+
+    @classmethod
+    def of(cls, plan: FloorPlan | Building, labels: Sequence[str]) -> FloorSequence:
+        """Look up the floor of each piece by its label; a plan of a single floor needs no labels.
+
+        Raises ValueError if a building has several floors and the labels do not say which.
+        """
+        building = Building.around(plan)
+        if len(building.floors) == 1:
+            return cls(building, np.zeros(len(labels), dtype=np.intp))
+        unknown = sorted(set(labels) - set(building.labels))
+        if unknown:
+            raise ValueError(f"floors: found {unknown[0]!r}, expected labels out of {', '.join(building.labels)}")
+        return cls(building, np.array([building.index(label) for label in labels], dtype=np.intp))
+
+    def within(self, low: Array, high: Array) -> FloorSequence:
+        """Crop every floor to a box from ``low (2,)`` to ``high (2,)`` [m]."""
+        return FloorSequence(self.building.within(low, high), self.level)
+
+    def near(self, position: Array) -> Mask:
+        """``(n,)`` True for positions ``(n, 2)`` [m] on or near any floor plan."""
+        return np.any([floor.near(position) for floor in self.building.floors], axis=0)
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the widest floor. [m]"""
+        return max(floor.size for floor in self.building.floors)
+
+    def field(self, piece: int) -> DistanceField:
+        """Distance field of all walls on the floor of a piece."""
+        return self.building.floors[self.level[piece]].distance
+
+    @cached_property
+    def changes(self) -> dict[int, tuple[Connection, ...]]:
+        """Floor changes: first piece on a new floor -> stairs and lifts that lead there."""
+        found = {}
+        for piece in (np.flatnonzero(np.diff(self.level)) + 1).tolist():
+            floors = {int(self.level[piece - 1]), int(self.level[piece])}
+            found[piece] = tuple(c for c in self.building.connections if floors <= set(c.floors))
+        return found
+
+    def walls_along(
+        self, track: Array, moved: Mask, stray: Array | float = STRAY, alike: float = 1.0
+    ) -> tuple[tuple[DistanceField, ...], Index, float]:
+        """Associate each piece with the walls of the region that it is in.
+
+        track: ``(m, 2)`` [m] a point for each piece; moved: ``(m,)`` False for pieces of length 0; stray, alike: error
+        model of the track, see ``Regions.along``.
+
+        Returns distance fields (of a region, of two regions with the door between them, or of stairs), the index of
+        the field of each piece ``(m,)``, −1 for none, and the cost of all changes of region.
+        """
+        number, of_piece, total = dict[DistanceField, int](), np.full(len(track), NOWHERE), 0.0
+        stray = np.broadcast_to(stray, len(track))
+        for floor, begin, end in self.spans:
+            fields, which, price = floor.regions.walls_along(track[begin:end], stray[begin:end], alike)
+            numbers = np.array([*(number.setdefault(field, len(number)) for field in fields), NOWHERE])
+            of_piece[begin:end] = numbers[which]
+            total += price
+        for piece, ways in self.changes.items():
+            before = np.flatnonzero(moved[:piece])
+            if len(before) and ways:
+                nearest = min(ways, key=lambda way: way.distance(track[before[-1:]])[0])
+                of_piece[before[-1]] = number.setdefault(nearest.field, len(number))
+        return tuple(number), of_piece, total
+
+    def walled_off(self, one: Array, other: Array, pieces: Index) -> bool:
+        """True if walls separate two paths ``(n, 2)`` [m] at the ends of these pieces.
+
+        Paths that no wall separates are one route, walked faster or slower.
+        """
+        return all(self.crossed(a, _nearest(a, b), pieces).any() for a, b in ((one, other), (other, one)))
+
+    def crossed(self, one: Array, other: Array, pieces: Index) -> Mask:
+        """``(n,)`` True where a wall lies between ``one`` and ``other (n, 2)`` [m] on the floors of ``pieces``."""
+        level, found = self.level[pieces], np.zeros(len(one), dtype=bool)
+        for n in np.unique(level):
+            here = level == n
+            found[here] = self.building.floors[n].crosses_wall(one[here], other[here])
+        return found
+
+    @property
+    def spans(self) -> list[tuple[FloorPlan, int, int]]:
+        """Consecutive pieces ``[begin, end)`` on one floor, as (floor, begin, end), in time order."""
+        begins = [0, *self.changes]
+        ends = [*begins[1:], len(self.level)]
+        return [(self.building.floors[self.level[b]], b, e) for b, e in zip(begins, ends, strict=True)]
+
+
+def _nearest(places: Array, way: Array) -> Array:
+    """Nearest point ``(m, 2)`` [m] on the line through ``way (n, 2)`` to each of ``places (m, 2)``."""
+    line = shapely.linestrings(way) if len(way) > 1 else shapely.points(way[0])
+    between = shapely.shortest_line(shapely.points(places), line)
+    return shapely.get_coordinates(between).reshape(-1, 2, 2)[:, 1]

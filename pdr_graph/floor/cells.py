@@ -1,9 +1,11 @@
-"""Cells: the rooms, corridors and doors of a floor, and which of them one can step between.
+"""Cells of a floor (rooms, corridors, doors), the regions that doors separate, and the region of each piece of a walk.
 
-A wall need not be drawn to be one. A room is closed all round but for its doors; corridors, intersections and stairs
-are open to each other; a line of kind ``wall`` is a wall without thickness. So a thin wall cannot be walked through,
-whatever the grid of the distance field. A plan that draws rooms and no doors does not say how its rooms are entered:
-they are open to what they touch.
+Walls are implied by cells. A room is enclosed except at its doors; corridors, intersections and stairs are open to each
+other; a line of kind ``wall`` is a wall without thickness. Thin walls therefore block a walk whatever the grid of the
+distance field. A plan with rooms but no doors does not show how rooms are entered: they are open to all neighbours.
+
+All connected corridors form one region, every room is one. A wall of 12 cm does not make a distance field on a grid of
+25 cm negative. The field of a single region does: a track that strays through its wall is outside the region.
 """
 
 from __future__ import annotations
@@ -19,17 +21,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.floor.areas import CLOSED, CONNECTING, DOOR, OUTLINE, SOLID, WALKABLE, WALL, Area
+from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.geometry import viterbi
 from pdr_graph.types import Array, Index
 
 CRACK = 0.1  # [m] between neighbours that were meant to touch
 DOOR_REACH = 0.15  # [m] by which a door drawn as a line opens the walls on either side
 DOOR_WIDTH = 0.9  # [m] of a door drawn as a point
-NARROWEST_WAY = 0.3  # [m] of open border that one can step through
+NARROWEST_PASSAGE = 0.3  # [m] of open border required for a passage
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One room, corridor, intersection, stairs, lift or door, or an outline. polygon: what of it is not solid [m]."""
+    """One room, corridor, intersection, stairs, lift or door, or an outline. polygon: its free area [m]."""
 
     kind: str
     name: str
@@ -53,7 +57,7 @@ class Cells:
 
     @classmethod
     def of(cls, areas: tuple[Area, ...]) -> Cells:
-        """The cells of a floor's areas."""
+        """Construct the cells of a floor from its areas."""
         drawn = _drawn(areas)
         doors = [_opening(a) for a in drawn if a.kind == DOOR]
         opened = shapely.union_all(doors)
@@ -80,7 +84,7 @@ class Cells:
         return shapely.STRtree([c.polygon for c in self.cells])
 
     def at(self, points: Array) -> Index:
-        """The cell that each point ``(n, 2)`` [m] is in ``(n,)``, −1 in none; a door before the room it opens."""
+        """Index of the cell of each point ``(n, 2)`` [m], −1 for none; doors take precedence over rooms. ``(n,)``"""
         if not self.cells:
             return np.full(len(points), -1)
         point, cell = self._tree.query(shapely.points(points), predicate="intersects")
@@ -91,7 +95,7 @@ class Cells:
 
     @cached_property
     def passages(self) -> Index:
-        """Pairs of cells ``(p, 2)`` that one can step between."""
+        """Pairs of cells ``(p, 2)`` with a passage between them."""
         if not self.cells:
             return np.empty((0, 2), dtype=np.intp)
         polygons = [c.polygon for c in self.cells]
@@ -107,7 +111,7 @@ class Cells:
             return False
         reach = shapely.buffer(one.polygon, CRACK, cap_style="flat", join_style="mitre")
         border = shapely.intersection(reach, shapely.boundary(other.polygon))
-        return float(shapely.length(shapely.difference(border, self._wide_barriers))) > NARROWEST_WAY
+        return float(shapely.length(shapely.difference(border, self._wide_barriers))) > NARROWEST_PASSAGE
 
     @cached_property
     def _has_doors(self) -> bool:
@@ -119,7 +123,7 @@ class Cells:
 
     @cached_property
     def parts(self) -> Index:
-        """Which connected part of the floor each cell ``(n,)`` belongs to."""
+        """Number of the connected component of each cell ``(n,)``."""
         n = len(self.cells)
         i, j = self.passages.T
         return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[1].astype(
@@ -128,7 +132,7 @@ class Cells:
 
 
 def _drawn(areas: tuple[Area, ...]) -> list[Area]:
-    """The areas that are cells. Where only stairs, lifts and doors are, the outline about them is one, too."""
+    """The areas that are cells; on a floor with only stairs, lifts and doors also the outline around them."""
     drawn = [a for a in areas if a.kind in WALKABLE]
     within = [a.shape for a in drawn if a.kind in CONNECTING]
     if not within or any(a.kind not in (*CONNECTING, DOOR) for a in drawn):
@@ -138,16 +142,139 @@ def _drawn(areas: tuple[Area, ...]) -> list[Area]:
 
 
 def without_cracks(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:
-    """Their union, with the hairlines between neighbours closed."""
+    """Union of polygons, with gaps of up to 0.1 m between neighbours closed."""
     wider = shapely.buffer(shapely.union_all(polygons), CRACK / 2, join_style="mitre")
     return shapely.buffer(wider, -CRACK / 2, join_style="mitre")
 
 
 def _opening(door: Area) -> shapely.Geometry:
-    """The polygon in which a door opens walls."""
+    """The polygon in which a door opens the walls."""
     dimensions = shapely.get_dimensions(door.shape)
     if dimensions == 2:
         return door.shape
     if dimensions == 1:
         return shapely.buffer(door.shape, DOOR_REACH, cap_style="flat")
     return shapely.buffer(door.shape, DOOR_WIDTH / 2)
+
+
+STRAY = 0.5  # [m] standard deviation of a track
+OUTSIDE_COST = 4.0  # of a point in no region: within 1.4 m of a region it is assigned to that region
+OUTSIDE_PRICE = 0.15  # log-odds of a point in no region: shops are entered, plans end
+AT_DOOR = 1.5  # [m] from a door within which it may be used
+WALL_COST = 12.0  # log-odds of passing a wall: plans have errors, and fixes may prove them
+DOOR_COST, LEAVE_COST = 1.0, 6.0  # log-odds of changing region at a door, and of entering or leaving all regions
+NOWHERE = -1
+
+
+@dataclass(frozen=True)
+class Regions:
+    """The regions of a floor.
+
+    polygons: ``(r,)`` [m]; doors: ``(d,)`` [m]; joins: ``(d, r)`` which regions a door opens; barriers: lines [m].
+    """
+
+    polygons: NDArray[np.object_]
+    doors: NDArray[np.object_]
+    joins: NDArray[np.bool_]
+    barriers: shapely.Geometry
+
+    @classmethod
+    def of(cls, walkable: shapely.Geometry, cells: Cells) -> Regions:
+        """Construct the regions of a floor; without cells all walkable area is one region."""
+        is_door = np.array([cell.kind == DOOR for cell in cells.cells], dtype=bool)
+        shapes = np.array([cell.polygon for cell in cells.cells], dtype=object)
+        if not len(shapes):
+            nothing = np.empty(0, dtype=object)
+            return cls(np.array([walkable], dtype=object), nothing, np.empty((0, 1), dtype=bool), cells.barriers)
+        one, other = cells.passages.T
+        between = is_door[one] | is_door[other]
+        n, open_pairs = len(shapes), (one[~between], other[~between])
+        links = coo_array((np.ones(np.count_nonzero(~between)), open_pairs), shape=(n, n))
+        part = connected_components(links, directed=False)[1]
+        region = np.full(n, NOWHERE)
+        region[~is_door] = np.unique(part[~is_door], return_inverse=True)[1]
+        count = int(region.max(initial=NOWHERE)) + 1
+        polygons = np.empty(count, dtype=object)
+        for r in range(count):
+            polygons[r] = _joined(shapes[region == r])
+        joins = np.zeros((n, count), dtype=bool)
+        for a, b in ((one, other), (other, one)):
+            leads = is_door[a] & ~is_door[b]
+            joins[a[leads], region[b[leads]]] = True
+        return cls(polygons, shapes[is_door], joins[is_door], cells.barriers)
+
+    def __len__(self) -> int:
+        return len(self.polygons)
+
+    def along(self, track: Array, stray: Array | float = STRAY, alike: float = 1.0) -> tuple[Index, float]:
+        """Most probable sequence of regions (Viterbi) along points ``(n, 2)`` [m], and its cost.
+
+        Returns the region of each point ``(n,)``, NOWHERE far from all, and the cost of changes of region and of points
+        in none. stray: standard deviation of the track, scalar or ``(n,)`` [m]; alike: number of consecutive points
+        with the same error.
+        """
+        points, stray = np.asarray(shapely.points(track), dtype=object), np.broadcast_to(stray, len(track))
+        near = np.unique(self._tree.query(points, predicate="dwithin", distance=2 * stray)[1])
+        if not len(near):
+            return np.full(len(track), NOWHERE), OUTSIDE_PRICE * len(track)
+        cost = np.full((len(track), len(near) + 1), OUTSIDE_COST)
+        for column, r in enumerate(near):
+            cost[:, column] = 0.5 * (shapely.distance(self.polygons[r], points) / stray) ** 2 / alike
+        states = np.append(near, NOWHERE)
+        if len(near) == 1 and cost[:, 0].max() < OUTSIDE_COST:
+            return np.full(len(track), near[0]), 0.0
+        changes = self._changes(near, points)
+        likeliest, _ = viterbi(cost, changes[1:])
+        price = changes[np.arange(1, len(track)), likeliest[:-1], likeliest[1:]].sum()
+        return states[likeliest], float(price + OUTSIDE_PRICE * np.sum(likeliest == len(near)))
+
+    def walls_along(
+        self, track: Array, stray: Array | float = STRAY, alike: float = 1.0
+    ) -> tuple[list[DistanceField], Index, float]:
+        """Associate each point ``(n, 2)`` [m] of a track with the walls of its region.
+
+        Returns distance fields, the index of the field of each point ``(n,)``, −1 for none, and the cost of changes of
+        region. At a change, the field is of both regions and the door between them. stray, alike: as for `along`.
+        """
+        region, price = self.along(track, stray, alike)
+        before, after = np.append(region[:1], region[:-1]), np.append(region[1:], region[-1:])
+        sets, which = np.unique(np.sort([before, region, after], axis=0), axis=1, return_inverse=True)
+        inside = [NOWHERE not in s for s in sets.T]
+        fields = [self.field(tuple(np.unique(s).tolist())) for s in sets.T[inside]]
+        return fields, np.where(inside, np.cumsum(inside) - 1, NOWHERE)[which.ravel()], price
+
+    def field(self, regions: tuple[int, ...]) -> DistanceField:
+        """Field of the signed distance to the walls of the union of regions and the doors between them."""
+        if regions not in self._fields:
+            between = self.joins[:, list(regions)].sum(axis=1) > 1
+            shape = _joined(np.append(self.polygons[list(regions)], self.doors[between]))
+            self._fields[regions] = DistanceField(shape, self.barriers)
+        return self._fields[regions]
+
+    @cached_property
+    def _fields(self) -> dict[tuple[int, ...], DistanceField]:
+        return {}
+
+    @cached_property
+    def _tree(self) -> shapely.STRtree:
+        return shapely.STRtree(self.polygons)
+
+    def _changes(self, near: Index, points: NDArray[np.object_]) -> Array:
+        """Cost ``(n, s, s)`` of changing from one of the regions ``near``, or none, to another at each point."""
+        s = len(near) + 1
+        usual = np.full((s, s), WALL_COST)
+        usual[:, -1] = usual[-1] = LEAVE_COST
+        np.fill_diagonal(usual, 0.0)
+        changes = np.tile(usual, (len(points), 1, 1))
+        for door, joined in zip(self.doors, self.joins[:, near], strict=True):
+            which = np.flatnonzero(joined)
+            if len(which) > 1:
+                at = np.flatnonzero(shapely.dwithin(door, points, AT_DOOR))
+                pairs = [(i, j) for i in which for j in which if i != j]
+                for i, j in pairs if len(at) else []:
+                    changes[at, i, j] = DOOR_COST
+        return changes
+
+
+def _joined(polygons: NDArray[np.object_]) -> shapely.Geometry:
+    return polygons[0] if len(polygons) == 1 else without_cracks(polygons)

@@ -1,4 +1,4 @@
-"""What in a plan would mislead a walk."""
+"""Check a floor plan for errors that would mislead an estimate."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pdr_graph.floor.cells import Cell
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index
 
-SMALL = 0.5  # [m²] overlaps and overhangs below are drawing inaccuracy
-SAID = 3  # places named of each kind of problem
+SMALL = 0.5  # [m²] smaller overlaps and overhangs are drawing inaccuracy
+MOST_EXAMPLES = 3  # places named per kind of problem
 
 
 def problems(building: Building) -> tuple[str, ...]:
-    """What is wrong with a plan, a line each; empty if nothing was found."""
+    """Problems of a plan, a line each; empty if there are none."""
     found = list(building.floors[0].mended)
     for n, floor in enumerate(building.floors):
         reach = [*_doors(floor), *_sealed(building, n), *_stairs(building, n)]
@@ -42,20 +42,20 @@ def _doors(floor: FloorPlan) -> Iterator[str]:
 
 
 def _sealed(building: Building, floor: int) -> Iterator[str]:
-    """Cells that nobody can get to from the largest part of the building, or of a floor that nothing joins to it."""
+    """Cells without a path from the largest connected part of the building (of the floor, if that is separate)."""
     cells, parts = building.floors[floor].cells.cells, building.parts[floor]
     if not len(cells):
         return
     largest = _largest(np.concatenate(building.parts), [c for f in building.floors for c in f.cells.cells])
     if largest not in parts:
         largest = _largest(parts, cells)
-        yield "no stairs or lift lead here from the rest of the building"
+        yield "no stairs or lift from the rest of the building"
     named = [f"{cells[n].kind} {_place(cells[n].polygon, cells[n].name)}" for n in np.flatnonzero(parts != largest)]
     yield from _line("cells that cannot be reached from the rest", named)
 
 
 def _largest(parts: Index, cells: Sequence[Cell]) -> int:
-    """The part with most area."""
+    """Number of the connected part with the largest area."""
     return int(np.argmax(np.bincount(parts, [shapely.area(c.polygon) for c in cells])))
 
 
@@ -69,11 +69,11 @@ def _stairs(building: Building, n: int) -> Iterator[str]:
     ways = np.bincount(floor.cells.passages.ravel(), minlength=len(floor.cells))
     shut = [c for c, count in zip(floor.cells.cells, ways, strict=True) if c.kind in CONNECTING and not count]
     named = [_place(c.polygon, c.name or c.kind) for c in shut]
-    yield from _line("stairs or lifts that one cannot step into", named)
+    yield from _line("stairs or lifts without an entrance", named)
 
 
 def _overlaps(floor: FloorPlan) -> Iterator[str]:
-    """Rooms that lie over each other: a position in both belongs to neither."""
+    """Rooms that overlap: the room of a position in both would be ambiguous."""
     rooms = [c for c in floor.cells.cells if c.kind in CLOSED]
     if not rooms:
         return
@@ -96,9 +96,9 @@ def _overhang(floor: FloorPlan) -> Iterator[str]:
 
 
 def _flat(floor: FloorPlan) -> Iterator[str]:
-    """What is drawn as a line or a point, and so has no room for a walk."""
+    """Cells drawn as a line or a point: they have no area to walk on."""
     flat = [f"{a.kind} {_place(a.shape, a.name)}" for a in floor.of_kind(*OPEN, *CLOSED) if not a.is_polygon]
-    yield from _line("cells that are no polygons", flat)
+    yield from _line("cells that are not polygons", flat)
 
 
 def _links(floor: FloorPlan) -> Iterator[str]:
@@ -111,7 +111,7 @@ def _links(floor: FloorPlan) -> Iterator[str]:
             first = int(np.argmax(crossing))
             through.append(_place(_in_the_wall(floor, corners[first : first + 2]), link.name))
     yield from _line("links that go through a wall", through)
-    yield from _line("links that are no lines", short)
+    yield from _line("links that are not lines", short)
 
 
 def _in_the_wall(floor: FloorPlan, segment: Array) -> shapely.Geometry:
@@ -131,8 +131,8 @@ def _beacons(floor: FloorPlan) -> Iterator[str]:
 
 def _line(what: str, places: list[str]) -> Iterator[str]:
     if places:
-        more = f" and {len(places) - SAID} more" if len(places) > SAID else ""
-        yield f"{len(places)} {what}: {'; '.join(places[:SAID])}{more}"
+        more = f" and {len(places) - MOST_EXAMPLES} more" if len(places) > MOST_EXAMPLES else ""
+        yield f"{len(places)} {what}: {'; '.join(places[:MOST_EXAMPLES])}{more}"
 
 
 def _place(shape: shapely.Geometry, name: str) -> str:

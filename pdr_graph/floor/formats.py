@@ -1,9 +1,13 @@
-"""Floor plans from files: our GeoJSON, Microsoft floor folders and IPIN21 polygons."""
+"""Floor plans from files: our GeoJSON, Microsoft floor folders and IPIN21 polygons; routes and floor heights.
+
+Features of a GeoJSON file are repaired where their drawing is wrong.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +16,144 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.areas import KINDS, OUTLINE, Area
-from pdr_graph.floor.features import Feature, check_degrees, features_of, read_json
-from pdr_graph.floor.storeys import heights_of
+from pdr_graph.floor.areas import KINDS, LINK, OUTLINE, Area
 from pdr_graph.frames import Frame, enu, projected
+from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
+
+LARGEST_FILE = 200_000_000  # bytes
+FARTHEST = 1e8  # [m] of any coordinate
+WIDEST = 1.0  # [deg] of a plan; a larger one is in metres
+Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """A JSON object."""
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST_FILE}")
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
+    except InputError:
+        raise
+    except (OSError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise InputError(path, "", f"no JSON ({error})", "a floor plan") from None
+    if not isinstance(value, dict):
+        raise InputError(path, "", f"a JSON {type(value).__name__}", "a JSON object")
+    return value
+
+
+def features_of(path: Path, collection: dict[str, Any], notes: list[str], mended: list[str]) -> Iterator[Feature]:
+    """All features with a geometry; null ones are noted, as RFC 7946 allows them, and broken polygons mended.
+
+    notes, mended: lines are added of what was left out, and of what was drawn wrongly and put right.
+    """
+    features = collection.get("features")
+    if collection.get("type") != "FeatureCollection" or not isinstance(features, list):
+        raise InputError(path, "", f"type {str(collection.get('type'))[:40]!r}", "a GeoJSON FeatureCollection")
+    nowhere = []
+    for n, feature in enumerate(features):
+        try:
+            geometry, properties = feature["geometry"], dict(feature.get("properties") or {})
+            opened = _close(geometry)
+            shape = shapely.Polygon() if geometry is None else shapely.from_geojson(json.dumps(geometry))
+        except (KeyError, TypeError, AttributeError, ValueError, RecursionError, shapely.errors.GEOSException) as error:
+            found = f"{type(error).__name__} {str(error)[:80]}"
+            raise InputError(path, f"feature {n}", found, "a GeoJSON geometry") from None
+        if shapely.is_empty(shape):
+            nowhere.append(n)
+            continue
+        if not (np.abs(shapely.get_coordinates(shape)) < FARTHEST).all():
+            raise InputError(path, f"feature {n}", "a coordinate that is nowhere on Earth", "degrees, or metres")
+        if not shapely.is_valid(shape):
+            mended.append(f"{_named(n, properties)}: its outline crosses itself{_at(shape)}, and was mended")
+            shape = shapely.make_valid(shape)
+        if opened:
+            found = f"the ring from {opened[0][:2]} does not end where it begins"
+            mended.append(f"{_named(n, properties)}: {found}, and was closed")
+        yield n, shapely.force_2d(shape), properties
+    if nowhere:
+        notes.append(f"{len(nowhere)} features without a geometry were left out (the first: feature {nowhere[0]})")
+
+
+def check_degrees(path: Path, features: list[Feature]) -> None:
+    """Refuse coordinates that are no degrees."""
+    for n, shape, _ in features:
+        corners = shapely.get_coordinates(shape)
+        if not (np.abs(corners) <= (180, 90)).all():
+            found = f"coordinates up to {np.abs(corners).max():.6g}"
+            raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees, as RFC 7946 has them")
+    west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features])
+    if max(east - west, north - south) > WIDEST:
+        found = f"a plan of {east - west:.3g}° by {north - south:.3g}°"
+        raise InputError(path, "", found, f"at most {WIDEST:g}°: longitudes and latitudes in degrees, not metres")
+
+
+def _close(geometry: Any) -> list[Any]:
+    """Close the rings of a GeoJSON geometry in place: RFC 7946 wants the first position again as the last.
+
+    Returns where the rings begin that were open.
+    """
+    match geometry:
+        case {"type": "Polygon", "coordinates": [*rings]}:
+            pass
+        case {"type": "MultiPolygon", "coordinates": [*polygons]}:
+            rings = [ring for polygon in polygons if isinstance(polygon, list) for ring in polygon]
+        case _:
+            return []
+    open_ = [ring for ring in rings if isinstance(ring, list) and len(ring) > 2 and ring[0][:2] != ring[-1][:2]]
+    for ring in open_:
+        ring.append(ring[0])
+    return [ring[0] for ring in open_]
+
+
+def _named(n: int, properties: dict[str, Any]) -> str:
+    """A feature by its number in the file and its name."""
+    name = str(properties.get("name") or "")
+    return f"feature {n} ({name})" if name else f"feature {n}"
+
+
+def _at(shape: shapely.Geometry) -> str:
+    """Where a polygon crosses itself, as shapely says it: ``Self-intersection[135.00001 35]``."""
+    found = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(shape))
+    return f" at [{found[1]}, {found[2]}]" if found else ""
+
+
+STOREY = 3.8  # [m] from one floor to the next where a plan does not say: offices and shops have 3.5 to 4.5
+HIGHEST = 1000.0  # [m] above or below zero; no building reaches it
+GROUND = ("G", "GF", "EG")
+BELOW = ("B", "BF", "UG")  # letters about the number of a floor below the ground: B1, B1F, 2UG
+
+
+def heights_of(path: Path, labels: Iterable[str], given: Any = None) -> dict[str, float]:
+    """Height of each floor [m] by its label, lowest first.
+
+    given: what the plan says, a height for every label; None: a storey each, in the order of their labels.
+    Raises InputError for a height of no floor, a floor without a height, or one that is no number.
+    """
+    ordered = sorted(labels, key=_storey)
+    if given is None:
+        return {label: STOREY * n for n, label in enumerate(ordered)}
+    place, floors = "pdr_graph.heights", ", ".join(ordered)
+    if not isinstance(given, dict):
+        raise InputError(path, place, repr(given), 'a height for each floor, {"1": 0.0, "2": 4.0}')
+    if unknown := sorted(set(given) - set(ordered)):
+        raise InputError(path, place, f"a floor {unknown[0]!r}", f"the labels of floors: {floors}")
+    for label in ordered:
+        if label not in given:
+            raise InputError(path, place, f"no height of floor {label!r}", f"one for each of {floors}")
+        if type(given[label]) not in (int, float) or not abs(given[label]) < HIGHEST:
+            raise InputError(path, f"{place}.{label}", repr(given[label]), f"metres, less than {HIGHEST:g}")
+    return {label: float(given[label]) for label in sorted(ordered, key=lambda label: given[label])}
+
+
+def _storey(label: str) -> tuple[float, str]:
+    """Where a floor comes: by its number (-2, B1, 0, EG, 1, F2, 3F, 4OG), those without one last, by name."""
+    found = re.fullmatch(r"([A-Z]*) ?(-?\d{1,9}(?:\.\d{1,9})?) ?([A-Z]*)", label.strip().upper())
+    if found is None:
+        return (0.0 if label.strip().upper() in GROUND else np.inf), label
+    before, number, after = found.groups()
+    return (-float(number) if before in BELOW or after in BELOW else float(number)), label
+
 
 MICROSOFT_MAP = "geojson_map.json"
 MICROSOFT_INFO = "floor_info.json"
@@ -51,10 +188,25 @@ class Drawing:
     heights: dict[str, float] = field(default_factory=dict)
 
 
+def root_of(path: Path) -> Path:
+    """The folder of a Microsoft floor, whichever of its files was named; any other path as it is."""
+    return path.parent if path.name in (MICROSOFT_MAP, MICROSOFT_INFO) else path
+
+
+def files_of(path: Path) -> tuple[Path, ...]:
+    """The files that `read` reads: the plan itself, or both of a Microsoft floor folder."""
+    root = root_of(path)
+    return (root / MICROSOFT_MAP, root / MICROSOFT_INFO) if root.is_dir() else (root,)
+
+
+def plan_fingerprint(path: Path) -> str:
+    """The name of a plan and what tells its content from another's."""
+    return fingerprint(root_of(path), files_of(path))
+
+
 def read(path: Path) -> Drawing:
     """A plan of any format, recognised by what is there."""
-    if path.name in (MICROSOFT_MAP, MICROSOFT_INFO):
-        path = path.parent
+    path = root_of(path)
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
     if path.is_dir():
@@ -74,15 +226,15 @@ def microsoft_floor(folder: Path) -> Drawing:
     all others. The metric frame stretches the outline's bounding box, in degrees, to ``map_info``'s width and height:
     x = (lon − lon0)/(lon1 − lon0)·width, y likewise.
     """
-    path, notes, mended = folder / MICROSOFT_MAP, list[str](), list[str]()
+    (path, about), notes, mended = files_of(folder), list[str](), list[str]()
     features = [f for f in features_of(path, read_json(path), notes, mended) if shapely.get_dimensions(f[1]) == 2]
     if not features:
         raise InputError(path, "", "no polygon", "the floor's outline")
     check_degrees(path, features)
-    info = read_json(folder / MICROSOFT_INFO).get("map_info")
+    info = read_json(about).get("map_info")
     size = [info.get("width"), info.get("height")] if isinstance(info, dict) else [None]
     if not all(isinstance(s, int | float) and np.isfinite(s) and s > 0 for s in size):
-        raise InputError(folder / MICROSOFT_INFO, "map_info", f"width and height {size}", "two positive numbers [m]")
+        raise InputError(about, "map_info", f"width and height {size}", "two positive numbers [m]")
     lon0, lat0, lon1, lat1 = shapely.bounds(features[0][1])
     if not (lon1 > lon0 and lat1 > lat0):
         raise InputError(path, "feature 0", "an outline without width or height", "the floor's outline")
@@ -162,3 +314,17 @@ def _area(kind: str, feature: Feature, frame: Frame | None) -> Area:
 
     name = str(properties.get("name") or "")
     return Area(kind, name, shapely.transform(shape, transform), properties, _labels(properties))
+
+
+def read_route(path: str | Path) -> Array:
+    """Corners ``(m, 2)`` [m] of the one ``link`` in a plan of our own format.
+
+    Raises InputError if there is none, or several.
+    """
+    drawing = read(Path(path))
+    lines = {area.shape for areas in drawing.floors.values() for area in areas if area.kind == LINK}
+    if len(lines) != 1:
+        raise InputError(path, "", f"{len(lines)} features of kind 'link'", "one, the line that was walked")
+    corners = shapely.get_coordinates(lines.pop())
+    apart = np.hypot(*np.diff(corners, axis=0).T) > 0
+    return corners[np.append(True, apart)]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from pdr_graph.floor import derivation
+from pdr_graph.floor import network_derivation
 from pdr_graph.floor.areas import CLOSED, DOOR, LINK, OPEN, Area
 from pdr_graph.floor.cells import Cells, without_cracks
 from pdr_graph.types import Array, Index
@@ -72,7 +72,7 @@ def drawn_network(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geome
 def derived_network(cells: Cells, walkable: shapely.Geometry) -> Network:
     """The network derived from where one can walk: seconds on a large floor."""
     ways = _ways(cells, walkable)
-    nodes, corners, links, lines = derivation.derive(ways)
+    nodes, corners, links, lines = network_derivation.derive(ways)
     return Network(nodes, corners, links, tuple(lines), ways)
 
 

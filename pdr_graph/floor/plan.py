@@ -1,4 +1,4 @@
-"""A floor of a building: where one can walk, and where not."""
+"""The plan of one floor: walkable area, walls, cells and network."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
 from pdr_graph.floor import formats
 from pdr_graph.floor.areas import OUTLINE, SOLID, Area
-from pdr_graph.floor.cells import Cells, without_cracks
-from pdr_graph.floor.distance import DistanceField
+from pdr_graph.floor.cells import Cells, Regions, without_cracks
+from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.network import Network, derived_network, drawn_network
-from pdr_graph.floor.regions import Regions
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
-FAR_FROM_PLAN = 100.0  # [m] outside everything drawn, where its walls say nothing
+FAR_FROM_PLAN = 100.0  # [m] from the plan's bounding box: a walk beyond it is not on this plan
 
 
 @dataclass(frozen=True)
-class FloorPlan:
+class FloorPlan(OneLineRepr):
     """One floor, in its own metric frame.
 
-    label: the floor's name, "F1"; areas: the outline and everything in it; frame: its way to latitude and longitude;
-    height: above whatever the plan takes for zero [m]; notes: what was left out of the file or taken for
-    something, mended: what was drawn wrongly and put right, one line each.
+    label: the floor's name, "F1"; areas: the outline and everything in it; frame: relates it to latitude and longitude;
+    height: above the plan's zero level [m]; notes: features of the file that were skipped or reinterpreted, mended:
+    drawing errors that were repaired, one line each.
     """
 
     label: str
@@ -38,20 +38,24 @@ class FloorPlan:
     mended: tuple[str, ...] = ()
     height: float = 0.0
 
+    def _summary(self) -> list[str]:
+        width, height = self.corners[1] - self.corners[0]
+        return [repr(self.label), count(len(self.areas), "area"), f"{width:.0f} m by {height:.0f} m"]
+
     @classmethod
     def load(cls, path: str | Path, floor: str | None = None) -> FloorPlan:
-        """One floor of a plan: our GeoJSON, a Microsoft floor folder, or a file of IPIN21 polygons.
+        """Read one floor of a plan: our GeoJSON, a Microsoft floor folder, or a file of IPIN21 polygons.
 
-        floor: its label, of a plan with several floors; a plan with one has it whatever its label.
+        floor: label; required if the plan has several floors, ignored if it has one.
 
-        Raises InputError if the file is none of these, has no such floor, or leaves nowhere to walk.
+        Raises InputError for another format, an unknown floor, or a floor without walkable area.
         """
         plans = cls.load_all(path)
         found = ", ".join(plan.label for plan in plans)
         if len(plans) == 1:
             return plans[0]
         if floor is None:
-            raise InputError(path, "", f"{len(plans)} floors, {found[:80]}", "the label of one")
+            raise InputError(path, "", f"{len(plans)} floors, {found[:80]}", "the label of one of them")
         chosen = next((plan for plan in plans if plan.label == floor), None)
         if chosen is None:
             raise InputError(path, "", f"the floors {found[:80]}", f"a floor {floor!r}")
@@ -59,7 +63,7 @@ class FloorPlan:
 
     @classmethod
     def load_all(cls, path: str | Path) -> tuple[FloorPlan, ...]:
-        """All floors of a plan, in one frame, lowest first. Raises InputError if one of them leaves nowhere to walk."""
+        """Read all floors of a plan, lowest first. Raises InputError for a floor without walkable area."""
         drawing = formats.read(Path(path))
         plans = tuple(
             cls(label, areas, drawing.frame, drawing.notes, drawing.mended, drawing.heights.get(label, 0.0))
@@ -67,27 +71,27 @@ class FloorPlan:
         )
         for plan in plans:
             if shapely.is_empty(plan.walkable):
-                needed = "an outline or a corridor that is not all solid"
-                raise InputError(path, f"floor {plan.label}" if plan.label else "", "no walkable area", needed)
+                expected = "an outline or a corridor that is not all solid"
+                raise InputError(path, f"floor {plan.label}" if plan.label else "", "no walkable area", expected)
         return plans
 
     def of_kind(self, *kinds: str) -> tuple[Area, ...]:
-        """The areas of some kinds."""
+        """All areas of the given kinds."""
         return tuple(area for area in self.areas if area.kind in kinds)
 
     @cached_property
     def cells(self) -> Cells:
-        """Rooms, corridors and doors, and which of them one can step between."""
+        """Rooms, corridors and doors, and the passages between them."""
         return Cells.of(self.areas)
 
     @cached_property
     def regions(self) -> Regions:
-        """The parts that doors divide."""
+        """The regions of the walkable area that doors separate."""
         return Regions.of(self.walkable, self.cells)
 
     @cached_property
     def walkable(self) -> shapely.Geometry:
-        """Where one can stand: the cells where the plan has them, else the outline minus everything solid. [m]"""
+        """Walkable area [m]: the union of the cells if the plan has any, else the outline minus everything solid."""
         if len(self.cells):
             return without_cracks([cell.polygon for cell in self.cells.cells])
         solid = [a.shape for a in self.of_kind(*SOLID) if a.is_polygon]
@@ -96,46 +100,46 @@ class FloorPlan:
 
     @property
     def walkable_area(self) -> float:
-        """Area where one can walk. [m²]"""
+        """Size of the walkable area [m²]."""
         return float(shapely.area(self.walkable))
 
     @cached_property
     def distance(self) -> DistanceField:
-        """Signed distance to the nearest wall."""
+        """Field of the signed distance to the nearest wall [m], positive inside."""
         only = len(self.regions) == 1 and not len(self.regions.doors)
         return self.regions.field((0,)) if only else DistanceField(self.walkable, self.cells.barriers)
 
     @cached_property
     def network(self) -> Network:
-        """Intersections and the corridors between them, as drawn or else derived."""
+        """Network of intersections and corridors, as drawn, else derived from the walkable area."""
         drawn = self.drawn_network
         return derived_network(self.cells, self.walkable) if drawn is None else drawn
 
     @cached_property
     def drawn_network(self) -> Network | None:
-        """Intersections and the corridors between them, if the plan draws them."""
+        """Network of intersections and corridors as drawn; None if the plan has none."""
         return drawn_network(self.areas, self.cells, self.walkable)
 
     @cached_property
     def corners(self) -> Array:
-        """South-west and north-east corner ``(2, 2)`` of everything drawn. [m]"""
+        """Bounding box of the plan: south-west and north-east corner ``(2, 2)`` [m]."""
         return shapely.total_bounds([a.shape for a in self.areas]).reshape(2, 2)
 
     @property
     def size(self) -> float:
-        """Diagonal of everything drawn. [m]"""
+        """Diagonal of the bounding box [m]."""
         return float(np.hypot(*(self.corners[1] - self.corners[0])))
 
     def near(self, position: Array) -> Mask:
-        """Which positions ``(n, 2)`` [m] lie on or about the plan. ``(n,)`` bool"""
+        """``(n,)`` True for positions ``(n, 2)`` [m] within 100 m of the bounding box."""
         low, high = self.corners
         return np.all((position > low - FAR_FROM_PLAN) & (position < high + FAR_FROM_PLAN), axis=1)
 
     def within(self, low: Array, high: Array) -> FloorPlan:
-        """What is drawn in or into a box from ``low (2,)`` to ``high (2,)`` [m]; there its walls are the whole's.
+        """Crop the plan to the areas that touch a box from ``low (2,)`` to ``high (2,)`` [m].
 
-        A walk asks only what is within its reach, so that nothing grows with the floor. The whole, if nowhere in the
-        box can be walked.
+        Cropping to the reach of a walk makes the cost independent of the size of the floor. Returns the whole plan if
+        the box has no walkable area.
         """
         bounds = shapely.bounds([area.shape for area in self.areas])
         near = np.all((bounds[:, :2] <= high) & (bounds[:, 2:] >= low), axis=1)
@@ -145,7 +149,7 @@ class FloorPlan:
         return self if shapely.is_empty(part.walkable) else part
 
     def crosses_wall(self, start: Array, end: Array) -> Mask:
-        """Which segments from ``start (n, 2)`` to ``end (n, 2)`` leave the walkable area or go through a wall."""
+        """``(n,)`` True for segments ``start`` to ``end (n, 2)`` [m] that leave the walkable area or cross a wall."""
         shapely.prepare(self.walkable)
         segments = shapely.linestrings(np.stack([start, end], axis=1))
         crossed = ~np.atleast_1d(shapely.covers(self.walkable, segments))

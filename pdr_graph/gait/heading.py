@@ -1,113 +1,387 @@
-"""Absolute walking directions, by the magnetometer: a few for a walk, with honest sigmas, or none."""
+"""Relative walking direction: forward axis, grip changes and the walker's heading since the first sample.
+
+A gyroscope measures how much a walker turns, not which way they walk. The gait does: every landing brakes the body and
+every push-off accelerates it, in phase with its rise and fall. So a straight walk determines which device axis points
+ahead. A grip change turns the phone, while the walker turns less or not at all.
+
+A forward-axis method takes an `Attitude`, the walker's heading since the first sample ``(n,)`` (which is removed, so
+that the walk need not be straight), the mask of walking samples ``(n,)``, and the typical duration of a step [s]; it
+returns a `Forward`. A direction method takes an `Attitude` and the typical duration of a step and returns a
+`Direction`.
+"""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
+from scipy import fft
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
-from pdr_graph.earth import EarthField, earth_field
-from pdr_graph.errors import expect
-from pdr_graph.frames import Frame
-from pdr_graph.gait.direction import Direction
-from pdr_graph.gait.forward import forward_axis
-from pdr_graph.gait.gait import Gait, gait_of
-from pdr_graph.geometry import wrap_angle
-from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.magnetometer import TILTED, fit_iron, measured_field
-from pdr_graph.inertial.north import North, magnetic_north
-from pdr_graph.inertial.windows import runs
-from pdr_graph.types import Array, Headings, Index, Mask, Recording
+from pdr_graph.geometry import compose, wrap_angle
+from pdr_graph.inertial.attitude import Attitude, running_mean, runs
+from pdr_graph.types import Array, Complex, Mask
 
-STRETCH = 150.0  # [s] that one heading speaks for: a gyroscope that drifts by 0.002 rad/s is as unsure then
-ABOUT = 2.0  # [s] to either side of it, in which a walker should not turn
-LEAST_STEPS = 24  # in a stretch; a few may be none
-COMPASS_SIGMA = 0.2  # [rad] that stays for a whole walk: the phone's own iron, a building's axis, a plan's
-LEAST_CERTAIN = 0.7  # [rad] of north or of what is ahead; beyond it a heading tells nothing
+BAND = 0.5  # of the step frequency to either side: excludes the stride's (half of it) and one and a half times it
+# The forward acceleration leads the vertical by this: 33–119° in sixteen of eighteen real walks with the phone in hand,
+# 51–106° or half a turn from it with the phone in hand, pocket, bag and swinging arm (docs/accuracy.md)
+LEAD = 1.1  # [rad]
+STEPS_PER_WINDOW = 16
+LEAST_WINDOWS = 3
+LEAST_COHERENCE = 0.3  # of forward and vertical in a typical window; less is no gait, or no carried phone
+GAIT_SIGMA = 0.3  # [rad] of the gait axis about the walking direction: hands sway with their arm
+EYES_SIGMA = 0.17  # [rad] of a read phone's y axis about the walking direction
+UNCONFIRMED = 0.35  # [rad] of the same if the gait does not confirm that the phone is held for reading
+FACING_UP = 0.4  # least mean vertical part of the screen's normal: held for reading
+STEADY = 0.95  # least length of the mean direction relative to the walker; a waved phone has a shorter one
+OPPOSED = 0.6  # [rad] between gait axis and y axis: the phone is not held for reading
 
 
-def magnetic_headings(recording: Recording | list[Gait], frame: Frame, near: Array) -> Headings:
-    """Walking directions where the magnetometer can be believed, and gait or grip tell what is ahead.
-
-    Headings of one walk share most of their error. So that many do not pretend to know it better than one, the shared
-    variance is counted as often as there are headings: all together weigh what one would.
-
-    recording: or what `gait_of` made of it; frame: that of the headings; near: ``(2,)`` where in it the walk was [m],
-    for the World Magnetic Model. Returns none in a frame that is nowhere on earth, or without an accelerometer,
-    gyroscope and magnetometer.
+@dataclass(frozen=True)
+class Forward:
+    """Walking direction relative to the input heading: angle [rad]; sigma: its standard deviation, infinite if
+    unknown.
     """
-    expect("magnetic_headings, recording", recording, Recording, list, instead="load(path)")
-    expect("magnetic_headings, frame", frame, Frame, instead="FloorPlan.frame or frame_of(fixes)")
-    expect("magnetic_headings, near", near, np.ndarray, instead="fixes.position[0]")
-    whole = recording if isinstance(recording, Recording) else recording[0].recording
-    if not frame.georeferenced or None in (whole.accelerometer, whole.gyroscope, whole.magnetometer):
-        return Headings.none()
-    lon, lat = frame.to_lonlat(near[None])[0].tolist()
-    earth = earth_field(lat, lon, whole.epoch)
-    found = [row for gait in gait_of(recording) for row in _uninterrupted_headings(gait, earth)]
-    time, from_east, own, ahead = np.array(found).reshape(-1, 4).T
-    heading = wrap_angle(from_east + frame.bearing_of_east(near))
-    return Headings(time, heading, np.sqrt(own**2 + len(time) * (ahead**2 + COMPASS_SIGMA**2)))
+
+    angle: float
+    sigma: float
+
+    @property
+    def known(self) -> bool:
+        """True if the method determined an angle."""
+        return bool(np.isfinite(self.sigma))
 
 
-def _uninterrupted_headings(gait: Gait, earth: EarthField) -> list[tuple[float, float, float, float]]:
-    """Rows of time, heading from true east, and the sigmas of north and of what is ahead."""
-    attitude, walking, step = gait.attitude, gait.walking, gait.landings.usual_step
-    north = _north(attitude, gait.recording, earth)
-    if not len(north) or len(gait.landings) < LEAST_STEPS:
+UNKNOWN = Forward(0.0, np.inf)
+
+
+def forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
+    """The default: the y axis of a phone that is held for reading, else the axis of the gait.
+
+    If the gait contradicts the y axis, as with a phone held across, the gait decides.
+    """
+    gait, eyes = braking_axis(attitude, heading, walking, step), reading_axis(attitude, heading, walking, step)
+    if not eyes.known or not gait.known:
+        return gait if gait.known else eyes
+    if abs(wrap_angle(gait.angle - eyes.angle)) > OPPOSED:
+        return gait
+    return Forward(eyes.angle, EYES_SIGMA)
+
+
+def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
+    """The phone's y axis if its screen faces up and it is held steadily, for reading. `step` is not used."""
+    if not walking.any():
+        return UNKNOWN
+    held = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
+    if held.apply([0.0, 0.0, 1.0])[:, 2].mean() < FACING_UP:
+        return UNKNOWN
+    along = _level(held.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
+    if abs(along.mean()) < STEADY * np.abs(along).mean():
+        return UNKNOWN
+    return Forward(float(np.angle(along.mean())), UNCONFIRMED)
+
+
+def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
+    """The level direction whose acceleration at the step's frequency leads the vertical's by LEAD.
+
+    No principal component is needed: people sway sideways once in two steps, so that at the step's frequency almost all
+    level motion is forward, and the phase lead distinguishes ahead from back.
+    """
+    level, vertical = at_step_frequency(attitude, heading, step)
+    size = max(1, round(STEPS_PER_WINDOW * step / attitude.period))
+    windows = [
+        slice(k, k + size) for k in range(0, len(level) - size + 1, size) if np.mean(walking[k : k + size]) > 0.9
+    ]
+    if len(windows) < LEAST_WINDOWS:
+        return UNKNOWN
+    pushes = np.array([push(level[w], vertical[w]) for w in windows])
+    mean = pushes.mean()
+    if abs(mean) < LEAST_COHERENCE:
+        return UNKNOWN
+    aside = np.imag(pushes / mean)  # of each window's share, in radians for small angles
+    return Forward(float(np.angle(mean)), float(np.hypot(GAIT_SIGMA, np.std(aside) / np.sqrt(len(windows)))))
+
+
+def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
+    """[gps-dr] Sec. 2: the first principal component of the level acceleration over a short straight walk.
+
+    Its half turn, which the paper does not mention, is resolved by the step pattern of its Sec. 2.2 (after the
+    vertical + → − the forward − → +), by the lead as in `braking_axis`.
+    """
+    if not walking.any():
+        return UNKNOWN
+    level = _acceleration(attitude, heading)[0][walking]
+    level = level - level.mean()
+    doubled = np.mean(level**2)  # the axis of the largest variance, at twice its angle
+    round_ = 1 - np.abs(doubled) / np.mean(np.abs(level) ** 2)  # 1 where no direction has more than another
+    axis = np.exp(0.5j * np.angle(doubled))
+    harmonic, vertical = (signal[walking] for signal in at_step_frequency(attitude, heading, step))
+    ahead = np.real(push(harmonic, vertical) / axis)
+    angle = np.angle(axis * (1 if ahead > 0 else -1))
+    return Forward(float(angle), float(np.hypot(GAIT_SIGMA, round_ * np.pi / 4)))
+
+
+def push(level: Complex, vertical: Complex) -> complex:
+    """Coherence of the level acceleration with the vertical one shifted by LEAD: a vector towards ahead, length 0–1."""
+    ahead = np.real(vertical.conj() * np.exp(-1j * LEAD))
+    return complex(np.mean(level * ahead) / np.sqrt(np.mean(np.abs(level) ** 2) * np.mean(ahead**2) + 1e-12))
+
+
+def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
+    """Level (complex, ahead real) and analytic vertical acceleration at the step frequency, both ``(n,)``. [m/s²]"""
+    level, up = _acceleration(attitude, heading)
+    count = fft.next_fast_len(len(up)) or len(up)
+    ratio = np.fft.fftfreq(count, attitude.period) * step
+    window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / BAND, -1, 1)) ** 2
+
+    def filtered(signal: Complex | Array, response: Array) -> Complex:
+        spectrum = np.asarray(fft.fft(signal - signal.mean(), count))
+        return np.asarray(fft.ifft(response * spectrum))[: len(signal)]
+
+    return filtered(level, window), filtered(up, 2 * window * (ratio > 0))
+
+
+def _acceleration(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
+    """Level (complex, ahead real) and vertical acceleration, both ``(n,)``. [m/s²]"""
+    world = attitude.R_world_device.apply(attitude.acceleration)
+    return _level(world) * np.exp(-1j * heading), world[:, 2]
+
+
+def _level(vectors: Array) -> Complex:
+    """The level part of vectors ``(n, 3)`` as x + iy ``(n,)``; without BLAS, whose threads cost more than they save."""
+    return vectors[:, 0] + 1j * vectors[:, 1]
+
+
+def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -> Array:
+    """Acceleration along the walking direction ``(n,)``. [m/s²]"""
+    return (_acceleration(attitude, heading)[0] * np.exp(-1j * forward.angle)).real
+
+
+TILTING = 0.25  # [rad/s] of the vertical in the device, over a stride: faster than a carried phone tilts
+NEW_TILT = 0.5  # [rad] change of the vertical in the device that makes it a grip change
+FAST, WITHIN = 0.7, 1.0  # [rad] of turn within [s]: a corner, or a wrist
+STEPS_BESIDE = 8  # before and after a turn that determine the forward axis
+CLEAR_CHANGE = 1.1  # [rad] of the forward axis in the device; up to 1.0 on real walks without a grip change
+TURNED = 0.6  # [rad] of the walker by gait, during a grip change; less counts as straight on
+COHERENT = 0.65  # of forward and vertical; with less, a turn of the phone cannot be decided
+LESS_COHERENT = 0.45  # with less, the turn of the walker during it cannot be determined
+
+
+@dataclass(frozen=True)
+class GripChange:
+    """A change of how the phone is held: first, last sample; turn: the walker's own turn meanwhile [rad]."""
+
+    first: int
+    last: int
+    turn: float
+
+
+Spans = list[tuple[int, int]]  # first and last samples
+
+
+def grip_changes(attitude: Attitude, up: Array, heading: Array, step: float) -> list[GripChange]:
+    """All grip changes of a walk.
+
+    up: ``(n, 3)`` vertical in the device, gait removed; heading: ``(n,)`` computed as if there were none [rad].
+    """
+    return confirmed_grip_changes(attitude, heading, step, *possible_grip_changes(up, heading, step, attitude.period))
+
+
+def possible_grip_changes(up: Array, heading: Array, step: float, period: float) -> tuple[Spans, Spans]:
+    """Spans in which the device changes its tilt, and other spans of turns as fast as a wrist's."""
+    tilted = _to_another_tilt(up, step, period)
+    return tilted, [span for span in _fast_turns(heading, period) if not _meets(span, tilted)]
+
+
+def confirmed_grip_changes(
+    attitude: Attitude, heading: Array, step: float, tilted: Spans, fast: Spans
+) -> list[GripChange]:
+    """The grip changes among candidate spans, with the turn of the walker, judged by the steps before and after."""
+    if not tilted and not fast:
         return []
-    rows = []
-    for stretch in _stretches(gait.direction, attitude.time):
-        held, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]
-        if np.sum(here) * attitude.period < LEAST_STEPS * step:
-            continue
-        walked = np.flatnonzero(here)
-        middle = walked[len(walked) // 4 : max(1, len(walked) - len(walked) // 4)]
-        straight = straightest(heading, middle, round(ABOUT / attitude.period))
-        found = course_from_east(held, heading, here, step, north, straight)
-        if found is not None:
-            rows.append((float(held.time[straight]), *found))
-    return rows
+    gait = _StepHarmonic(*at_step_frequency(attitude, heading, step), round(step / attitude.period))
+    found = [GripChange(*span, _of_walker(gait, heading, span)) for span in tilted]
+    return found + [
+        GripChange(*span, _of_walker(gait, heading, span)) for span in fast if _in_hand(gait, heading, span)
+    ]
 
 
-def course_from_east(
-    held: Attitude, heading: Array, walking: Mask, step: float, north: North, sample: int
-) -> tuple[float, float, float] | None:
-    """Where a walker went at a sample, from true east, and the sigmas of north and of what is ahead; None if unsure.
+@dataclass(frozen=True)
+class _StepHarmonic:
+    """Accelerations at the step frequency: level, vertical ``(n,)`` as of `at_step_frequency`; step: its samples."""
 
-    held, heading, walking, step: as of `forward_axis`. [rad]
+    level: Complex
+    vertical: Complex
+    step: int
+
+    def moved(self, first: int, last: int, steps: int, coherent: float) -> float:
+        """Rotation of the forward axis in the device from `steps` before to `steps` after a span; NaN if unclear.
+        [rad]
+        """
+        before, after = slice(max(0, first - steps * self.step), first), slice(last, last + steps * self.step)
+        if first < STEPS_BESIDE * self.step or last + STEPS_BESIDE * self.step > len(self.level):
+            return np.nan
+        ahead = [push(self.level[s], self.vertical[s]) for s in (before, after)]
+        if np.min(np.abs(ahead)) < coherent:
+            return np.nan
+        return float(np.angle(ahead[1] * np.conj(ahead[0])))
+
+
+def _to_another_tilt(up: Array, step: float, period: float) -> Spans:
+    """Spans after which the vertical has another direction in the device."""
+    samples = max(1, round(step / period))
+    found = []
+    for first, after in np.transpose(runs(np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period)).tolist():
+        begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
+        if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > NEW_TILT:
+            found.append((begin, end))
+    return found
+
+
+def _of_walker(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> float:
+    """The walker's turn during a grip change, from the gait before and after; 0 unless the gait shows a turn. [rad]"""
+    turn = float(wrap_angle(heading[span[1]] - heading[span[0]] + gait.moved(*span, 2 * STEPS_BESIDE, LESS_COHERENT)))
+    return turn if abs(turn) > TURNED else 0.0
+
+
+def _fast_turns(heading: Array, period: float) -> Spans:
+    """Spans of turns that a wrist could have made."""
+    samples = max(1, round(WITHIN / period))
+    fast = runs(np.abs(heading[samples:] - heading[:-samples]) > FAST)
+    return [(first, after - 1 + samples) for first, after in np.transpose(fast).tolist()]
+
+
+def _in_hand(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> bool:
+    """True if the forward axis rotates in the device by the angle of the turn: the phone turned, not the walker.
+
+    At a corner the gait may be misread, but seldom by just the angle of the corner.
     """
-    ahead, moment = forward_axis(held, heading, walking, step), float(held.time[sample])
-    sigma = float(np.interp(moment, north.time, north.sigma))
-    if not max(ahead.sigma, sigma) < LEAST_CERTAIN:
-        return None
-    east = np.interp(moment, north.time, north.direction) - np.pi / 2
-    return float(wrap_angle(heading[sample] + ahead.angle - east)), sigma, ahead.sigma
+    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, STEPS_BESIDE, COHERENT)
+    return -moved * np.sign(turned) > CLEAR_CHANGE and abs(turned + moved) < TURNED
 
 
-def straightest(heading: Array, among: Index, reach: int) -> int:
-    """Of some samples that about which the heading turns least: a heading is of one moment."""
-    turned = heading[np.minimum(among + reach, len(heading) - 1)] - heading[np.maximum(among - reach, 0)]
-    return int(among[np.argmin(np.abs(turned))])
+def _meets(one: tuple[int, int], others: Spans) -> bool:
+    return any(one[0] < other[1] and other[0] < one[1] for other in others)
 
 
-def _north(attitude: Attitude, recording: Recording, earth: EarthField) -> North:
-    assert recording.magnetometer is not None, "asked for by magnetic_headings"
-    field = measured_field(recording.magnetometer, attitude.time)
-    up = attitude.R_world_device.inv().apply([0.0, 0.0, 1.0])
-    measured = np.any(field, axis=1)
-    if np.linalg.norm(up.mean(axis=0)) < TILTED and measured.any():
-        iron = fit_iron(field[measured], earth.magnitude)
-        field[measured] = iron.corrected(field[measured]) if iron.known else field[measured]
-    return magnetic_north(attitude, field, earth)
+WINDOW = 2.6  # [s] of the principal components: N = 65 samples at 25 Hz
+GRIP_CHANGE_SIGMA = 0.35  # [rad] of the walker's turn during a grip change
 
 
-def _stretches(direction: Direction, time: Array) -> list[slice]:
-    """Parts of a walk, of equal duration up to STRETCH, in which the phone was not held otherwise."""
-    reheld = np.diff(direction.variance, prepend=direction.variance[0]) > 0
-    stretches = []
-    for first, after in zip(*runs(~reheld), strict=True):
-        count = max(1, int(np.ceil((time[after - 1] - time[first]) / STRETCH)))
-        cuts = np.linspace(first, after, count + 1).round().astype(int).tolist()
-        stretches += [slice(*span) for span in pairwise(cuts)]
-    return stretches
+@dataclass(frozen=True)
+class Direction:
+    """The walking direction over time.
+
+    heading: ``(n,)`` since the first sample, not wrapped [rad].
+    variance: ``(n,)`` cumulative variance of the method's own errors [rad²], never falling; the difference of two is
+        the variance of the turn between them, in addition to the errors of gyroscope and walker.
+    axis: the first sample's heading in the attitude's world, up to half a turn [rad]; None if a method gives turns
+    only.
+    """
+
+    heading: Array
+    variance: Array
+    axis: float | None = None
+
+
+def walking_direction(attitude: Attitude, step: float) -> Direction:
+    """The default: for a phone in any grip, and with grip changes in mid-walk.
+
+    The turn of the phone's attitude, averaged over a stride, is the walker's turn: an elliptic swing changes the
+    integrated rate about gravity by its solid angle (coning), but not the attitude from one stride to the next. Within
+    a stride the rate about gravity is more accurate. During a grip change (`grip_changes`) the phone does not measure
+    the walker, whose turn then comes from the gait, or is 0 ± GRIP_CHANGE_SIGMA.
+    """
+    samples = max(1, round(step / attitude.period))
+    steady = _mean_attitude(attitude.R_world_device, 2 * samples)
+    turned = np.concatenate([[0.0], np.cumsum(compose(steady[1:], steady[:-1].inv()).as_rotvec()[:, 2])])
+    rate_integral = _rate_integral(attitude)
+    coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
+    heading = without_gait(rate_integral, samples) - coning
+    heading -= heading[0]
+    turn, doubt = without_grip_changes(
+        heading, grip_changes(attitude, steady.inv().apply([0.0, 0.0, 1.0]), heading, step)
+    )
+    return Direction(np.cumsum(turn), np.cumsum(doubt))
+
+
+def accumulate_turn(attitude: Attitude, step: float) -> Direction:
+    """The angular rate about gravity, added up: [heading] Sec. 4.3, Eq. (1): θ_i = θ_{i-1} + ω_{z,i} ΔT_i.
+
+    As in the paper it includes the sway of the gait; `step` is not used.
+    """
+    heading = _rate_integral(attitude)
+    return Direction(heading, np.zeros(len(heading)))
+
+
+def acceleration_axis(attitude: Attitude, step: float, window: float = WINDOW, axes: int = 2) -> Direction:
+    """[heading] Sec. 4.1, [gps-dr] Sec. 2: the first principal component of the last seconds' acceleration.
+
+    Its half-turn ambiguity is resolved towards the sample before, so that one wrong side persists. It lags by half the
+    window; `step` is not used.
+
+    window [s]; axes: 2 for level components, as [gps-dr] has it and the figure of [heading] draws it; 3 as the text of
+    [heading] says, where the first component of most walks is their bounce.
+    """
+    samples = attitude.R_world_device.apply(attitude.acceleration)
+    return _principal(samples[:, :axes], 0, round(window / attitude.period))
+
+
+def angular_rate_axis(attitude: Attitude, step: float, window: float = WINDOW, axes: int = 2) -> Direction:
+    """[heading] Sec. 4.2: the second principal component of the last seconds' angular rate; as `acceleration_axis`."""
+    assert attitude.angular_rate is not None, "there is a gyroscope"
+    samples = attitude.R_world_device.apply(attitude.angular_rate)
+    return _principal(samples[:, :axes], 1, round(window / attitude.period))
+
+
+def without_gait(heading: Array, samples_per_step: int) -> Array:
+    """Heading without most of the sway of the gait, which the paper names as accumulation's defect.
+
+    A centred mean over one step does not lag. The remaining sway alternates from step to step and does not accumulate;
+    a mean over a whole stride would remove it too, but would cut the corners of real turns.
+    """
+    return uniform_filter1d(heading, max(1, samples_per_step), mode="nearest")
+
+
+def _principal(samples: Array, component: int, window: int) -> Direction:
+    """The horizontal direction of a principal component of trailing windows of samples ``(n, 2 or 3)``."""
+    axes, window = samples.shape[1], max(2, min(window, len(samples)))
+    products = np.einsum("ni,nj->nij", samples, samples).reshape(-1, axes**2)
+    mean, square = _trailing_mean(samples, window), _trailing_mean(products, window)
+    covariance = square.reshape(-1, axes, axes) - np.einsum("ni,nj->nij", mean, mean)
+    axis = np.linalg.eigh(covariance)[1][:, :, axes - 1 - component]
+    course = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]), period=np.pi)
+    return Direction(course - course[0], np.zeros(len(course)), float(course[0]))
+
+
+def _trailing_mean(values: Array, window: int) -> Array:
+    """Means ``(n, k)`` of the last ``window`` samples; the first window's mean before it is full."""
+    full = running_mean(values, window)
+    return np.concatenate([np.repeat(full[:1], window - 1, axis=0), full])
+
+
+def _rate_integral(attitude: Attitude) -> Array:
+    assert attitude.angular_rate is not None, "there is a gyroscope"
+    rate_z = attitude.R_world_device.apply(attitude.angular_rate)[:, 2]
+    turned = np.cumsum(rate_z) * attitude.period
+    return turned - turned[0]
+
+
+def _mean_attitude(attitude: Rotation, samples: int) -> Rotation:
+    """Attitudes averaged over a window of samples: means of their quaternions, for swings of less than 90°."""
+    quaternion = attitude.as_quat()
+    turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
+    quaternion[1:] *= turned_round[:, None]
+    return Rotation.from_quat(uniform_filter1d(quaternion, samples, axis=0, mode="nearest"))
+
+
+def without_grip_changes(heading: Array, changes: list[GripChange]) -> tuple[Array, Array]:
+    """The walker's turn since the previous sample ``(n,)`` [rad], and its variance ``(n,)`` [rad²]."""
+    turn, doubt = np.diff(heading, prepend=heading[:1]), np.zeros(len(heading))
+    for change in changes:
+        during = slice(change.first + 1, change.last + 1)
+        count = change.last - change.first
+        turn[during] = change.turn / count
+        doubt[during] = GRIP_CHANGE_SIGMA**2 / count
+    return turn, doubt

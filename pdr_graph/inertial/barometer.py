@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from pdr_graph.inertial.windows import runs
+from pdr_graph.inertial.attitude import runs
 from pdr_graph.types import Array, Index, Mask, Signal
 
 # R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C. [m]

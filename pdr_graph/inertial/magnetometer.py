@@ -1,15 +1,22 @@
-"""The magnetometer: its calibration, and two tests of whether it tells north."""
+"""The magnetometer: calibration, two tests of its field, and a filter for the direction of north.
+
+`magnetic_north` is the Kalman filter of gyroscope and magnetometer of [gps-dr] Sec. 3. The live field and the phone's
+own iron are estimated as the samples arrive.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import sqrt
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
+from pdr_graph.frames import EarthField
 from pdr_graph.geometry import interpolate, nearest
-from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.samples import LONGEST_BRIDGED
+from pdr_graph.inertial.attitude import LONGEST_BRIDGED, Attitude
+from pdr_graph.inertial.attitude_stream import SensorStream
 from pdr_graph.types import Array, Signal
 
 SMOOTHING = 0.5  # [s] of the Gaussian over the field's noise and the gait
@@ -144,3 +151,139 @@ def _symmetric(upper: Array) -> Array:
     matrix = np.zeros((3, 3))
     matrix[UPPER] = upper
     return matrix + np.triu(matrix, 1).T
+
+
+NORTH_INTERVAL = 1.0  # [s] between observations
+GYRO_WANDER = 0.004  # [rad] per root second: of the attitude's heading, bias removed
+UNDISTURBED = 0.12  # [rad] by which a field that passes both tests may still point elsewhere
+ALIKE_FOR = 2.5  # [s] a walker sees the same disturbance: about three metres
+DISTURBED = 0.35  # [rad] of an error in either test: such an observation is left out
+WEAKEST = 0.3  # of the earth's level field: less points anywhere, and a dead sensor's nowhere
+HUBER = 2.0  # [σ] beyond which an observation is held to be no further off
+HONEST_SHARE = 0.3  # of the observations that must pass; otherwise nothing is believed of the others either
+
+
+@dataclass(frozen=True)
+class North:
+    """True north over time.
+
+    time: ``(m,)`` [s]; direction: ``(m,)`` of true north in the attitude's world, counter-clockwise from x, not wrapped
+    [rad]; sigma: ``(m,)`` [rad]. Empty where the magnetometer tells nothing.
+    """
+
+    time: Array
+    direction: Array
+    sigma: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North:
+    """North by the heading filter of [gps-dr] Sec. 3, run both ways.
+
+    The paper filters the heading itself, driven by the gyroscope; in the attitude's world, which the gyroscope holds,
+    that is a filter of a constant direction. Both validity scores set the observation's variance: a disturbance that
+    tilts the field by so much turns it by as much over the cosine of the dip. The paper lets them set the process's
+    variance too; a field that turns against the gyroscope is on real walks the building's (its turn rate against the
+    gyroscope's has a spread of ±70°/min), so that the process has the gyroscope's own.
+
+    field: ``(n, 3)`` in device axes, hard and soft iron removed [µT].
+    """
+    every = max(1, round(NORTH_INTERVAL / attitude.period))
+    world = field_in_world(attitude, field)
+    scores = np.stack([dip_error(world, earth.dip), prediction_error(world, attitude.period)])[:, ::every]
+    world, time = world[::every], attitude.time[::every]
+    level = np.hypot(world[:, 0], world[:, 1])
+    valid = np.all(scores < DISTURBED, axis=0) & (level > WEAKEST * earth.magnitude * np.cos(earth.dip))
+    if np.mean(valid) < HONEST_SHARE:
+        return North(np.empty(0), np.empty(0), np.empty(0))
+    seen = np.arctan2(world[:, 1], world[:, 0]) + earth.declination
+    variance = UNDISTURBED**2 + np.sum(scores**2, axis=0) / np.cos(earth.dip) ** 2
+    variance = np.where(valid, variance * (1 + 2 * ALIKE_FOR / NORTH_INTERVAL), np.inf)
+    return North(time, *_smoothed(*_filtered(seen, variance)))
+
+
+def _filtered(seen: Array, variance: Array) -> tuple[Array, Array]:
+    """State and variance ``(n,)`` after each observation [rad, rad²]; before the first valid one they are its own."""
+    first = int(np.argmin(np.isinf(variance)))
+    state, doubt = float(seen[first]), float(variance[first])
+    states, doubts = np.full(len(seen), state), np.full(len(seen), doubt)
+    doubts[:first] += GYRO_WANDER**2 * NORTH_INTERVAL * np.arange(first, 0, -1)
+    for k, (one, spread) in enumerate(zip(seen[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True)):
+        doubt += GYRO_WANDER**2 * NORTH_INTERVAL
+        gain = doubt / (doubt + spread)
+        surprise = (one - state + np.pi) % (2 * np.pi) - np.pi
+        widest = HUBER * sqrt(doubt + spread)
+        state += gain * min(max(surprise, -widest), widest)
+        doubt *= 1 - gain
+        states[first + 1 + k], doubts[first + 1 + k] = state, doubt
+    return states, doubts
+
+
+def _smoothed(state: Array, variance: Array) -> tuple[Array, Array]:
+    """State and standard deviation ``(n,)`` given all observations: Rauch, Tung and Striebel's backward pass."""
+    state, variance = state.copy(), variance.copy()
+    for k in range(len(state) - 2, -1, -1):
+        predicted = variance[k] + GYRO_WANDER**2 * NORTH_INTERVAL
+        gain = variance[k] / predicted
+        state[k] += gain * (state[k + 1] - state[k])
+        variance[k] += gain**2 * (variance[k + 1] - predicted)
+    return state, np.sqrt(variance)
+
+
+PACKETS, KEPT = 20, 60.0  # that wait to be looked at, and [s] of samples that are kept for who asks late
+LONGEST_APART = 120.0  # [s] between the latest sample and what is asked for
+SAMPLES, IRON_INTERVAL = 600, 0.5  # the last ones that tell of iron, and [s] between them
+ROUNDS = 3  # of the fit each time, which goes on from where it was
+
+
+@dataclass
+class MagnetometerStream:
+    """What a magnetometer measured in the last minute.
+
+    some, up: ``(n, 3)`` some samples in the device [µT], and the vertical in it; iron: rows of hard, soft and sigma,
+    once there is a fit.
+    """
+
+    stream: SensorStream = field(default_factory=SensorStream)
+    some: Array = field(default_factory=lambda: np.empty((0, 3)))
+    up: Array = field(default_factory=lambda: np.empty((0, 3)))
+    iron: Array = field(default_factory=lambda: np.empty((0, 3)))
+
+    def push(self, time: Array, values: Array) -> None:
+        """Samples at times ``(n,)`` [s], as of `Signal`."""
+        self.stream.push(time, values)
+        if len(self.stream.arrived) >= PACKETS:
+            self.ingest()
+
+    def ingest(self) -> None:
+        """Look at what was pushed."""
+        self.stream.ingest(self.stream.offset)
+        self.stream.forget(self.stream.last - KEPT)
+
+    def at(self, time: Array, R_world_device: Rotation) -> Array:
+        """The field ``(n, 3)`` in device axes at the next times ``(n,)``, evenly spaced; 0 where there is none. [µT]"""
+        self.ingest()
+        if not len(self.stream.time) or not len(time):
+            return np.zeros((len(time), 3))
+        if abs(self.stream.last - time[-1]) > LONGEST_APART:  # it stopped, or what came first had a wild time
+            self.stream = SensorStream()
+            return np.zeros((len(time), 3))
+        field = measured_field(Signal(self.stream.time, self.stream.values), time)
+        few = max(1, round(IRON_INTERVAL * len(time) / (time[-1] - time[0] + 1e-9)))
+        up = R_world_device.inv().apply([0.0, 0.0, 1.0])
+        some = np.flatnonzero(np.any(field, axis=1))[::few]
+        self.some = np.concatenate([self.some, field[some]])[-SAMPLES:]
+        self.up = np.concatenate([self.up, up[some]])[-SAMPLES:]
+        return field
+
+    def without_iron(self, field: Array, magnitude: float) -> Array:
+        """The field ``(n, 3)`` around the phone of a measured one, where its tilt has told of iron. [µT]"""
+        if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= TILTED:
+            return field
+        iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else unknown_iron(self.some)
+        for _ in range(ROUNDS):
+            iron = refined(iron, self.some, magnitude)
+        self.iron = np.vstack([iron.hard, iron.soft, iron.sigma])
+        return np.where(np.any(field, axis=1)[:, None], iron.corrected(field), 0.0) if iron.known else field

@@ -1,4 +1,4 @@
-"""Recorders in, trajectories out: one format, one file."""
+"""Readers of recordings and writers of trajectories: one module per format."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ READERS = (
 
 
 def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
-    """A recording of any supported recorder, recognised by its content: a file, a folder or a zip.
+    """The recording in a file, a folder or a zip of any supported recorder, recognised by its content.
 
-    gnss_latency: time by which the receiver's positions lag behind its other sensors [s]; phones have 0–3.
+    gnss_latency: time by which receiver positions lag behind the other sensors [s]; 0–3 on phones.
 
-    Raises InputError if nothing can read it, with the place and what was needed.
+    Raises InputError, with the place and what was expected, if no reader recognises it or it is damaged.
     """
     expect("load, path", path, str, Path)
     source = Source(Path(path))
@@ -47,11 +47,11 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
             walk = reader.read(source)
             return replace(walk, fixes=replace(walk.fixes, time=walk.fixes.time - gnss_latency))
     formats = ", ".join(reader.NAME for reader in READERS)
-    raise InputError(path, "", _found(source), f"a recording of a supported recorder: {formats}")
+    raise InputError(path, "", _content(source), f"a recording of a supported recorder: {formats}")
 
 
-def _found(source: Source) -> str:
-    """What is there instead."""
+def _content(source: Source) -> str:
+    """What the source contains, for a message."""
     if source.single is None:
         return f"{len(source.names)} files, {', '.join(source.names[:3])[:60]}" if source.names else "an empty folder"
     head = source.head(source.single, 24)

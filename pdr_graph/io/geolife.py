@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_graph.io.columns import Rows
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GeoLife"
@@ -25,14 +24,14 @@ def read(source: Source) -> Recording:
     """Read one trajectory as a recording of fixes alone."""
     notes: list[str] = []
     fixes = read_fixes(source, notes)
-    return admit(str(source.path), source.path.stem, {}, 0.0, fixes, notes=notes)
+    return build_recording(str(source.path), source.path.stem, {}, 0.0, fixes, notes=notes)
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
     """Positions at Unix times. The format has no accuracy."""
     name = source.single or ""
     lines = source.text(name).rstrip().split("\n")[HEADER_LINES:]
-    rows = Rows(source.where(name), lines, range(HEADER_LINES + 1, HEADER_LINES + 1 + len(lines)))
+    rows = TextRows(source.where(name), lines, range(HEADER_LINES + 1, HEADER_LINES + 1 + len(lines)))
     lat, lon, days = rows.floats((0, 1, 4)).T
     time: Array = np.round(days * DAY + EPOCH_1899)  # written to the second; the days' digits are not
     return receiver_fixes(np.column_stack([time, lat, lon, np.full(len(time), np.nan)]), notes, "GeoLife")

@@ -4,7 +4,7 @@ One text file: ``%`` comments, then ``TAG;AppTimestamp;SensorTimestamp;…``. Ap
 and is common to all sensors, but it says when the app got a sample, not when it was taken; SensorTimestamp [s] says
 that, in a clock of its own (since boot; GNSS: Unix). Samples are therefore timed by the sensor and laid on the app's
 clock as a whole. The xDR dialect has the accelerometer in g, which the door tells by its size. A competition's server
-may separate the cells by commas or tabs instead. ``online.rows`` reads the same rows while they come.
+may separate the cells by commas or tabs instead. ``evaal.row_stream`` reads the same rows while they come.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from pdr_graph.io.columns import Rows
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import receiver_fixes, surveyed
+from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, receiver_fixes, surveyed
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Sightings, Trajectory
 
 NAME = "GetSensorData (IPIN, xDR)"
@@ -26,8 +25,8 @@ SENSORS = {"ACCE": "accelerometer", "GYRO": "gyroscope", "MAGN": "magnetometer",
 TAGS = (*SENSORS, "GNSS", "POSI", "BLE4", "WIFI")
 SEPARATORS = (";", ",", "\t")
 FIRST_ROW = re.compile(rb"^(?:" + "|".join(TAGS).encode() + rb")([;,\t])\s*-?[0-9.]+\1", re.MULTILINE)
-LARGEST_WANDER = 1.0  # [s] between the clocks of app and sensor; 0.35 s was seen
-UNIX = 1e9  # [s] a larger time is a Unix time: later than 2001
+LARGEST_WANDER = 1.0  # [s] between the clocks of app and sensor; up to 0.35 s on real logs
+UNIX = 1e9  # [s]; a larger time is a Unix time after 2001
 MINOR = 3  # of the fields after a beacon's address: rssi, power, major, minor
 MAC = re.compile(r"(?:[0-9A-Fa-f]{2}[:-]){5}[0-9A-Fa-f]{2}")
 
@@ -48,7 +47,7 @@ def read(source: Source) -> Recording:
     notes: list[str] = []
     tables = {sensor: _sensor(tag, rows[tag], notes) for tag, sensor in SENSORS.items() if tag in rows}
     fixes, unix_zero = _gnss(rows.get("GNSS"), notes)
-    return admit(
+    return build_recording(
         source.where(name),
         PurePosixPath(name).name,
         tables,
@@ -61,8 +60,8 @@ def read(source: Source) -> Recording:
     )
 
 
-def rows_by_tag(where: str, lines: Sequence[str]) -> dict[str, Rows]:
-    """The rows that are used, with their line numbers."""
+def rows_by_tag(where: str, lines: Sequence[str]) -> dict[str, TextRows]:
+    """The rows of each known tag, with their line numbers."""
     found: dict[str, list[str]] = {tag: [] for tag in TAGS}
     numbers: dict[str, list[int]] = {tag: [] for tag in TAGS}
     for number, line in enumerate(lines, start=1):
@@ -70,26 +69,28 @@ def rows_by_tag(where: str, lines: Sequence[str]) -> dict[str, Rows]:
         if tag in found and separator in SEPARATORS:
             found[tag].append(line if separator == ";" else line.replace(separator, ";"))
             numbers[tag].append(number)
-    return {tag: Rows(where, found[tag], numbers[tag], ";") for tag in TAGS if found[tag]}
+    return {tag: TextRows(where, found[tag], numbers[tag], ";") for tag in TAGS if found[tag]}
 
 
-def samples(tag: str, rows: Rows) -> Array:
-    """The app's time [s], the sensor's [s] and the values of each row of one sensor."""
+def samples(tag: str, rows: TextRows) -> Array:
+    """Columns ``(n, 2 + k)`` of one sensor: the app's time [s], the sensor's time [s] and the values."""
     return rows.floats(range(1, 4 if tag == "PRES" else 6))
 
 
-def epochs(rows: Rows) -> Array:
-    """The app's time [s], the receiver's [s], latitude, longitude [deg], accuracy [m] and satellites of GNSS rows."""
+def epochs(rows: TextRows) -> Array:
+    """Columns ``(n, 6)`` of GNSS rows: app time, receiver time [s], latitude, longitude [deg], accuracy [m],
+    satellites.
+    """
     return rows.floats((1, 2, 3, 4, 7, 10))
 
 
 def fixes_of(epochs: Array, notes: list[str]) -> Fixes:
-    """Fixes on the app's clock of rows of `epochs`, each epoch once."""
+    """Fixes on the app's clock from rows of `epochs`, without duplicate epochs."""
     return receiver_fixes(epochs[:, [0, 2, 3, 4]], notes, satellites=epochs[:, 5])
 
 
-def sightings(rows: Rows) -> Sightings:
-    """Who was heard, by MAC, and how loud. Network names may hold anything, the delimiter too."""
+def sightings(rows: TextRows) -> Sightings:
+    """Receptions by MAC address. The address is searched for: network names may contain the delimiter."""
     beacons = rows.lines[0].startswith("BLE4")
     heard: list[tuple[float, str, float, str]] = []
     for line in rows.lines:
@@ -105,25 +106,25 @@ def sightings(rows: Rows) -> Sightings:
     return Sightings(time, tuple(row[1] for row in heard), level, tuple(row[3] for row in heard))
 
 
-def _heard(rows: Rows | None) -> Sightings | None:
+def _heard(rows: TextRows | None) -> Sightings | None:
     return None if rows is None else sightings(rows)
 
 
-def _sensor(tag: str, rows: Rows, notes: list[str]) -> Array:
-    """Time on the app's clock and values of one sensor."""
+def _sensor(tag: str, rows: TextRows, notes: list[str]) -> Array:
+    """Columns ``(n, 1 + k)`` of one sensor: time on the app's clock [s] and values."""
     table = samples(tag, rows)
     app, sensor = table[:, 0], table[:, 1]
     lag = (app - sensor)[np.isfinite(app - sensor)]
     usual = float(np.median(lag)) if len(lag) else 0.0
     wander = float(np.percentile(np.abs(lag - usual), 99)) if len(lag) else 0.0
     if wander > LARGEST_WANDER:
-        notes.append(f"{SENSORS[tag]}: its clock and the app's part by {wander:.2f} s; the app's was used")
+        notes.append(f"{SENSORS[tag]}: its clock and the app's differ by {wander:.2f} s; the app's clock is used")
         return np.delete(table, 1, axis=1)
     return np.column_stack([sensor + usual, table[:, 2:]])
 
 
-def _gnss(rows: Rows | None, notes: list[str]) -> tuple[Fixes | None, float | None]:
-    """Fixes on the app's clock, and the Unix time of its zero. Every epoch is written twice: once counts."""
+def _gnss(rows: TextRows | None, notes: list[str]) -> tuple[Fixes | None, float | None]:
+    """Fixes on the app's clock, and the Unix time of its zero [s]. The app writes every epoch twice: one is used."""
     if rows is None:
         return None, None
     table = epochs(rows)
@@ -131,12 +132,12 @@ def _gnss(rows: Rows | None, notes: list[str]) -> tuple[Fixes | None, float | No
     _, first = np.unique(sensor, return_index=True)
     first = np.sort(first)
     if len(first) < len(app):
-        notes.append(f"GNSS: {len(app) - len(first)} repeats of an epoch were left out")
+        notes.append(f"GNSS: {len(app) - len(first)} duplicate epochs were left out")
     unix = (sensor > UNIX) & np.isfinite(app)
     return fixes_of(table[first], notes), float(np.median((sensor - app)[unix])) if unix.any() else None
 
 
-def _landmarks(rows: Rows | None) -> Trajectory | None:
+def _landmarks(rows: TextRows | None) -> Trajectory | None:
     if rows is None:
         return None
     table = rows.floats((1, 3, 4))

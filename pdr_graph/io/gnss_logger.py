@@ -11,10 +11,9 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.columns import Rows, Table
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io.delimited import Table, TextRows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GnssLogger"
@@ -46,7 +45,7 @@ def read(source: Source) -> Recording:
         if there is not None:
             sensors[sensor] = _sensor(tables[there])
     fixes = _fixes(tables["Fix"], notes) if "Fix" in tables else None
-    return admit(source.where(name), PurePosixPath(name).name, sensors, 0.0, fixes, notes=notes)
+    return build_recording(source.where(name), PurePosixPath(name).name, sensors, 0.0, fixes, notes=notes)
 
 
 def _tables(where: str, text: str) -> dict[str, Table]:
@@ -66,7 +65,7 @@ def _tables(where: str, text: str) -> dict[str, Table]:
     if nameless:
         found = f"{nameless[0]} rows of which no header comment names the columns"
         raise InputError(where, f"line {numbers[nameless[0]][0]}", found, f"a comment '# {nameless[0]},…' above")
-    return {k: Table(headers[k], Rows(where, lines[k], numbers[k])) for k in KINDS if lines[k]}
+    return {k: Table(headers[k], TextRows(where, lines[k], numbers[k])) for k in KINDS if lines[k]}
 
 
 def _sensor(table: Table) -> Array:

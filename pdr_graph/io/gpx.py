@@ -17,9 +17,8 @@ from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import receiver_fixes
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording, Trajectory
 
 NAME = "GPX"
@@ -40,7 +39,7 @@ def read(source: Source) -> Recording:
     """Read a track as a recording of fixes alone."""
     notes: list[str] = []
     fixes = read_fixes(source, notes)
-    return admit(str(source.path), PurePosixPath(source.single or "").stem, {}, 0.0, fixes, notes=notes)
+    return build_recording(str(source.path), PurePosixPath(source.single or "").stem, {}, 0.0, fixes, notes=notes)
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:

@@ -12,10 +12,9 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.columns import Rows
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import surveyed
+from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, surveyed
 from pdr_graph.types import Array, Recording, Sightings, Trajectory
 
 NAME = "Indoor Location Competition 2.0"
@@ -47,7 +46,7 @@ def read(source: Source) -> Recording:
     tables = {sensor: _table(kind, rows[kind]) for kind, sensor in SENSORS.items() if len(rows[kind])}
     if not {"accelerometer", "gyroscope"} & set(tables):
         raise InputError(where, "", "no accelerometer and no gyroscope rows", "the rows of an inertial sensor")
-    return admit(
+    return build_recording(
         where,
         PurePosixPath(name).name,
         tables,
@@ -63,12 +62,12 @@ def _complete(where: str, lines: list[str]) -> list[str]:
     """The lines of a file that was not cut off."""
     last = next((n for n in range(len(lines) - 1, -1, -1) if lines[n].strip()), 0)
     if not lines[last].startswith("#\tendTime:"):
-        found, needed = repr(lines[last][:40]), "a closing '# endTime' line: the file is cut off"
-        raise InputError(where, f"line {last + 1}, the last", found, needed)
+        found, expected = repr(lines[last][:40]), "a closing '# endTime' line: the file is cut off"
+        raise InputError(where, f"line {last + 1}, the last", found, expected)
     return lines
 
 
-def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, Rows], list[str]]:
+def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, TextRows], list[str]]:
     """The rows that are used, with their line numbers; and a note on lines that are no rows."""
     kept: dict[str, list[str]] = {kind: [] for kind in KINDS}
     numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
@@ -83,10 +82,10 @@ def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, Rows], list[s
         elif line and line[0] != "#" and not kind.startswith("TYPE_"):
             strangers.append(number)
     notes = [f"{len(strangers)} lines are no rows (the first: line {strangers[0]})"] if strangers else []
-    return {kind: Rows(where, kept[kind], numbers[kind], "\t") for kind in KINDS}, notes
+    return {kind: TextRows(where, kept[kind], numbers[kind], "\t") for kind in KINDS}, notes
 
 
-def _table(kind: str, rows: Rows) -> Array:
+def _table(kind: str, rows: TextRows) -> Array:
     """Unix time [s] and values of one kind of row; finite and in time order, or the file was damaged."""
     table = rows.floats((0, *range(2, 4 if kind == WAYPOINT else 5)), cut_off_allowed=False)
     bad = ~np.isfinite(table).all(axis=1)
@@ -98,13 +97,13 @@ def _table(kind: str, rows: Rows) -> Array:
     if len(back):
         place = f"line {rows.numbers[back[0] + 1]}"
         found = f"a {kind} row {(table[back[0], 0] - table[back[0] + 1, 0]) / 1000:.3f} s before the one above it"
-        needed = "the rows of one sensor in time order: the file was shuffled or damaged"
-        raise InputError(rows.where, place, found, needed)
+        expected = "the rows of one sensor in time order: the file was shuffled or damaged"
+        raise InputError(rows.where, place, found, expected)
     table[:, 0] /= 1000
     return table
 
 
-def _sightings(rows: Rows, transmitter: int, rssi: int, heard: int | None = None) -> Sightings | None:
+def _sightings(rows: TextRows, transmitter: int, rssi: int, heard: int | None = None) -> Sightings | None:
     """Who was heard when and how loud; rows that do not say are left out.
 
     heard: the column of when that was [ms], where rows say again what was heard up to minutes before: once is enough.

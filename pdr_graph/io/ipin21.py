@@ -11,10 +11,9 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.columns import Rows
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import surveyed
+from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, surveyed
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "IPIN21Data"
@@ -45,7 +44,7 @@ def read(source: Source) -> Recording:
     if track is not None:
         rows = _numbers(source.where(track), source.text(track), 3)
         truth = surveyed(rows[:, 0], rows[:, 1:3], epsg=EPSG)
-    return admit(str(source.path), source.path.stem, tables, 0.0, truth=truth, notes=notes)
+    return build_recording(str(source.path), source.path.stem, tables, 0.0, truth=truth, notes=notes)
 
 
 def is_fixes(head: bytes) -> bool:
@@ -73,5 +72,5 @@ def _numbers(where: str, text: str, values: int) -> Array:
     numbers = [n for n, line in enumerate(lines, start=1) if line and not line.isspace()]
     first = lines[numbers[0] - 1] if numbers else ""
     delimiter = next((d for d in "\t, " if d in first), " ")
-    rows = Rows(where, [lines[n - 1] for n in numbers], numbers, delimiter)
+    rows = TextRows(where, [lines[n - 1] for n in numbers], numbers, delimiter)
     return rows.floats(range(1 + values)) * ([0.001] + values * [1.0])

@@ -10,9 +10,9 @@ import re
 
 import numpy as np
 
-from pdr_graph.io.columns import Rows
-from pdr_graph.io.door import admit
+from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording
 from pdr_graph.types import Recording
 
 NAME = "Oxford step counter"
@@ -32,11 +32,11 @@ def read(source: Source) -> Recording:
     name = _accelerometer(source) or ""
     first = 2 if WITH_ACCURACY.match(source.head(name)) else 1
     lines = source.text(name).rstrip().split("\n")
-    rows = Rows(source.where(name), lines, range(1, len(lines) + 1)).floats((0, first, first + 1, first + 2))
+    rows = TextRows(source.where(name), lines, range(1, len(lines) + 1)).floats((0, first, first + 1, first + 2))
     settled = np.cumsum(np.any(rows[:, 1:] != 0, axis=1)) > 0
     rows = rows[settled] * (1e-9, 1, 1, 1)
     notes = [f"accelerometer: {int((~settled).sum())} first rows of zeros were left out"] if not settled.all() else []
-    return admit(source.where(name), source.path.stem, {"accelerometer": rows}, None, notes=notes)
+    return build_recording(source.where(name), source.path.stem, {"accelerometer": rows}, None, notes=notes)
 
 
 def _accelerometer(source: Source) -> str | None:

@@ -15,11 +15,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io import columns
-from pdr_graph.io.columns import Table
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io import delimited
+from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "phyphox"
@@ -44,7 +43,7 @@ def read(source: Source) -> Recording:
     tables: dict[str, Array] = {}
     fixes: Fixes | None = None
     for name in _tables_named(source):
-        table = columns.table(source.where(name), source.text(name))
+        table = delimited.table(source.where(name), source.text(name))
         for sensor, chosen in _sensors(name, table).items():
             if sensor in tables or (sensor == "location" and fixes is not None):
                 notes.append(f"{sensor}: {PurePosixPath(name).name} has it again and was left out")
@@ -58,7 +57,7 @@ def read(source: Source) -> Recording:
                 fixes = receiver_fixes(np.column_stack([values, unknown]), notes)
             else:
                 tables[sensor] = values
-    return admit(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
+    return build_recording(str(source.path), source.path.stem, tables, 0.0 if clock.unix else None, fixes, notes=notes)
 
 
 def _tables_named(source: Source) -> Iterator[str]:
@@ -94,7 +93,7 @@ def _clock(source: Source) -> Clock:
     name = source.named("time.csv")
     if name is None:
         return Clock(np.zeros(1), np.zeros(1), unix=False)
-    events = columns.table(source.where(name), source.text(name))
+    events = delimited.table(source.where(name), source.text(name))
     table = events.rows.floats((1, 2))
     words = events.rows.words(0)[: len(table)]
     starts = table[[word.upper() == "START" for word in words]]

@@ -13,11 +13,10 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from pdr_graph.geometry import interpolate
-from pdr_graph.io import columns
-from pdr_graph.io.columns import Table
-from pdr_graph.io.door import admit
-from pdr_graph.io.positions import receiver_fixes
+from pdr_graph.io import delimited
+from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
+from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.types import Array, Fixes, Recording, Sightings
 
 NAME = "Sensor Logger"
@@ -47,7 +46,7 @@ def read(source: Source) -> Recording:
             tables[sensor] = table
     if (table := _samples(source, "Barometer.csv", values=("pressure",))) is not None:
         tables["barometer"] = table
-    return admit(
+    return build_recording(
         str(source.path),
         source.path.stem,
         tables,
@@ -102,7 +101,7 @@ def _metadata(source: Source) -> dict[str, str]:
     name = source.named("Metadata.csv")
     if name is None:
         return {}
-    table = columns.table(source.where(name), source.text(name))
+    table = delimited.table(source.where(name), source.text(name))
     return {key.lower(): (table.rows.words(k) or [""])[0] for k, key in enumerate(table.header)}
 
 
@@ -111,7 +110,7 @@ def _table(source: Source, *files: str) -> Table | None:
     for file in files:
         name = source.named(file)
         if name is not None and source.head(name, 1):
-            table = columns.table(source.where(name), source.text(name))
+            table = delimited.table(source.where(name), source.text(name))
             if len(table.rows):
                 return table
     return None

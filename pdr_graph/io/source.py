@@ -1,7 +1,7 @@
-"""The files of a recording: one file, a folder's, or a zip's. Nothing is ever unpacked to disk.
+"""The files of a recording: one file, a folder or a zip. Nothing is unpacked to disk.
 
-Files are untrusted. Archives are read member by member, up to a limit that counts what comes out, whatever their
-directory claims; members that point elsewhere are refused by name.
+Files are untrusted. Archives are read member by member up to a limit on the unpacked bytes, whatever their directory
+claims; members whose names lead outside the archive are refused.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from pdr_graph.errors import InputError
 MOST_FILES = 1000
 MOST_MEGABYTES = 1000  # of text in one recording: a day at 100 Hz of three sensors; PDR_GRAPH_MAX_MB raises it
 DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, RuntimeError, ValueError, OverflowError)
-DEEPEST = 3  # folders below the one given
+DEEPEST = 3  # levels of folders that are searched
 CLUTTER = ("__MACOSX", ".DS_Store", "Thumbs.db")
 
 
 class Source:
     """The named files of a recording.
 
-    path: what the user gave; names: of the files in it, with ``/`` between folders, a common top folder left out.
+    path: the user's argument; names: of the files in it, with ``/`` between folders, without a common top folder.
     """
 
     def __init__(self, path: Path):
-        """Raises InputError if there is nothing, or an archive that is damaged or hostile."""
+        """Raises InputError if the path does not exist, or is a damaged or hostile archive."""
         self.path = path
         self._limit = self._left = _limit()
         if not path.exists():
@@ -49,33 +49,33 @@ class Source:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All files, in order of name."""
+        """The names of all files, sorted."""
         return tuple(sorted(self._entries))
 
     @property
     def single(self) -> str | None:
-        """The name of the only file, None if there are several."""
+        """The name of the only file; None if there are several."""
         return self.names[0] if len(self._entries) == 1 else None
 
     def where(self, name: str) -> str:
-        """How a message names one of the files."""
+        """The name of a file for messages."""
         return str(self.path) if self._zip is None and self.path.is_file() else f"{self.path}/{name}"
 
     def named(self, *names: str) -> str | None:
-        """The first file with one of these names, in whatever folder and case, None if there is none.
+        """The first file with one of these names, in any folder and case; None if there is none.
 
-        Raises InputError if a name is there twice: two recordings were packed together.
+        Raises InputError if a name occurs twice: two recordings were packed together.
         """
-        for wanted in names:
-            found = [n for n in self.names if PurePosixPath(n).name.lower() == wanted.lower()]
-            if len(found) > 1:
-                raise InputError(self.path, "", f"two files {found[0]} and {found[1]}", "one recording at a time")
-            if found:
-                return found[0]
+        for name in names:
+            matches = [n for n in self.names if PurePosixPath(n).name.lower() == name.lower()]
+            if len(matches) > 1:
+                raise InputError(self.path, "", f"two files {matches[0]} and {matches[1]}", "one recording at a time")
+            if matches:
+                return matches[0]
         return None
 
     def head(self, name: str, size: int = 4096) -> bytes:
-        """The first bytes of a file."""
+        """The first `size` bytes of a file."""
         return self._read(name, size)[:size]
 
     def text(self, name: str, errors: str = "strict") -> str:
@@ -84,7 +84,9 @@ class Source:
         self._left -= len(data)
         if self._left < 0:
             found = f"more than {self._limit // 10**6} MB of files"
-            raise InputError(self.where(name), "", found, "less (the environment variable PDR_GRAPH_MAX_MB raises it)")
+            raise InputError(
+                self.where(name), "", found, "fewer (the environment variable PDR_GRAPH_MAX_MB raises the limit)"
+            )
         encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
         try:
             return data.decode(encoding, errors)
@@ -106,15 +108,15 @@ class Source:
 
 
 def _limit() -> int:
-    """Bytes of text that one recording may have."""
-    given = os.environ.get("PDR_GRAPH_MAX_MB", str(MOST_MEGABYTES))
-    if not given.isdecimal() or int(given) == 0:
-        raise InputError("PDR_GRAPH_MAX_MB", "", repr(given), "a number of megabytes")
-    return int(given) * 10**6
+    """The largest size of one recording's text. [bytes]"""
+    limit = os.environ.get("PDR_GRAPH_MAX_MB", str(MOST_MEGABYTES))
+    if not limit.isdecimal() or int(limit) == 0:
+        raise InputError("PDR_GRAPH_MAX_MB", "", repr(limit), "a number of megabytes")
+    return int(limit) * 10**6
 
 
 def _open_zip(path: Path) -> zipfile.ZipFile | None:
-    """The archive, None if the file is none."""
+    """The open archive; None if the file is not a zip."""
     if not path.is_file():
         return None
     with path.open("rb") as stream:
@@ -144,7 +146,7 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
 
 
 def _folder_entries(folder: Path) -> dict[str, str]:
-    """The regular files in a folder, no deeper than recorders nest them; links to folders are not followed."""
+    """The regular files in a folder, down to DEEPEST levels; links to folders are not followed."""
     entries: dict[str, str] = {}
     for top, folders, files in os.walk(folder):
         inside = Path(top).relative_to(folder)

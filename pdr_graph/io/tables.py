@@ -9,8 +9,8 @@ import numpy as np
 
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
-from pdr_graph.io import columns, geolife, gpx, ipin21
-from pdr_graph.io.columns import Table
+from pdr_graph.io import delimited, geolife, gpx, ipin21
+from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
@@ -114,7 +114,7 @@ def read_table(
     Empty cells are allowed in optional columns (NaN) and columns of text only.
     """
     source = _one_file(path)
-    table = columns.table(str(path), source.text(source.single or ""))
+    table = delimited.table(str(path), source.text(source.single or ""))
     header = [ALIASES.get(name.lower(), name.lower()) for name in table.header]
     wanted = next((r for r in required if set(r) <= set(header)), None)
     if wanted is None:
@@ -147,14 +147,14 @@ def _check_widths(path: Path, table: Table) -> None:
     if not len(rows):
         raise InputError(path, "line 2", "the end of the file", "at least one row")
     for number, line in zip(rows.numbers, rows.lines, strict=True):
-        if line.count(rows.delimiter) != width - 1 and (found := len(columns.split(line, rows.delimiter))) != width:
+        if line.count(rows.delimiter) != width - 1 and (found := len(delimited.split(line, rows.delimiter))) != width:
             raise InputError(path, f"line {number}", f"{found} fields", f"{width} as in the header")
 
 
-def _each(path: str | Path, wrong: Mask, values: Array, name: str, needed: str) -> None:
+def _each(path: str | Path, wrong: Mask, values: Array, name: str, expected: str) -> None:
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", needed)
+        raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", expected)
 
 
 def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:

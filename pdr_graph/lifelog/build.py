@@ -1,8 +1,8 @@
-"""A lifelog built: what has changed is planned, given to workers, and what they made is taken into the store.
+"""Build a lifelog: plan what has changed, distribute it to workers, store their results.
 
-Two stages: recordings are observed, each by itself; then each person's days are reconstructed, one after the other. The
-file of what a worker made is named by all that it is made of, and the store notes that name beside the day. So a day is
-made once, a new day costs a day, and after kill -9 the next build goes on.
+Two stages: each recording is observed independently; then the days of each person are reconstructed in order. A task
+for a worker has paths and keys, no objects. The file of a result is named by its key, the hash of its inputs, which the
+store keeps with the day. Hence a day is computed once, a new day costs one day, and a build after kill -9 continues.
 """
 
 from __future__ import annotations
@@ -12,27 +12,158 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, tzinfo
-from functools import cache, partial
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 from zoneinfo import ZoneInfo
 
 from pdr_graph.errors import InputError
+from pdr_graph.floor.formats import plan_fingerprint
+from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BESIDE
-from pdr_graph.lifelog import files
-from pdr_graph.lifelog.chains import Chain, Done, Planned, Reconstruct, past, reconstructed, rows_in, unmade
-from pdr_graph.lifelog.content import content_hash, plan_hash
-from pdr_graph.lifelog.fleet import Fleet, Lost, Work, fleet, packed
-from pdr_graph.lifelog.observing import Observe, Seen, Sought, observed
-from pdr_graph.lifelog.store import ZONE, Entry, Store
+from pdr_graph.lifelog import cache, observation
+from pdr_graph.lifelog.day import Day
+from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observed
+from pdr_graph.lifelog.store import ZONE, Built, DayRows, Entry, Rows, Store, profile_of, profile_row, rows_of
+from pdr_graph.lifelog.workers import Fleet, Lost, Work, fleet, packed
+from pdr_graph.storage import decode, encode, fingerprint
 
-PACKAGES = ("pdr_graph", "gtsam", "numpy", "scipy")  # whose versions are noted
+if TYPE_CHECKING:
+    from pdr_graph.lifelog.observation import Observation
+
+
+Reconstruct = Callable[[str, str, "Mapping[str, Observation]", Profile | None], Day]  # as `reconstruct.reconstruct`
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A day to reconstruct; recordings: (hash, key of the observation), in time order.
+
+    built: the day in the store, None if there is none.
+    """
+
+    date: str
+    recordings: tuple[tuple[str, str], ...]
+    built: Built | None
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Consecutive days of a person that are still to be reconstructed.
+
+    profile: of the walker before the first of them; folder: ``STORE.d``; made_by: version of this package.
+    """
+
+    person: str
+    days: tuple[Planned, ...]
+    profile: Profile | None
+    folder: str
+    made_by: str
+
+    @property
+    def key(self) -> str:
+        """Key of the first day: the hash of its inputs."""
+        known = None if self.profile is None else profile_row(self.profile)
+        return cache.key_of(self.person, self.days[0].date, self.days[0].recordings, known)
+
+    @property
+    def file(self) -> Path:
+        """File of the rows of the first day."""
+        return Path(self.folder) / cache.DAYS / self.key
+
+    def after(self, profile: Profile | None) -> Chain:
+        """The chain without its first day, and with the profile after it."""
+        return replace(self, days=self.days[1:], profile=profile)
+
+
+@dataclass(frozen=True)
+class Done:
+    """Result for a day. file: of its rows, "" if they are in the store already; failure: reason, "" if none."""
+
+    person: str
+    date: str
+    file: str = ""
+    failure: str = ""
+
+
+def reconstructed(chains: Sequence[Chain], reconstruct: Reconstruct | None = None) -> Iterator[Done]:
+    """Reconstruct days and write each to its file. reconstruct: a replacement for `reconstruct.reconstruct`, for tests.
+
+    A day that fails is as if it had taught nothing. Raises OSError if a file cannot be written.
+    """
+    for chain in chains:
+        while chain.days:
+            day, chain = _ready(chain) or _made(chain, reconstruct)
+            yield day
+
+
+def unmade(chain: Chain) -> Chain:
+    """The chain from its first day that is not up to date in the store."""
+    while chain.days and (built := chain.days[0].built) is not None and built.key == chain.key:
+        chain = chain.after(built.profile)
+    return chain
+
+
+def past(chain: Chain, said: str) -> tuple[list[Done], Chain]:
+    """Results of a chain whose process crashed, last the day that crashed it; and the chain after that day."""
+    days: list[Done] = []
+    while chain.days and (ready := _ready(chain)) is not None:
+        day, chain = ready
+        days.append(day)
+    if chain.days:
+        days.append(Done(chain.person, chain.days[0].date, failure=said))
+        chain = chain.after(chain.profile)
+    return days, chain
+
+
+def rows_in(file: Path) -> Rows | None:
+    """Read the rows of a day from its file; None if it is missing or damaged."""
+    return cache.read(file, lambda blob: decode(blob, DayRows).tables)
+
+
+def _ready(chain: Chain) -> tuple[Done, Chain] | None:
+    """Result of the first day and the chain after it, if the day is up to date already; else None."""
+    rest = unmade(replace(chain, days=chain.days[:1]))
+    if not rest.days:
+        return Done(chain.person, chain.days[0].date), chain.after(rest.profile)
+    rows = rows_in(chain.file)
+    return None if rows is None else _done(chain, rows)
+
+
+def _made(chain: Chain, reconstruct: Reconstruct | None) -> tuple[Done, Chain]:
+    """Reconstruct the first day; returns its result and the chain after it."""
+    recordings = [name for name, _ in chain.days[0].recordings]
+    try:
+        rows = rows_of(_day(chain, reconstruct), chain.key, recordings)
+        blob = encode(DayRows(rows))
+    except Exception as error:  # a failure of one day must not stop the others
+        return Done(chain.person, chain.days[0].date, failure=observation.error_text(error)), chain.after(chain.profile)
+    cache.write(chain.file, blob)
+    return _done(chain, rows)
+
+
+def _done(chain: Chain, rows: Rows) -> tuple[Done, Chain]:
+    profile = next((profile_of(row[2:]) for row in rows["profile"]), None)
+    return Done(chain.person, chain.days[0].date, str(chain.file)), chain.after(profile)
+
+
+def _day(chain: Chain, reconstruct: Reconstruct | None) -> Day:
+    """Reconstruct the first day. Raises InputError if an observation is missing."""
+    cache.check_maker(chain.made_by)
+    if reconstruct is None:
+        from pdr_graph.lifelog.reconstruct import reconstruct  # imports all of estimation, which is slow
+    observations = observation.observations_in(Path(chain.folder), chain.days[0].recordings)
+    return reconstruct(chain.person, chain.days[0].date, observations, chain.profile)
+
+
+PACKAGES = ("pdr_graph", "gtsam", "numpy", "scipy")  # packages whose versions are stored
 Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a build did. built: how many days; kept: how many were up to date; failures: why days could not be built,
+    """Result of a build. built: number of days built; kept: number up to date; failures: reasons of failed days,
     and refusals: why recordings could not be observed, a line each.
     """
 
@@ -55,7 +186,7 @@ def build(
 
     zone: whose midnights part the days, from now on; workers: processes on this machine; scheduler: address of a Dask
     cluster, whose workers see the same paths; told: stage, how many are done, of how many.
-    observe, reconstruct: as of `observation.observe` and `days.reconstruct`, which they are by default.
+    observe, reconstruct: as of `observation.observe` and `reconstruct.reconstruct`, which they are by default.
 
     Raises InputError if the lifelog, the zone or the scheduler cannot be used; OSError of the disk.
     """
@@ -79,18 +210,18 @@ def build(
 
 
 def zone_of(name: str) -> tzinfo:
-    """A time zone. Raises InputError if there is none of that name."""
+    """Look up a time zone. Raises InputError for an unknown name."""
     if name == "UTC":
-        return UTC  # where no zones are installed, too
+        return UTC  # works without an installed time zone database
     try:
         return ZoneInfo(name)
     except (OSError, ValueError, LookupError):
         raise InputError("--zone", "", repr(name), "a time zone, as Europe/Berlin") from None
 
 
-def _not_observed(log: Store) -> list[Sought]:
-    """Recordings to be observed: that never were, or not as they and what is given with them are now."""
-    sought: list[Sought] = []
+def _not_observed(log: Store) -> list[ObservationTask]:
+    """Tasks for recordings whose observation is missing or out of date."""
+    sought: list[ObservationTask] = []
     for entry, found in _looked_at(log, log.entries()):
         if isinstance(found, str):
             log.put(replace(entry, refusal=found))
@@ -101,17 +232,17 @@ def _not_observed(log: Store) -> list[Sought]:
     return sought
 
 
-def _not_there(log: Store, chains: Sequence[Chain]) -> list[Sought]:
-    """Recordings to be observed again, since days are to be made of them and their observations are not there."""
+def _not_there(log: Store, chains: Sequence[Chain]) -> list[ObservationTask]:
+    """Tasks for recordings of out-of-date days whose observation files are missing."""
     keys = {key for chain in chains for day in chain.days for _, key in day.recordings}
-    gone = {key for key in keys if not (log.folder / files.OBSERVATIONS / key).exists()}
+    gone = {key for key in keys if not (log.folder / cache.OBSERVATIONS / key).exists()}
     entries = [entry for entry in log.entries() if entry.observation in gone]
-    return [found for _, found in _looked_at(log, entries) if isinstance(found, Sought) and found.key in gone]
+    return [found for _, found in _looked_at(log, entries) if isinstance(found, ObservationTask) and found.key in gone]
 
 
-def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, Sought | str]]:
-    """Each recording with what is to be observed of it, or why that cannot be said."""
-    hashes = {"plan": cache(plan_hash), "": cache(content_hash)}  # of all recordings the same ones
+def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, ObservationTask | str]]:
+    """Each recording with its task, or with the reason for which there is none."""
+    hashes = {"plan": lru_cache(None)(plan_fingerprint), "": lru_cache(None)(fingerprint)}  # each file once
     for entry in entries:
         try:
             yield entry, _sought(log, entry, hashes)
@@ -119,39 +250,39 @@ def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, So
             yield entry, str(error)
 
 
-def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> Sought:
-    """A recording and what is given with it; the key has the content of all that is read."""
+def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:
+    """The task of a recording; its key covers the content of every file that is read."""
     given = {name: getattr(entry, name) for name in ("plan", "fixes", "walker")}
     listed = Path(entry.path).with_name(BESIDE)
     read = given | {"list of beacons": str(listed) if listed.is_file() else ""}
     content = [(name, _hash(hashes, name, said, entry)) for name, said in read.items() if said]
-    key = files.key_of(entry.hash, entry.floor, entry.begins, entry.plan, content)
-    file = str(log.folder / files.OBSERVATIONS / key)
-    given |= {"floor": entry.floor, "begins": entry.begins, "made_by": files.MADE_BY}
-    return Sought(entry.hash, key, file, entry.path, **given)
+    key = cache.key_of(entry.hash, entry.floor, entry.begins, entry.plan, content)
+    file = str(log.folder / cache.OBSERVATIONS / key)
+    given |= {"floor": entry.floor, "begins": entry.begins, "made_by": cache.MADE_BY}
+    return ObservationTask(entry.hash, key, file, entry.path, **given)
 
 
 def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, said: str, entry: Entry) -> str:
-    """What a file that is given with a recording is known by."""
+    """Content hash of a file that belongs to a recording."""
     try:
         return hashes.get(name, hashes[""])(Path(said))
     except OSError as error:
         raise InputError(said, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
 
 
-def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[Sought], told: Told) -> None:
-    """Have recordings observed, and note of each what is seen."""
+def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], told: Told) -> None:
+    """Let workers observe recordings, and store each result."""
     entries = {entry.hash: entry for entry in log.entries()}
     tasks = packed(sought, [1] * len(sought), crew.workers)
     for done, seen in enumerate(crew.run(work, tasks), start=1):
         if isinstance(seen, Lost):
-            seen = Seen(seen.item.hash, "", refusal=f"{seen.item.path}: {seen.said}")
+            seen = ObservationResult(seen.item.hash, "", refusal=f"{seen.item.path}: {seen.reason}")
         log.put(_noted(entries[seen.hash], seen))
         told("recordings", done, len(sought))
 
 
-def _noted(entry: Entry, seen: Seen) -> Entry:
-    """A recording with what is seen; what was seen of it earlier stays in force if it is refused now."""
+def _noted(entry: Entry, seen: ObservationResult) -> Entry:
+    """Update a recording with the result; a refusal keeps the earlier observation."""
     if seen.refusal:
         return replace(entry, refusal=seen.refusal)
     found = {"epoch": seen.epoch, "duration": seen.duration, "steps": seen.steps}
@@ -159,7 +290,7 @@ def _noted(entry: Entry, seen: Seen) -> Entry:
 
 
 def _days(log: Store) -> dict[tuple[str, str], dict[str, str]]:
-    """Person and date of each day, in order; of each recording that began on it, in order, what was observed."""
+    """Map (person, date) -> recordings that began on that day, both in order."""
     zone, days = zone_of(log.setting(ZONE)), defaultdict[tuple[str, str], dict[str, str]](dict)
     observed = [(entry.epoch, entry) for entry in log.entries() if entry.epoch is not None]
     for epoch, entry in sorted(observed, key=lambda pair: (pair[0], pair[1].hash)):
@@ -169,21 +300,21 @@ def _days(log: Store) -> dict[tuple[str, str], dict[str, str]]:
 
 
 def _chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) -> list[Chain]:
-    """Each person's days from the first on that is not up to date."""
+    """Chain of each person, from the first day that is not up to date."""
     built, planned = log.days(), defaultdict[str, list[Planned]](list)
     for (person, date), recordings in days.items():
         planned[person].append(Planned(date, tuple(recordings.items()), built.get((person, date))))
-    chains = [Chain(person, tuple(its), None, str(log.folder), files.MADE_BY) for person, its in planned.items()]
+    chains = [Chain(person, tuple(its), None, str(log.folder), cache.MADE_BY) for person, its in planned.items()]
     return [chain for whole in chains if (chain := unmade(whole)).days]
 
 
 def _reconstruct(log: Store, crew: Fleet, work: Work, chains: Sequence[Chain], told: Told) -> int:
-    """Have days reconstructed and take them in; how many."""
+    """Let workers reconstruct days and store them; returns their number."""
     built, seen, total = 0, 0, sum(len(chain.days) for chain in chains)
     while chains:
         left: list[Chain] = []
         for made in crew.run(work, packed(chains, [len(chain.days) for chain in chains], crew.workers)):
-            days, rest = past(made.item, made.said) if isinstance(made, Lost) else ([made], None)
+            days, rest = past(made.item, made.reason) if isinstance(made, Lost) else ([made], None)
             left += [rest] if rest is not None and rest.days else []
             for day in days:
                 built, seen = built + _taken(log, day), seen + 1
@@ -193,7 +324,7 @@ def _reconstruct(log: Store, crew: Fleet, work: Work, chains: Sequence[Chain], t
 
 
 def _taken(log: Store, day: Done) -> bool:
-    """True if there was a new day to be taken into the store; why it could not be made is noted."""
+    """Store a day or the reason for its failure; True if a new day was stored."""
     rows = rows_in(Path(day.file)) if day.file else None
     if rows is not None:
         log.take(rows)
@@ -204,7 +335,7 @@ def _taken(log: Store, day: Done) -> bool:
 
 
 def _tidy(log: Store) -> None:
-    """Remove what is no longer of use, and what processes that were killed have left."""
-    files.keep(log.folder / files.OBSERVATIONS, {entry.observation for entry in log.entries()})
-    files.keep(log.folder / files.DAYS, set())
-    files.keep_whole(log.folder / files.COPIES)
+    """Remove unused files, and temporary files of processes that were killed."""
+    cache.keep(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
+    cache.keep(log.folder / cache.DAYS, set())
+    cache.keep_whole(log.folder / cache.COPIES)

@@ -1,32 +1,40 @@
-"""Days as files for other programs: GPX 1.1, GeoJSON (RFC 7946) and CSV.
+"""Export days of a lifelog as GPX 1.1, GeoJSON (RFC 7946) or CSV, without private places.
 
-Nothing of where a day's recordings and plans lie, and nothing that nobody recorded: a line ends at a gap.
+Exports have no paths of recordings and plans. A line ends at each gap.
 """
 
 from __future__ import annotations
 
 import json
+import secrets
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, tzinfo
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
+from pdr_graph.errors import InputError
 from pdr_graph.io import gpx
-from pdr_graph.io.positions import RADIUS_68
+from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
-from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
-from pdr_graph.lifelog.parts import floors_along, part, sigma, stretches
-from pdr_graph.lifelog.timeline import PASSING, STAY
+from pdr_graph.lifelog import cache
+from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, floors_along, part, sigma, stretches
+from pdr_graph.lifelog.privacy import shared
+from pdr_graph.lifelog.private_places import PrivatePlace, private_places
+from pdr_graph.lifelog.store import ZONE, Store
+from pdr_graph.lifelog.timeline import PASSING, STAY, table, timeline
 from pdr_graph.types import Array, Trajectory
 
 HEADER = f"outing,{TRAJECTORY_HEADER},latitude,longitude"
 
 
 def notes(days: Sequence[Day]) -> list[str]:
-    """What of some days GPX and GeoJSON cannot hold, a line each."""
+    """A line per outing that GPX and GeoJSON cannot represent."""
     return [
-        f"{day.person}, {day.date}: outing {n} is not in it: nobody knows where on earth it was"
+        f"{day.person}, {day.date}: outing {n} left out: no absolute position"
         for day in days
         for n, outing in enumerate(day.outings, 1)
         if not outing.frame.georeferenced
@@ -34,7 +42,7 @@ def notes(days: Sequence[Day]) -> list[str]:
 
 
 def as_gpx(days: Sequence[Day]) -> bytes:
-    """A track for each outing, a segment for each stretch without a break, a waypoint for each stay."""
+    """GPX: a track per outing, a track segment per part without a gap, a waypoint per stay."""
     tracks, places = [], []
     for day, number, outing in _outings(days):
         if not outing.frame.georeferenced:
@@ -46,7 +54,7 @@ def as_gpx(days: Sequence[Day]) -> bytes:
 
 
 def _outings(days: Sequence[Day]) -> Iterator[tuple[Day, int, Outing]]:
-    """All outings with their days and numbers in them."""
+    """All outings as (day, number within the day, outing)."""
     return ((day, n, outing) for day in days for n, outing in enumerate(day.outings, 1))
 
 
@@ -144,3 +152,107 @@ def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
     lonlat = outing.frame.to_lonlat(track.position) if outing.frame.georeferenced else np.full((len(track), 2), np.nan)
     for row, (lon, lat) in zip(trajectory_rows(track, outing.epoch), lonlat, strict=True):
         yield f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}"
+
+
+GPX, GEOJSON, CSV = "gpx", "geojson", "csv"
+DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
+SECRET, SECRET_BYTES = "secret", 32  # name of the setting that keys the hiding of private places, and its length
+
+
+def give(
+    path: Path,
+    out: Path,
+    form: str,
+    person: str | None = None,
+    since: str = "",
+    until: str = "",
+    cut: Sequence[str] = (),
+    blur: Sequence[str] = (),
+) -> tuple[list[Path], list[str]]:
+    """Write a lifelog's days to one file or, CSV always, to a folder with files for each.
+
+    form: GPX, GEOJSON or CSV; out: a file if its name ends in that; person, since, until: whose days and which, all
+    if it is not said; cut, blur: places to be kept private, as of `private_places`.
+    Returns the files, and what a user must know, a line each. Raises InputError.
+    """
+    single = out.suffix.lower() == f".{form}" and not out.is_dir()
+    if single and form == CSV:
+        raise InputError("--out", "", str(out), "a folder: CSV has two files per day")
+    said, written = list[str](), list[Path]()
+    with Store(path) as log:
+        zone, wanted = ZoneInfo(log.setting(ZONE)), _wanted(log, person, _day("--from", since), _day("--to", until))
+        places = _places(log, cut), _places(log, blur)
+        days = _shown(log, wanted, form, places, said)
+        for target, content in _whole(out, form, list(days)) if single else _by_day(out, form, days, zone):
+            cache.write(target, content)
+            written.append(target)
+    return written, said
+
+
+def _day(option: str, text: str) -> str:
+    try:
+        return date.fromisoformat(text).isoformat() if text else ""
+    except ValueError:
+        raise InputError(option, "", repr(text), "a date such as 2024-05-01") from None
+
+
+def _wanted(log: Store, person: str | None, since: str, until: str) -> list[tuple[str, str]]:
+    """(person, date) of the days selected. Raises InputError if there is none."""
+    days = [key for key in log.days() if person in (None, key[0])]
+    if not days:
+        expected = "a built lifelog: run pdr-graph lifelog build" if person is None else "a person with days"
+        raise InputError(log.path, "" if person is None else person, "no day", expected)
+    wanted = [key for key in days if (not since or key[1] >= since) and (not until or key[1] <= until)]
+    if not wanted:
+        there = sorted(day for _, day in days)
+        raise InputError(
+            log.path, f"{since or '…'} to {until or '…'}", "no day", f"days from {there[0]} to {there[-1]}"
+        )
+    return wanted
+
+
+def _places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...]:
+    plans = sorted({entry.plan for entry in log.entries() if entry.plan})
+    return private_places(texts, plans, _secret(log)) if texts else ()
+
+
+def _secret(log: Store) -> bytes:
+    """The secret of the lifelog. It must stay the same: averaging over exports would reveal a private place."""
+    try:
+        return bytes.fromhex(log.setting(SECRET))
+    except IndexError:  # its first export
+        log.set(SECRET, secrets.token_hex(SECRET_BYTES))
+        return _secret(log)
+
+
+def _shown(
+    log: Store,
+    wanted: Sequence[tuple[str, str]],
+    form: str,
+    places: tuple[Sequence[PrivatePlace], Sequence[PrivatePlace]],
+    said: list[str],
+) -> Iterator[Day]:
+    """Yield the days with private places removed, if anything is left; notes are appended to ``said``."""
+    for person, day in wanted:
+        there = log.day(person, day)
+        left, lines = shared([there] if there else [], *places)
+        said += lines if form == CSV else [*lines, *notes(left)]
+        if any(form == CSV or outing.frame.georeferenced for own in left for outing in own.outings):
+            yield from left
+        else:
+            said.append(f"{person}, {day}: nothing left to export")
+
+
+def _whole(out: Path, form: str, days: Sequence[Day]) -> Iterator[tuple[Path, bytes]]:
+    if days:
+        yield out, DOCUMENTS[form](days)
+
+
+def _by_day(out: Path, form: str, days: Iterator[Day], zone: tzinfo) -> Iterator[tuple[Path, bytes]]:
+    for day in days:
+        name = f"{quote(day.person, safe=' ')}_{day.date}"
+        if form == CSV:
+            yield out / f"{name}_trajectory.csv", as_csv(day)
+            yield out / f"{name}_timeline.csv", table(timeline(day), zone).encode()
+        else:
+            yield out / f"{name}.{form}", DOCUMENTS[form]([day])

@@ -1,53 +1,67 @@
-"""What one recording tells of a day before the day is known: steps, headings, positions, what its radios heard.
+"""Observation of one recording: steps, headings, fixes, radio scans.
 
-The costly part of a lifelog, done once for each recording: everything later is made of this.
+This is the expensive part of a lifelog. A worker does it once per recording and writes the result to a file, from which
+all later stages start.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, one_line
 from pdr_graph.frames import Frame
-from pdr_graph.gait.gait import Gait, gait_of
-from pdr_graph.gait.heading import magnetic_headings
-from pdr_graph.gait.pdr import detect_steps
-from pdr_graph.gait.profile import Profile
+from pdr_graph.gait.compass import magnetic_headings
+from pdr_graph.gait.signals import GaitSignals, gait_signals
+from pdr_graph.gait.steps import detect_steps
+from pdr_graph.gait.walker import Profile
 from pdr_graph.inertial.magnetometer import measured_field
-from pdr_graph.inputs import placed_beacons, read_inputs
+from pdr_graph.inputs import Options, read
+from pdr_graph.lifelog import cache
+from pdr_graph.lifelog.cache import content_hash
+from pdr_graph.storage import compress, decompress
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
 
-AT_ENDS = 1.5  # [s] at either end of a recording over which the field is taken
-SHORTEST_LOOK = 1.0  # [s] of standing: less is the rhythm of a walk
-FEWEST = 2  # positions that make an outing without steps
-PRESSURE_RATE = 5.0  # [Hz] that are kept of a barometer: climbs take seconds
+AT_ENDS = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
+SHORTEST_LOOK = 1.0  # [s] of standing: shorter pauses are part of the gait
+FEWEST = 2  # positions required for an outing without steps
+PRESSURE_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
 
 
 @dataclass(frozen=True)
-class Ends:
-    """The horizontal magnetic field as the walker faced it at the first and the last moment of a recording.
+class Ends(OneLineRepr):
+    """The magnetic field in the walker's axes at the start and the end of a recording.
 
-    field: ``(2, 2)`` horizontal, x ahead and y to the left, start and end [µT]; vertical: ``(2,)`` up [µT].
+    field: ``(2, 2)`` horizontal, x forward and y left, at start and end [µT]; vertical: ``(2,)`` up [µT].
     """
 
     field: Array
     vertical: Array
 
+    def _summary(self) -> list[str]:
+        return [
+            f"{name} {ahead:.0f}, {left:.0f}, {up:.0f} µT"
+            for name, (ahead, left), up in zip(
+                ("start", "end"), self.field.tolist(), self.vertical.tolist(), strict=True
+            )
+        ]
+
 
 @dataclass(frozen=True)
-class Observation:
-    """A recording, observed; times are seconds from its start.
+class Observation(OneLineRepr):
+    """What was extracted from one recording; times are seconds from its start.
 
-    source: what a message calls it; epoch: Unix time of its start [s]; duration: [s].
+    source: name in messages; epoch: Unix time of its start [s]; duration: [s].
     frame: of fixes, headings and beacons; plan: path of the floor plan, "" without one; floor: label where it began,
     "" if unknown.
-    steps: None without an accelerometer; looks: ``(n + 1,)`` how far the walker had turned while standing before each
-    step and after the last, in the middle of that time, since the step before [rad].
-    headings, fixes, barometer, bluetooth, wifi, beacons: as of ``Recording``, in the frame; ends: None where the field
-    is unknown; profile: of the walker file, for a lifelog to begin with. notes: what was left out or assumed.
+    steps: None without an accelerometer; looks: ``(n + 1,)`` median turn of the walker during the pause before each
+    step and after the last, relative to the step before [rad].
+    headings, fixes, barometer, bluetooth, wifi, beacons: as in ``Recording``, in the frame; ends: None if the field is
+    unknown; profile: from the walker file, the initial profile of a lifelog. notes: data skipped or assumptions made.
     """
 
     source: str
@@ -68,6 +82,10 @@ class Observation:
     profile: Profile | None = None
     notes: tuple[str, ...] = ()
 
+    def _summary(self) -> list[str]:
+        steps = "no steps" if self.steps is None else repr(self.steps)
+        return [repr(self.source), f"{self.duration:.1f} s", steps, repr(self.fixes)]
+
 
 def observe(
     recording: Path,
@@ -77,23 +95,23 @@ def observe(
     begins: float | None = None,
     floor: str = "",
 ) -> Observation:
-    """Read a recording and find the steps in it.
+    """Read a recording and detect its steps and headings.
 
-    plan, fixes, walker: as of ``pdr-graph smooth``; steps are not yet corrected by the walker's profile, which a
-    lifelog learns. begins: Unix time of its start [s], of a recording that does not say; floor: where it began.
+    plan, fixes, walker: as for ``pdr-graph smooth``; steps are not corrected by the walker's profile, since a lifelog
+    estimates it. begins: Unix time of the start [s], for a recording without a date; floor: label at the start.
 
-    Raises InputError if it cannot be used, or nobody knows of which day it is.
+    Raises InputError if the recording cannot be used or has no date.
     """
-    given = read_inputs(recording, plan, fixes, walker)
-    walk, known, notes = given.walk, replace(given.walker, profile=None), given.notes
+    given = read(recording, Options(plan=plan, fixes=fixes, walker=walker))
+    walk, known = given.walk, replace(given.walker, profile=None)
     epoch = walk.epoch if begins is None else begins
     if epoch is None:
-        raise InputError(recording, "", "no date", "--begins, when it was recorded")
+        raise InputError(recording, "", "no date", "a start time: give --begins")
     check_tells(recording, walk, len(given.fixes))
     steps, looks, headings, ends = None, np.empty(0), Headings.none(), None
     last = [s.time[-1] for s in walk.signals.values()] or [given.fixes.time[-1]]
     if walk.has_acceleration:
-        gaits = gait_of(walk)
+        gaits = gait_signals(walk)
         steps, headings = detect_steps(gaits, known), magnetic_headings(gaits, given.frame, given.near)
         looks, ends = _looks(gaits, steps), _ends(gaits)
     return Observation(
@@ -110,21 +128,26 @@ def observe(
         barometer=_thinned(walk.barometer),
         bluetooth=walk.bluetooth,
         wifi=walk.wifi,
-        beacons=placed_beacons(walk, given.frame, notes),
+        beacons=given.beacons,
         ends=ends,
         profile=given.walker.profile,
-        notes=tuple(notes),
+        notes=given.notes,
     )
 
 
 def check_tells(recording: Path, walk: Recording, positions: int) -> None:
-    """Raise InputError where a recording tells neither steps nor a way."""
+    """Raise InputError for a recording without acceleration and with fewer than two positions."""
     if not walk.has_acceleration and positions < FEWEST:
-        raise InputError(recording, "", f"no acceleration and {positions} positions", f"steps, or {FEWEST} positions")
+        raise InputError(
+            recording,
+            "",
+            f"no acceleration and {positions} positions",
+            f"an accelerometer, or at least {FEWEST} positions",
+        )
 
 
-def _looks(gaits: list[Gait], steps: Steps) -> Array:
-    """Which way the walker looked in each pause ``(n + 1,)``, from the direction of the step before. [rad]"""
+def _looks(gaits: list[GaitSignals], steps: Steps) -> Array:
+    """Direction of the walker in each pause ``(n + 1,)`` relative to the direction of the step before [rad]."""
     landed = np.concatenate([[steps.start], steps.time])
     set_off = np.append(steps.time - steps.duration, steps.end)
     looks = np.zeros(len(landed))
@@ -137,8 +160,8 @@ def _looks(gaits: list[Gait], steps: Steps) -> Array:
     return looks
 
 
-def _ends(gaits: list[Gait]) -> Ends | None:
-    """The field at both ends of a recording, relative to the walker."""
+def _ends(gaits: list[GaitSignals]) -> Ends | None:
+    """Magnetic field at both ends of a recording in the walker's axes; None if unknown."""
     if gaits[0].recording.magnetometer is None:
         return None
     start = _field(gaits[0], gaits[0].attitude.time[0], gaits[0].attitude.time[0] + AT_ENDS, 0)
@@ -147,8 +170,8 @@ def _ends(gaits: list[Gait]) -> Ends | None:
     return Ends(field[:, :2], field[:, 2]) if np.isfinite(field).all() else None
 
 
-def _field(gait: Gait, begin: float, end: float, at: int) -> Array:
-    """The mean field ``(3,)`` ahead, to the left and up of the walker as they stood at a sample. [µT]"""
+def _field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
+    """Mean field ``(3,)`` [µT] from ``begin`` to ``end`` [s]: forward, left, up for the walker at sample ``at``."""
     attitude = gait.attitude
     assert gait.recording.magnetometer is not None, "asked for with one"
     held = attitude[slice(*np.searchsorted(attitude.time, [begin, end]).tolist())]
@@ -162,10 +185,108 @@ def _field(gait: Gait, begin: float, end: float, at: int) -> Array:
 
 
 def _thinned(barometer: Signal | None) -> Signal | None:
-    """A barometer's samples, means over a fifth of a second."""
+    """Downsample a barometer to 5 Hz by averaging."""
     if barometer is None or barometer.rate <= PRESSURE_RATE:
         return barometer
     bins = np.floor(barometer.time * PRESSURE_RATE).astype(np.int64)
     _, first, count = np.unique(bins, return_index=True, return_counts=True)
     time = np.add.reduceat(barometer.time, first) / count
     return Signal(time, np.add.reduceat(barometer.values, first, axis=0) / count[:, None])
+
+
+LATEST = 7_258_118_400.0  # [s] Unix time of the year 2200: a clock beyond that, or before 1970, was not set
+Observe = Callable[..., "Observation"]  # as of `observe`
+
+
+@dataclass(frozen=True)
+class ObservationTask:
+    """A recording to observe. hash: of its content; key, file: of the observation; made_by: version of this package;
+    others: as in `Entry`.
+    """
+
+    hash: str
+    key: str
+    file: str
+    path: str
+    plan: str
+    fixes: str
+    walker: str
+    floor: str
+    begins: float | None
+    made_by: str
+
+
+@dataclass(frozen=True)
+class ObservationResult:
+    """Result for a recording. epoch, duration [s], steps: as in `Entry`; refusal: reason for a failure, else ""."""
+
+    hash: str
+    key: str
+    epoch: float = 0.0
+    duration: float = 0.0
+    steps: int = 0
+    refusal: str = ""
+
+
+def observed(sought: Sequence[ObservationTask], observe: Observe | None = None) -> Iterator[ObservationResult]:
+    """Observe recordings and write each observation to its file; yields a result per recording.
+
+    observe: a replacement for `observe`, for tests.
+
+    Raises OSError if a file cannot be written.
+    """
+    for one in sought:
+        found = observation_in(Path(one.file))
+        if found is None:
+            try:
+                found = _observed(one, observe)
+            except Exception as error:  # a failure of one recording must not stop the others
+                where = "" if isinstance(error, InputError) else f"{one.path}: "
+                yield ObservationResult(one.hash, one.key, refusal=f"{where}{error_text(error)}")
+                continue
+            cache.write(Path(one.file), compress(found))
+        steps = 0 if found.steps is None else int((~found.steps.is_gap).sum())
+        yield ObservationResult(one.hash, one.key, found.epoch, found.duration, steps)
+
+
+def observation_in(file: Path) -> Observation | None:
+    """Read an observation from its file; None if it is missing or damaged."""
+    return cache.read(file, lambda blob: decompress(blob, Observation))
+
+
+def observations_in(folder: Path, recordings: Sequence[tuple[str, str]]) -> dict[str, Observation]:
+    """Read observations by recording hash; recordings: (hash, key of the observation); folder: ``STORE.d``.
+
+    Raises InputError if one is missing or damaged.
+    """
+    found: dict[str, Observation] = {}
+    for name, key in recordings:
+        file = folder / cache.OBSERVATIONS / key
+        one = observation_in(file)
+        if one is None:
+            file.unlink(missing_ok=True)  # so that the next build makes it again
+            raise InputError(
+                file, "", "no observation, or a damaged one", "an intact file: run pdr-graph lifelog build again"
+            )
+        found[name] = one
+    return found
+
+
+def error_text(error: Exception) -> str:
+    """The text of an error on one line."""
+    return str(error) if isinstance(error, InputError) else one_line(f"{type(error).__name__}: {error}")
+
+
+def _observed(sought: ObservationTask, observer: Observe | None) -> Observation:
+    """Observe a recording. Raises InputError if it is missing or has changed since it was added."""
+    cache.check_maker(sought.made_by)
+    path = Path(sought.path)
+    if not path.exists():
+        raise InputError(path, "", "no such file", "the recording: add it again from its present place")
+    if content_hash(path) != sought.hash:
+        raise InputError(path, "", "changed content", "the content that was added: add it again")
+    plan, fixes, walker = (Path(said) if said else None for said in (sought.plan, sought.fixes, sought.walker))
+    found = (observer or observe)(path, plan, fixes, walker, sought.begins, sought.floor)
+    if not 0 <= found.epoch < LATEST:
+        raise InputError(path, "time", f"{found.epoch:g} s since 1970", "a time since 1970: give --begins")
+    return found

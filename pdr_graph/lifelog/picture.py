@@ -1,23 +1,261 @@
-"""The picture of a day: maps of where it was, and below them its hours."""
+"""The picture of a day: maps of where it was, and below them its hours.
+
+Maps have tracks by kind with their 95 % region, stays by duration, and names where they fit; the hours are blocks from
+left to right, with the names of places above.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import tzinfo
+from datetime import datetime, timedelta, tzinfo
 
+import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
-from pdr_graph.errors import one_line
-from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.panels import panels
-from pdr_graph.lifelog.parts import UNSEEN
-from pdr_graph.lifelog.picture_hours import draw_hours
-from pdr_graph.lifelog.picture_map import draw_map
-from pdr_graph.lifelog.picture_style import COLOURS, families
-from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, in_words, timeline, totals
+from pdr_graph.errors import InputError, one_line
+from pdr_graph.floor.building import Building
+from pdr_graph.lifelog.day import UNSEEN, Day, Stay
+from pdr_graph.lifelog.maps import COLOURS, HALO, INK, LABEL, LETTER, Drawn, Panel, families, panels, short, width
+from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, in_words, spoken, timeline, totals
+from pdr_graph.plotting import LONGEST_SIDE, RADIO, TRACK, draw_plan, draw_uncertainty
+from pdr_graph.types import Array, Trajectory
+
+PAPER, BORDER = "#f7f6f2", "#c8c4ba"
+DOT_AREA, PASSING_AREA = (40.0, 600.0), 22.0  # [pt²] of the shortest and the longest stay, and of a slow pass
+BESIDE_START = 3.5  # [pt] that a label keeps from the mark of an outing's start
+LONGEST_DOT = 2 * 3600.0  # [s] of a stay with the largest dot
+MOST_LABELS = 14
+SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))  # of a point, for its label
+Label = tuple[Array, str, float]  # a position (2,), what is said of it, and distance to keep from it [pt]
+
+
+def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], zone: tzinfo, aspect: float) -> None:
+    """One of a day's maps; maps: all of them; aspect: how many times as wide as high the axes are."""
+    low, high = _filled(panel.corners, aspect)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[], facecolor=PAPER)
+    for spine in axes.spines.values():
+        spine.set_edgecolor(BORDER)
+    if panel.plan:
+        _draw_floor(axes, panel)
+    for way in (near for own in panel.ways for track in own for near in _near(track, low, high)):
+        draw_uncertainty(axes, way, panel.floor or None)
+    for drawn in panel.drawn:
+        _draw_track(axes, drawn, low, high)
+    larger = [(other.letter, corners) for other in maps if (corners := _corners_on(panel, other)) is not None]
+    stays = [s for s in panel.stays if not any(_lies_in(corners, s.position) for _, corners in larger)]
+    _label(axes, [*_draw_frames(axes, larger), *_draw_stays(axes, stays), *_draw_starts(axes, panel, zone)])
+    _draw_scale(axes, low, high)
+    title = "   ".join(one_line(word) for word in (panel.letter, panel.floor) if word)
+    style = {"fontsize": 11, "weight": "bold", "zorder": 9, "path_effects": HALO}
+    axes.text(0.012, 0.985, title, transform=axes.transAxes, va="top", **style)
+
+
+def _filled(corners: Array, aspect: float) -> Array:
+    """Corners ``(2, 2)`` about the same middle, of axes so many times as wide as high."""
+    half = (corners[1] - corners[0]) / 2
+    half = np.array([max(half[0], half[1] * aspect), max(half[1], half[0] / aspect)])
+    return corners.mean(axis=0) + np.stack([-half, half])
+
+
+def _draw_floor(axes: Axes, panel: Panel) -> None:
+    """The plan, if it is still there, with the names that fit."""
+    try:
+        floors = Building.load(panel.plan).floors
+    except InputError as error:
+        axes.set_xlabel(one_line(str(error)), fontsize=LABEL)
+        return
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    inches = axes.get_window_extent().width / axes.figure.dpi
+    more = max(0.0, LONGEST_SIDE / inches - 1) / 2  # draw_plan takes the axes for so long: smaller ones have less room
+    x, y = more * (east - west), more * (north - south)
+    axes.set(xlim=(west - x, east + x), ylim=(south - y, north + y))
+    draw_plan(axes, next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+    axes.set(xlim=(west, east), ylim=(south, north))
+    for name in axes.texts:
+        name.set_clip_on(True)
+
+
+def _draw_track(axes: Axes, drawn: Drawn, low: Array, high: Array) -> None:
+    """A part of the way, as far as it comes near what is shown."""
+    unseen, colour = drawn.kind in UNSEEN, COLOURS[drawn.kind]
+    for track in [drawn.track] if unseen else _near(drawn.track, low, high):
+        if unseen:
+            axes.plot(*track.position.T, color=colour, lw=1.1, ls=":", zorder=4.2)
+        else:
+            axes.plot(*track.position.T, color=colour, lw=2.0, solid_capstyle="round", zorder=5)
+
+
+def _near(track: Trajectory, low: Array, high: Array) -> list[Trajectory]:
+    """The parts of a track that are on a map or not far from it."""
+    margin = high - low
+    inside = np.flatnonzero(np.all((track.position > low - margin) & (track.position < high + margin), axis=1))
+    return [track[own] for own in np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1) if len(own)]
+
+
+def _corners_on(panel: Panel, other: Panel) -> Array | None:
+    """Corners ``(2, 2)`` of another map on this one; None if it is not a part of it."""
+    if other is panel or panel.plan or not (panel.frame.georeferenced and other.frame.georeferenced):
+        return None
+    corners = panel.frame.from_frame(other.frame, other.corners)
+    part = np.max(corners[1] - corners[0]) < panel.width and all(_lies_in(panel.corners, corner) for corner in corners)
+    return corners if part else None
+
+
+def _lies_in(corners: Array, position: Array) -> bool:
+    return bool(np.all((position >= corners[0]) & (position <= corners[1])))
+
+
+def _draw_frames(axes: Axes, larger: Sequence[tuple[str, Array]]) -> list[Label]:
+    """Where other maps are; returns what is to be written there."""
+    for _, (low, high) in larger:
+        (x, y), (wide, tall) = low.tolist(), (high - low).tolist()
+        axes.add_patch(Rectangle((x, y), wide, tall, fill=False, ec=INK, lw=0.8, zorder=6))
+    return [(corners[1], letter, BESIDE_START) for letter, corners in larger]
+
+
+def _draw_stays(axes: Axes, stays: Sequence[Stay]) -> list[Label]:
+    """Dots by duration; returns what is to be written beside them."""
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    shown = [s for s in stays if west < s.position[0] < east and south < s.position[1] < north]
+    for stay in shown:
+        kind = PASSING if stay.passing else STAY
+        axes.scatter(*stay.position, s=_dot(stay), c=COLOURS[kind], alpha=0.8, edgecolors="white", lw=0.8, zorder=7)
+    order = sorted(shown, key=lambda s: (s.passing, s.start - s.end))
+    return [(s.position, _said(s), np.sqrt(_dot(s)) / 2) for s in order]
+
+
+def _dot(stay: Stay) -> float:
+    """Area of a stay's dot. [pt²]"""
+    if stay.passing:
+        return PASSING_AREA
+    least, most = DOT_AREA
+    return float(least + (most - least) * min((stay.end - stay.start) / LONGEST_DOT, 1.0))
+
+
+def _said(stay: Stay) -> str:
+    lasted = spoken(stay.end - stay.start)
+    return f"{short(stay.facing[0][0])} {lasted}" if stay.facing else lasted
+
+
+def _draw_starts(axes: Axes, panel: Panel, zone: tzinfo) -> list[Label]:
+    """Where outings began; returns the times to be written there."""
+    starts = [s for s in panel.starts if panel.floor in ("", s.floor[0])]
+    for start in starts:
+        axes.plot(*start.position[0], marker="o", ms=5, mfc="white", mec=TRACK, mew=1.4, ls="none", zorder=6.5)
+    return [(s.position[0], f"{datetime.fromtimestamp(s.time[0], zone):%H:%M}", BESIDE_START) for s in starts]
+
+
+def _label(axes: Axes, labels: Sequence[Label]) -> None:
+    """Texts beside points, in order of importance, each where it hides nothing and stays on the map, if anywhere."""
+    points = 72.0 / axes.figure.dpi  # [pt] of a pixel
+    frame = axes.get_window_extent().get_points() * points
+    places = [axes.transData.transform(position) * points for position, _, _ in labels]
+    taken = [_box(at, 2 * away, 2 * away) for at, (_, _, away) in zip(places, labels, strict=True)]
+    for at, (_, text, away) in zip(places[:MOST_LABELS], labels, strict=False):
+        boxes = [_box_beside(at, text, away, right, up) for right, up in SIDES]
+        free = [b for b in boxes if _lies_in(frame, b[0]) and _lies_in(frame, b[1]) and not _hits(b, taken)]
+        if free:
+            taken.append(free[0])
+            x, y = axes.transAxes.inverted().transform(free[0].mean(axis=0) / points)
+            style = {"fontsize": LABEL, "color": INK, "zorder": 8, "path_effects": HALO}
+            axes.text(x, y, text, transform=axes.transAxes, ha="center", va="center", **style)
+
+
+def _box_beside(at: Array, text: str, away: float, right: int, up: int) -> Array:
+    """Corners ``(2, 2)`` of a text to the right (1) or left (-1) of a point, above (1) or below (-1). [pt]"""
+    wide, high = width(text), 1.2 * LABEL
+    return _box(at + np.array([right * (away + 2 + wide / 2), up * (away + 1 + high / 2)]), wide, high)
+
+
+def _box(middle: Array, wide: float, high: float) -> Array:
+    """Corners ``(2, 2)``."""
+    half = np.array([wide / 2, high / 2])
+    return np.stack([middle - half, middle + half])
+
+
+def _hits(box: Array, others: Sequence[Array]) -> bool:
+    return any((box[0] < other[1]).all() and (box[1] > other[0]).all() for other in others)
+
+
+def _draw_scale(axes: Axes, low: Array, high: Array) -> None:
+    """A bar of a round length, about a fifth of the map."""
+    about = (high[0] - low[0]) / 5
+    power = 10.0 ** np.floor(np.log10(about))
+    length = float(power * max(n for n in (1, 2, 5) if n * power <= about))
+    x, y = low + 0.03 * (high - low)
+    axes.plot([x, x + length], [y, y], color=INK, lw=2.5, solid_capstyle="butt", zorder=9)
+    said = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
+    text = axes.annotate(said, (x + length, y), (4, 0), textcoords="offset points", va="center", fontsize=8, zorder=9)
+    text.set_path_effects(HALO)
+
+
+ROWS = 3  # of names
+WHOLE_DAY = 12 * 3600.0  # [s] from which on all 24 hours are shown
+AROUND = 0.02  # of less than that, share shown before and after
+
+
+def draw_hours(axes: Axes, day: Day, entries: Sequence[Entry], zone: tzinfo) -> None:
+    """A day's entries, at least one, by the clock of a time zone."""
+    begin, end = _span(day, entries, zone)
+    axes.set(xlim=(_date(begin, zone), _date(end, zone)), yticks=[])
+    axes.xaxis_date(zone)
+    locator = AutoDateLocator(tz=zone, minticks=5, maxticks=13)
+    axes.xaxis.set(major_locator=locator, major_formatter=ConciseDateFormatter(locator, tz=zone, show_offset=False))
+    axes.tick_params(labelsize=8.5)
+    for side in ("left", "right", "top"):
+        axes.spines[side].set_visible(False)
+    for entry in entries:
+        _draw_block(axes, entry, zone)
+    axes.set_ylim(0, 1.1 + 0.5 * _draw_names(axes, entries, end - begin, zone))
+
+
+def _span(day: Day, entries: Sequence[Entry], zone: tzinfo) -> tuple[float, float]:
+    """Unix times from and to which the hours are drawn: all of a long day, what there is of a short one."""
+    first, last = entries[0].start, max(entry.end for entry in entries)
+    if last - first <= WHOLE_DAY:
+        return first - AROUND * (last - first), last + AROUND * (last - first)
+    midnight = datetime.fromisoformat(day.date).replace(tzinfo=zone)
+    return min(midnight.timestamp(), first), max((midnight + timedelta(days=1)).timestamp(), last)
+
+
+def _date(time: float, zone: tzinfo) -> float:
+    return float(date2num(datetime.fromtimestamp(time, zone)))
+
+
+def _draw_block(axes: Axes, entry: Entry, zone: tzinfo) -> None:
+    """A coloured block, wide enough to be seen; a dotted line where nobody recorded."""
+    left, right, colour = _date(entry.start, zone), _date(entry.end, zone), COLOURS[entry.kind]
+    if entry.kind in UNSEEN:
+        axes.plot([left, right], [0.5, 0.5], color=colour, lw=1.5, ls=":", zorder=1)
+    else:
+        axes.add_patch(Rectangle((left, 0.12), right - left, 0.76, fc=colour, ec=colour, lw=0.6, zorder=2))
+    if entry.kind == STAY:  # the next may be one too
+        axes.plot([right, right], [0.12, 0.88], color="white", lw=0.7, zorder=3)
+
+
+def _draw_names(axes: Axes, entries: Sequence[Entry], span: float, zone: tzinfo) -> int:
+    """Names of stays, the longest stays first, in rows, of which it returns the number; left out where is no room."""
+    per_point = span / (axes.get_window_extent().width * 72 / axes.figure.dpi)  # [s]
+    rows: list[list[tuple[float, float]]] = []
+    for stay in sorted((e for e in entries if e.kind == STAY and e.facing), key=lambda e: e.start - e.end):
+        name, middle = short(stay.facing[0][0]), (stay.start + stay.end) / 2
+        half = (width(name) / 2 + LETTER) * per_point
+        own = (middle - half, middle + half)
+        row = next((n for n, others in enumerate(rows) if all(own[1] < a or own[0] > b for a, b in others)), len(rows))
+        if row < ROWS:
+            rows += [[]] * (row == len(rows))
+            rows[row] = [*rows[row], own]
+            at, level = _date(middle, zone), 1.1 + 0.5 * row
+            axes.plot([at, at], [0.9, level], color=RADIO, lw=0.5, zorder=1)
+            axes.text(at, level, name, fontsize=LABEL, ha="center", va="bottom", color=INK)
+    return len(rows)
+
 
 WIDTH, HOURS, HEAD, MARGIN = 13.0, 1.9, 0.7, 0.15  # [inch] of the picture; heights of its hours and head
 MAP_HEIGHT = (7.0, 5.0, 4.4)  # [inch] of one map in a row, of two, of three

@@ -15,24 +15,175 @@ What would tell a place, and what is done:
 * sources, plans, hashes and notes: left out.
 
 Cut is left out. Blurred is one row for each quarter of an hour, in the middle of a square of a grid that is the same
-everywhere and always, with the covariance of a square; its stays have no name, and begin and end on the quarter.
+everywhere and always (one about the place would give its middle away), with the covariance of a square; its stays have
+no name, and begin and end on the quarter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from pdr_graph.frames import enu
-from pdr_graph.lifelog.blurring import blurred, quarter_after
-from pdr_graph.lifelog.day import WALKING, Day, Outing, Segment
-from pdr_graph.lifelog.hiding import Run, hidden_rows, shown_runs
-from pdr_graph.lifelog.parts import PRIVATE, Part, later, recorded, shares
+from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.lifelog.day import PRIVATE, WALKING, Day, Outing, Part, Segment, Stay, later, recorded, shares
 from pdr_graph.lifelog.private_places import PrivatePlace, hides, same_name
-from pdr_graph.types import INSTANT, Trajectory
+from pdr_graph.types import INSTANT, Array, Index, Mask, Trajectory
+
+SHORTEST = 60.0  # [s] between two hidden stretches for which it is worth showing anything
+LEG = 30.0  # [m] over which a track's direction is taken
+AT_ONCE = 50  # rows that are looked at, from the end of a track on
+MOST_BEHIND = 1000  # rows among which a leg begins: it takes half a kilometre of steps to stand for so many
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What of an outing's rows is hidden. cut, blurred: ``(n,)``; broken: ``(n - 1,)`` between rows; lonlat [deg]."""
+
+    lonlat: Array
+    cut: Mask
+    blurred: Mask
+    broken: Mask
+
+
+@dataclass(frozen=True)
+class Run:
+    """Rows from ``first`` to ``last`` that are shown; beside: at its start, at its end, is what is hidden."""
+
+    first: int
+    last: int
+    beside: tuple[bool, bool]
+
+
+def hidden_rows(outing: Outing, cut: Sequence[PrivatePlace], blur: Sequence[PrivatePlace]) -> Hidden:
+    """What some places hide of an outing, in which nothing is both cut and blurred."""
+    lonlat = outing.frame.to_lonlat(outing.trajectory.position)
+    nothing = np.zeros(len(lonlat), dtype=bool)
+    of_cut = np.any([nothing, *(place.hides(lonlat) for place in cut)], axis=0)
+    of_blur = np.any([nothing, *(place.hides(lonlat) for place in blur)], axis=0) & ~of_cut
+    broken = np.any([nothing[1:], *(place.crossed(lonlat) for place in (*cut, *blur))], axis=0)
+    return Hidden(lonlat, of_cut, of_blur, broken)
+
+
+def shown_runs(track: Trajectory, hidden: Hidden, places: Sequence[PrivatePlace]) -> list[Run]:
+    """What is shown, in order."""
+    shown = np.flatnonzero(~(hidden.cut | hidden.blurred))
+    apart = np.flatnonzero((np.diff(shown) > 1) | hidden.broken[shown[:-1]])
+    runs = [
+        Run(first := int(r[0]), last := int(r[-1]), (first > 0, last < len(track) - 1))
+        for r in np.split(shown, apart + 1)
+        if len(r)
+    ]
+    turned = [_turned(track, run, hidden.lonlat, places) for run in runs if _is_long(track, run)]
+    return [run for run in turned if _is_long(track, run)]
+
+
+def _is_long(track: Trajectory, run: Run) -> bool:
+    return not any(run.beside) or float(track.time[run.last] - track.time[run.first]) >= SHORTEST
+
+
+def _turned(track: Trajectory, run: Run, lonlat: Array, places: Sequence[PrivatePlace]) -> Run:
+    """A run without what at its ends points at what is hidden there."""
+    own = np.arange(run.first, run.last + 1)
+    if run.beside[1]:
+        own = _turned_away(track.position, lonlat, own, places)
+    if run.beside[0]:
+        own = _turned_away(track.position, lonlat, own[::-1], places)[::-1]
+    return replace(run, first=int(own[0]), last=int(own[-1])) if len(own) else replace(run, last=run.first)
+
+
+def _turned_away(position: Array, lonlat: Array, own: Index, places: Sequence[PrivatePlace]) -> Index:
+    """Rows up to the last one from which the hidden area is not straight on, or which is far from it."""
+    if not len(own):
+        return own
+    place = min(places, key=lambda p: p.away(lonlat[own[-1:]])[0])
+    for after in range(len(own), 0, -AT_ONCE):
+        number = range(max(after - AT_ONCE, 0), after)
+        behind = [own[_behind(position[own[max(0, n - MOST_BEHIND) : n + 1]], n)] for n in number]
+        here = lonlat[own[number]]
+        good = np.flatnonzero((place.away(here) > 2 * place.radius) | ~place.ahead(here, lonlat[behind]))
+        if len(good):
+            return own[: number[good[-1]] + 1]
+    return own[:0]
+
+
+def _behind(position: Array, number: int) -> int:
+    """The last of the rows ``(n, 2)`` up to that number that is a LEG away from it, else the first of them."""
+    away = np.flatnonzero(np.hypot(*(position - position[-1]).T) >= LEG)
+    return number + 1 - len(position) + (int(away[-1]) if len(away) else 0)
+
+
+QUARTER = 900.0  # [s]
+COARSE = 500.0  # [m] side of a blurred place's square, or its radius if that is more
+METRES_PER_DEGREE = 111_320.0  # of latitude, near enough for the squares of a grid
+
+
+def blurred(
+    outing: Outing, hidden: Hidden, own: Index, blur: Sequence[PrivatePlace], free: tuple[float, float], first: bool
+) -> Part | None:
+    """Blurred rows as one for each quarter of an hour within the Unix times that are free; None if there are none.
+
+    first: whether nothing is shown of the outing before.
+    """
+    if not len(own):
+        return None
+    unix = outing.trajectory.time + outing.epoch
+    since, until = unix[own[[0, -1]]].tolist()
+    start = max(free[0], quarter_before(since)) if first else free[0]
+    end = free[1] if np.isfinite(free[1]) else max(start, quarter_after(until))
+    quarter = np.floor(unix[own] / QUARTER) * QUARTER
+    time = np.unique(quarter + QUARTER / 2)
+    time = time[(time > start) & (time < end)]
+    if not len(time):
+        return None
+    usual = [np.median(hidden.lonlat[own[quarter == t - QUARTER / 2]], axis=0) for t in time]
+    centre, side = _squares(np.array(usual), blur)
+    covariance = np.zeros((len(time), 3, 3))
+    covariance[:, 0, 0] = covariance[:, 1, 1] = side**2 / 12
+    covariance[:, 2, 2] = ANY_HEADING**2
+    heading, floor = np.full(len(time), np.nan), ("",) * len(time)
+    track = Trajectory(time, outing.frame.from_lonlat(centre), heading, floor, covariance)
+    return Part(start, end, track, (Segment(PRIVATE, start, end, 0.0),), _blurred_stays(outing, blur, own, start, end))
+
+
+def _blurred_stays(
+    outing: Outing, blur: Sequence[PrivatePlace], own: Index, start: float, end: float
+) -> tuple[Stay, ...]:
+    """The stays among blurred rows, somewhere in a square and from quarter to quarter."""
+    begin, last = outing.trajectory.time[own[[0, -1]]] + outing.epoch
+    stays = []
+    for stay in outing.stays:
+        since, until = stay.start + outing.epoch, stay.end + outing.epoch
+        inside = since < last and until > begin and hides(blur, outing.frame, stay.position)
+        since, until = max(start, quarter_before(since)), min(end, quarter_after(until))
+        if inside and not stay.passing and until > since:
+            centre, side = _squares(outing.frame.to_lonlat(stay.position[None]), blur)
+            position, covariance = outing.frame.from_lonlat(centre)[0], np.eye(2) * side[0] ** 2 / 12
+            stays.append(Stay(since, until, False, position, covariance, np.nan, ""))
+    return tuple(stays)
+
+
+def _squares(lonlat: Array, blur: Sequence[PrivatePlace]) -> tuple[Array, Array]:
+    """The middles ``(n, 2)`` [deg] of the squares in which positions lie, and their sides ``(n,)`` [m]."""
+    side = np.max([np.full(len(lonlat), COARSE), *(p.hides(lonlat) * p.radius for p in blur)], axis=0)
+    height = side / METRES_PER_DEGREE
+    lat = (np.floor(lonlat[:, 1] / height) + 0.5) * height
+    width = height / np.cos(np.radians(lat))
+    return np.stack([(np.floor(lonlat[:, 0] / width) + 0.5) * width, lat], axis=1), side
+
+
+def quarter_after(time: float) -> float:
+    """The next full quarter of an hour. [s]"""
+    return float(np.ceil(time / QUARTER) * QUARTER)
+
+
+def quarter_before(time: float) -> float:
+    """The last full quarter of an hour. [s]"""
+    return float(np.floor(time / QUARTER) * QUARTER)
+
 
 ORIGIN_DIGITS = 2  # of a degree: a new frame's origin lies within a kilometre of the first row that is shown
 
@@ -48,7 +199,7 @@ def shared(
         outings, free = list[Outing](), -np.inf
         for outing in sorted(day.outings, key=lambda o: o.epoch):
             if not outing.frame.georeferenced:
-                notes.append(f"{day.person}, {day.date}: an outing was left out, as nobody knows where on earth it was")
+                notes.append(f"{day.person}, {day.date}: outing left out: no absolute position")
             elif parts := _parts(replace(outing, trajectory=recorded(outing)), cut, blur, free):
                 outings.append(_reframed(_outing(outing, parts)))
                 free = parts[-1].end

@@ -1,7 +1,6 @@
-"""The report of a day of a lifelog: its maps, its hours, and what was looked at.
+"""The HTML report of a day of a lifelog: maps, hours, timeline.
 
-It tells what ``timeline.csv`` and ``day.png`` beside it tell: nothing of which files the day is made of, or where they
-and the plans lie.
+Privacy: it has the same content as ``timeline.csv`` and ``day.png``; no names or paths of recordings and plans.
 """
 
 from __future__ import annotations
@@ -13,29 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.confidence import band
 from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
-from pdr_graph.lifelog.day import Day, Stay
-from pdr_graph.lifelog.panels import Drawn, Panel, panels
-from pdr_graph.lifelog.parts import UNSEEN, sigma
-from pdr_graph.lifelog.picture_style import COLOURS
+from pdr_graph.geometry import confidence_band
+from pdr_graph.lifelog.day import UNSEEN, Day, Stay, sigma
+from pdr_graph.lifelog.maps import COLOURS, Drawn, Panel, panels
 from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, Totals, cells, spoken, timeline, totals
 from pdr_graph.plotting import TRACK
-from pdr_graph.report import charts, plans
-from pdr_graph.report.columns import CENTIMETRE, CENTISECOND, column, runs
-from pdr_graph.report.tables import Table, table
-from pdr_graph.report.tracks import NOWHERE, rings, track
+from pdr_graph.report import charts_and_tables, page
+from pdr_graph.report.charts_and_tables import Table, table
+from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, rings, runs, track
 from pdr_graph.types import Array, Trajectory
 
-QUARTER = 900.0  # [s] at multiples of which clocks are changed
-SMALLEST_DOT, LARGEST_DOT = 7.0, 22.0  # [px] of a slow pass or a short stay, and of the longest
-LONGEST = 7200.0  # [s] of a stay with the largest dot
-BLOCK, LANE = 14, 26  # [px] height of what is drawn in the hours, and of a lane there
+QUARTER = 900.0  # [s]: daylight saving time starts and ends at multiples of it
+SMALLEST_DOT, LARGEST_DOT = 7.0, 22.0  # [px] diameter of the mark of a slow pass or short stay, of the longest stay
+LONGEST = 7200.0  # [s] duration of a stay with the largest mark
+BLOCK, LANE = 14, 26  # [px] height of a block and of a lane in the chart of the day
 
 
 def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str]) -> dict[str, Any]:
-    """The page, as the head of ``web/content.js`` says; missing, warnings: a line each."""
+    """The content of the page, in the form documented in ``web/content.js``; missing, warnings: a line each."""
     entries, maps = timeline(day), panels(day)
     start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
     ways = [_way(panel) for panel in maps]
@@ -52,18 +48,18 @@ def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[s
         "tracks": [line for n, panel in enumerate(maps) for line in _tracks(panel, ways[n], n, len(maps))],
         "marks": [marks for n, panel in enumerate(maps) for marks in _stays(panel, n)],
         "charts": [_hours(entries), *([_sigma(ways[0])] if ways else [])] if entries else [],
-        "phases": [{"start": e.start, "end": e.end, "text": _said(e)} for e in entries],
+        "phases": [{"start": e.start, "end": e.end, "text": _entry_label(e)} for e in entries],
         "tables": [_timeline(entries, zone)],
     }
 
 
 def _headline(sums: Totals) -> list[list[str]]:
-    said = [["walked", f"{_far(sums.walked)} in {spoken(sums.walking)}"]]
-    said += [["ridden", f"{_far(sums.ridden)} in {spoken(sums.riding)}"]] if sums.riding else []
-    said += [["stayed", spoken(sums.staying)]] if sums.staying else []
-    said += [["steps", f"{sums.steps:,}"]] if sums.steps else []
-    said += [["not recorded", spoken(sums.unknown)]] if sums.unknown else []
-    return said + [[name, spoken(time)] for name, time in sums.places[:3]]
+    figures = [["walked", f"{_far(sums.walked)} in {spoken(sums.walking)}"]]
+    figures += [["ridden", f"{_far(sums.ridden)} in {spoken(sums.riding)}"]] if sums.riding else []
+    figures += [["stayed", spoken(sums.staying)]] if sums.staying else []
+    figures += [["steps", f"{sums.steps:,}"]] if sums.steps else []
+    figures += [["no data", spoken(sums.unknown)]] if sums.unknown else []
+    return figures + [[name, spoken(time)] for name, time in sums.places[:3]]
 
 
 def _far(metres: float) -> str:
@@ -71,7 +67,7 @@ def _far(metres: float) -> str:
 
 
 def _offsets(start: float, end: float, zone: tzinfo) -> list[list[float]]:
-    """By how much local time is ahead from which Unix time on. [s]"""
+    """Offsets of local time from UTC [s], as [Unix time from which it holds, offset]."""
     times = np.arange(QUARTER * np.floor(start / QUARTER), end + QUARTER, QUARTER).tolist()
     ahead = [(time, datetime.fromtimestamp(time, zone).utcoffset()) for time in times]
     changes = [next(same) for _, same in groupby(ahead, key=lambda one: one[1])]
@@ -84,23 +80,23 @@ def _map(panel: Panel, number: int) -> dict[str, Any]:
 
 
 def _plan(panel: Panel) -> dict[str, Any] | None:
-    """The floor of a map; None if it has none, or the plan is not there any more."""
+    """The floor plan of a map; None if it has none, or its file is no longer there."""
     if not panel.plan:
         return None
     try:
         floors = Building.load(panel.plan).floors
     except InputError:
         return None
-    return plans.drawn(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
+    return page.plan_drawing(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
 
 
 def _way(panel: Panel) -> Trajectory:
-    """All that was gone on a map, with a row of NaN after each stretch."""
+    """All tracks on a map as one, with a row of NaN after each."""
     return _joined(path for own in panel.ways for path in own)
 
 
 def _joined(paths: Iterable[Trajectory]) -> Trajectory:
-    """Paths one after the other, in order of time, each followed by a row that is nowhere."""
+    """Concatenate paths in time order, with a row of NaN after each."""
     ordered = sorted(paths, key=lambda path: float(path.time[0]))
     parts = [_broken(path) for path in ordered]
     time, position, heading, covariance = (
@@ -110,7 +106,7 @@ def _joined(paths: Iterable[Trajectory]) -> Trajectory:
 
 
 def _broken(path: Trajectory) -> tuple[Any, ...]:
-    """The columns of a path and a row that is nowhere."""
+    """The columns of a path with a row of NaN appended."""
     covariance = np.full((len(path), 3, 3), np.nan) if path.covariance is None else path.covariance
     return (
         np.append(path.time, path.time[-1]),
@@ -122,7 +118,7 @@ def _broken(path: Trajectory) -> tuple[Any, ...]:
 
 
 def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[dict[str, Any]]:
-    """What was done where, by kinds, and the way that the walker goes, with its region."""
+    """A track per kind of activity, and the track of the walker with its 95 % region."""
     for kind in COLOURS:
         own = [drawn for drawn in panel.drawn if drawn.kind == kind and len(drawn.track) > 1]
         if own:
@@ -136,7 +132,7 @@ def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[d
 
 
 def _region(panel: Panel, path: Trajectory) -> Array:
-    return band(path, np.array([panel.floor in ("", label) for label in path.floor]))
+    return confidence_band(path, np.array([panel.floor in ("", label) for label in path.floor]))
 
 
 def _kind(name: str, colour: str, drawn: Sequence[Drawn], number: int) -> dict[str, Any]:
@@ -151,28 +147,28 @@ def _stays(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
         if own:
             x, y = (column(axis, CENTIMETRE) for axis in np.array([stay.position for stay in own]).T)
             marks = {"name": WORDS.get(kind, kind), "colour": COLOURS[kind], "symbol": "circle", "x": x, "y": y}
-            dots = {"size": [_dot(stay) for stay in own], "text": [_stayed(stay) for stay in own]}
+            dots = {"size": [_dot(stay) for stay in own], "text": [_stay_label(stay) for stay in own]}
             yield marks | dots | {"on": runs([number] * len(own))}
 
 
 def _dot(stay: Stay) -> float:
-    """Its diameter, by how long it was. [px]"""
+    """Diameter [px] of the mark of a stay, by its duration."""
     share = 0.0 if stay.passing else min((stay.end - stay.start) / LONGEST, 1.0)
     return round(float(np.sqrt(SMALLEST_DOT**2 + share * (LARGEST_DOT**2 - SMALLEST_DOT**2))), 1)
 
 
-def _stayed(stay: Stay) -> str:
+def _stay_label(stay: Stay) -> str:
     named = [f"{name} {probability:.0%}" for name, probability in stay.facing]
     return "\n".join([f"{spoken(stay.end - stay.start)}, ± {float(sigma(stay.covariance)):.1f} m", *named])
 
 
-def _said(entry: Entry) -> str:
+def _entry_label(entry: Entry) -> str:
     _, what, _, floor, place = cells(entry)
     return ", ".join(part for part in (what, floor, place) if part)
 
 
 def _hours(entries: Sequence[Entry]) -> dict[str, Any]:
-    """What was done when, in a lane for each kind, the first on top."""
+    """Chart of the day: a lane per kind of activity, the first on top."""
     kinds = [kind for kind in COLOURS if any(entry.kind == kind for entry in entries)][::-1]
     lanes = [_lane(kind, [e for e in entries if e.kind == kind], n) for n, kind in enumerate(kinds)]
     labels = [WORDS.get(kind, kind) for kind in kinds]
@@ -180,16 +176,16 @@ def _hours(entries: Sequence[Entry]) -> dict[str, Any]:
 
 
 def _lane(kind: str, entries: Sequence[Entry], lane: int) -> dict[str, Any]:
-    """Blocks; each says in its middle, too, what it is."""
+    """The blocks of one lane; each has a point in its middle for the hover text."""
     time = np.array([(e.start, (e.start + e.end) / 2, e.end, e.end) for e in entries]).ravel()
     y = np.tile([lane, lane, lane, np.nan], len(entries))
-    text = [f"{spoken(e.end - e.start)}\n{_said(e)}" for e in entries for _ in range(4)]
+    text = [f"{spoken(e.end - e.start)}\n{_entry_label(e)}" for e in entries for _ in range(4)]
     block = {"name": kind, "colour": COLOURS[kind], "width": BLOCK, "text": text}
     return block | {"time": column(time, CENTISECOND), "y": column(y, 1.0)}
 
 
 def _sigma(way: Trajectory) -> dict[str, Any]:
-    return charts.sigma({"where": (TRACK, way)})
+    return charts_and_tables.sigma({"where": (TRACK, way)})
 
 
 def _timeline(entries: Sequence[Entry], zone: tzinfo) -> Table:

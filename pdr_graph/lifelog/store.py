@@ -1,28 +1,148 @@
-"""The lifelog: one SQLite file of recordings and of what was made of them, which one process at a time may open.
+"""The store of a lifelog: one SQLite file of recordings and reconstructed days, opened by one process at a time.
 
-Beside it, in ``STORE.d``, lies what it is made from: what each recording was observed to tell, copies of recordings if
-they are asked for, and days on their way into the store. All but the copies can be made again from the recordings.
-The tables may be read with any SQLite client; only `Store` writes them, a transaction for each thing that is done.
+The folder ``STORE.d`` beside it has observations, copies of recordings if requested, and days that are not stored yet.
+Everything except the copies can be rebuilt from the recordings. Any SQLite client may read the tables; only `Store`
+writes them, one transaction per operation.
 """
 
 from __future__ import annotations
 
 import json
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from pdr_graph import database
-from pdr_graph.database import Kind
-from pdr_graph.errors import InputError
-from pdr_graph.gait.profile import Profile
-from pdr_graph.lifelog import rows
-from pdr_graph.lifelog.day import Day
+import numpy as np
 
-LIFELOG = Kind("lifelog", 0x5044524C, 1)  # "PDRL", and of this form of file
+from pdr_graph import storage
+from pdr_graph.errors import InputError
+from pdr_graph.frames import Frame
+from pdr_graph.gait.walker import Profile
+from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
+from pdr_graph.storage import Kind, compress, decode_json, decompress, encode_json
+from pdr_graph.types import Trajectory
+
+DAY_SCHEMA = (
+    # key: of all that a day is made of; recordings: hashes, JSON
+    "CREATE TABLE day (person TEXT, date TEXT, key TEXT, recordings TEXT, PRIMARY KEY (person, date))",
+    # epoch: Unix time at 0 [s]; frame, recordings, notes and missing: JSON
+    """CREATE TABLE outing (person TEXT, date TEXT, outing INTEGER, source TEXT, epoch REAL, steps INTEGER, plan TEXT,
+        frame TEXT, recordings TEXT, notes TEXT, missing TEXT, PRIMARY KEY (person, date, outing))""",
+    # start, stop: from the outing's epoch [s]; distance [m]
+    """CREATE TABLE segment (person TEXT, date TEXT, outing INTEGER, segment INTEGER, kind TEXT, start REAL, stop REAL,
+        distance REAL, PRIMARY KEY (person, date, outing, segment))""",
+    # bytes: as of storage.compress
+    """CREATE TABLE trajectory (person TEXT, date TEXT, outing INTEGER, bytes BLOB,
+        PRIMARY KEY (person, date, outing))""",
+    # x, y [m] in the outing's frame; heading [rad], NULL where unknown
+    """CREATE TABLE stay (person TEXT, date TEXT, outing INTEGER, stay INTEGER, start REAL, stop REAL, passing INTEGER,
+        x REAL, y REAL, var_x REAL, cov_xy REAL, var_y REAL, heading REAL, floor TEXT,
+        PRIMARY KEY (person, date, outing, stay))""",
+    """CREATE TABLE facing (person TEXT, date TEXT, outing INTEGER, stay INTEGER, rank INTEGER, name TEXT,
+        probability REAL, PRIMARY KEY (person, date, outing, stay, rank))""",
+    # at the end of the day; covariance: 3 × 3 in the order of the coefficients, JSON
+    """CREATE TABLE profile (person TEXT, date TEXT, E_length REAL, E_straight REAL, E_corner REAL, covariance TEXT,
+        residual REAL, speed REAL, PRIMARY KEY (person, date))""",
+)
+TABLES = ("day", "outing", "segment", "trajectory", "stay", "facing", "profile")  # tables with rows of a day
+Rows = dict[str, list[tuple[Any, ...]]]
+
+
+@dataclass(frozen=True)
+class DayRows:
+    """The rows of a day by table, on their way from a worker to the store."""
+
+    tables: Rows
+
+
+def rows_of(day: Day, key: str, recordings: Sequence[str]) -> Rows:
+    """Rows of a day for each table; key: hash of its inputs; recordings: content hashes."""
+    own = (day.person, day.date)
+    rows: Rows = {name: [] for name in TABLES}
+    rows["day"].append((*own, key, json.dumps(list(recordings))))
+    for n, outing in enumerate(day.outings):
+        _add(rows, (*own, n), outing)
+    if day.profile is not None:
+        rows["profile"].append((*own, *profile_row(day.profile)))
+    return rows
+
+
+def day_of(person: str, date: str, read: Callable[[str], Sequence[Sequence[Any]]]) -> Day:
+    """Reconstruct a day from the rows that `rows_of` made; read: rows of a table, without person and date, in order.
+
+    Raises ValueError if the rows are invalid.
+    """
+    tables = {name: read(name) for name in TABLES}
+    found = [profile_of(row) for row in tables["profile"]]
+    outings = tuple(_outing(row, tables) for row in tables["outing"])
+    return Day(person, date, outings, found[0] if found else None)
+
+
+def profile_row(profile: Profile) -> tuple[Any, ...]:
+    """Row of a profile for its table."""
+    covariance = json.dumps(profile.covariance.tolist())
+    return (profile.E_length, profile.E_straight, profile.E_corner, covariance, profile.residual, profile.speed)
+
+
+def profile_of(row: Sequence[Any]) -> Profile:
+    """Profile from a row of its table."""
+    length, straight, corner, covariance, residual, speed = row
+    length, straight, corner, residual, speed = map(_number, (length, straight, corner, residual, speed))
+    return Profile(length, straight, corner, np.array(json.loads(covariance)), residual, speed)
+
+
+def _add(rows: Rows, own: tuple[str, str, int], outing: Outing) -> None:
+    """Add the rows of one outing."""
+    told = [json.dumps(list(texts)) for texts in (outing.recordings, outing.notes, outing.missing)]
+    frame = encode_json(outing.frame)
+    rows["outing"].append((*own, outing.source, outing.epoch, outing.steps, outing.plan, frame, *told))
+    rows["trajectory"].append((*own, compress(outing.trajectory)))
+    for n, s in enumerate(outing.segments):
+        rows["segment"].append((*own, n, s.kind, s.start, s.end, s.distance))
+    for n, stay in enumerate(outing.stays):
+        place = (*stay.position.tolist(), *stay.covariance.ravel()[[0, 1, 3]].tolist())
+        rows["stay"].append((*own, n, stay.start, stay.end, int(stay.passing), *place, stay.heading, stay.floor))
+        rows["facing"] += [(*own, n, rank, name, p) for rank, (name, p) in enumerate(stay.facing)]
+
+
+def _outing(row: Sequence[Any], tables: Mapping[str, Sequence[Sequence[Any]]]) -> Outing:
+    number, source, epoch, steps, plan, frame, *told = row
+    recordings, notes, missing = (tuple(json.loads(texts)) for texts in told)
+    own = {name: [r[1:] for r in tables[name] if r[0] == number] for name in TABLES[2:]}
+    [(track,)] = own["trajectory"]
+    return Outing(
+        recordings=recordings,
+        source=source,
+        epoch=epoch,
+        frame=decode_json(frame, Frame),
+        plan=plan,
+        trajectory=decompress(track, Trajectory),
+        segments=tuple(Segment(kind, *map(_number, numbers)) for _, kind, *numbers in own["segment"]),
+        stays=tuple(_stay(r, own["facing"]) for r in own["stay"]),
+        steps=steps,
+        notes=notes,
+        missing=missing,
+    )
+
+
+def _stay(row: Sequence[Any], facing: Sequence[Sequence[Any]]) -> Stay:
+    number, start, stop, passing, *numbers, floor = row
+    x, y, var_x, cov_xy, var_y, heading = map(_number, numbers)
+    seen = tuple((name, probability) for stay, _, name, probability in facing if stay == number)
+    covariance = np.array([[var_x, cov_xy], [cov_xy, var_y]])
+    return Stay(start, stop, bool(passing), np.array([x, y]), covariance, heading, floor, seen)
+
+
+def _number(value: float | None) -> float:
+    """A number from SQLite, which stores NaN as NULL."""
+    return float("nan") if value is None else value
+
+
+REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
+LIFELOG = Kind("lifelog", 0x5044524C, 2, REMEDY)  # "PDRL", and of this form of file
 SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, value TEXT)",
     "CREATE TABLE version (name TEXT PRIMARY KEY, value TEXT)",  # of the programs that built it last
@@ -30,25 +150,25 @@ SCHEMA = (
     """CREATE TABLE recording (hash TEXT PRIMARY KEY, person TEXT, path TEXT, plan TEXT, fixes TEXT, walker TEXT,
         floor TEXT, begins REAL, observation TEXT, epoch REAL, duration REAL, steps INTEGER, refusal TEXT)""",
     "CREATE TABLE phone (transmitter TEXT PRIMARY KEY, person TEXT)",  # who carries what others' logs hear
-    *rows.SCHEMA,
+    *DAY_SCHEMA,
     # why a day could not be built, of the last build
     "CREATE TABLE failure (person TEXT, date TEXT, said TEXT, PRIMARY KEY (person, date))",
 )
 ZONE = "zone"
 TOGETHER = "together"
-SETTINGS = {ZONE: "UTC", TOGETHER: ""}  # whose midnights part the days; of what the days in one graph were made
+SETTINGS = {ZONE: "UTC", TOGETHER: ""}  # time zone of the days; key of the last joint estimate
 Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A recording, as the lifelog knows it.
+    """The lifelog's entry for a recording.
 
-    hash: of its content; person; path: where it is; plan, fixes, walker: paths of files, "" without one; floor: label
-    where it began, "" if unknown; begins: Unix time of its start [s], None if it says so itself.
-    observation: key of what it was observed to tell, "" before that; then epoch: Unix time of its start [s],
-    duration [s] and number of steps. refusal: why it could not be observed the last time that was tried, "" if it
-    could.
+    hash: of its content; person; path: of the recording; plan, fixes, walker: paths of files, "" without one; floor:
+    label at the start, "" if unknown; begins: Unix time of its start [s], None if the recording has it.
+    observation: key of the observation, "" if there is none yet; epoch: Unix time of its start [s],
+    duration [s] and number of steps. refusal: reason for which the last observation failed, "" if it
+    succeeded.
     """
 
     hash: str
@@ -68,7 +188,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Built:
-    """A day that is in the store. key: of all that it was made of; recordings: their hashes; profile: at its end."""
+    """A stored day. key: hash of its inputs; recordings: content hashes; profile: of the walker at its end."""
 
     key: str
     recordings: tuple[str, ...]
@@ -76,40 +196,40 @@ class Built:
 
 
 class Store:
-    """An open lifelog. folder: ``STORE.d``, which need not be there. A context manager."""
+    """An open lifelog, a context manager. folder: ``STORE.d``, which may not exist."""
 
     def __init__(self, path: Path, new: bool = False):
-        """Open the file; new: make it, if there is none.
+        """Open a lifelog; new: create it if it does not exist.
 
-        Raises InputError if it is no lifelog, of a newer version, damaged, in use or missing; OSError of the disk.
+        Raises InputError if it is not a lifelog, of a newer version, damaged, in use or missing; OSError of the disk.
         """
         if not new and not path.exists():
-            raise InputError(path, "", "no such file", "a lifelog, as pdr-graph lifelog add makes it")
+            raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
         begins = {"INSERT INTO setting VALUES (?, ?)": list(SETTINGS.items())}
-        self._database = database.create_or_open(path, LIFELOG, SCHEMA, begins)
+        self._database = storage.create_or_open(path, LIFELOG, SCHEMA, begins)
         self._database.execute("PRAGMA synchronous = NORMAL")  # outlives kill -9; a power cut costs the last days
 
     def entries(self) -> tuple[Entry, ...]:
-        """All recordings, in order of hash."""
+        """Entries of all recordings, ordered by hash."""
         return tuple(Entry(*row) for row in self._all("SELECT * FROM recording ORDER BY hash"))
 
     def setting(self, name: str) -> str:
-        """What is set."""
+        """Value of a setting."""
         return self._all("SELECT value FROM setting WHERE name = ?", name)[0][0]
 
     def days(self) -> dict[tuple[str, str], Built]:
-        """What is built, by person and date, in this order."""
+        """Stored days by (person, date), in this order."""
         profiles, days = self._all("SELECT * FROM profile"), self._all("SELECT * FROM day ORDER BY person, date")
         with self._whole("days"):
-            known = {(person, date): rows.profile_of(row) for person, date, *row in profiles}
+            known = {(person, date): profile_of(row) for person, date, *row in profiles}
             return {
                 (person, date): Built(key, tuple(json.loads(recordings)), known.get((person, date)))
                 for person, date, key, recordings in days
             }
 
     def day(self, person: str, date: str) -> Day | None:
-        """A person's day, None where none is built."""
+        """A day of a person; None if it is not stored."""
         if not self._all("SELECT 1 FROM day WHERE person = ? AND date = ?", person, date):
             return None
 
@@ -118,24 +238,24 @@ class Store:
             return [row[2:] for row in self._all(columns.format(table), person, date)]
 
         with self._whole(f"{person}, {date}"):
-            return rows.day_of(person, date, read)
+            return day_of(person, date, read)
 
     def failures(self) -> tuple[tuple[str, str, str], ...]:
-        """Person, date and what was said, of each day that the last build could not build."""
+        """Person, date and reason of each day that failed in the last build."""
         return tuple(self._all("SELECT person, date, said FROM failure ORDER BY person, date"))
 
     def put(self, *entries: Entry) -> None:
-        """Add recordings, or change what is known of them."""
+        """Insert or replace entries of recordings."""
         with self._transaction() as execute:
             for entry in entries:
                 execute(_insert("recording", len(fields(Entry))), astuple(entry))
 
     def phones(self) -> dict[str, str]:
-        """Whose phone or tag a Bluetooth transmitter is."""
+        """Map Bluetooth transmitter -> person who carries it."""
         return dict(self._all("SELECT transmitter, person FROM phone ORDER BY transmitter"))
 
     def carries(self, person: str, transmitter: str) -> None:
-        """Note what a person carries."""
+        """Store that a person carries a Bluetooth transmitter."""
         with self._transaction() as execute:
             execute(_insert("phone", 2), (transmitter, person))
 
@@ -145,20 +265,20 @@ class Store:
             execute(_insert("setting", 2), (name, value))
 
     def built_with(self, versions: dict[str, str]) -> None:
-        """Note the versions of programs."""
+        """Store the versions of packages."""
         with self._transaction() as execute:
             for row in versions.items():
                 execute(_insert("version", 2), row)
 
     def begin(self, forgotten: Iterable[tuple[str, str]]) -> None:
-        """Forget what failed the last time, and these days, whose recordings are of other days now."""
+        """Delete the failures of the last build, and days whose recordings belong to other days now."""
         with self._transaction() as execute:
             execute("DELETE FROM failure", ())
             for person, date in forgotten:
                 _forget(execute, person, date)
 
-    def take(self, made: rows.Rows) -> None:
-        """Put a day in the place of what was there of it."""
+    def take(self, made: Rows) -> None:
+        """Replace the stored rows of a day."""
         [(person, date, *_)] = made["day"]
         with self._transaction() as execute:
             _forget(execute, person, date)
@@ -167,12 +287,12 @@ class Store:
                     execute(_insert(table, len(row)), row)
 
     def failed(self, person: str, date: str, said: str) -> None:
-        """Note why a day could not be built; what was there of it stays."""
+        """Store the reason for which a day failed; its earlier rows are kept."""
         with self._transaction() as execute:
             execute(_insert("failure", 3), (person, date, said))
 
     def close(self) -> None:
-        """Let another process open it."""
+        """Close the file, so that another process may open it."""
         self._database.close()
 
     def __enter__(self) -> Store:
@@ -182,23 +302,25 @@ class Store:
         self.close()
 
     def _all(self, statement: str, *values: Any) -> list[Any]:
-        with database.explained(self.path, LIFELOG):
+        with storage.explained(self.path, LIFELOG):
             return self._database.execute(statement, values).fetchall()
 
     @contextmanager
     def _whole(self, place: str) -> Iterator[None]:
-        """Say of rows that were damaged that they are."""
+        """Convert errors of damaged rows to InputError."""
         try:
             yield
         except InputError:
             raise
         except (ValueError, TypeError, LookupError) as error:
-            raise InputError(self.path, place, f"{error}", "a lifelog that is whole") from None
+            raise InputError(
+                self.path, place, f"{error}", "an undamaged lifelog: restore a backup, or build it again"
+            ) from None
 
     @contextmanager
     def _transaction(self) -> Iterator[Execute]:
-        """All or nothing."""
-        with database.explained(self.path, LIFELOG):
+        """A transaction, rolled back on any error."""
+        with storage.explained(self.path, LIFELOG):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield self._database.execute
@@ -210,12 +332,12 @@ class Store:
 
 
 def folder_of(path: Path) -> Path:
-    """Where a lifelog's other files are."""
+    """Path of the folder ``STORE.d`` of a lifelog."""
     return path.resolve().with_name(f"{path.name}.d")
 
 
 def _forget(execute: Execute, person: str, date: str) -> None:
-    for table in (*rows.TABLES, "failure"):
+    for table in (*TABLES, "failure"):
         execute(f"DELETE FROM {table} WHERE person = ? AND date = ?", (person, date))
 
 

@@ -1,4 +1,4 @@
-"""A day as one list: when, what, how far, and where."""
+"""Timeline of a day: time, activity, distance, floor and place."""
 
 from __future__ import annotations
 
@@ -11,27 +11,40 @@ import numpy as np
 
 from pdr_graph.errors import one_line
 from pdr_graph.io.writers import cell
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Outing, Stay
-from pdr_graph.lifelog.parts import UNSEEN, at, floors_along, shares, sigma, within
+from pdr_graph.lifelog.day import (
+    GAP,
+    STANDING,
+    UNSEEN,
+    VEHICLE,
+    WALKING,
+    Day,
+    Outing,
+    Stay,
+    at,
+    floors_along,
+    shares,
+    sigma,
+    within,
+)
 
 STAY, PASSING = "stay", "passing"
-WORDS = {VEHICLE: "riding", GAP: "nobody recorded"}  # where the kind itself is no plain word
-SHORT_STAND = 60.0  # [s] that one waits at a crossing or a bus at its stop: part of the way, unless it is a stay
-SLIVER = 3.0  # [s] at the edge of a stay that are the two detectors' disagreement about it
-NO_GAP = 1.0  # [s] between two outings that are none
+WORDS = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind
+SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
+SLIVER = 3.0  # [s] at the edge of a stay by which the two detectors disagree
+SHORTEST_GAP = 1.0  # [s] between two outings that is shown as a gap
 HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma"
-LEAST_SAID = 60.0  # [s] at a place for which the sums name it
-MOST_OTHERS = 2  # further names in the printed table; the CSV has all
+SHORTEST_TOTAL = 60.0  # [s] at a place for which the totals name it
+MOST_OTHERS = 2  # alternative names in the printed table; the CSV has all
 
 
 @dataclass(frozen=True)
 class Entry:
     """A line of the timeline.
 
-    kind: of KINDS, or STAY, PASSING, PRIVATE; start, end: Unix times [s]; distance: gone along the way [m].
-    floor: labels, in order, empty where unknown; facing: as of ``Stay``.
-    x, y: in the outing's frame [m], latitude, longitude: the same place [deg], sigma: its standard deviation per axis
-    [m]; NaN of what is in no one place or where that is unknown.
+    kind: one of KINDS, STAY, PASSING or PRIVATE; start, end: Unix times [s]; distance: along the path [m].
+    floor: labels, in order, empty where unknown; facing: as in ``Stay``.
+    x, y: in the outing's frame [m]; latitude, longitude: the same place [deg]; sigma: standard deviation per axis
+    [m]; NaN for entries that are not at one place, and where the place is unknown.
     """
 
     kind: str
@@ -49,10 +62,10 @@ class Entry:
 
 @dataclass(frozen=True)
 class Totals:
-    """Sums of a day. Distances [m], times [s].
+    """Totals of a day. Distances [m], times [s].
 
-    places: the time spent at each named place, the longest first: a stay's time counts by the probability with which
-    it was there.
+    places: time spent at each named place, longest first; the time of a stay is weighted by the probability of the
+    place.
     """
 
     walked: float
@@ -67,7 +80,7 @@ class Totals:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A part of an outing, times from its epoch. stay: that it is, None if it is none."""
+    """A part of an outing, times in seconds from its epoch; stay: None if it is not a stay."""
 
     kind: str
     start: float
@@ -77,21 +90,22 @@ class _Piece:
 
 
 def timeline(day: Day) -> tuple[Entry, ...]:
-    """The day in order of time, outing after outing, with the gaps between them.
+    """Entries of a day in time order, with the gaps between outings.
 
-    A stay replaces what it lies in. Standing for less than SHORT_STAND that is no stay belongs to the way around it.
+    A stay replaces the part of the segment that it covers. Standing for less than SHORT_STAND that is not a stay
+    belongs to the walk or ride around it.
     """
     entries: list[Entry] = []
     for outing in sorted(day.outings, key=lambda o: o.epoch):
         own = [_entry(outing, piece) for piece in _pieces(outing)]
-        if entries and own and own[0].start - entries[-1].end > NO_GAP:
+        if entries and own and own[0].start - entries[-1].end > SHORTEST_GAP:
             entries.append(Entry(GAP, entries[-1].end, own[0].start))
         entries += own
     return tuple(entries)
 
 
 def totals(day: Day, entries: Sequence[Entry]) -> Totals:
-    """The sums of a day and its timeline: distances are the segments', times those of the lines."""
+    """Totals of a day: distances from its segments, times from the entries of its timeline."""
     at_places = dict[str, float]()
     for stay in (entry for entry in entries if entry.kind == STAY):
         for name, probability in stay.facing:
@@ -215,20 +229,20 @@ def printed(day: Day, entries: Sequence[Entry], zone: tzinfo) -> str:
         lasted, what, far, floor, place = cells(entry)
         lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {place}".rstrip())
     sums = totals(day, entries)
-    places = ", ".join(f"{one_line(name)} {spoken(time)}" for name, time in sums.places if time >= LEAST_SAID)
+    places = ", ".join(f"{one_line(name)} {spoken(time)}" for name, time in sums.places if time >= SHORTEST_TOTAL)
     lines += ["", "; ".join(in_words(sums)), *([f"at places: {places}"] if places else [])]
     return "\n".join(lines) + "\n"
 
 
 def cells(entry: Entry) -> tuple[str, str, str, str, str]:
-    """An entry in words: how long, what, how far, on which floors, where."""
+    """Texts of an entry: duration, activity, distance, floors, place."""
     what, floor = WORDS.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
     far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
     return spoken(entry.end - entry.start), what, far, floor, _where(entry)
 
 
 def _where(entry: Entry) -> str:
-    """Names with probabilities; the place in degrees where nothing has a name."""
+    """Names with probabilities; coordinates for a place without a name."""
     if entry.facing:
         (name, probability), *others = entry.facing
         beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:MOST_OTHERS])
@@ -239,16 +253,16 @@ def _where(entry: Entry) -> str:
 
 
 def in_words(sums: Totals) -> list[str]:
-    """What was done that day, in words; of each kind that there was."""
-    counted = f", {sums.steps} steps" if sums.steps else ""  # of positions alone nobody knows
-    said = [f"walked {sums.walked / 1000:.2f} km in {spoken(sums.walking)}{counted}"]
-    said += [f"rode {sums.ridden / 1000:.2f} km in {spoken(sums.riding)}"] if sums.riding else []
-    said += [f"stayed {spoken(sums.staying)}"] if sums.staying else []
-    return said + ([f"not recorded {spoken(sums.unknown)}"] if sums.unknown else [])
+    """Totals as texts, one per kind of activity that occurred."""
+    counted = f", {sums.steps} steps" if sums.steps else ""  # unknown without an accelerometer
+    texts = [f"walked {sums.walked / 1000:.2f} km in {spoken(sums.walking)}{counted}"]
+    texts += [f"rode {sums.ridden / 1000:.2f} km in {spoken(sums.riding)}"] if sums.riding else []
+    texts += [f"stayed {spoken(sums.staying)}"] if sums.staying else []
+    return texts + ([f"no data {spoken(sums.unknown)}"] if sums.unknown else [])
 
 
 def spoken(seconds: float) -> str:
-    """A time as one says it: "45 s", "12 min", "2 h 05 min"."""
+    """A duration as text: "45 s", "12 min", "2 h 05 min"."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

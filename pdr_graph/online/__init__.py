@@ -1,1 +1,1 @@
-"""The live walk: navigator, journal, the competition's client."""
+"""The live walk: navigator, journal and replay."""

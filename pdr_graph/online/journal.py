@@ -11,27 +11,77 @@ A process that is killed loses nothing of what it wrote; for power cuts see ``du
 
 from __future__ import annotations
 
-import hashlib
 import sqlite3
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
-from pdr_graph.errors import InputError
-from pdr_graph.online.codec import EVENTS, decode, encode, pack, unpack
-from pdr_graph.online.contract import Journalled, Pose, Status
-from pdr_graph.online.events import Event
-from pdr_graph.online.store import explained, open_store, read
+from pdr_graph import storage
+from pdr_graph.errors import InputError, expect
+from pdr_graph.online.interface import EVENTS, Event, Journaled, Pose, Status
+from pdr_graph.storage import Kind, decode, encode, encode_and_decode
 from pdr_graph.types import Estimate, Trajectory
+
+REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
+JOURNAL = Kind("journal", 0x50445247, 2, REMEDY)  # "PDRG", and of this form of file
+SCHEMA = (
+    "CREATE TABLE setting (name TEXT PRIMARY KEY, bytes BLOB NOT NULL)",
+    "CREATE TABLE event (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",
+    "CREATE TABLE snapshot (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",  # the state after that event
+    "CREATE TABLE trajectory (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",  # the rows that settled by then
+)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the navigator was made with: texts, numbers, None, lists and dictionaries of these."""
+
+    value: Any
+
+
+def open_store(path: Path, settings: Mapping[str, Any], synchronous: str) -> tuple[sqlite3.Connection, dict[str, Any]]:
+    """The database, and the settings that it was made with: these, if it is new.
+
+    Raises InputError if the file is something else, of a newer version, damaged or in use; OSError of the disk.
+    """
+    rows = [(name, encode(Setting(value))) for name, value in settings.items()]
+    opened = storage.create_or_open(path, JOURNAL, SCHEMA, {"INSERT INTO setting VALUES (?, ?)": rows})
+    try:
+        with explained(path):
+            opened.execute("PRAGMA wal_autocheckpoint = 0")  # but after each snapshot
+            opened.execute(f"PRAGMA synchronous = {synchronous}")
+            said = opened.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if said != "ok":
+                raise sqlite3.DatabaseError(said)
+            rows = opened.execute("SELECT name, bytes FROM setting").fetchall()
+        return opened, {name: read(path, f"setting {name}", blob, Setting).value for name, blob in rows}
+    except BaseException:
+        opened.close()
+        raise
+
+
+def read(path: Path, place: str, blob: bytes, *kinds: type) -> Any:
+    """Decode bytes of the file, of one of some kinds. Raises InputError if they are damaged."""
+    try:
+        return decode(blob, *kinds)
+    except ValueError as error:
+        raise InputError(path, place, str(error), "a journal that is whole") from None
+
+
+def explained(path: Path) -> AbstractContextManager[None]:
+    """What SQLite says of a journal, as this package says it."""
+    return storage.explained(path, JOURNAL)
+
 
 EVERY = 2000  # events between snapshots: a minute of a phone's sensors
 LARGEST = 4 << 20  # [bytes] of events between snapshots; part of the VERSION, as it says when they are
 INTERVAL = "events between snapshots"  # a setting of the journal's own
 SYNCHRONOUS = {"process": "OFF", "snapshot": "NORMAL", "power": "FULL"}
-Navigator = TypeVar("Navigator", bound=Journalled)
+Navigator = TypeVar("Navigator", bound=Journaled)
 
 
 class Journal(Generic[Navigator]):
@@ -45,7 +95,7 @@ class Journal(Generic[Navigator]):
         path: Path,
         database: sqlite3.Connection,
         make: Callable[[], Navigator],
-        restored: Callable[[dict[str, Any]], Navigator],
+        restored: Callable[[Any], Navigator],
         every: int,
     ):
         self._path, self._database, self._every = path, database, every
@@ -57,7 +107,7 @@ class Journal(Generic[Navigator]):
         cls,
         path: str | Path,
         make: Callable[[], Navigator],
-        restored: Callable[[dict[str, Any]], Navigator],
+        restored: Callable[[Any], Navigator],
         settings: Mapping[str, Any] | None = None,
         *,
         durable: Literal["process", "snapshot", "power"] = "process",
@@ -91,8 +141,8 @@ class Journal(Generic[Navigator]):
         If it raises, the event is not in the journal and the navigator as it was before: OSError if the disk is full
         or fails, TypeError if the event is malformed, or what the navigator raises.
         """
-        blob = encode(event)
-        event = decode(blob, EVENTS)
+        expect("Journal.push, event", event, *EVENTS, instead="events_of(recording)")
+        blob, event = encode_and_decode(event)
         self._execute("INSERT INTO event VALUES (?, ?)", self.count + 1, blob)
         try:
             self.navigator.push(event)
@@ -144,14 +194,12 @@ class Journal(Generic[Navigator]):
             self.count, self.navigator = 0, self._make()
         else:
             self.count, state = kept
-            try:
-                self.navigator = self._restored(read(self._path, f"snapshot {self.count}", state))
-            except LookupError as error:  # another version's, with other names
-                raise InputError(self._path, f"snapshot {self.count}", f"no {error}", "one of this pdr_graph") from None
+            kind = self._make().Checkpoint
+            self.navigator = self._restored(read(self._path, f"snapshot {self.count}", state, kind))
         self._kept, self._bytes = self.count, 0
         self._settled: dict[int, bytes] = {}
         while (blob := self._blob_of(self.count + 1)) is not None:
-            event = read(self._path, f"event {self.count + 1}", blob, EVENTS)
+            event = read(self._path, f"event {self.count + 1}", blob, *EVENTS)
             try:
                 self.navigator.push(event)
             except Exception:  # killed before it could be taken out again, as `push` does: not acknowledged
@@ -180,9 +228,9 @@ class Journal(Generic[Navigator]):
 
     def _shorten(self) -> None:
         """Go on from a snapshot, and keep it instead of the events before."""
-        settled = self.navigator.settled()
-        state = pack(self.navigator.snapshot())
-        self.navigator = self._restored(unpack(state))
+        settled = self.navigator.finalized()
+        state, checkpoint = encode_and_decode(self.navigator.snapshot())
+        self.navigator = self._restored(checkpoint)
         self._kept, self._bytes = self.count, 0
         if len(settled):
             self._settled[self.count] = encode(settled)
@@ -207,15 +255,7 @@ class Journal(Generic[Navigator]):
     def _from_the_beginning(self, latest: Trajectory) -> Trajectory:
         kept = dict(self._execute("SELECT number, bytes FROM trajectory ORDER BY number").fetchall())
         parts = (kept | self._settled).items()
-        return _joined([*(read(self._path, f"trajectory {n}", blob, (Trajectory,)) for n, blob in parts), latest])
-
-
-def fingerprint(path: Path) -> str:
-    """A floor plan's name and what tells its content from another's, for the settings of a journal."""
-    digest = hashlib.sha256()
-    for file in sorted(path.glob("*.json")) if path.is_dir() else [path]:
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    return f"{path.name}, sha256 {digest.hexdigest()}"
+        return _joined([*(read(self._path, f"trajectory {n}", blob, Trajectory) for n, blob in parts), latest])
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:
@@ -232,5 +272,5 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
 
 def _compare(path: Path, found: dict[str, Any], given: Mapping[str, Any]) -> None:
     for name in sorted(found.keys() | given.keys()):
-        if found.get(name) != (wanted := unpack(pack(given.get(name)))):
+        if found.get(name) != (wanted := encode_and_decode(Setting(given.get(name)))[1].value):
             raise InputError(path, name, f"{found.get(name)}", f"{wanted}, or that with which the walk began")

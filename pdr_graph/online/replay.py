@@ -1,65 +1,131 @@
-"""A recording as if it were coming in live: what ``pdr-graph replay`` does, step by step."""
+"""A recording as if it were coming in live, with latency and memory: what ``pdr-graph replay`` does."""
 
 from __future__ import annotations
 
 import gc
+import os
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.fixes_alone import follow
-from pdr_graph.inputs import Inputs, placed_beacons, read_inputs
+from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, OUTSIDE, duplicates
+from pdr_graph.estimation.gps_track import follow
+from pdr_graph.estimation.results import missing_of, outside_warnings
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.formats import plan_fingerprint
+from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.walker import Walker
+from pdr_graph.inputs import LIVE, Inputs, Options, load_radio_map, read
+from pdr_graph.io.beacons import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
-from pdr_graph.online.contract import Live, Pose, trajectory_of
-from pdr_graph.online.events import Event, events_of
-from pdr_graph.online.journal import Journal, fingerprint
-from pdr_graph.online.latency import Latency
-from pdr_graph.pipeline import Stages, check_rate, summarize, unscored, with_truth, write_report, write_results
-from pdr_graph.types import Estimate, Headings, Trajectory
+from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
+from pdr_graph.online.journal import Journal
+from pdr_graph.outputs import Result, Stages, write
+from pdr_graph.pipeline import NO_ACCELEROMETER
+from pdr_graph.storage import fingerprint
+from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
+
+PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
+EVERY = 50.0  # [s] of the walk between looks at the memory, doubled whenever there are too many
+MOST_LOOKS = 200
+MEGABYTE = 1e6
+Value = TypeVar("Value")
 
 
-def replay_recording(
-    recording: Path,
-    out: Path,
-    plan: Path | None = None,
-    fixes: Path | None = None,
-    walker: Path | None = None,
-    use_recorded_fixes: bool = True,
-    rate: float | None = None,
-    floor_label: str | None = None,
-    beacons: Path | None = None,
-    lag: float | None = 60.0,
-    journal: Path | None = None,
-    truth: Path | None = None,
-    kind: Any = None,
-) -> tuple[str, ...]:
-    """Push a recording through a navigator; write its poses, latency, smoothed trajectory, picture, report and
-    summary.
+class Latency:
+    """Seconds per step: pushing: all that came in since the step before; posing: to ask where the walker is."""
 
-    Arguments as of ``pdr-graph replay``; lag: None keeps all of the walk open; truth: only drawn and scored; kind: of
-    navigator, by default ``Navigator``. Returns what could not be estimated or written. Raises InputError if an input
-    cannot be used.
+    def __init__(self) -> None:
+        self.pushing, self.posing = list[float](), list[float]()
+        self.memory = list[tuple[float, float]]()  # time of the walk [s], resident [MB]
+        self._since = 0.0
+        self._every = EVERY
+
+    def push(self, push: Callable[[Any], None], event: Any) -> None:
+        """Do it; its time is of the step under way."""
+        began = time.perf_counter()
+        push(event)
+        self._since += time.perf_counter() - began
+
+    def step(self, pose: Callable[[], Value]) -> Value:
+        """Ask for the pose; what was done since the step before is of this one."""
+        began = time.perf_counter()
+        found = pose()
+        self.posing.append(time.perf_counter() - began)
+        self.pushing.append(self._since)
+        self._since = 0.0
+        return found
+
+    def look(self, now: float) -> None:
+        """Look at the memory, if it is time to. now: of the walk. [s]"""
+        if self.memory and now < self.memory[-1][0] + self._every:
+            return
+        if (resident := _resident()) is not None:
+            self.memory.append((round(now, 1), round(resident, 2)))
+        if len(self.memory) > MOST_LOOKS:
+            self.memory, self._every = self.memory[::2], 2 * self._every
+
+    def describe(self) -> dict[str, Any]:
+        """As ``latency.json`` has it: milliseconds per step, megabytes."""
+        return {
+            "steps": len(self.pushing),
+            "push": _spread(self.pushing),
+            "pose": _spread(self.posing),
+            "peak_memory": _peak(),
+            "memory": [{"time": now, "resident": resident} for now, resident in self.memory],
+            "units": {"push": "ms per step", "pose": "ms per step", "memory": "MB", "time": "s"},
+        }
+
+
+def _spread(seconds: list[float]) -> dict[str, float] | None:
+    if not seconds:
+        return None
+    values = np.percentile(1000 * np.array(seconds), list(PERCENTILES.values()))
+    return {name: round(value, 4) for name, value in zip(PERCENTILES, values.tolist(), strict=True)}
+
+
+def _resident() -> float | None:
+    """Memory of this process now [MB], where the system tells it."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return None
+    return pages * os.sysconf("SC_PAGE_SIZE") / MEGABYTE
+
+
+def _peak() -> float | None:
+    """The most memory that this process ever had [MB], where the system tells it."""
+    try:
+        import resource  # not on Windows
+    except ImportError:
+        return None
+    unit = 1.0 if sys.platform == "darwin" else 1024.0  # [bytes]
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / MEGABYTE, 2)
+
+
+def replay_recording(recording: Path, out: Path, options: Options | None = None, kind: Any = None) -> tuple[str, ...]:
+    """Push a recording through a navigator; write poses, latency, smoothed trajectory, picture, report and summary.
+
+    kind: of navigator, by default ``Navigator``. Returns what could not be estimated or written, a line each. Raises
+    InputError if an input cannot be used.
     """
-    check_rate(rate)
+    options = replace(options or Options(), method=LIVE)
     stage, latency = Stages(), Latency()
-    files = {"map": plan, "fixes": fixes, "beacons": beacons}
     with stage("reading"):
-        given = read_inputs(recording, plan, fixes, walker, use_recorded_fixes, beacons=beacons)
-        given = with_truth(given, truth)
-        events = list(events_of(replace(given.walk, fixes=given.fixes)))
+        inputs = read(recording, options)
+        outside = _outside(inputs.walk, inputs.other_fixes)
+        events = list(events_of(replace(inputs.walk, fixes=inputs.other_fixes[~outside])))
     out.mkdir(parents=True, exist_ok=True)
-    settings = {"walker": given.walker.describe(), "recorded_fixes": use_recorded_fixes, "lag": lag}
-    settings |= {"floor": floor_label}
     with stage("opening"):
-        make, restored = _makers(kind or _navigator(), given, lag, floor_label)
-        told = {"recording": given.walk.source, "events": len(events)} | _prints(files) | settings
-        nav = make() if journal is None else Journal.open(journal, make, restored, told)
+        nav = _opened(inputs, options, len(events), kind or _navigator())
     gc.freeze()  # what is there by now stays: a collection that looks at all of it takes 30 ms of some step
     with nav if isinstance(nav, Journal) else nullcontext():
         done = nav.count if isinstance(nav, Journal) else 0
@@ -67,27 +133,56 @@ def replay_recording(
         causal = walked(nav, _shown(events[done:]), latency)
         stage.seconds["replay"] = round(time.perf_counter() - began, 4)
         with stage("finish"):
-            estimate, missing = _finished(nav, given)
-        steps, ailments = nav.steps, nav.status.ailments
-    with stage("write"):
-        missing += write_results(out, given, estimate, rate)
-        write_trajectory(out / "causal.csv", causal, given.walk.clock_origin)
-        write_summary(out / "latency.json", latency.describe())
-
+            result = _finished(nav, inputs, inputs.other_fixes[outside])
+    write_trajectory(out / "causal.csv", causal, inputs.walk.clock_origin)
+    write_summary(out / "latency.json", latency.describe())
     resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
-    files |= {"journal": journal, "truth": truth}
-    settings |= {name: str(path) if path else None for name, path in files.items()}
-    summary = summarize(given.walk, None, Headings.none(), given.building, None, given.frame, estimate)
-    summary |= {"steps": steps, "seconds": stage.seconds, "settings": settings | {"rate": rate}}
-    summary |= {"missing": list(missing), "warnings": [*given.notes, *resumed, *estimate.warnings, *ailments]}
-    with stage("report"):
-        missing += write_report(out, given, estimate, summary, causal=lambda: {"live": causal})
-        missing += unscored(truth, given, estimate)
-    write_summary(out / "summary.json", summary | {"missing": list(missing)})
-    return missing
+    result = replace(result, issues=(*result.issues, *resumed), causal=lambda _: {LIVE: causal} if len(causal) else {})
+    return write(out, inputs, result, options, stage)
 
 
-def walked(nav: Live, events: Iterable[Event], latency: Latency) -> Trajectory:
+def _outside(walk: Recording, fixes: Fixes) -> Mask:
+    """``(f,)``: True for fixes so long before or after the recording that it never heard them."""
+    if not walk.signals:
+        return np.zeros(len(fixes), dtype=bool)
+    start = min(float(signal.time[0]) for signal in walk.signals.values())
+    end = max(float(signal.time[-1]) for signal in walk.signals.values())
+    return (fixes.time < start - LONGEST_OVERHANG) | (fixes.time > end + LONGEST_OVERHANG)
+
+
+def navigator_of(options: Options) -> tuple[Callable[[], Any], tuple[str, ...]]:
+    """What makes the navigator of a walk that is not recorded yet, and the labels of its floors.
+
+    Raises InputError if a file cannot be used.
+    """
+    building = Building.load(options.plan) if options.plan else None
+    given = {
+        "floor": building,
+        "lag": options.lag,
+        "walker": Walker.load(options.walker) if options.walker else Walker(),
+        "beacons": read_beacons(options.beacons) if options.beacons else None,
+        "radio_map": load_radio_map(options.radio_map, building) if options.radio_map else None,
+        "start_floor": options.floor,
+    }
+    return partial(_navigator(), **given), building.labels if building else ()
+
+
+def _opened(inputs: Inputs, options: Options, events: int, kind: Any) -> Any:
+    """The navigator of a walk, journalled if that was asked for; begun, or where it was interrupted."""
+    given = {"floor": inputs.building, "lag": options.lag, "walker": inputs.walker, "frame": inputs.frame}
+    given |= {"beacons": inputs.beacons, "radio_map": inputs.radio_map, "start_floor": options.floor}
+    if options.journal is None:
+        return kind(**given)
+    files = {"map": options.plan, "fixes": options.fixes, "beacons": options.beacons, "radio_map": options.radio_map}
+    settings = {"recording": inputs.walk.source, "events": events, "walker": inputs.walker.describe()}
+    files |= {"walker file": options.walker, "list beside it": beside(Path(inputs.walk.source))}
+    hashes = {"map": plan_fingerprint}
+    settings |= {name: hashes.get(name, fingerprint)(path) for name, path in files.items() if path}
+    settings |= {"recorded_fixes": options.recorded_fixes, "lag": options.lag, "floor": options.floor}
+    return Journal.open(options.journal, partial(kind, **given), partial(kind.restored, **given), settings)
+
+
+def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Trajectory:
     """Push them, and keep the pose at once: the first there is, that when each step is known, and the last."""
     poses, most = list[Pose](), nav.steps
     for event in events:
@@ -107,32 +202,42 @@ def walked(nav: Live, events: Iterable[Event], latency: Latency) -> Trajectory:
     return trajectory_of(poses)
 
 
-def _makers(kind: Any, given: Inputs, lag: float | None, floor_label: str | None) -> tuple[Any, Any]:
-    """What makes a navigator at the start of a walk, and what makes one of a snapshot."""
-    beacons = placed_beacons(given.walk, given.frame, given.notes)
-    options = {"floor": given.building, "lag": lag, "walker": given.walker, "frame": given.frame}
-    options |= {"beacons": beacons, "begins": floor_label}
-    return partial(kind, **options), partial(kind.restored, **options)
-
-
-def _prints(files: dict[str, Path | None]) -> dict[str, str]:
-    return {name: fingerprint(path) for name, path in files.items() if path}
-
-
 def _navigator() -> Any:
     from pdr_graph.online.navigator import Navigator
 
     return Navigator
 
 
-def _finished(nav: Live, given: Inputs) -> tuple[Estimate, tuple[str, ...]]:
-    """The smoothed walk, and what of it could not be had; the fixes alone where there are no steps."""
-    estimate = nav.finish()
-    if len(estimate.trajectory):
-        return estimate, () if estimate.converged else ("a settled optimum",)
-    if not len(given.fixes):
-        raise InputError(given.walk.source, "", "neither steps nor fixes", "accelerometer samples of a second or more")
-    return follow(given.fixes), ("steps: none could be had, so that this is the fixes alone, smoothed",)
+def _finished(nav: LiveEstimator, inputs: Inputs, outside: Fixes) -> Result:
+    """The smoothed walk, and what of it could not be had; the fixes alone where there are no steps.
+
+    outside: fixes that were not pushed since they lie outside the recording.
+    """
+    found, steps, status = nav.finish(), nav.steps, nav.status
+    issues = tuple(line for line in status.issues if not line.endswith((NO_DATA, NO_STEPS)))
+    if not len(found.trajectory):
+        return _without_steps(inputs, issues)
+    late = outside.time[~duplicates(outside)]
+    issues += outside_warnings(late, float(found.trajectory.time[0]), float(found.trajectory.time[-1]))
+    reports = [
+        FixReport(t, x, y, sigma, float("nan"), 0.0, OUTSIDE)
+        for t, (x, y), sigma in zip(outside.time, outside.position.tolist(), outside.sigma.tolist(), strict=True)
+    ]
+    fixes = tuple(sorted((*found.fixes, *reports), key=lambda fix: fix.time)) if reports else found.fixes
+    found = replace(found, reports={**found.reports, "fixes": fixes})
+    missing = (*status.unknown, *missing_of(found, len(inputs.fixes)))
+    return Result(found, missing, step_count=steps, issues=issues)
+
+
+def _without_steps(inputs: Inputs, issues: tuple[str, ...]) -> Result:
+    """The fixes alone, smoothed. Raises InputError where there are none, or the samples cannot be used at all."""
+    walk = inputs.walk
+    if walk.has_acceleration or not len(inputs.fixes):
+        gait_signals(walk)
+    if not len(inputs.fixes):
+        raise InputError(walk.source, "", "neither steps nor fixes", "accelerometer samples of a second or more")
+    missing = "steps: none were found, so that this is the fixes alone, smoothed"
+    return Result(follow(inputs.fixes), (missing if walk.has_acceleration else NO_ACCELEROMETER,), issues=issues)
 
 
 def _shown(events: Sequence[Event]) -> Iterable[Event]:

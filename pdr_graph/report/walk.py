@@ -12,33 +12,37 @@ import numpy as np
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.plotting import FIX, GREY, RADIO, SURROUNDINGS, TRACK, TRUTH
-from pdr_graph.report import charts, plans, tables
-from pdr_graph.report.columns import (
+from pdr_graph.report import charts_and_tables, page
+from pdr_graph.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
     CENTISECOND,
+    EVERYWHERE,
     MOST_MARKS,
     PERCENT,
+    bands,
     column,
+    maps_of,
     runs,
     thinned,
+    track,
 )
-from pdr_graph.report.tracks import EVERYWHERE, bands, maps_of, track
 from pdr_graph.types import Array, Estimate, FixReport, Recording, Steps, Trajectory
 
-CAUSAL = "#2a8f6d"  # colour of the track that knew only what came before
-NAMES = {"graph": "graph", "filter": "filter", "rts": "filter, smoothed", "pdr": "dead reckoning"}  # of the methods
-LEAST_AROUND = 5.0  # [m] shown about a walk
-FEW = 50  # surveyed points up to which they are marks, not a line
-MANY = 2000  # rows above which lines lie over one another
+CAUSAL = "#2a8f6d"  # colour of causal tracks
+DEAD_RECKONING = "dead reckoning, rigidly aligned"
+NAMES = {"graph": "graph", "filter": "filter", "rts": "filter, smoothed", "pdr": DEAD_RECKONING}  # of the methods
+SMALLEST_MARGIN = 5.0  # [m] shown around a walk
+FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
+MANY = 2000  # rows above which lines are drawn thinner
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A walk that has been estimated, and what its report shows of it.
+class WalkReport:
+    """The data of a walk report.
 
-    method: as of ``pdr-graph smooth``; summary: as ``summary.json`` has it; steps: None where they are not known one
-    by one; causal: tracks, by name, that knew only what came before; truth: in the frame of the estimate, drawn and
+    method: of ``pdr-graph smooth``; summary: the content of ``summary.json``; steps: None if there are none;
+    causal: causal tracks (estimated from earlier data only) by name; truth: in the frame of the estimate, drawn and
     scored.
     """
 
@@ -53,99 +57,99 @@ class Shown:
 
     @property
     def name(self) -> str:
-        """What the result is called."""
+        """Name of the result: the method, or "smoothed positions" without steps."""
         return NAMES[self.method] if self.summary["steps"] else "smoothed positions"
 
     @property
     def tracks(self) -> dict[str, tuple[str, Trajectory]]:
-        """Every estimate by its name, with its colour; the result first."""
-        found = {self.name: (TRACK, self.estimate.trajectory)}
-        found |= {name: (CAUSAL, path) for name, path in self.causal.items()}
-        reckoned = {"dead reckoning": (GREY, self.estimate.dead_reckoning)} if self.summary["steps"] else {}
-        return found | (reckoned if self.method != "pdr" else {})
+        """All tracks, name -> (colour, path), the result first."""
+        tracks = {self.name: (TRACK, self.estimate.trajectory)}
+        tracks |= {name: (CAUSAL, path) for name, path in self.causal.items()}
+        reckoned = {DEAD_RECKONING: (GREY, self.estimate.dead_reckoning)} if self.summary["steps"] else {}
+        return tracks | (reckoned if self.method != "pdr" else {})
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The floors that the walk was on, the lowest first; one of no name without a plan."""
+        """Labels of the floors visited, the lowest first; ``("",)`` without a plan."""
         if self.building is None:
             return ("",)
         visited = set(self.estimate.trajectory.floor)
         return tuple(label for label in self.building.labels if label in visited) or self.building.labels[:1]
 
 
-def content(shown: Shown) -> dict[str, Any]:
-    """The page, as the head of ``web/content.js`` says."""
-    estimate, summary, labels = shown.estimate, shown.summary, shown.labels
-    paths = {name: path for name, (_, path) in shown.tracks.items()}
-    scores = None if shown.truth is None else tables.scored(paths, shown.truth, shown.building)
+def content(report: WalkReport) -> dict[str, Any]:
+    """The content of the page, in the form documented in ``web/content.js``."""
+    estimate, summary, labels = report.estimate, report.summary, report.labels
+    paths = {name: path for name, (_, path) in report.tracks.items()}
+    scores = None if report.truth is None else charts_and_tables.scored(paths, report.truth, report.building)
     fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MOST_MARKS).tolist()]
-    said = [_said(fix) for fix in fixes]
+    fix_labels = [_fix_label(fix) for fix in fixes]
     return {
-        "title": shown.walk.source,
-        "subtitle": _subtitle(shown),
+        "title": report.walk.source,
+        "subtitle": _subtitle(report),
         "headline": _headline(summary, estimate.probability),
         "missing": summary["missing"],
         "warnings": summary["warnings"],
         "offsets": None,
         "start": float(estimate.trajectory.time[0]),
         "end": float(estimate.trajectory.time[-1]),
-        "maps": _maps(shown),
-        "tracks": _tracks(shown),
-        "marks": [*_fixes(fixes, said, estimate.trajectory, labels), *_beacons(estimate), *_headings(shown)],
-        "charts": charts.of_walk(
-            shown.walk, shown.tracks, fixes, said, estimate.calibration, shown.steps, shown.truth, labels
+        "maps": _maps(report),
+        "tracks": _tracks(report),
+        "marks": [*_fixes(fixes, fix_labels, estimate.trajectory, labels), *_beacons(estimate), *_headings(report)],
+        "charts": charts_and_tables.walk_charts(
+            report.walk, report.tracks, fixes, fix_labels, estimate.calibration, report.steps, report.truth, labels
         ),
-        "tables": tables.of_walk(shown.walk, fixes, estimate.beacons, estimate.calibration, scores, summary),
+        "tables": charts_and_tables.walk_tables(report.walk, fixes, estimate, scores, summary),
     }
 
 
-def _subtitle(shown: Shown) -> str:
-    """How and when."""
-    said = [shown.name]
-    if shown.walk.epoch is not None:
-        said.append(f"{datetime.fromtimestamp(shown.walk.epoch, UTC):%Y-%m-%d %H:%M} UTC")
-    return ", ".join(said)
+def _subtitle(report: WalkReport) -> str:
+    """The method, and the date and time of the start if known."""
+    parts = [report.name]
+    if report.walk.epoch is not None:
+        parts.append(f"{datetime.fromtimestamp(report.walk.epoch, UTC):%Y-%m-%d %H:%M} UTC")
+    return ", ".join(parts)
 
 
 def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]:
-    """The walk in numbers: what, how much."""
+    """Key figures of the walk, as [name, value]."""
     floors = [label for label in summary["floors"] if label]
-    said = [
+    figures = [
         ["distance", f"{summary['distance']:,.0f} m"],
-        ["duration", tables.clock(summary["duration"])],
+        ["duration", charts_and_tables.clock(summary["duration"])],
         ["fixes", f"{len(summary['fixes']):,}"],
     ]
     if summary["steps"]:
-        said += [["steps", f"{summary['steps']:,}"], ["probability of this way", f"{probability:.0%}"]]
-    said += [["floors" if len(floors) > 1 else "floor", " → ".join(floors)]] if floors else []
+        figures += [["steps", f"{summary['steps']:,}"], ["probability of this route", f"{probability:.0%}"]]
+    figures += [["floors" if len(floors) > 1 else "floor", " → ".join(floors)]] if floors else []
     crossed = summary["wall_crossings"]
-    return said + ([["steps through walls", f"{crossed}"]] if crossed is not None else [])
+    return figures + ([["steps through walls", f"{crossed}"]] if crossed is not None else [])
 
 
-def _maps(shown: Shown) -> list[dict[str, Any]]:
-    """A map of each floor, about what of the walk was on it."""
-    floors = () if shown.building is None else tuple(shown.building[label] for label in shown.labels)
-    path = shown.estimate.trajectory
-    on = np.array(maps_of(path.floor, shown.labels))
+def _maps(report: WalkReport) -> list[dict[str, Any]]:
+    """A map of each floor visited, cropped to the part of the walk on it."""
+    floors = () if report.building is None else tuple(report.building[label] for label in report.labels)
+    path = report.estimate.trajectory
+    on = np.array(maps_of(path.floor, report.labels))
     maps = []
-    for n, label in enumerate(shown.labels):
+    for n, label in enumerate(report.labels):
         corners = _around(path.position[(on == n) | (on == EVERYWHERE)])
-        maps.append({"name": label, "corners": corners, "plan": plans.drawn(floors[n]) if floors else None})
+        maps.append({"name": label, "corners": corners, "plan": page.plan_drawing(floors[n]) if floors else None})
     return maps
 
 
 def _around(position: Array) -> list[list[float]]:
-    """South-west and north-east corner of what is shown of positions ``(n, 2)``. [m]"""
+    """South-west and north-east corner [m] of a box around positions ``(n, 2)``, with a margin."""
     low, high = position.min(axis=0), position.max(axis=0)
-    margin = max(LEAST_AROUND, SURROUNDINGS * float(np.max(high - low)))
+    margin = max(SMALLEST_MARGIN, SURROUNDINGS * float(np.max(high - low)))
     return [(low - margin).round(2).tolist(), (high + margin).round(2).tolist()]
 
 
-def _tracks(shown: Shown) -> list[dict[str, Any]]:
-    """The estimates, the last of them the result with its band; the truth below them, or its few points on top."""
-    labels, result = shown.labels, shown.estimate.trajectory
+def _tracks(report: WalkReport) -> list[dict[str, Any]]:
+    """All tracks in drawing order: the result last, with its 95 % band; truth below, or its few points on top."""
+    labels, result = report.labels, report.estimate.trajectory
     drawn = []
-    for name, (colour, path) in reversed(shown.tracks.items()):
+    for name, (colour, path) in reversed(report.tracks.items()):
         reckoned, many = colour == GREY, len(path) > MANY
         style = {
             "dash": "dash" if reckoned else "solid",
@@ -156,8 +160,8 @@ def _tracks(shown: Shown) -> list[dict[str, Any]]:
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
-    truth = [] if shown.truth is None else [_truth(shown.truth, labels)]
-    return [*drawn, *truth] if shown.truth is not None and len(shown.truth) <= FEW else [*truth, *drawn]
+    truth = [] if report.truth is None else [_truth(report.truth, labels)]
+    return [*drawn, *truth] if report.truth is not None and len(report.truth) <= FEW else [*truth, *drawn]
 
 
 def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:
@@ -166,27 +170,27 @@ def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:
     return track("surveyed" if few else "truth", TRUTH, truth, maps_of(truth.floor, labels), **style)
 
 
-def _said(fix: FixReport) -> str:
-    away = f"{fix.residual:.2f} m from the walk, " if np.isfinite(fix.residual) else ""
-    return f"{away}stated {fix.sigma:.2f} m; weight {fix.weight:.2f}\n{fix.reason}"
+def _fix_label(fix: FixReport) -> str:
+    residual = f"residual {fix.residual:.2f} m, " if np.isfinite(fix.residual) else ""
+    return f"{residual}sigma {fix.sigma:.2f} m; weight {fix.weight:.2f}\n{fix.reason}"
 
 
 def _fixes(
-    fixes: Sequence[FixReport], said: Sequence[str], path: Trajectory, labels: Sequence[str]
+    fixes: Sequence[FixReport], fix_labels: Sequence[str], path: Trajectory, labels: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Fixes, the paler the less they counted, each with a line to where the walk was."""
+    """Fixes, paler with less weight, each with a line to the walk at its time."""
     if not fixes:
         return []
     time, x, y, weight = np.array([(f.time, f.x, f.y, f.weight) for f in fixes]).T
     floors = [path.floor[row] for row in nearest(path.time, time).tolist()]
     to_x, to_y = (column(axis, CENTIMETRE) for axis in interpolate(time, path.time, path.position).T)
-    marks = _marks("fixes, by weight", FIX, np.stack([x, y], axis=1), said)
+    marks = _marks("fixes, by weight", FIX, np.stack([x, y], axis=1), fix_labels)
     marks |= {"on": runs(maps_of(floors, labels)), "symbol": "circle", "weight": column(weight, PERCENT)}
     return [marks | {"time": column(time, CENTISECOND), "to_x": to_x, "to_y": to_y}]
 
 
 def _beacons(estimate: Estimate) -> list[dict[str, Any]]:
-    """Where the walk has the beacons, in colour those that are not where their list says."""
+    """Estimated places of the beacons; those far from their listed place in another colour."""
     drawn = []
     for name, colour, moved in (("beacons", RADIO, False), ("misplaced beacons", FIX, True)):
         own = [b for b in estimate.beacons if b.misplaced == moved and np.isfinite([b.x, b.y]).all()]
@@ -197,24 +201,24 @@ def _beacons(estimate: Estimate) -> list[dict[str, Any]]:
     return drawn
 
 
-def _headings(shown: Shown) -> list[dict[str, Any]]:
-    """What the magnetometer told, as arrows where the walk was."""
-    told = shown.summary["headings"]
-    if not told:
+def _headings(report: WalkReport) -> list[dict[str, Any]]:
+    """Magnetic headings as arrows at the walk's position."""
+    headings = report.summary["headings"]
+    if not headings:
         return []
-    path = shown.estimate.trajectory
-    time = np.array([one["time"] for one in told]) - shown.walk.clock_origin
-    heading = np.array([one["heading"] for one in told])
+    path = report.estimate.trajectory
+    time = np.array([one["time"] for one in headings]) - report.walk.clock_origin
+    heading = np.array([one["heading"] for one in headings])
     floors = [path.floor[row] for row in nearest(path.time, time).tolist()]
-    said = [
-        f"magnetic heading, {np.degrees(one['residual']):+.0f}° from the walk's, sigma {np.degrees(one['sigma']):.0f}°"
-        for one in told
+    labels = [
+        f"magnetic heading, residual {np.degrees(one['residual']):+.0f}°, sigma {np.degrees(one['sigma']):.0f}°"
+        for one in headings
     ]
-    marks = _marks("magnetic headings", RADIO, interpolate(time, path.time, path.position), said)
-    marks |= {"on": runs(maps_of(floors, shown.labels)), "symbol": "arrow", "heading": column(heading, CENTIRADIAN)}
+    marks = _marks("magnetic headings", RADIO, interpolate(time, path.time, path.position), labels)
+    marks |= {"on": runs(maps_of(floors, report.labels)), "symbol": "arrow", "heading": column(heading, CENTIRADIAN)}
     return [marks | {"time": column(time, CENTISECOND)}]
 
 
-def _marks(name: str, colour: str, place: Array, said: Sequence[str]) -> dict[str, Any]:
+def _marks(name: str, colour: str, place: Array, labels: Sequence[str]) -> dict[str, Any]:
     x, y = (column(axis, CENTIMETRE) for axis in place.T)
-    return {"name": name, "colour": colour, "x": x, "y": y, "text": list(said)}
+    return {"name": name, "colour": colour, "x": x, "y": y, "text": list(labels)}

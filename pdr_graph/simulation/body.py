@@ -10,8 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from pdr_graph.geometry import interpolate, wrap_angle
-from pdr_graph.simulation.walker import MANNERS, Manner, Walker, footfalls
-from pdr_graph.simulation.way import Clearance, Way, way_along
+from pdr_graph.simulation.pedestrian import MANNERS, Clearance, Manner, Walker, Way, footfalls, way_along
 from pdr_graph.types import Array, Index
 
 TURNING = 1.8  # [rad/s] on the spot

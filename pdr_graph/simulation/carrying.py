@@ -9,7 +9,7 @@ amplitudes are set so that simulated and real recordings have like spectra (docs
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from pdr_graph.geometry import compose
 from pdr_graph.simulation.body import REHOLD, Body
-from pdr_graph.simulation.noise import slow
-from pdr_graph.simulation.walker import Walker
-from pdr_graph.types import STANDARD_GRAVITY, Array
+from pdr_graph.simulation.pedestrian import Walker, slow
+from pdr_graph.types import STANDARD_GRAVITY, Array, Recording, Signal
 
 USUAL_STEP = 0.72  # [m] at which the amplitudes below hold
 HIP = 0.53  # of the stature: the height of the body's middle
@@ -322,3 +321,25 @@ def _rattle(random: np.random.Generator, count: int, rate: float) -> Array:
 def _second_derivative(position: Array, rate: float) -> Array:
     inside = (position[2:] - 2 * position[1:-1] + position[:-2]) * rate**2
     return np.concatenate([inside[:1], inside, inside[-1:]])
+
+
+WITHIN = 0.7  # [s]
+
+
+def turned_in_hand(recording: Recording, up: Array, begin: float, angle: float) -> Recording:
+    """What the phone would have logged, had a hand turned it by ``angle`` [rad] from ``begin`` [s] on.
+
+    up: ``(3,)`` the vertical in the device then. Only accelerometer and gyroscope are turned.
+    """
+
+    def felt(signal: Signal | None, own_rate: float) -> Signal | None:
+        if signal is None:
+            return None
+        share = (signal.time - begin) / WITHIN
+        values = Rotation.from_rotvec(-angle * np.clip(share, 0, 1)[:, None] * up).apply(signal.values)
+        turning = own_rate * angle / WITHIN * ((share > 0) & (share < 1))
+        return Signal(signal.time, values + turning[:, None] * up)
+
+    return replace(
+        recording, accelerometer=felt(recording.accelerometer, 0.0), gyroscope=felt(recording.gyroscope, 1.0)
+    )

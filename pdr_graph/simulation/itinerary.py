@@ -1,8 +1,11 @@
-"""A scenario's route, checked against the plan, as what the body does one after the other."""
+"""A scenario's values and route, checked one by one and against the plan; the route as what the body does.
+
+What is wrong is refused with its place in the file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,14 +14,59 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
+from pdr_graph.floor.formats import STOREY
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.floor.storeys import STOREY
 from pdr_graph.geometry import length_along
 from pdr_graph.simulation.body import Ride, Roll, Shake, Stand, Stretch, Take, Walk
 from pdr_graph.simulation.carrying import HOLDS
-from pdr_graph.simulation.checks import number, one_of, pair
-from pdr_graph.simulation.walker import MANNERS
+from pdr_graph.simulation.pedestrian import MANNERS
 from pdr_graph.types import Array
+
+FARTHEST = 1e5  # [m] from the origin
+NAMES = {float: "a number", int: "a whole number", str: "a text", dict: "a table", list: "a list"}
+
+
+def typed(path: Path, place: str, value: Any, kind: type) -> Any:
+    """A value of a kind; a whole number will do for a float."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if kind in (float, int) and isinstance(value, (int, kind)) and abs(value) < 1e15:
+            return kind(value)
+    elif isinstance(value, kind):
+        return value
+    raise InputError(path, place, repr(value), NAMES[kind])
+
+
+def number(path: Path, place: str, value: Any, low: float = -1e5, high: float = 1e5, unit: str = "") -> float:
+    """A number within bounds."""
+    said = typed(path, place, value, float)
+    if not low <= said <= high:
+        raise InputError(path, place, f"{said:g}", f"{low:g} to {high:g} {unit}".rstrip())
+    return said
+
+
+def pair(path: Path, place: str, value: Any, expected: str = "[x, y] in metres", most: float = FARTHEST) -> Array:
+    """Two numbers ``(2,)``, most of either."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise InputError(path, place, repr(value), expected)
+    both = np.array([typed(path, place, v, float) for v in value])
+    if not np.all(np.abs(both) <= most):
+        raise InputError(path, place, repr(value), f"{expected}, at most {most:g}")
+    return both
+
+
+def one_of(path: Path, place: str, value: Any, names: Iterable[str]) -> str:
+    """One of some words."""
+    if not isinstance(value, str) or value not in names:
+        raise InputError(path, place, repr(value), "one of " + ", ".join(filter(None, names)))
+    return value
+
+
+def known(path: Path, place: str, table: Iterable[str], names: Iterable[str]) -> None:
+    """A table has only keys that mean something."""
+    for name in table:
+        if name not in names:
+            raise InputError(path, f"{place}.{name}".lstrip("."), "an unknown name", "one of " + ", ".join(names))
+
 
 HIGHEST = (-500.0, 500.0)  # [m] that stairs and lifts go
 SLOW = 0.5  # [m/s]

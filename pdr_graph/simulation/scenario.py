@@ -1,4 +1,7 @@
-"""Scenarios: short TOML files that say who walks where, with what phone (docs/simulation.md)."""
+"""Scenarios: short TOML files that say who walks where, with what phone (docs/simulation.md).
+
+Those that come with the package are known by name.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,36 @@ from typing import Any, TypeVar
 import numpy as np
 import shapely
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, read_toml
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.settings import read_toml
 from pdr_graph.simulation.carrying import HOLDS
-from pdr_graph.simulation.checks import known, number, one_of, pair, typed
-from pdr_graph.simulation.itinerary import Route, route_of
-from pdr_graph.simulation.radio import Receiver, Transmitter
+from pdr_graph.simulation.itinerary import Route, known, number, one_of, pair, route_of, typed
 from pdr_graph.simulation.recorders import RECORDERS
-from pdr_graph.simulation.sensors import Clock
-from pdr_graph.simulation.shipped import scenario_file
+from pdr_graph.simulation.sensors import Clock, Receiver, Transmitter
+
+PACKAGE = Path(__file__).parents[1]
+HOMES = (PACKAGE / "scenarios", PACKAGE.parent / "scenarios")  # of what was installed; of a checkout
+
+
+def names() -> tuple[str, ...]:
+    """Of all of them, in order."""
+    return tuple(sorted({file.stem for home in HOMES for file in home.glob("*.toml")}))
+
+
+def scenario_file(given: str | Path) -> Path:
+    """The file of a scenario: a path as it is, or the one that comes along under that name.
+
+    Raises InputError if it is neither.
+    """
+    path = Path(given)
+    if path.is_file():
+        return path
+    for home in HOMES:
+        if (home / f"{given}.toml").is_file():
+            return home / f"{given}.toml"
+    found = "a folder" if path.is_dir() else "no such file"
+    raise InputError(path, "", found, f"a scenario's TOML file, or one of {', '.join(names())}")
+
 
 RANGES = {
     "seed": (0, 1e15, ""),

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from pdr_graph.earth import earth_field
 from pdr_graph.errors import expect
-from pdr_graph.frames import Frame, enu
+from pdr_graph.frames import Frame, earth_field, enu
 from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.simulation import sensors
 from pdr_graph.simulation.body import Body, move
 from pdr_graph.simulation.carrying import Motion, carry
-from pdr_graph.simulation.radio import BLUETOOTH, WIFI, SatelliteFixes, heard, satellites
+from pdr_graph.simulation.pedestrian import Walker
 from pdr_graph.simulation.scenario import GivenFixes, Scenario
-from pdr_graph.simulation.walker import Walker
+from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, SatelliteFixes, heard, satellites
 from pdr_graph.types import Fixes, Recording, Sightings, Signal, Trajectory
 
 WILD = 8.0  # [σ] by which a wild position is off

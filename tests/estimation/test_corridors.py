@@ -8,10 +8,10 @@ import shapely
 from plans import plan
 from walks import fixes_at, steps_of
 
-from pdr_graph.estimation.corridors import Use
-from pdr_graph.estimation.graph import Prior, State, WalkGraph
+from pdr_graph.estimation.factors.corridor import SIGMA_PLACE, CorridorFactor
+from pdr_graph.estimation.factors.start import CorridorUse, Prior
+from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.estimation.turns import SIGMA_PLACE
 from pdr_graph.geometry import wrap_angle
 
 WIDTH = 4.0  # [m]: a walker in the middle of 4 m feels no wall, whose margin is 0.8 m
@@ -30,48 +30,51 @@ def ell_walk(**use):
     turn[30] = np.pi / 2
     steps = steps_of(np.full(60, 20 / 30), turn)
     steps = replace(steps, duration=steps.duration / 2, pause_turn=turn)
-    return WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.3), floor=ELL, prior=Prior(corridors=Use(**use)))
+    return WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.3), floor=ELL, prior=Prior(corridors=CorridorUse(**use)))
 
 
 def test_without_a_wish_nothing_is_matched():
     graph = ell_walk()
-    assert graph.following(graph.start).corridors is None
+    assert graph.associated_at(graph.start).find(CorridorFactor) is None
 
 
 def test_a_straight_run_says_the_direction_that_walls_out_of_reach_do_not():
     wrong = []
     for directions in (False, True):
         graph = ell_walk(directions=directions)
-        askew = graph.start.turned(ASKEW, np.zeros(2))
-        solved = optimize(graph.following(askew), askew.to_values())
-        wrong.append(abs(wrap_angle(State.of(solved.values).poses[1, 2])))
+        askew = graph.start.rotated(ASKEW, np.zeros(2))
+        solved = optimize(graph.associated_at(askew), askew)
+        wrong.append(abs(wrap_angle(solved.state.poses[1, 2])))
     assert wrong[1] < wrong[0] / 2
 
 
 def test_a_turn_is_matched_and_costs_nothing_where_it_is_right():
     graph = ell_walk(turns=True, directions=True)
-    graph = graph.following(graph.start)
-    assert len(graph.turns) == 1
-    assert not len(graph.corridors.keyframe), "the turn tells of both runs"
-    own = graph.evaluate(graph.start.to_values())
-    assert own.poses.value[graph.turns.piece[0], :2] == pytest.approx([20, 0], abs=0.7)
-    assert not own.turned[0].any()
-    assert not own.corner.value.any()
-    assert graph.turns.least[0] < np.pi / 2 < graph.turns.most[0]
+    graph = graph.associated_at(graph.start)
+    corridors, at = graph.find(CorridorFactor), graph.evaluate(graph.start)
+    assert len(corridors.turns) == 1
+    assert not len(corridors.keyframe), "the turn tells of both runs"
+    assert at.poses.value[corridors.turns.piece[0], :2] == pytest.approx([20, 0], abs=0.7)
+    for name in ("corridors.turn", "corridors.intersection"):
+        [block] = at.blocks_of(name)
+        assert len(block) == 1
+        assert not block.residual.any()
+    assert corridors.turns.least[0] < np.pi / 2 < corridors.turns.most[0]
 
 
 def test_a_turn_outside_its_intersection_is_as_far_off_as_that_is():
     """Laid 3 m short of the middle of the corner, in a corridor that is open to it: walls say nothing."""
     graph = ell_walk(turns=True)
-    matched = graph.following(graph.start)
-    short = State(graph.start.poses - np.array([3.0, 0.0, 0.0]), graph.start.c)
-    outside = matched.evaluate(short.to_values()).corner
-    assert outside.value.max() == pytest.approx((3.0 - WIDTH / 2) / SIGMA_PLACE, abs=0.1)
+    matched = graph.associated_at(graph.start)
+    short = graph.start.replaced(x=graph.start.poses - np.array([3.0, 0.0, 0.0]))
+    [outside] = matched.evaluate(short).blocks_of("corridors.intersection")
+    assert outside.residual.max() == pytest.approx((3.0 - WIDTH / 2) / SIGMA_PLACE, abs=0.1)
 
 
 def test_what_was_matched_goes_with_the_walls():
     graph = ell_walk(directions=True)
-    matched = graph.following(graph.start)
-    assert matched.native.size() > graph.native.size()
-    assert matched.without_walls().native.size() == graph.native.size()
-    assert matched.without_walls().corridors is None
+    matched = graph.associated_at(graph.start)
+    without = matched.without_plan()
+    told, left = ({b.name for b in one.evaluate(one.start).blocks if len(b)} for one in (matched, without))
+    assert told - left == {"walls", "corridors.direction"}
+    assert without.find(CorridorFactor) is None

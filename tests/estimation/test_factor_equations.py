@@ -10,19 +10,26 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
-from gtsam.symbol_shorthand import B, C, G, Q, X
+from gtsam.symbol_shorthand import X
 from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
-from pdr_graph.estimation import beacons, observations, receivers, robust
-from pdr_graph.estimation.closures import CLOSURE_WIDTH, Closures
-from pdr_graph.estimation.corridors import Use
-from pdr_graph.estimation.graph import ANY_HEADING, Prior, State, WalkGraph
+from pdr_graph.estimation.factors import fixes as fix_factors
+from pdr_graph.estimation.factors import losses
+from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
+from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.gnss_bias import GnssBias
+from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, LoopClosureFactor
+from pdr_graph.estimation.factors.start import CorridorUse, Prior
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.isam import Linear, TransactionalISAM
 from pdr_graph.floor.areas import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait import heading as compass
-from pdr_graph.gait.gaps import SIGMA_TURN, SPEED, follow, gap, later
-from pdr_graph.lifelog import encounters
+from pdr_graph.gait import compass
+from pdr_graph.gait.signals import GAP_SIGMA_TURN, GAP_SPEED, append_steps, gap, shifted
+from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.lifelog import multi_day
+from pdr_graph.measurements import Closures, Levels
 from pdr_graph.types import Headings, Sightings
 
 MARGIN, LOOSE = 0.8, 1.0  # [m] of walls, as the page has them
@@ -57,17 +64,30 @@ def graph_of(steps, **more):
 def any_state(graph, seed, reach=6.0):
     """Anywhere: an equation holds away from the optimum too."""
     random = np.random.default_rng(seed)
-    poses = random.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi], graph.start.poses.shape)
-    moved = {name: getattr(graph.start, name) for name in "cgbq"}
-    moved = {name: values + random.normal(0, 0.1, values.shape) for name, values in moved.items()}
-    return State(poses, **moved)
+    moved = {symbol: rows + random.normal(0, 0.1, rows.shape) for symbol, rows in graph.start.arrays.items()}
+    moved["x"] = random.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi], graph.start.poses.shape)
+    return graph.start.replaced(**moved)
 
 
-def factors_with(graph, *keys, rows=None):
-    """GTSAM's factors between exactly these variables."""
-    whole = graph.to_gtsam()
-    found = [whole.at(n) for n in range(whole.size()) if list(whole.at(n).keys()) == list(keys)]
-    return [factor for factor in found if rows is None or factor.dim() == rows]
+class Factor:
+    """One factor of a block at a state: its whitened residual, weight and cost.
+
+    variables: symbol and row of each; by: derivatives ``(r, 3)`` by each, with the root of its weight.
+    """
+
+    def __init__(self, block, n):
+        rows = block.row_of == n
+        self.variables = [(symbol, int(which[n])) for symbol, which in block.variables]
+        self.residual, self.weight = block.residual[rows], float(block.weight[n])
+        self.cost = float(block.loss.cost(block.deviation)[n])
+        self.by = [by[rows] for by in block.weighted[1]]
+
+
+def factors_with(graph, state, name, *variables):
+    """The factors of one name between exactly these variables, all if none are asked for."""
+    blocks = graph.evaluate(state).blocks_of(name)
+    found = [Factor(block, n) for block in blocks for n in range(len(block))]
+    return [one for one in found if not variables or one.variables == list(variables)]
 
 
 # Steps
@@ -126,13 +146,13 @@ def test_pdr_is_what_the_steps_leave_over(seed):
     state, usual = any_state(graph, seed), np.array([1.0, 1.0, 0.0])
     times = graph.pieces.keyframe_time
     for i in range(len(times) - 1):
-        (factor,) = factors_with(graph, X(i), X(i + 1), C(0))
+        (factor,) = factors_with(graph, state, "steps", ("x", i), ("x", i + 1), ("c", 0))
         pieces = pieces_between(steps, times[i], times[i + 1])
         delta = sums(pieces, state.c[0])[-1]
         x_i, x_j = state.poses[i], state.poses[i + 1]
         r = np.append(turned_by(x_i[2]).T @ (x_j - x_i)[:2] - delta[:2], wrapped(x_j[2] - x_i[2] - delta[2]))
         Q_of_all = covariances(pieces, usual)[-1, -1]
-        whitened = factor.unwhitenedError(state.to_values())
+        whitened = factor.residual
         assert whitened @ whitened == pytest.approx(r @ np.linalg.solve(Q_of_all, r), rel=1e-6)
 
 
@@ -141,7 +161,7 @@ def test_sub_steps_share_what_is_left_over():
     steps = walk_with_a_pause()
     graph = graph_of(steps)
     state, usual = any_state(graph, 4), np.array([1.0, 1.0, 0.0])
-    placed = graph.evaluate(state.to_values()).poses.value
+    placed = graph.evaluate(state).poses.value
     times = graph.pieces.keyframe_time
     for i in range(len(times) - 1):
         pieces = pieces_between(steps, times[i], times[i + 1])
@@ -155,14 +175,14 @@ def test_sub_steps_share_what_is_left_over():
             expected = np.append(x_i[:2] + turned_by(x_i[2]) @ s[:2], x_i[2] + s[2])
             assert placed[first + k] == pytest.approx(expected, abs=1e-5)
             spread = cov[k, k] - gain @ cov[-1, k]
-            assert graph.bridge.spread[first + k] == pytest.approx(spread, abs=1e-6)
+            assert graph.chain.bridge.spread[first + k] == pytest.approx(spread, abs=1e-6)
 
 
 def test_a_gap_leads_anywhere():
     """One metre a second of way to either side, 1.2 rad of turn; keyframes at both ends; c begins anew."""
     before, seconds = wandering_walk(12), 30.0
-    after = later(wandering_walk(12, 1), before.end + seconds)
-    graph = graph_of(follow(follow(before, gap(before.end, before.end + seconds)), after))
+    after = shifted(wandering_walk(12, 1), before.end + seconds)
+    graph = graph_of(append_steps(append_steps(before, gap(before.end, before.end + seconds)), after))
     times = graph.pieces.keyframe_time
     i = int(np.argmin(np.abs(times - before.end)))
     assert times[i : i + 2] == pytest.approx([before.end, before.end + seconds])
@@ -172,10 +192,10 @@ def test_a_gap_leads_anywhere():
     x_i, x_j = state.poses[i : i + 2]
     away = turned_by(x_i[2] + state.c[graph.segment[i], 2] * seconds / 2).T @ (x_j - x_i)[:2]
     turned = wrapped(x_j[2] - x_i[2] - state.c[graph.segment[i], 2] * seconds)
-    (factor,) = factors_with(graph, X(i), X(i + 1), C(int(graph.segment[i])))
-    whitened = factor.unwhitenedError(state.to_values())
+    (factor,) = factors_with(graph, state, "steps", ("x", i), ("x", i + 1), ("c", int(graph.segment[i])))
+    whitened = factor.residual
     assert whitened @ whitened == pytest.approx(np.sum(np.append(away, turned) ** 2 / variances), rel=1e-3)
-    assert (SPEED, SIGMA_TURN) == (1.0, 1.2)
+    assert (GAP_SPEED, GAP_SIGMA_TURN) == (1.0, 1.2)
 
 
 # The plan
@@ -195,16 +215,21 @@ def test_a_wall_is_two_springs():
     beside = np.column_stack(
         [np.linspace(-4, 4, len(graph.start.poses)), np.linspace(39.2, 40.3, len(graph.start.poses))]
     )
-    state = State(np.column_stack([beside, graph.start.poses[:, 2]]), graph.start.c)
-    own = graph.following(state).evaluate(state.to_values())
+    state = graph.start.replaced(x=np.column_stack([beside, graph.start.poses[:, 2]]))
+    between = graph.associated_at(state)
+    at = between.evaluate(state)
+    residual, _ = between.walls.residual(at)
     boundary = shapely.box(-40, -40, 40, 40).exterior
     pressed = 0
-    for k, (x, y, _) in enumerate(own.poses.value):
+    for k, (x, y, _) in enumerate(at.poses.value):
         d = shapely.distance(boundary, shapely.Point(x, y)) * (1 if max(abs(x), abs(y)) <= 40 else -1)
         r = max(0, MARGIN - d) / LOOSE + max(0, 0.15 - d) / (0.1 * LOOSE)
         pressed += r > 0
-        assert own.wall.value[k, 0] == pytest.approx(r if graph.pieces.length[k] > 0 else 0.0, abs=1e-6)
+        assert residual[k] == pytest.approx(r if graph.pieces.length[k] > 0 else 0.0, abs=1e-6)
     assert pressed > 5
+    assert np.concatenate([f.residual for f in factors_with(between, state, "walls")]) == pytest.approx(
+        residual[residual > 0]
+    )
 
 
 def ring():
@@ -221,39 +246,42 @@ def in_the_ring(use):
     said = square_walk(20, laps=2)
     track = dead_reckon(said)
     graph = WalkGraph(said, fixes_at(track.time[:1], track.position[:1]), floor=ring(), prior=Prior(corridors=use))
-    return graph.following(graph.start)
+    return graph.associated_at(graph.start)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_turn_is_free_within_its_range(seed):
     """r = [max(0, δ − β) − max(0, α − δ)]/σ; and max(0, n p − e)/σ of the piece that turns, on all four sides."""
-    graph = in_the_ring(Use(turns=True))
-    state, turns = any_state(graph, seed), graph.turns
+    graph = in_the_ring(CorridorUse(turns=True))
+    state, turns = any_state(graph, seed), graph.find(CorridorFactor).turns
     assert len(turns) == 7
-    placed = graph.evaluate(state.to_values()).poses.value
+    placed = graph.evaluate(state).poses.value
     for n in range(len(turns)):
         i, j = int(turns.before[n]), int(turns.after[n])
         alpha, beta = turns.least[n], turns.most[n]
         delta = (alpha + beta) / 2 + wrapped(state.poses[j, 2] - state.poses[i, 2] - (alpha + beta) / 2)
-        (factor,) = factors_with(graph, X(i), X(j), rows=1)
+        (factor,) = factors_with(graph, state, "corridors.turn", ("x", i), ("x", j))
         r = (max(0, delta - beta) - max(0, alpha - delta)) / 0.05
-        assert factor.unwhitenedError(state.to_values()) == pytest.approx([r], abs=1e-9)
+        assert factor.residual == pytest.approx([r], abs=1e-9)
 
         interval = int(graph.pieces.interval[turns.piece[n]])
-        corner = factors_with(graph, X(interval), X(interval + 1), C(int(graph.segment[interval])), rows=4)
+        corner = factors_with(graph, state, "corridors.intersection")[n]
+        assert corner.variables == [("x", interval), ("x", interval + 1), ("c", int(graph.segment[interval]))]
         p = placed[turns.piece[n], :2]
         sides = [max(0, normal @ p - edge) / 0.5 for normal, edge in zip(turns.normal[n], turns.edge[n], strict=True)]
-        assert corner[0].unwhitenedError(state.to_values()) == pytest.approx(sides, abs=1e-9)
+        assert corner.residual == pytest.approx(sides, abs=1e-9)
 
 
 def test_a_straight_run_leads_along_its_corridor():
     """wrap(θ − direction), of σ² = 2 (0.3 w/L)² + 0.03² + crooked²; the corridors of the ring are level or upright."""
-    graph = in_the_ring(Use(directions=True))
-    state, told = any_state(graph, 2), graph.corridors.direction
+    graph = in_the_ring(CorridorUse(directions=True))
+    state, corridors = any_state(graph, 2), graph.find(CorridorFactor)
+    told = corridors.direction
     assert len(told) == 8
-    for k, direction in zip(graph.corridors.keyframe.tolist(), told.heading, strict=True):
-        errors = [f.unwhitenedError(state.to_values()) for f in factors_with(graph, X(k)) if f.dim() == 1]
-        assert any(error == pytest.approx([wrapped(state.poses[k, 2] - direction)]) for error in errors)
+    factors = factors_with(graph, state, "corridors.direction")
+    for n, (k, direction) in enumerate(zip(corridors.keyframe.tolist(), told.heading, strict=True)):
+        assert factors[n].variables == [("x", k)]
+        assert factors[n].residual == pytest.approx([wrapped(state.poses[k, 2] - direction) / told.sigma[n]])
         assert wrapped(4 * direction) / 4 == pytest.approx(0, abs=0.02)
     side = 19 * 0.7  # [m] from the first step of a side to its last
     assert told.sigma == pytest.approx(np.hypot(np.sqrt(2) * 0.3 * 2.5 / side, 0.03), rel=0.2)
@@ -266,13 +294,15 @@ def test_a_fix_is_a_place():
     """p − z, whichever way the walker faces, of the stated sigma under Huber's loss."""
     graph = graph_of(wandering_walk(12))
     state = any_state(graph, 0)
-    for n, k in enumerate(graph.fix_keyframe.tolist()):
-        factor = next(f for f in factors_with(graph, X(k)) if f.dim() == 2)
-        r = state.poses[k, :2] - graph.fixes.position[n]
-        assert factor.unwhitenedError(state.to_values()) == pytest.approx(r)
-        sigmas = np.hypot(*r) / graph.fixes.sigma[n]
+    fixes = graph.positions
+    for n, k in enumerate(fixes.keyframe.tolist()):
+        (factor,) = factors_with(graph, state, "fixes", ("x", k))
+        r = state.poses[k, :2] - fixes.fixes.position[n]
+        assert factor.residual == pytest.approx(r / fixes.fixes.sigma[n])
+        sigmas = np.hypot(*r) / fixes.fixes.sigma[n]
         huber = 0.5 * sigmas**2 if sigmas <= 2.45 else 2.45 * (sigmas - 2.45 / 2)
-        assert factor.error(state.to_values()) == pytest.approx(huber)
+        assert factor.cost == pytest.approx(huber)
+        assert factor.weight == pytest.approx(min(1.0, 2.45 / sigmas))
 
 
 def test_losses_are_the_pages():
@@ -284,16 +314,23 @@ def test_losses_are_the_pages():
         "L2WithDeadZone": (lambda k: np.maximum(0, s - k) ** 2 / 2, lambda k: np.maximum(0, 1 - k / np.maximum(s, k))),
     }
     for name, (rho, weight) in laws.items():
-        for width in (robust.HUBER_WIDTH, CLOSURE_WIDTH):
+        for width in (losses.HUBER_WIDTH, CLOSURE_WIDTH):
             gtsams = getattr(gtsam.noiseModel.mEstimator, name).Create(width)
             assert [gtsams.loss(v) for v in s] == pytest.approx(rho(width)), name
             assert [gtsams.weight(v) for v in s] == pytest.approx(weight(width), abs=1e-9), name
-    assert robust.gripping(s, 2.45) == pytest.approx(laws["Huber"][1](2.45))
-    assert robust.slipping(s) == pytest.approx(laws["GemanMcClure"][1](2.45))
-    assert robust.outside(s, 2.0) == pytest.approx(laws["L2WithDeadZone"][1](2.0))
-    for wild, name in ((False, "Huber"), (True, "GemanMcClure")):
-        rows = observations.Rows(s[:, None], np.zeros((7, 1), int), np.zeros((7, 1, 1, 3)), np.full(7, wild))
-        assert rows.cost == pytest.approx(laws[name][0](2.45).sum())
+    assert losses.huber_weight(s, 2.45) == pytest.approx(laws["Huber"][1](2.45))
+    assert losses.geman_mcclure_weight(s) == pytest.approx(laws["GemanMcClure"][1](2.45))
+    assert losses.dead_zone_weight(s, 2.0) == pytest.approx(laws["L2WithDeadZone"][1](2.0), abs=1e-9)
+    none, every = np.zeros(7, dtype=bool), np.ones(7, dtype=bool)
+    for loss, name, width in (
+        (losses.RobustLoss(none), "Huber", 2.45),
+        (losses.RobustLoss(every), "GemanMcClure", 2.45),
+        (losses.RobustLoss(every, CLOSURE_WIDTH), "GemanMcClure", CLOSURE_WIDTH),
+        (losses.RobustLoss(none, flat=2.0), "L2WithDeadZone", 2.0),
+    ):
+        assert loss.cost(s) == pytest.approx(laws[name][0](width)), name
+        assert loss.weight(s) == pytest.approx(laws[name][1](width), abs=1e-9), name
+        assert loss.cost(-s) == pytest.approx(loss.cost(s)), name
 
 
 def received(seed=0):
@@ -303,7 +340,10 @@ def received(seed=0):
     sigma = np.where(np.arange(len(fixes)) % 4 == 0, 2.0, 5.0)
     named = replace(fixes, sigma=sigma, source=tuple("GNSS" if n % 3 else "Wi-Fi" for n in range(len(fixes))))
     graph = WalkGraph(steps, named)
-    return graph.with_offsets(np.zeros(len(named), bool), graph.fix_used)
+    again = graph.refined(graph.evaluate(graph.start))
+    assert again.positions.biased.all()
+    assert not again.positions.outlier.any()
+    return again
 
 
 def drifted(graph, time):
@@ -316,49 +356,52 @@ def drifted(graph, time):
 def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
     """p − R(θ) v lag + σ₀ (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
     graph = received(seed)
-    state, fixes, seen = any_state(graph, seed), graph.fixes, graph.receivers
+    state, fixes, seen = any_state(graph, seed), graph.positions.fixes, graph.find(GnssBias)
     drift = drifted(graph, fixes.time)
     assert sorted(seen.fix) == list(range(len(fixes)))
-    track = dead_reckon(graph.steps)
+    track, factors = dead_reckon(graph.steps), factors_with(graph, state, "fixes")
     for row, f in enumerate(seen.fix.tolist()):
         alike = [o for o in range(len(fixes)) if fixes.source[o] == fixes.source[f] and abs(drift[o] - drift[f]) <= 1]
         least = min(fixes.sigma[alike])
         white = np.sqrt(0.3**2 * least**2 + len(alike) * (fixes.sigma[f] ** 2 - least**2))
-        k, node, share = int(seen.keyframe[row]), int(seen.node[row]), float(seen.share[row])
+        k, node, share = int(graph.positions.keyframe[f]), int(seen.node[row]), float(seen.share[row])
         x, y, heading = state.poses[k]
-        g = (1 - share) * state.g[node] + share * state.g[node + 1]
-        r = np.array([x, y]) - turned_by(heading) @ seen.velocity[row] * g[2] + least * g[:2] - fixes.position[f]
-        (factor,) = factors_with(graph, X(k), G(node), G(node + 1), rows=2)
-        assert factor.unwhitenedError(state.to_values()) == pytest.approx(r / white)
+        assert share == pytest.approx(fixes.time[f] / 5 % 1)
+        assert seen.node_time[node] == pytest.approx(5 * (fixes.time[f] // 5))
+        g = (1 - share) * state["g"][node] + share * state["g"][node + 1]
+        r = np.array([x, y]) - turned_by(heading) @ seen.velocity[k] * g[2] + least * g[:2] - fixes.position[f]
+        assert factors[row].variables == [("x", k), ("g", node), ("g", node + 1)]
+        assert factors[row].residual == pytest.approx(r / white)
 
         began = max(fixes.time[f] - 2.0, 0.0)
         ends = [np.array([np.interp(t, track.time, axis) for axis in track.position.T]) for t in (fixes.time[f], began)]
         heading = np.interp(fixes.time[f], track.time, track.heading)
         way = turned_by(heading).T @ (ends[0] - ends[1]) / 2.0
-        assert seen.velocity[row] == pytest.approx(way, abs=0.3)  # [m/s]: keyframes lie further apart
+        assert seen.velocity[k] == pytest.approx(way, abs=0.3)  # [m/s]: keyframes lie further apart
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_an_offset_is_a_gauss_markov_process(seed):
     """Between nodes: keep = exp(−drift), σ = √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
     graph = received(seed)
-    state, seen = any_state(graph, seed), graph.receivers
+    state, seen = any_state(graph, seed), graph.find(GnssBias)
+    g = state["g"]
     begun = 0
     for m in range(len(seen.keep)):
         if seen.keep[m] == 0:
             begun += 1
-            (factor,) = [f for f in factors_with(graph, G(m)) if f.dim() == 3]
-            assert factor.unwhitenedError(state.to_values()) == pytest.approx(state.g[m] / [1, 1, 1.0])
-            at = graph.fixes.time[seen.fix[seen.node == m][0]]
+            (factor,) = factors_with(graph, state, "gnss_bias.begin", ("g", m))
+            assert factor.residual == pytest.approx(g[m] / [1, 1, 1.0])
             continue
-        then, at = at, at + seen.time_before[m]
-        keep = np.exp(-(drifted(graph, at) - drifted(graph, then)))
+        then, at = seen.node_time[m - 1 : m + 1]
+        beyond = (max(at - graph.steps.end, 0.0) - max(then - graph.steps.end, 0.0)) * 1.0 / 30.0
+        keep = np.exp(-(drifted(graph, at) - drifted(graph, then) + beyond))
         sigma = [np.sqrt(1 - keep**2)] * 2 + [0.02 * np.sqrt(at - then)]
-        r = (state.g[m] - [keep, keep, 1] * state.g[m - 1]) / sigma
-        (factor,) = factors_with(graph, G(m), G(m - 1), rows=3)
-        assert factor.unwhitenedError(state.to_values()) == pytest.approx(r, rel=1e-6)
+        r = (g[m] - [keep, keep, 1] * g[m - 1]) / sigma
+        (factor,) = factors_with(graph, state, "gnss_bias.change", ("g", m), ("g", m - 1))
+        assert factor.residual == pytest.approx(r, rel=1e-6)
     assert begun == 2
-    assert (receivers.STANDING, receivers.ALONG) == (120.0, 30.0)
+    assert (fix_factors.STANDING, fix_factors.ALONG) == (120.0, 30.0)
 
 
 def beside_beacons(seed=0):
@@ -367,39 +410,37 @@ def beside_beacons(seed=0):
     place = np.array([[3.0, 4.0], [12.0, -2.0], [np.nan, np.nan]])
     time = dead_reckon(steps).time[np.arange(3, 39, 3)]
     which = np.arange(len(time)) % 3
-    heard = beacons.Levels(time, which, random.uniform(-90, -60, len(time)), tuple("abc"), place, np.full(3, 0.5))
+    heard = Levels(time, which, random.uniform(-90, -60, len(time)), tuple("abc"), place, np.full(3, 0.5))
     return graph_of(steps, levels=heard)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_beacon_is_as_loud_as_it_is_near(seed):
-    """rssi = P + a − 10 n log₁₀ √(d² + HIGH²) + k cos φ, of LEVEL_SIGMA; what is believed of b and q."""
+    """rssi = P + a − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ, of LEVEL_SIGMA; what is believed of b and q."""
     graph = beside_beacons(seed)
-    state, heard = any_state(graph, seed), graph.levels
-    P, n, k = state.q[0]
-    for row, keyframe in enumerate(graph.level_keyframe.tolist()):
+    state, kind = any_state(graph, seed), graph.find(BeaconRssiFactor)
+    heard, b = kind.listed, state["b"]
+    factors, (P, n, k) = factors_with(graph, state, "beacons"), state["q"][0]
+    for row, keyframe in enumerate(kind.keyframe.tolist()):
         m = int(heard.beacon[row])
         x, y, heading = state.poses[keyframe]
-        gap = state.b[m, :2] - [x, y]
+        gap = b[m, :2] - [x, y]
         distance = np.sqrt(gap @ gap + 1.5**2)
-        level = P + state.b[m, 2] - 10 * n * np.log10(distance) + k * (e(heading) @ gap) / distance
-        found = [f.unwhitenedError(state.to_values())[0] for f in factors_with(graph, X(keyframe), B(m), Q(0))]
-        assert (level - heard.rssi[row]) / 5.0 == pytest.approx(
-            min(found, key=lambda v: abs(v - (level - heard.rssi[row]) / 5.0))
-        )
+        level = P + b[m, 2] - 10 * n * np.log10(distance) + k * (e(heading) @ gap) / distance
+        assert factors[row].variables == [("x", keyframe), ("b", m), ("q", 0)]
+        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 5.0])
     for m, place in enumerate((0.5, 0.5, 30.0)):
-        (factor,) = factors_with(graph, B(m))
-        expected = (state.b[m] - graph.believed[m]) / [place, place, 4.0]
-        assert factor.unwhitenedError(state.to_values()) == pytest.approx(expected)
-    (factor,) = factors_with(graph, Q(0))
-    assert factor.unwhitenedError(state.to_values()) == pytest.approx((state.q[0] - [-62, 2.2, 3]) / [8, 0.5, 3])
+        (factor,) = factors_with(graph, state, "beacons.place", ("b", m))
+        assert factor.residual == pytest.approx((b[m] - kind.prior[m]) / [place, place, 4.0])
+    (factor,) = factors_with(graph, state, "beacons.path_loss", ("q", 0))
+    assert factor.residual == pytest.approx((state["q"][0] - [-62, 2.2, 3]) / [8, 0.5, 3])
 
 
 def test_headings_of_one_walk_share_what_they_share(monkeypatch):
     """σ² = own² + n (ahead² + 0.2²), so that all together weigh about as one; each is wrap(θ − z)."""
     rows = [(20.0 * n, 0.3, 0.1, 0.25) for n in range(1, 6)]
     monkeypatch.setattr(compass, "_uninterrupted_headings", lambda gait, earth: rows)
-    monkeypatch.setattr(compass, "gait_of", lambda recording: [None])
+    monkeypatch.setattr(compass, "gait_signals", lambda recording: [None])
 
     class Sensors:
         accelerometer = gyroscope = magnetometer = True
@@ -412,9 +453,9 @@ def test_headings_of_one_walk_share_what_they_share(monkeypatch):
     assert together == pytest.approx(np.sqrt(0.1**2 / 5 + 0.25**2 + 0.2**2))
 
     graph = graph_of(wandering_walk(80), headings=Headings(np.array([9.0]), np.array([3.0]), np.array([0.4])))
-    state, k = any_state(graph, 1), int(graph.heading_keyframe[0])
-    (factor,) = [f for f in factors_with(graph, X(k)) if f.dim() == 1]
-    assert factor.unwhitenedError(state.to_values()) == pytest.approx([wrapped(state.poses[k, 2] - 3.0)])
+    state, k = any_state(graph, 1), int(graph.headings.keyframe[0])
+    (factor,) = factors_with(graph, state, "headings", ("x", k))
+    assert factor.residual == pytest.approx([wrapped(state.poses[k, 2] - 3.0) / 0.4])
 
 
 # Beliefs
@@ -425,25 +466,23 @@ def test_calibration_is_a_prior_and_a_random_walk():
     correlated = Prior(correlation=(0.3, -0.2, 0.1))
     graph = WalkGraph(wandering_walk(210), prior=correlated)
     state = any_state(graph, 0)
-    (factor,) = factors_with(graph, C(0))
+    (factor,) = factors_with(graph, state, "calibration.begin", ("c", 0))
     off = state.c[0] - [1, 1, 0]
-    assert factor.unwhitenedError(state.to_values()) == pytest.approx(off)
     correlation = np.array([[1, 0.3, -0.2], [0.3, 1, 0.1], [-0.2, 0.1, 1]])
     S = np.diag([0.15, 0.03, 0.002]) @ correlation @ np.diag([0.15, 0.03, 0.002])
-    assert factor.error(state.to_values()) == pytest.approx(off @ np.linalg.solve(S, off) / 2)
-    (factor,) = factors_with(graph, C(0), C(1))
-    change = state.c[1] - state.c[0]
-    assert factor.unwhitenedError(state.to_values()) == pytest.approx(change)
-    assert factor.error(state.to_values()) == pytest.approx(np.sum((change / [0.03, 0.005, 0.0005]) ** 2) / 2)
+    assert factor.residual @ factor.residual == pytest.approx(off @ np.linalg.solve(S, off))
+    assert factor.cost == pytest.approx(off @ np.linalg.solve(S, off) / 2)
+    (factor,) = factors_with(graph, state, "calibration.change", ("c", 0), ("c", 1))
+    assert factor.residual == pytest.approx((state.c[1] - state.c[0]) / [0.03, 0.005, 0.0005])
 
 
 def test_a_first_heading_is_any():
     """wrap(θ_0 − start)/(π/√3): the standard deviation of an angle of which nothing is known."""
     graph = graph_of(wandering_walk(12))
     state = any_state(graph, 3)
-    (factor,) = [f for f in factors_with(graph, X(0)) if f.dim() == 1]
+    (factor,) = factors_with(graph, state, "start", ("x", 0))
     off = wrapped(state.poses[0, 2] - graph.start.poses[0, 2])
-    assert factor.error(state.to_values()) == pytest.approx(0.5 * (off / (np.pi / np.sqrt(3))) ** 2)
+    assert factor.cost == pytest.approx(0.5 * (off / (np.pi / np.sqrt(3))) ** 2)
     evenly = np.random.default_rng(0).uniform(-np.pi, np.pi, 10**6)
     assert evenly.std() == pytest.approx(ANY_HEADING, rel=2e-3)  # 1/√(2·10⁶) of a standard deviation is 0.0007
 
@@ -451,38 +490,41 @@ def test_a_first_heading_is_any():
 # Moments at one place
 
 
-def closed(hold, sigma=0.5):
+def closed(sigma=0.5):
     steps = wandering_walk(40)
     tied = Closures.of([(steps.time[5], steps.time[35], sigma)])
-    graph = graph_of(steps, closures=tied).with_closures(hold)
-    i, j = graph.closure_keyframe[0].tolist()
-    (factor,) = factors_with(graph, X(i), X(j))
-    return graph, factor, i, j
+    graph = graph_of(steps, closures=tied)
+    return graph, *graph.find(LoopClosureFactor).keyframe[0].tolist()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_closure_is_the_way_between_whichever_way_they_faced(seed):
     """r = (p_j − p_i)/σ under Geman and McClure's loss; and its derivatives, forward and to the left."""
-    graph, factor, i, j = closed("doubted")
+    graph, i, j = closed()
     state = any_state(graph, seed)
+    (factor,) = factors_with(graph, state, "closures", ("x", i), ("x", j))
     x_i, x_j = state.poses[i], state.poses[j]
     r = (x_j - x_i)[:2] / 0.5
-    assert factor.unwhitenedError(state.to_values()) == pytest.approx(r)
-    assert factor.error(state.to_values()) == pytest.approx(4.0**2 * (r @ r) / (4.0**2 + r @ r) / 2)
+    assert factor.residual == pytest.approx(r)
+    assert factor.cost == pytest.approx(4.0**2 * (r @ r) / (4.0**2 + r @ r) / 2)
     loose = 4.0**2 / (4.0**2 + r @ r)  # root of the weight
-    by_i, by_j = np.hsplit(factor.linearize(state.to_values()).jacobian()[0], 2)
+    by_i, by_j = factor.by
     assert by_i == pytest.approx(-loose / 0.5 * np.column_stack([turned_by(x_i[2]), np.zeros(2)]))
     assert by_j == pytest.approx(loose / 0.5 * np.column_stack([turned_by(x_j[2]), np.zeros(2)]))
+    firm, unbound = graph.alternatives()
+    (factor,) = factors_with(firm, state, "closures")
+    assert factor.cost == pytest.approx(r @ r / 2)
+    assert not factors_with(unbound, state, "closures")
 
 
 def test_who_met_were_as_near_as_they_were_loud():
     """σ = max(1.5 m, d/√2) per axis, d of the path loss of any phone; fainter than −85 dBm tells nothing."""
     heard = Sightings(np.array([10.0, 40.0, 70.0]), ("her phone",) * 3, np.array([-60.0, -80.0, -86.0]))
     walks = [
-        encounters.Carried("his", 1000.0, 0.0, 100.0, heard),
-        encounters.Carried("hers", 990.0, 0.0, 100.0, None),
+        multi_day.Carried("his", 1000.0, 0.0, 100.0, heard),
+        multi_day.Carried("hers", 990.0, 0.0, 100.0, None),
     ]
-    met = encounters.encounters(walks, {"her phone": "hers"})
+    met = multi_day.encounters(walks, {"her phone": "hers"})
     distance = 10 ** ((-62.0 - np.array([-60.0, -80.0])) / (10 * 2.2))
     assert met.sigma == pytest.approx(np.maximum(1.5, distance / np.sqrt(2)))
     assert met.time == pytest.approx(np.array([[10, 20], [40, 50]]))
@@ -493,11 +535,9 @@ def test_who_met_were_as_near_as_they_were_loud():
 
 def test_what_leaves_the_window_is_its_schur_complement():
     """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab: the information of a linear graph's other variables, dense."""
-    from pdr_graph.estimation.tree import Tree
-
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.2, 0.2, 0.02]))
-    factors = {"first": gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1.0))}
-    tree, whole, values = Tree(lag=20.0), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors = {("start", 0): gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1.0))}
+    isam, whole, values = TransactionalISAM(lag=20.0), gtsam.NonlinearFactorGraph(), gtsam.Values()
     for i in range(12):
         new = gtsam.Values()
         new.insert(X(i), gtsam.Pose2(7.0 * i, 0, 0))
@@ -506,9 +546,10 @@ def test_what_leaves_the_window_is_its_schur_complement():
             factors["way", i] = gtsam.BetweenFactorPose2(X(i - 1), X(i), gtsam.Pose2(7.0, 0, 0), noise)
         for factor in factors.values():
             whole.add(factor)
-        tree.update(factors, values=new, times={X(i): 5.0 * i})
+        linear = {name: Linear(one, tuple(one.keys()), np.empty(0), 1.0, 0.0) for name, one in factors.items()}
+        isam.update(linear, values=new, times={X(i): 5.0 * i})
         factors = {}
-    left = [i for i in range(12) if X(i) in tree]
+    left = [i for i in range(12) if X(i) in isam]
     assert 0 < left[0] < 11
     gone = [X(i) for i in range(left[0])]
     alive = [X(left[0])]
@@ -521,6 +562,6 @@ def test_what_leaves_the_window_is_its_schur_complement():
         ordering.push_back(key)
     L, a = linear.hessian(ordering)[0], 3 * len(gone)
     schur = L[a:, a:] - L[a:, :a] @ np.linalg.solve(L[:a, :a], L[:a, a:])
-    (past,) = tree.past
+    (past,) = isam.marginal
     assert list(past.keys()) == alive
     assert past.linearize(values).information() == pytest.approx(schur, rel=1e-9, abs=1e-6)

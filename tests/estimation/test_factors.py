@@ -1,19 +1,28 @@
 """The own factors: Jacobians, the guard, and GTSAM's view of the graph."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 import shapely
+from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from gtsam.symbol_shorthand import C, X
 from plans import plan
 from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
-from pdr_graph.estimation.corridors import Use
-from pdr_graph.estimation.factors import FactorError, guarded
-from pdr_graph.estimation.graph import Prior, State, WalkGraph
+from pdr_graph.estimation.factors import KINDS
+from pdr_graph.estimation.factors.base import Stage
+from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.gnss_bias import GnssBias
+from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
+from pdr_graph.estimation.factors.start import CorridorUse, Prior
+from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.areas import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
+from pdr_graph.measurements import Closures, Levels, Ranges
+from pdr_graph.types import Headings
 
 
 def hall(margin=1.0):
@@ -41,83 +50,133 @@ def turning_graph():
     said = square_walk(20, laps=2)
     track = dead_reckon(said)
     start = fixes_at(track.time[:1], track.position[:1])
-    graph = WalkGraph(said, start, floor=ring(), prior=Prior(corridors=Use(turns=True, directions=True)))
-    return graph.following(graph.start)
+    graph = WalkGraph(said, start, floor=ring(), prior=Prior(corridors=CorridorUse(turns=True, directions=True)))
+    return graph.associated_at(graph.start)
 
 
-def random_state(graph, random):
-    """Any poses and calibrations: a factor's derivative must hold away from the optimum too."""
-    k, s = len(graph.segment) + 1, len(graph.start.c)
-    poses = random.uniform([-6, -6, -np.pi], [6, 6, np.pi], (k, 3))
-    return State(poses, random.normal([1, 1, 0], [0.1, 0.05, 0.01], (s, 3)))
+def outliers(graph):
+    """The second pass from the start: outliers let go, fixes of one receiver share an offset and a lag."""
+    return graph.refined(graph.evaluate(graph.start))
 
 
-def differences(factor, values):
-    """Central differences of a factor's error by each of its keys, in GTSAM's local coordinates."""
-    blocks = []
-    for key in factor.keys():
-        columns = []
-        for n in range(3):
-            errors = []
-            for sign in (1, -1):
-                move = gtsam.VectorValues()
-                for other in values.keys():
-                    move.insert(other, sign * 1e-6 * np.eye(3)[n] if other == key else np.zeros(3))
-                errors.append(factor.unwhitenedError(values.retract(move)))
-            columns.append((errors[0] - errors[1]) / 2e-6)
-        blocks.append(np.stack(columns, axis=1))
-    return blocks
+def received():
+    """Fixes of a receiver, one of them far off."""
+    said = wandering_walk(40, 1)
+    fixes = fixes_on(dead_reckon(said), every=4, seed=1)
+    far = replace(fixes, position=fixes.position + np.where(np.arange(len(fixes)) == 4, 8.0, 0.0)[:, None])
+    graph = outliers(WalkGraph(said, replace(far, source=("GNSS",) * len(far))))
+    assert graph.positions.outlier.sum() == 1
+    assert graph.find(GnssBias).node_number.size > 2
+    return graph
 
 
-def assert_derivatives(factor, values):
-    analytic = np.hsplit(factor.linearize(values).jacobian()[0], len(factor.keys()))
-    for block, numeric in zip(analytic, differences(factor, values), strict=True):
-        assert block == pytest.approx(numeric, abs=2e-5)
+def flat():
+    """Fixes of a receiver that states a radius and no more."""
+    said = wandering_walk(30, 2)
+    return WalkGraph(said, fixes_on(dead_reckon(said), every=6), prior=Prior(fix_flat=1.5))
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_jacobians(seed):
-    """PDR and wall factors at random states. Walls are bilinear: 1e-6 crosses a cell's border too rarely to matter."""
-    random = np.random.default_rng(seed)
-    graph = walled_graph(seed)
-    values = random_state(graph, random).to_values()
-    factors = graph.to_gtsam()
-    own = [factors.at(n) for n in range(graph.native.size(), factors.size())]
-    assert len(own) == 2 * len(graph.segment)
-    for factor in own:
-        assert_derivatives(factor, values)
+def beside_beacons():
+    """Levels of three beacons, one of which nobody surveyed."""
+    said = wandering_walk(30, 3)
+    time, place = dead_reckon(said).time[2::3], np.array([[3.0, 4.0], [12.0, -2.0], [np.nan, np.nan]])
+    rssi = np.random.default_rng(3).uniform(-90, -60, len(time))
+    levels = Levels(time, np.arange(len(time)) % 3, rssi, tuple("abc"), place, np.full(3, 0.5))
+    return WalkGraph(said, fixes_on(dead_reckon(said), every=9), levels=levels)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_jacobians_of_turns(seed):
-    """The heading change between two poses, and the intersection that a step between two others should lie in."""
+def with_a_compass():
+    """Several calibration segments, and headings on either side of Huber's width."""
+    said = wandering_walk(210, 4)
+    headings = Headings(np.array([9.0, 30.0, 60.0]), np.array([3.0, 0.0, 1.0]), np.array([0.4, 0.1, 2.0]))
+    return WalkGraph(said, fixes_on(dead_reckon(said), every=60), headings=headings)
+
+
+def closed(stage):
+    """Two closures, held as in a stage of the search."""
+    said = wandering_walk(30, 5)
+    tied = Closures.of([(said.time[3], said.time[25], 0.5), (said.time[8], said.time[18], 2.0)])
+    return WalkGraph(said, fixes_on(dead_reckon(said), every=8), closures=tied).staged(stage)
+
+
+def rough_walls():
+    return walled_graph(seed=6).staged(Stage.ROUGH)
+
+
+def ranged_graph():
+    """Ranges to three anchors in the first pass; the loss of the second, which has a sign, GTSAM cannot have."""
+    said = wandering_walk(12)
+    time, anchor = said.time[[2, 4, 6, 8]], np.array([0, 1, 2, 0])
+    place = np.array([[0.0, 9.0], [8.0, -5.0], [-6.0, 1.0]])
+    distance, sigma, survey = np.array([9.0, 8.0, 16.0, 7.0]), np.full(4, 0.3), np.full(3, 0.1)
+    ranges = Ranges(time, anchor, distance, sigma, ("A", "B", "C"), place, survey)
+    return WalkGraph(said, measurements=[ranges])
+
+
+GRAPHS = {
+    "walls": walled_graph,
+    "rough walls": rough_walls,
+    "turns": turning_graph,
+    "a receiver": received,
+    "radius": flat,
+    "beacons": beside_beacons,
+    "compass": with_a_compass,
+    "closures": lambda: closed(Stage.FINAL),
+    "firm closures": lambda: closed(Stage.ROUGH),
+    "ranges": ranged_graph,
+    "no fix": lambda: WalkGraph(wandering_walk(12)),
+    "no fix on a plan": lambda: WalkGraph(wandering_walk(12), floor=hall()),
+}
+OF_EVERY_WALK = {"steps", "walls", "corridors", "calibration", "start"}
+QUICK = [name for name in GRAPHS if name not in ("turns", "compass")]
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("name", QUICK)
+def test_derivatives(name, seed):
+    """Every block of every kind, by every variable, at random states; robust weights as slopes of the cost."""
+    graph = GRAPHS[name]()
+    assert_derivatives(graph, random_state(graph, np.random.default_rng(seed)))
+
+
+@pytest.mark.parametrize("name", ["turns", "compass"])
+def test_derivatives_of_long_walks(name):
+    graph = GRAPHS[name]()
+    assert_derivatives(graph, random_state(graph, np.random.default_rng(1)))
+
+
+def test_no_kind_of_measurement_is_left_out():
+    """Of all kinds that there are one graph above has factors, and so their derivatives are checked."""
+    checked = set()
+    for make in GRAPHS.values():
+        graph = make()
+        at = graph.evaluate(random_state(graph, np.random.default_rng(1)))
+        checked |= {one.name for one in at.measurements if any(len(block) for block in one.factors(at))}
+    assert checked >= OF_EVERY_WALK | {kind.name for kinds in KINDS.values() for kind in kinds}
+
+
+def test_turns_press():
+    """The derivatives of turns are those of factors that say something."""
     graph = turning_graph()
-    values = random_state(graph, np.random.default_rng(seed)).to_values()
-    factors = graph.to_gtsam()
-    own = [factors.at(n) for n in range(graph.native.size(), factors.size())]
-    turns = [f for f in own if (f.dim() == 1 and len(f.keys()) == 2) or f.dim() == 4]
-    assert len(turns) == 2 * len(graph.turns)
-    assert sum(np.any(f.unwhitenedError(values)) for f in turns) > len(turns) / 2
-    for factor in turns:
-        assert_derivatives(factor, values)
+    at = graph.evaluate(random_state(graph, np.random.default_rng(1)))
+    for name in ("corridors.turn", "corridors.intersection"):
+        [block] = at.blocks_of(name)
+        assert len(block) == len(graph.find(CorridorFactor).turns) == 7
+        assert np.count_nonzero(block.deviation) > len(block) / 2
 
 
-@pytest.mark.parametrize("graph", [walled_graph(seed=3), turning_graph()], ids=["walls", "walls and turns"])
-def test_batch_linearisation_is_gtsams_own(graph):
+@pytest.mark.parametrize("name", GRAPHS)
+def test_gtsam_sees_the_same_graph(name):
     """What the smoother assembles for the whole walk equals GTSAM linearising factor by factor, to rounding."""
-    values = random_state(graph, np.random.default_rng(1)).to_values()
-    ordering = gtsam.Ordering.NaturalNonlinearFactorGraph(graph.to_gtsam())
-    ours, theirs = (g.hessian(ordering) for g in (graph.linearize(values), graph.to_gtsam().linearize(values)))
-    for a, b in zip(ours, theirs, strict=True):
-        assert a == pytest.approx(b, rel=1e-9, abs=1e-6)
-    assert graph.error(values) == pytest.approx(graph.to_gtsam().error(values))
+    graph = GRAPHS[name]()
+    assert_gtsam_agrees(graph, random_state(graph, np.random.default_rng(1)))
 
 
 def test_sub_steps_end_at_the_keyframes():
     """The last piece of every interval ends at its keyframe, wherever that is: no jump in the track."""
     graph = walled_graph()
     state = random_state(graph, np.random.default_rng(2))
-    placed = graph.evaluate(state.to_values()).poses.value[graph.pieces.last]
+    placed = graph.evaluate(state).poses.value[graph.pieces.last]
     assert placed[:, :2] == pytest.approx(state.poses[1:, :2])
     assert np.exp(1j * placed[:, 2]) == pytest.approx(np.exp(1j * state.poses[1:, 2]))
 
@@ -125,17 +184,18 @@ def test_sub_steps_end_at_the_keyframes():
 def test_ends_are_the_sub_steps_without_their_derivatives():
     """What a move that is only tried is judged by is what its derivatives are of; to rounding."""
     graph = walled_graph()
-    own = graph.evaluate(random_state(graph, np.random.default_rng(1)).to_values())
+    own = graph.evaluate(random_state(graph, np.random.default_rng(1)))
     assert own.ends == pytest.approx(own.poses.value, abs=1e-12)
 
 
 def test_nothing_presses_in_the_open():
     said = wandering_walk(10)
     graph = WalkGraph(said, fixes_on(dead_reckon(said), every=3), floor=hall())
-    middle = State(np.tile([3.5, 3.5, 0.0], (len(graph.segment) + 1, 1)), graph.start.c)
-    own = graph.evaluate(middle.to_values())
-    distance, _ = hall().distance.at(own.poses.value[:, :2])
-    assert np.all((own.wall.value[:, 0] > 0) == ((distance < 0.8) & (graph.pieces.length > 0)))
+    middle = graph.start.replaced(x=np.tile([3.5, 3.5, 0.0], (len(graph.segment) + 1, 1)))
+    at = graph.evaluate(middle)
+    distance, _ = hall().distance.at(at.poses.value[:, :2])
+    residual, _ = graph.walls.residual(at)
+    assert np.all((residual > 0) == ((distance < 0.8) & (graph.pieces.length > 0)))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import pytest
 from walks import dead_reckon, fixes_at, fixes_on, steps_of, wandering_walk
 
 from pdr_graph import kalman_filter, kalman_smoother, smooth
-from pdr_graph.estimation.fixes_alone import follow
+from pdr_graph.estimation.factors.fixes import consistent_chains
+from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.reach import within_reach
-from pdr_graph.gait.gaps import gap, join, joined_chunks, later
+from pdr_graph.gait.signals import concatenate_steps, gap, join, shifted
 from pdr_graph.geometry import unit
 from pdr_graph.types import Fixes, Steps
 
@@ -44,7 +44,7 @@ def both(one, other):
         np.concatenate([one.position, other.position]),
         np.append(one.sigma, other.sigma),
         one.floor + other.floor,
-        source=one.sources + other.sources,
+        source=one.source + other.source,
     )
 
 
@@ -83,7 +83,7 @@ def test_fixes_before_or_after_the_walk_do_not_say_where_it_was(by, method):
 @METHODS
 def test_what_follows_a_long_gap_is_anywhere_until_a_fix(method):
     """An hour between two walks, fixes in the first alone: the second keeps its shape and has no place."""
-    first, second = wandering_walk(200), later(wandering_walk(200, seed=1), 3600.0)
+    first, second = wandering_walk(200), shifted(wandering_walk(200, seed=1), 3600.0)
     steps = join([first, second])
     estimate = honest(method(WalkGraph(steps, fixes_on(dead_reckon(first), every=20))))
     sigma = np.sqrt(estimate.trajectory.covariance[:, 0, 0])
@@ -97,14 +97,14 @@ def test_a_recording_may_end_with_a_gap(method):
     """No segment begins after it: the walk before is as it was."""
     walk = wandering_walk(60)
     fixes = fixes_on(dead_reckon(walk), every=20)
-    ended = honest(method(WalkGraph(joined_chunks([walk, gap(walk.end, walk.end + 20.0)]), fixes)))
+    ended = honest(method(WalkGraph(concatenate_steps([walk, gap(walk.end, walk.end + 20.0)]), fixes)))
     alone = method(WalkGraph(walk, fixes))
     assert ended.trajectory.position[:60] == pytest.approx(alone.trajectory.position[:60], abs=0.3)
 
 
 def test_pieces_with_fixes_of_their_own_are_each_where_these_say():
     """An hour and 5 km apart: nothing is wild, and both are right to a metre."""
-    first, second = wandering_walk(200), later(wandering_walk(200, seed=1), 3600.0)
+    first, second = wandering_walk(200), shifted(wandering_walk(200, seed=1), 3600.0)
     here, there = dead_reckon(first), dead_reckon(second, fixes_at([0], [[4000.0, 3000.0]]), heading=1.0)
     fixes = both(fixes_on(here, every=20), fixes_on(there, every=20))
     estimate = honest(smooth(WalkGraph(join([first, second]), fixes)))
@@ -180,7 +180,7 @@ def straight(n=50):
 
 
 def reached(steps: Steps, fixes):
-    return within_reach(steps, fixes, fixes.sigma, np.ones(len(fixes), dtype=bool))
+    return consistent_chains(steps, fixes, fixes.sigma, np.ones(len(fixes), dtype=bool))
 
 
 def test_who_jumps_there_and_back_was_not_there():
@@ -199,7 +199,7 @@ def test_fixes_in_any_order_are_judged_alike():
 
 
 def test_in_a_gap_anyone_may_be_driven():
-    steps = join([straight(), later(straight(), 600.0)])
+    steps = join([straight(), shifted(straight(), 600.0)])
     fixes = fixes_at([1.0, 10.0, 605.0, 615.0], [[0, 0], [6, 0], [9000, 0], [9006, 0]])
     assert reached(steps, fixes)[1].all()
 
@@ -217,7 +217,7 @@ def test_without_steps_a_jump_there_and_back_is_passed_by_and_reported(off):
     assert np.abs(estimate.trajectory.position[:, 1]).max() == 0
     assert [round(fix.weight) for fix in estimate.fixes] == [1] * 30 + [0] * 3 + [1] * 27
     assert estimate.fixes[31].residual == pytest.approx(off)
-    assert warned(estimate, "3 of 60 fixes lie where nobody gets so fast")
+    assert warned(estimate, "3 of 60 fixes are too far to be reached in time")
 
 
 def test_without_steps_a_flight_is_believed():
@@ -232,7 +232,7 @@ def test_without_steps_a_flight_is_believed():
 def test_without_steps_who_goes_nowhere_is_told_so():
     """Indoors a short walk and a receiver's wander look alike."""
     wander = np.random.default_rng(0).normal(0, 5.0, (240, 2))
-    assert warned(follow(fixes_at(np.arange(240.0), wander, 5.0)), "for 4 of 4 min: taken for standing")
+    assert warned(follow(fixes_at(np.arange(240.0), wander, 5.0)), "for 4 of 4 min: classified as standing")
     assert not warned(follow(by_bus(240)), "standing")
 
 
@@ -240,7 +240,7 @@ def test_without_steps_a_worse_fix_of_the_same_moment_is_not_used():
     fixes = both(by_bus(), fixes_at([30.0], [[300.0, 400.0]], 50.0))
     fixes = fixes[np.argsort(fixes.time, kind="stable")]
     estimate = honest(follow(fixes))
-    assert estimate.fixes[31].reason.startswith("beside a better one")
+    assert estimate.fixes[31].reason.startswith("a better fix at the same time")
     assert np.abs(estimate.trajectory.position[:, 1]).max() == 0
 
 
@@ -251,5 +251,5 @@ def test_a_wild_fix_just_within_reach_does_not_part_the_walk():
     place = track.position[::2].copy()
     place[20, 0] -= 22.2
     graph = WalkGraph(steps, fixes_at(track.time[::2], place, 3.0))
-    assert len(np.unique(graph.fix_run)) == 2
-    assert graph.fix_believed.all()
+    assert len(np.unique(graph.positions.run)) == 2
+    assert graph.positions.consistent.all()

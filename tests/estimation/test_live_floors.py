@@ -1,14 +1,13 @@
 """The floor while a person walks: soon the one that the whole walk tells."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from test_floors import Plan, along, fixes, flights, in_order
 
-from pdr_graph.estimation.floors import floors_along
-from pdr_graph.estimation.live_floors import LONGEST, LiveFloors
+from pdr_graph.estimation.floors import LONGEST, FloorsCheckpoint, LiveFloors, floors_along
+from pdr_graph.storage import decode, encode
 from pdr_graph.types import Fixes, Steps
 
 SOON = 10.0  # [s] after a climb: half the window of a median, a rate's Gaussian, a look every 3 s
@@ -135,13 +134,14 @@ def test_before_the_first_steps_it_is_the_floor_of_the_start():
 
 
 def test_a_restored_state_goes_on_as_it_was():
-    """By way of JSON, on the stairs."""
+    """Encoded and decoded, on the stairs."""
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
     whole = second_by_second(steps, barometer, LiveFloors(None, "0"))
     first, second = LiveFloors(None, "0"), LiveFloors(None, "0")
     second_by_second(part(steps, 0.0, 70.0), barometer, first)
-    second.restore(json.loads(json.dumps(first.state(), default=lambda value: value.tolist())))
-    assert {k: str(v) for k, v in second.state().items()} == {k: str(v) for k, v in first.state().items()}
+    second.restore(decode(encode(first.checkpoint()), FloorsCheckpoint))
+    assert encode(second.checkpoint()) == encode(first.checkpoint())
+    assert second.label == first.label
     assert whole[-1][1] == "1"
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from walks import PERIOD, wandering_walk
 
-from pdr_graph.estimation.preintegration import SIGMA_LATERAL, SIGMA_STILL, bridge, cut, preintegrate
+from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL, SIGMA_STILL, bridge, cut, preintegrate
 from pdr_graph.types import Steps
 
 C = np.array([1.12, 0.97, 0.004])

@@ -9,9 +9,9 @@ from nees import gaussian, interval, normalised_errors
 from walks import drawn_from_the_model, fixes_at
 
 from pdr_graph import WalkGraph, smooth
-from pdr_graph.estimation import closures
-from pdr_graph.estimation.closures import Closures
-from pdr_graph.estimation.together import smooth_together
+from pdr_graph.estimation.factors import loop_closure
+from pdr_graph.estimation.multi_walk import smooth_together
+from pdr_graph.measurements import Closures
 from pdr_graph.types import Estimate
 
 SIGMA_CLOSURE = 1.0  # [m]
@@ -47,7 +47,7 @@ def one_that_met(seed, wrong=1.0):
     (steps, _, truth), (others, fixes, _), closures = met(seed, wrong=wrong)
     start = fixes_at(truth.time[:1], truth.position[:1] + np.random.default_rng(seed + 999).normal(0, 1.5, (1, 2)), 1.5)
     end = fixes_at(truth.time[-1:], truth.position[-1:] + np.random.default_rng(seed + 99).normal(0, 9.0, (1, 2)), 9.0)
-    few = type(start).together([start, end])
+    few = type(start).concatenate([start, end])
     return Both([WalkGraph(steps, few), WalkGraph(others, fixes)], closures), truth
 
 
@@ -105,11 +105,11 @@ def test_a_link_that_is_wrong_is_let_go():
 def test_covariance_is_honest():
     """NEES of a random row of one of two walks that met, with Gaussian closures and fixes."""
     low, high = interval(SEEDS)
-    with gaussian(), patch.object(closures, "CLOSURE_WIDTH", 1e6):
+    with gaussian(), patch.object(loop_closure, "CLOSURE_WIDTH", 1e6):
         assert low < np.mean(normalised_errors(one_that_met, first_of_both, SEEDS)) < high
 
 
 def test_links_five_times_as_bad_as_stated_are_found_out():
-    with gaussian(), patch.object(closures, "CLOSURE_WIDTH", 1e6):
+    with gaussian(), patch.object(loop_closure, "CLOSURE_WIDTH", 1e6):
         _, high = interval(SEEDS)
         assert np.mean(normalised_errors(one_that_met_far_off, first_of_both, SEEDS)) > high

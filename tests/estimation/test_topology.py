@@ -7,7 +7,7 @@ from walks import fixes_at, steps_of
 
 from pdr_graph import Headings, smooth
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import UNSEEN, probabilities, solutions, ways
+from pdr_graph.estimation.optimizer import UNSEEN, paths, probabilities, solutions
 from pdr_graph.floor.areas import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
@@ -58,7 +58,7 @@ def test_a_walk_longer_than_any_aisle_is_not_believed():
 def test_a_walk_that_is_found_again_is_not_another():
     """Both together are as likely as the one, and what is left is that of a way which nobody found."""
     found = solutions(straight(28, aisles((50, 0))))[:1]
-    once, twice = (probabilities(many, ways(many)) for many in (found, 2 * found))
+    once, twice = (probabilities(many, paths(many)) for many in (found, 2 * found))
     assert once == pytest.approx(1 / (1 + np.exp(found[0].surprise - found[0].unseen)))
     assert once > 0.98
     assert twice == pytest.approx(np.full(2, once[0] / 2))
@@ -67,6 +67,6 @@ def test_a_walk_that_is_found_again_is_not_another():
 def test_what_nobody_found_has_a_share_only_on_a_plan():
     """Without walls all directions are alike, and all of them are tried: they are everything there is."""
     found = solutions(straight(28, None))
-    assert probabilities(found, ways(found)).sum() == pytest.approx(1.0)
+    assert probabilities(found, paths(found)).sum() == pytest.approx(1.0)
     found = solutions(straight(28, aisles((50, 0))))
-    assert 0 < 1 - probabilities(found, ways(found)).sum() < 2 * np.exp(-UNSEEN)
+    assert 0 < 1 - probabilities(found, paths(found)).sum() < 2 * np.exp(-UNSEEN)

@@ -57,14 +57,14 @@ def test_heights_are_those_that_the_plan_gives(tmp_path):
 @pytest.mark.parametrize(
     ("heights", "said"),
     [
-        ([0, 4], "pdr_graph.heights: found [0, 4], needed a height for each floor"),
-        ({"1": 0, "2": 4, "3": 8}, "pdr_graph.heights: found a floor '3', needed the labels of floors: 1, 2"),
+        ([0, 4], "pdr_graph.heights: found [0, 4], expected a height for each floor"),
+        ({"1": 0, "2": 4, "3": 8}, "pdr_graph.heights: found a floor '3', expected the labels of floors: 1, 2"),
         ({"1": 0}, "pdr_graph.heights: found no height of floor '2'"),
-        ({"1": 0, "2": "4 m"}, "pdr_graph.heights.2: found '4 m', needed metres"),
+        ({"1": 0, "2": "4 m"}, "pdr_graph.heights.2: found '4 m', expected metres"),
         ({"1": 0, "2": True}, "pdr_graph.heights.2: found True"),
         ({"1": 0, "2": None}, "pdr_graph.heights.2: found None"),
         ({"1": 0, "2": float("nan")}, "pdr_graph.heights.2: found nan"),
-        ({"1": 0, "2": 4000}, "pdr_graph.heights.2: found 4000, needed metres, less than 1000"),
+        ({"1": 0, "2": 4000}, "pdr_graph.heights.2: found 4000, expected metres, less than 1000"),
     ],
 )
 def test_heights_that_are_none_are_refused_in_one_line(tmp_path, heights, said):

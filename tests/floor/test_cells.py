@@ -104,9 +104,9 @@ def test_several_floors_in_one_file(two_floors):
     assert below.walkable_area == pytest.approx(60 + 12 + 4, rel=1e-3)
     assert above.walkable_area == pytest.approx(100 + 12 + 4, rel=1e-3)
     assert FloorPlan.load(two_floors, "1").areas[0].name == "above"
-    with pytest.raises(InputError, match="2 floors, 0, 1, needed the label of one"):
+    with pytest.raises(InputError, match="2 floors, 0, 1, expected the label of one"):
         FloorPlan.load(two_floors)
-    with pytest.raises(InputError, match="needed a floor 'attic'"):
+    with pytest.raises(InputError, match="expected a floor 'attic'"):
         FloorPlan.load(two_floors, "attic")
 
 

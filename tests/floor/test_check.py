@@ -83,7 +83,7 @@ def test_each_open_ring_of_several_polygons_is_closed(office, tmp_path):
 def test_a_ring_of_two_places_is_refused(office, tmp_path):
     del ring(office, "Cafe")[2:]
     (tmp_path / "damaged.geojson").write_text(json.dumps(office))
-    with pytest.raises(InputError, match=r"feature \d+: found .*, needed a GeoJSON geometry"):
+    with pytest.raises(InputError, match=r"feature \d+: found .*, expected a GeoJSON geometry"):
         Building.load(tmp_path / "damaged.geojson")
 
 
@@ -119,7 +119,7 @@ def link_through_a_wall(plan):
 
 def link_of_one_place(plan):
     named(plan, "upper floor")["geometry"] = {"type": "Point", "coordinates": [135.0002, 35.00005]}
-    return "floor 2: 1 links that are no lines: upper floor at (18.3, 5.5)"
+    return "floor 2: 1 links that are not lines: upper floor at (18.3, 5.5)"
 
 
 def stairs_on_one_floor(plan):
@@ -130,23 +130,23 @@ def stairs_on_one_floor(plan):
 def floor_that_nothing_reaches(plan):
     for name in ("Stairs", "Lift"):
         named(plan, name)["properties"]["floor"] = ["1"]
-    return "floor 2: no stairs or lift lead here from the rest of the building"
+    return "floor 2: no stairs or lift from the rest of the building"
 
 
 def lift_without_a_door_above(plan):
     door_at(plan, 25.2, 8, "1")["properties"]["floor"] = ["1"]
-    return "floor 2: 1 stairs or lifts that one cannot step into: Lift at (25.2, 6.8)"
+    return "floor 2: 1 stairs or lifts without an entrance: Lift at (25.2, 6.8)"
 
 
 def stairs_away_from_the_corridor(plan):
     moved(plan, named(plan, "Stairs"), (0, 1))
-    return "floor 1: 1 stairs or lifts that one cannot step into: Stairs at (13.5, 14.4)"
+    return "floor 1: 1 stairs or lifts without an entrance: Stairs at (13.5, 14.4)"
 
 
 def room_drawn_as_a_line(plan):
     cafe = named(plan, "Cafe")["geometry"]
     cafe.update(type="LineString", coordinates=cafe["coordinates"][0])
-    return "floor 1: 1 cells that are no polygons: room Cafe at (5.5, 4.0)"
+    return "floor 1: 1 cells that are not polygons: room Cafe at (5.5, 4.0)"
 
 
 def rooms_over_each_other(plan):

@@ -5,7 +5,7 @@ import pytest
 import shapely
 from plans import plan
 
-from pdr_graph.floor.regions import DOOR_COST, NOWHERE, OUTSIDE_PRICE, WALL_COST
+from pdr_graph.floor.cells import DOOR_COST, NOWHERE, OUTSIDE_PRICE, WALL_COST
 
 HALL = ("corridor", "hall", shapely.box(0, 0, 20, 3))
 AISLE = ("corridor", "aisle", shapely.box(8, -6, 11, 0))

@@ -4,10 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.earth import EarthField, earth_field
+from pdr_graph.frames import EarthField, earth_field
 from pdr_graph.inertial.attitude import Attitude
-from pdr_graph.inertial.magnetometer import dip_error, field_in_world, fit_iron, predicted, prediction_error
-from pdr_graph.inertial.north import magnetic_north
+from pdr_graph.inertial.magnetometer import (
+    dip_error,
+    field_in_world,
+    fit_iron,
+    magnetic_north,
+    predicted,
+    prediction_error,
+)
 
 PERIOD = 0.02
 EARTH = EarthField(magnitude=48.0, declination=0.1, dip=1.0)

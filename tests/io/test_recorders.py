@@ -19,7 +19,7 @@ from recorders import (
 )
 
 from pdr_graph import InputError, detect_steps, io
-from pdr_graph.io.positions import RADIUS_68
+from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import LONLAT
 
 
@@ -123,7 +123,7 @@ def test_reader_sensor_logger_leaves_out_invalid_positions(tmp_path, felt):
     location = nanoseconds("horizontalAccuracy,longitude,latitude", felt.fix_time, accuracy, felt.lonlat)
     walk = io.load(in_folder(tmp_path / "walk", sensor_logger(felt, "ios") | {"Location.csv": location}))
     assert len(walk.fixes) == len(felt.fix_time) - 2
-    assert any(f"2 of {len(felt.fix_time)} positions were marked invalid" in note for note in walk.notes)
+    assert any(f"2 of {len(felt.fix_time)} positions are invalid" in note for note in walk.notes)
 
 
 def test_reader_sensor_logger_reads_one_table(tmp_path, felt):
@@ -144,8 +144,8 @@ def test_reader_get_sensor_data(tmp_path, felt, unit):
     assert walk.gyroscope.values == pytest.approx(felt.angular_rate, abs=1e-5)
     assert walk.fixes.time + walk.clock_origin == pytest.approx(felt.fix_time, abs=1e-4)
     assert walk.epoch == pytest.approx(UNIX, abs=0.6), "GNSS seconds are whole here"
-    assert any("repeats" in note for note in walk.notes)
-    assert any("in g" in note for note in walk.notes) == (unit != 1.0)
+    assert any("duplicate epochs" in note for note in walk.notes)
+    assert any("is g" in note for note in walk.notes) == (unit != 1.0)
     assert walk.wifi.transmitter == ("00:11:22:33:44:55",)
     assert walk.bluetooth.rssi.tolist() == [-90.0]
     assert walk.truth.floor == ("-2",)
@@ -159,7 +159,7 @@ def test_reader_get_sensor_data_uses_the_apps_clock_where_the_sensors_is_broken(
     path.write_text("\n".join(stuck) + "\n")
     walk = io.load(path)
     assert np.diff(walk.gyroscope.time) == pytest.approx(0.02, abs=1e-3)
-    assert any("its clock and the app's part" in note for note in walk.notes)
+    assert any("its clock and the app's differ" in note for note in walk.notes)
 
 
 @pytest.mark.parametrize("header", [None, "Fix,Provider,Latitude,Longitude,Altitude,Speed,Accuracy,Bearing"])

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.gait.profile import Profile
+from pdr_graph.gait.walker import Profile
 from pdr_graph.io.geolife import DAY, EPOCH_1899
 from pdr_graph.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
 from pdr_graph.lifelog.day import Day as OneDay

@@ -16,10 +16,9 @@ import days_standin as standin
 import pytest
 
 from pdr_graph import InputError
-from pdr_graph.lifelog import files
-from pdr_graph.lifelog.adding import add
-from pdr_graph.lifelog.build import Outcome, build
-from pdr_graph.lifelog.chains import Chain, Planned, reconstructed
+from pdr_graph.lifelog import cache
+from pdr_graph.lifelog.build import Chain, Outcome, Planned, build, reconstructed
+from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.store import Store
 
 HERE = Path(__file__).parent
@@ -152,7 +151,7 @@ def test_midnight_is_where_the_lifelog_is(tmp_path):
     with Store(log) as store:
         assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(2, 7)]
     for zone in ("Europe/Entenhausen", "/etc/passwd", "../UTC", "", "Europe"):
-        with pytest.raises(InputError, match=r"--zone: found .*, needed a time zone, as Europe/Berlin"):
+        with pytest.raises(InputError, match=r"--zone: found .*, expected a time zone, as Europe/Berlin"):
             built(log, zone=zone)
 
 
@@ -201,7 +200,7 @@ def test_what_was_moved_away_costs_a_line_and_nothing_else(tmp_path):
     result = built(log)
     assert (result.built, result.failures) == (3, ())
     [line] = result.refusals
-    assert line.startswith(f"{paths['person0'][1]}: found no such file, needed the recording")
+    assert line.startswith(f"{paths['person0'][1]}: found no such file, expected the recording")
     assert built(log).refusals == (line,), "until it is there again"
     add(log, [moved])
     assert built(log) == Outcome(1, 3, (), ())
@@ -229,7 +228,7 @@ def test_a_plan_that_is_gone_costs_a_line_and_nothing_else(tmp_path, pytestconfi
     result = built(log)
     assert (result.built, result.kept, result.failures) == (0, 3, ())
     assert len(result.refusals) == 3
-    assert result.refusals[0].startswith(f"{plan}: found No such file or directory, needed the plan of {tmp_path}")
+    assert result.refusals[0].startswith(f"{plan}: found No such file or directory, expected the plan of {tmp_path}")
     assert {name: rows for name, rows in content(log).items() if name != "recording"} == {
         name: rows for name, rows in before.items() if name != "recording"
     }
@@ -240,7 +239,7 @@ def test_a_recording_that_is_another_now_is_not_taken_for_it(tmp_path):
     standin.recording(paths["person0"][1], 1, seed=99)
     result = built(log)
     assert result.built == 1
-    assert "found another content, needed that with which it was added" in result.refusals[0]
+    assert "found changed content, expected the content that was added" in result.refusals[0]
 
 
 def test_an_observation_that_was_damaged_is_made_again(tmp_path):
@@ -267,7 +266,7 @@ def test_a_clock_that_was_never_set_is_refused(tmp_path):
     add(log, [paths["person0"][0]], begins=1e18)
     result = built(log)
     assert (result.built, len(result.refusals)) == (1, 1)
-    assert "time: found 1e+18 s since 1970, needed --begins, when it was recorded" in result.refusals[0]
+    assert "time: found 1e+18 s since 1970, expected a time since 1970: give --begins" in result.refusals[0]
 
 
 def test_nothing_is_left_on_its_way(tmp_path):
@@ -287,7 +286,7 @@ def test_nothing_is_left_on_its_way(tmp_path):
 def test_another_version_makes_all_anew(tmp_path, monkeypatch):
     log, _ = added(tmp_path, people=1, days=2)
     built(log)
-    monkeypatch.setattr(files, "MADE_BY", "0.0.0, 1")
+    monkeypatch.setattr(cache, "MADE_BY", "0.0.0, 1")
     assert built(log) == Outcome(2, 0, (), ())
     with closing(sqlite3.connect(log)) as database:
         assert {"pdr_graph", "gtsam", "numpy", "python"} <= dict(database.execute("SELECT * FROM version")).keys()
@@ -296,7 +295,7 @@ def test_another_version_makes_all_anew(tmp_path, monkeypatch):
 def test_a_worker_of_another_version_makes_nothing(tmp_path):
     chain = Chain("me", (Planned("2024-05-01", (("a", "b"),), None),), None, str(tmp_path), "9.9.9, 1")
     [done] = reconstructed([chain], standin.reconstruct)
-    assert done.failure == f"--scheduler, a worker: found pdr_graph {files.MADE_BY}, needed 9.9.9, 1, as here"
+    assert done.failure == f"--scheduler, a worker: found pdr_graph {cache.MADE_BY}, expected 9.9.9, 1, as here"
     assert not list(tmp_path.iterdir())
 
 

@@ -9,9 +9,9 @@ from datetime import UTC, datetime
 
 import days_standin as standin
 import pytest
-from test_adding import phyphox
+from test_ingest import phyphox
 
-from pdr_graph.lifelog.adding import add
+from pdr_graph.lifelog.ingest import add
 
 
 def run(*arguments):
@@ -42,7 +42,7 @@ def test_one_that_cannot_be_read_is_a_line_and_exit_3(tmp_path):
     code, said, errors = run("add", tmp_path / "days.db", bad, good)
     assert (code, said) == (3, f"1 added -> {tmp_path / 'days.db'}\n")
     assert len(errors) == 1
-    assert errors[0].startswith(f"pdr-graph: {bad}: found the bytes b'Dear Ada', needed a recording")
+    assert errors[0].startswith(f"pdr-graph: {bad}: found the bytes b'Dear Ada', expected a recording")
 
 
 def test_nothing_that_can_be_read_is_exit_2(tmp_path):
@@ -60,21 +60,25 @@ def test_a_recording_that_is_gone_at_build_is_a_line_and_exit_3(tmp_path):
     code, said, errors = run("build", log)
     assert (code, said) == (3, f"1 days built, 0 up to date, 0 failed -> {log}\n")
     assert errors == [
-        f"pdr-graph: {tmp_path / '0.plt'}: found no such file, needed the recording: add it again from where it is now"
+        f"pdr-graph: {tmp_path / '0.plt'}: found no such file, "
+        "expected the recording: add it again from its present place"
     ]
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("build", "none.db"), "none.db: found no such file, needed a lifelog, as pdr-graph lifelog add makes it"),
-        (("build", "other"), "other: found another kind of file, needed a lifelog, or a name that is not taken"),
-        (("add", "other", "walk.plt"), "other: found another kind of file, needed a lifelog"),
+        (("build", "none.db"), "none.db: found no such file, expected a lifelog: create it with pdr-graph lifelog add"),
+        (("build", "other"), "other: found another kind of file, expected a lifelog, or a name that is not taken"),
+        (("add", "other", "walk.plt"), "other: found another kind of file, expected a lifelog"),
         (("add", "none/days.db", "walk.plt"), "none/days.db: No such file or directory"),
         (("add", "/proc/days.db", "walk.plt"), "/proc/days.db: No such file or directory"),
-        (("add", "days.db", "walk.plt", "--begins", "soon"), "--begins: found soon, needed a time such as 2024-05-01T"),
-        (("add", "days.db", "walk.plt", "--map", "none"), "none: found no such file, needed a floor plan"),
-        (("build", "days.db", "--zone", "Mars"), "--zone: found 'Mars', needed a time zone, as Europe/Berlin"),
+        (
+            ("add", "days.db", "walk.plt", "--begins", "soon"),
+            "--begins: found soon, expected a time such as 2024-05-01T",
+        ),
+        (("add", "days.db", "walk.plt", "--map", "none"), "none: found no such file, expected a floor plan"),
+        (("build", "days.db", "--zone", "Mars"), "--zone: found 'Mars', expected a time zone, as Europe/Berlin"),
         (("build", "days.db", "--workers", "2", "--scheduler", "tcp://a:1"), "--scheduler: found --workers 2 too"),
     ],
 )
@@ -110,7 +114,7 @@ def test_a_recording_without_a_clock_begins_when_it_is_said(tmp_path):
     log, walk = tmp_path / "days.db", phyphox(tmp_path / "walk")
     code, _, [line] = run("add", log, walk)
     assert code == 2
-    assert "found no date, needed --begins" in line
+    assert "found no date, expected a start time" in line
     assert run("add", log, walk, "--begins", "2024-05-01T23:30:00-01:00")[0] == 0
     with closing(sqlite3.connect(log)) as database:
         [(begins,)] = database.execute("SELECT begins FROM recording")

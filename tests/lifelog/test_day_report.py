@@ -52,8 +52,8 @@ def test_the_slider_moves_the_walker_along_the_day(report):
     there = np.array([400.0, 300.0]) + 1000.0 * np.array([np.cos(0.7), np.sin(0.7)])
     assert np.hypot(*np.subtract(report.walker, there)) * report.metre < ARROW
     report.slide(MIDNIGHT + 12 * HOUR)
-    assert report.walker is None, "nobody recorded where"
-    assert report.run("return document.getElementById('readout').textContent") == "nobody recorded"
+    assert report.walker is None, "no position"
+    assert report.run("return document.getElementById('readout').textContent") == "no data"
     report.slide(LATE + 750.0)
     assert report.walker is None, "a gap within an outing"
 

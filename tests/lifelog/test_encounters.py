@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.lifelog.encounters import EVERY, FAINTEST, NEAREST, Carried, encounters
+from pdr_graph.lifelog.multi_day import EVERY, FAINTEST, NEAREST, Carried, encounters
 from pdr_graph.types import Sightings
 
 PHONES = {"anna's": "anna", "ben's": "ben"}

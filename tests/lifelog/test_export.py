@@ -21,11 +21,9 @@ from pdr_graph.cli import app
 from pdr_graph.errors import InputError
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx, notes
-from pdr_graph.lifelog.giving import give
-from pdr_graph.lifelog.rows import rows_of
+from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx, give, notes
 from pdr_graph.lifelog.show import show_day
-from pdr_graph.lifelog.store import Store
+from pdr_graph.lifelog.store import Store, rows_of
 
 WAY = [(WALKING, 100.0, 0.0), (GAP, 300.0, 0.5), (VEHICLE, 60.0, 1.0), (STANDING, 200.0, 1.0), (WALKING, 50.0, 2.0)]
 KIOSK = stay(460, 660, (600.0, 700.0), [("Kiosk <1>", 0.8), ("Bank", 0.1)], floor="F1", sigma=3.0)
@@ -213,7 +211,7 @@ def test_export_takes_days_from_to_and_of_one(store, tmp_path):
     assert {f["properties"]["date"] for f in one} == {"2024-05-02"}
     for asked, complaint in (
         ({"since": "2024-06-01"}, "2024-05-02"),
-        ({"until": "May"}, "a day as"),
+        ({"until": "May"}, "a date such as"),
         ({"person": "Carl"}, "Carl"),
         ({"form": "csv", "out": tmp_path / "a.csv"}, "a folder"),
     ):
@@ -243,4 +241,4 @@ def test_a_day_that_is_private_from_end_to_end_is_said_and_not_written(store, tm
     lon, lat = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]
     written, said = give(store, tmp_path / "out", "gpx", "Anna", cut=[f"{lat},{lon},50000"])
     assert not written
-    assert said == ["Anna, 2024-05-01: nothing of it can be shown", "Anna, 2024-05-02: nothing of it can be shown"]
+    assert said == ["Anna, 2024-05-01: nothing left to export", "Anna, 2024-05-02: nothing left to export"]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from made_days import MIDNIGHT, NOWHERE, day, outing, stay
 
 from pdr_graph.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.panels import TOO_SMALL, panels
+from pdr_graph.lifelog.maps import TOO_SMALL, panels
 from pdr_graph.lifelog.picture import picture
 
 ZONE = ZoneInfo("America/Santiago")

@@ -17,9 +17,8 @@ from made_days import HERE, MIDNIGHT, NOWHERE, PACE, PERIOD, day, outing, stay
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Segment
+from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, at
 from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx
-from pdr_graph.lifelog.parts import PRIVATE, at
 from pdr_graph.lifelog.privacy import shared
 from pdr_graph.lifelog.private_places import PrivatePlace, private_places
 from pdr_graph.lifelog.timeline import table, timeline

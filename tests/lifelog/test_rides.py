@@ -10,9 +10,8 @@ from walks import steps_of
 from pdr_graph import smooth
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import dead_reckon
+from pdr_graph.lifelog.activities import rides, segments_of, without_rides
 from pdr_graph.lifelog.day import VEHICLE
-from pdr_graph.lifelog.rides import rides, without_rides
-from pdr_graph.lifelog.segments import segments_of
 from pdr_graph.types import Fixes, Steps
 
 
@@ -112,7 +111,7 @@ def test_a_gap_in_the_recording_is_no_ride():
 def test_a_ride_is_one_row_that_leads_anywhere():
     steps, _, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
     ridden = without_rides(steps, np.array([[begin, end]]))
-    ((row,),) = np.nonzero(ridden.length == 0)
+    ((row,),) = np.nonzero(ridden.is_gap)
     assert (ridden.time[row], ridden.duration[row]) == (end, end - begin)
     assert ridden.sigma_length[row] > 9.0 * 400 / 2  # a bus is within two sigmas
     assert ((ridden.time[:row] <= begin) & (ridden.length[:row] > 0)).all()

@@ -5,6 +5,7 @@ import resource
 import sqlite3
 import subprocess
 import sys
+import zlib
 from contextlib import closing
 from dataclasses import astuple, fields, is_dataclass, replace
 from pathlib import Path
@@ -15,13 +16,12 @@ import pytest
 
 from pdr_graph import InputError
 from pdr_graph.frames import Frame
-from pdr_graph.gait.profile import Profile
-from pdr_graph.lifelog import files
-from pdr_graph.lifelog.codec import decode, encode
+from pdr_graph.gait.walker import Profile
+from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.observation import Ends, Observation, observe
-from pdr_graph.lifelog.rows import rows_of
-from pdr_graph.lifelog.store import Entry, Store
+from pdr_graph.lifelog.store import Entry, Store, rows_of
+from pdr_graph.storage import compress, decompress
 from pdr_graph.types import Beacons, Headings, Sightings, Signal, Steps, Trajectory
 
 DATE = "2024-05-01"
@@ -74,18 +74,18 @@ def test_an_observation_comes_back_bit_by_bit(tmp_path):
     missing = {field.name: None for field in fields(Observation) if str(field.type).endswith("| None")}
     assert len(missing) == 7, "a control"
     for one in (whole, replace(whole, **missing)):
-        assert told(decode(Observation, encode(one))) == told(one)
+        assert told(decompress(compress(one), Observation)) == told(one)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_damaged_bytes_are_no_noun(tmp_path, seed):
-    random, blob = np.random.default_rng(seed), bytearray(encode(observation(tmp_path)))
+    random, blob = np.random.default_rng(seed), bytearray(compress(observation(tmp_path)))
     at = random.integers(2, len(blob))  # zlib's header has bits that say nothing
     blob[at] ^= 1 << random.integers(8)
     with pytest.raises(ValueError, match="bytes of no Observation"):
-        decode(Observation, bytes(blob))
+        decompress(bytes(blob), Observation)
     with pytest.raises(ValueError, match="bytes of no Trajectory"):
-        decode(Trajectory, encode(observation(tmp_path)))
+        decompress(compress(observation(tmp_path)), Trajectory)
 
 
 def test_a_day_comes_back_bit_by_bit(tmp_path):
@@ -139,8 +139,8 @@ def test_nobody_else_may_read_it(tmp_path):
     try:
         with Store(tmp_path / "log", new=True) as log:
             taken(log, a_day(tmp_path))
-            files.write(log.folder / "days" / "one", b"where they were")
-            files.copy({"a/b": tmp_path / "walk.plt"}, log.folder / "recordings" / "one")
+            cache.write(log.folder / "days" / "one", b"where they were")
+            cache.copy({"a/b": tmp_path / "walk.plt"}, log.folder / "recordings" / "one")
             made = [log.path, log.path.with_name("log-wal"), log.folder, *log.folder.rglob("*")]
             modes = {path.relative_to(tmp_path).as_posix(): path.stat().st_mode & 0o777 for path in made}
     finally:
@@ -161,9 +161,9 @@ def refused(path, match, new=False):
 
 def test_what_is_no_lifelog_is_refused(tmp_path):
     path = tmp_path / "log"
-    refused(path, "no such file, needed a lifelog")
+    refused(path, "no such file, expected a lifelog")
     path.write_text("time,x,y\n")
-    refused(path, "another kind of file, needed a lifelog", new=True)
+    refused(path, "another kind of file, expected a lifelog", new=True)
     path.unlink()
     with closing(sqlite3.connect(path)) as other:
         other.executescript("PRAGMA journal_mode = WAL; CREATE TABLE bookmark (name TEXT)")
@@ -171,10 +171,10 @@ def test_what_is_no_lifelog_is_refused(tmp_path):
 
 
 def test_a_journal_is_no_lifelog(tmp_path):
-    from pdr_graph.online.store import open_store
+    from pdr_graph.online.journal import open_store
 
     open_store(tmp_path / "journal", {}, "OFF")[0].close()
-    refused(tmp_path / "journal", "another kind of file, needed a lifelog", new=True)
+    refused(tmp_path / "journal", "another kind of file, expected a lifelog", new=True)
 
 
 def test_a_newer_version_is_refused(tmp_path):
@@ -182,7 +182,16 @@ def test_a_newer_version_is_refused(tmp_path):
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
         database.execute("PRAGMA user_version = 99")
         database.execute("PRAGMA journal_mode = DELETE")
-    refused(tmp_path / "log", "version: found 99, needed 1 or older")
+    refused(tmp_path / "log", "format: found 99, expected 2, which this version reads: use the newer pdr_graph")
+
+
+def test_an_older_format_is_refused_and_left_as_it_is(tmp_path):
+    """A store of pdr_graph 0.1.0, compressed."""
+    file = Path(__file__).with_name("store_format_1.z")
+    (tmp_path / "log").write_bytes(zlib.decompress(file.read_bytes()))
+    refused(
+        tmp_path / "log", "format: found 1, expected 2, which this version reads: add the recordings to a new store"
+    )
 
 
 def test_one_process_opens_it(tmp_path):
@@ -246,11 +255,11 @@ def test_a_full_disk_costs_the_day_that_was_to_be_taken_in_and_nothing_else(tmp_
 
 def test_a_file_that_finds_no_room_is_not_there(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    files.write(tmp_path / "day", b"before")
+    cache.write(tmp_path / "day", b"before")
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
     try:
         with pytest.raises(OSError, match="large") as failure:
-            files.write(tmp_path / "day", bytes(10_000))
+            cache.write(tmp_path / "day", bytes(10_000))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert failure.value.filename == str(tmp_path / "day")

@@ -146,7 +146,7 @@ def test_a_print_says_the_same_in_words():
     text = printed(made, timeline(made), ZONE)
     assert "09:02:00  09:12:00      10 min  stay" in text
     assert "Bakery 80%  (Bank 15%)" in text
-    assert "nobody recorded" in text
+    assert "no data" in text
     assert "walked 0.15 km in 2 min" in text
     assert "at places: Bakery 8 min, Bank 90 s" in text
 

@@ -4,16 +4,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.online.contract import Pose
-from pdr_graph.online.events import Samples, Scan
-from pdr_graph.types import Estimate, Fixes, FixReport, Steps, Trajectory
+from pdr_graph.online.interface import Pose, Samples, Scan
+from pdr_graph.types import Array, Complex, Estimate, Fixes, FixReport, Steps, Trajectory
 
 WINDOW = 30  # rows that may still change
 
 
 @dataclass(frozen=True)
 class Status:
-    ailments: tuple[str, ...] = ()
+    issues: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class PointCheckpoint:
+    place: Complex
+    rows: Array
+    count: int
+
+
+@dataclass(frozen=True)
+class RowsCheckpoint:
+    rows: Array
+    steps: int
 
 
 class StandIn:
@@ -22,6 +35,7 @@ class StandIn:
     """
 
     status = Status()
+    Checkpoint = PointCheckpoint
 
     def __init__(self, place=0j, rows=(), count=0):
         self.place, self.count = complex(place), count
@@ -29,14 +43,10 @@ class StandIn:
 
     @classmethod
     def restored(cls, snapshot):
-        return cls(snapshot["place"].item(), snapshot["rows"].tolist(), snapshot["count"])
+        return cls(snapshot.place.item(), snapshot.rows.tolist(), snapshot.count)
 
     def snapshot(self):
-        return {
-            "place": np.array([self.place], np.complex64).astype(complex),
-            "rows": table(self.rows),
-            "count": self.count,
-        }
+        return PointCheckpoint(np.array([self.place], np.complex64).astype(complex), table(self.rows), self.count)
 
     def push(self, event):
         if isinstance(event, Fixes) and len(event) == 0:
@@ -59,30 +69,31 @@ class StandIn:
     def trajectory(self):
         return track(self.rows)
 
-    def settled(self):
+    def finalized(self):
         older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]
         return track(older)
 
     def finish(self):
-        return Estimate(self.trajectory, self.trajectory, None, (), 0, 0.0, True)
+        return Estimate(self.trajectory, self.trajectory, None, {}, 0, 0.0, True)
 
 
 class Metronome:
     """A step of 0.7 m to the east each half a second of the accelerometer's samples; a fix tells where that was."""
 
     status = Status(("the compass is broken",))
+    Checkpoint = RowsCheckpoint
 
-    def __init__(self, floor=None, *, lag=60.0, walker=None, frame=None, beacons=None, begins=None, rows=(), steps=0):
+    def __init__(self, floor=None, *, lag=60.0, rows=(), steps=0, **options):
         self.steps, self.lag, self.rows, self.fixes = steps, lag, [tuple(row) for row in rows], []
 
     @classmethod
     def restored(cls, snapshot, **options):
-        return cls(**options, rows=snapshot["rows"].tolist(), steps=snapshot["steps"])
+        return cls(**options, rows=snapshot.rows.tolist(), steps=snapshot.steps)
 
     def snapshot(self):
-        return {"rows": table(self.rows), "steps": self.steps}
+        return RowsCheckpoint(table(self.rows), self.steps)
 
-    def settled(self):
+    def finalized(self):
         older, self.rows = self.rows[:-WINDOW], self.rows[-WINDOW:]
         return track(older)
 
@@ -108,7 +119,7 @@ class Metronome:
         return track(self.rows)
 
     def finish(self):
-        return Estimate(self.trajectory, self.trajectory, None, tuple(self.fixes), 0, 0.0, True)
+        return Estimate(self.trajectory, self.trajectory, None, {"fixes": tuple(self.fixes)}, 0, 0.0, True)
 
 
 def numbers(event):

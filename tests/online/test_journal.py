@@ -6,6 +6,7 @@ import sqlite3
 import subprocess
 import sys
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,9 @@ import pytest
 from standin import StandIn, event
 
 from pdr_graph import InputError
-from pdr_graph.online.codec import encode
-from pdr_graph.online.events import Samples
-from pdr_graph.online.journal import Journal, fingerprint
+from pdr_graph.online.interface import Samples
+from pdr_graph.online.journal import Journal
+from pdr_graph.storage import encode, fingerprint
 from pdr_graph.types import Fixes
 
 HERE = Path(__file__).parent
@@ -138,7 +139,7 @@ def test_an_event_that_is_refused_leaves_no_trace(tmp_path):
     before = told(journal)
     with pytest.raises(ValueError, match="no fix at all"):
         journal.push(Fixes.none())
-    with pytest.raises(TypeError, match=r"Samples\.time"):
+    with pytest.raises(TypeError, match=r"Samples: .*`\$\.time`"):
         journal.push(Samples("accelerometer", [0.0], np.zeros((1, 3))))
     assert (journal.count, told(journal)) == (60, before)
     journal.push(event(60))
@@ -234,13 +235,24 @@ def test_other_files_are_refused(tmp_path):
     refused(path, "another kind of file")
 
 
-def test_a_newer_version_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("version", "remedy"),
+    [(1, "finish the walk with the pdr_graph that began it, or start a new --journal"), (3, "use the newer pdr_graph")],
+)
+def test_another_version_is_refused(tmp_path, version, remedy):
     walked(tmp_path / "walk", 3).close()
     with sqlite3.connect(tmp_path / "walk") as database:
-        database.execute("PRAGMA user_version = 2")
+        database.execute(f"PRAGMA user_version = {version}")
         database.execute("PRAGMA journal_mode = DELETE")
     database.close()
-    refused(tmp_path / "walk", "version: found 2")
+    refused(tmp_path / "walk", f"format: found {version}, expected 2, which this version reads: {remedy}")
+
+
+def test_a_journal_of_format_1_is_refused_as_it_is(tmp_path):
+    """Made by pdr_graph 0.1.0 with its JSON events; compressed."""
+    path = tmp_path / "walk"
+    path.write_bytes(zlib.decompress((HERE / "journal_format_1.z").read_bytes()))
+    refused(path, "format: found 1, expected 2")
 
 
 def test_an_empty_file_is_a_journal_not_yet_begun(tmp_path):
@@ -277,7 +289,7 @@ def test_a_missing_event_is_told(tmp_path):
     with sqlite3.connect(tmp_path / "walk") as database:
         database.execute("DELETE FROM event WHERE number = 7")
     database.close()
-    with pytest.raises(InputError, match="event 7: found none, needed all the events up to 20"):
+    with pytest.raises(InputError, match="event 7: found none, expected all the events up to 20"):
         opened(tmp_path / "walk")
 
 

@@ -13,12 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pdr_graph import WalkGraph, detect_steps, smooth
-from pdr_graph.online.codec import pack, unpack
-from pdr_graph.online.events import Samples, Scan, events_of
+from pdr_graph.online.interface import Samples, Scan, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
+from pdr_graph.storage import decode, encode
 from pdr_graph.types import LONLAT, Fixes, Recording, Sightings, Signal
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -57,25 +57,25 @@ def is_of(event, sensor):
 
 def pushed(given, **options):
     """A navigator that was told all this; its pose and status are looked at every so often, and always finite."""
-    nav, ailments = Navigator(**options), set()
+    nav, issues = Navigator(**options), set()
     for n, event in enumerate(given):
         nav.push(event)
         if n % 20 == 0 or not isinstance(event, Samples):
             pose = nav.pose
             assert pose is None or np.isfinite([pose.time, pose.x, pose.y, pose.heading]).all()
             assert pose is None or np.isfinite(pose.covariance).all()
-            ailments |= set(nav.status.ailments)
-    return nav, ailments
+            issues |= set(nav.status.issues)
+    return nav, issues
 
 
 def checked(given, **options):
     """What it was told of, and the walk that came of it."""
-    nav, ailments = pushed(given, **options)
+    nav, issues = pushed(given, **options)
     track = nav.finish().trajectory
     assert np.isfinite(track.position).all()
     assert np.isfinite(track.covariance).all()
     assert (np.diff(track.time) > 0).all()
-    return nav, ailments, track
+    return nav, issues, track
 
 
 def error(track, truth):
@@ -103,15 +103,15 @@ def test_a_sensor_that_stops_and_returns(sensors):
     """For 20 s: the status tells it of one that the other outlives, and the walk is found again."""
     truth = walk("figure_eight")[1]
     silent = [e for e in events() if not (isinstance(e, Samples) and e.sensor in sensors and 40 < when(e) < 60)]
-    nav, ailments, track = checked(silent)
-    assert len(sensors) == 2 or any(line.startswith(f"{sensors[0]}: silent for") for line in ailments)
-    assert not any("silent" in line for line in nav.status.ailments), "not any more"
+    nav, issues, track = checked(silent)
+    assert len(sensors) == 2 or any(line.startswith(f"{sensors[0]}: silent for") for line in issues)
+    assert not any("silent" in line for line in nav.status.issues), "not any more"
     assert error(track, truth) < 3.0
 
 
 def test_what_comes_twice_is_counted_once():
-    _, ailments, track = checked([twice for event in events() for twice in (event, event)])
-    assert any("samples could not be used" in line for line in ailments)
+    _, issues, track = checked([twice for event in events() for twice in (event, event)])
+    assert any("samples could not be used" in line for line in issues)
     assert error(track, walk("figure_eight")[1]) < 1.5
 
 
@@ -123,10 +123,10 @@ def test_a_clock_that_jumps(seconds, fixes_too):
         later(event, seconds) if when(event) > 50 and (fixes_too or isinstance(event, Samples)) else event
         for event in events()
     ]
-    nav, ailments, track = checked(told)
+    nav, issues, track = checked(told)
     assert nav.status.fixes + nav.status.early == len(walk("figure_eight")[0].fixes)
     if seconds < 0:
-        assert any("its clock was put back 1 times" in line for line in ailments)
+        assert any("clock reset 1 times" in line for line in issues)
         assert error(track, walk("figure_eight")[1]) < 1.5
         assert nav.status.late <= 1, "one in the seconds until it is believed that the clock was put back"
     else:
@@ -160,8 +160,8 @@ def test_samples_that_are_not_finite_or_absurd():
         at[late] = random.choice([np.nan, np.inf, -1e300, 1e300, 1e12], late.sum())
         return replace(event, time=at, values=values)
 
-    _, ailments, track = checked([damaged(event) for event in events()])
-    assert any("samples could not be used" in line for line in ailments)
+    _, issues, track = checked([damaged(event) for event in events()])
+    assert any("samples could not be used" in line for line in issues)
     assert error(track, walk("figure_eight")[1]) < 2.0
 
 
@@ -221,7 +221,7 @@ def test_fixes_only_is_said_to_be_an_ailment():
 
 def test_samples_only():
     nav, _, track = checked([event for event in events() if isinstance(event, Samples)])
-    assert nav.status.state == "adrift"
+    assert nav.status.state == "no absolute position"
     assert len(track) > 150
 
 
@@ -256,9 +256,9 @@ def test_a_snapshot_in_mid_walk_goes_on_to_the_same_end():
     for part in (0.2, 0.6):
         at = int(part * len(told))
         nav = pushed(told[:at])[0]
-        kept, ends = pack(nav.snapshot()), []
+        kept, ends = encode(nav.snapshot()), []
         for _ in range(2):
-            again = Navigator.restored(unpack(kept))
+            again = Navigator.restored(decode(kept, Navigator.Checkpoint))
             for event in told[at:]:
                 again.push(event)
             ends.append(again.finish().trajectory)

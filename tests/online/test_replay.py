@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,9 +12,9 @@ from typer.testing import CliRunner
 
 from pdr_graph import InputError
 from pdr_graph.cli import app
+from pdr_graph.inputs import Options
 from pdr_graph.online import replay
-from pdr_graph.online.latency import Latency
-from pdr_graph.online.replay import replay_recording
+from pdr_graph.online.replay import Latency, replay_recording
 
 ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 10.0)])
 
@@ -25,7 +26,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(folder):
-    assert replay_recording(folder / "walk.txt", folder / "live", fixes=folder / "fixes.csv", kind=Metronome) == ()
+    assert replay_recording(folder / "walk.txt", folder / "live", Options(fixes=folder / "fixes.csv"), Metronome) == ()
     return folder / "live"
 
 
@@ -51,7 +52,7 @@ def test_poses_know_nothing_of_what_comes_later(folder, result, tmp_path):
     lines = (folder / "fixes.csv").read_text().splitlines()
     (tmp_path / "fixes.csv").write_text("\n".join(lines[:3]) + "\n")
     later = float(lines[3].split(",")[0])
-    replay_recording(folder / "walk.txt", tmp_path, fixes=tmp_path / "fixes.csv", kind=Metronome)
+    replay_recording(folder / "walk.txt", tmp_path, Options(fixes=tmp_path / "fixes.csv"), Metronome)
     few, all_ = rows(tmp_path / "causal.csv"), rows(result / "causal.csv")
     assert [row for row in few if float(row["time"]) < later] == [row for row in all_ if float(row["time"]) < later]
     assert few[-1] != all_[-1], "a control: they differ in the end"
@@ -81,7 +82,7 @@ def test_latency_of_a_replay(result):
 
 
 def test_long_walks_are_looked_at_as_often_as_short_ones(monkeypatch):
-    monkeypatch.setattr("pdr_graph.online.latency._resident", lambda: 100.0)
+    monkeypatch.setattr("pdr_graph.online.replay._resident", lambda: 100.0)
     latency = Latency()
     for now in range(100_000):
         latency.look(float(now))
@@ -100,16 +101,16 @@ class Dies(Metronome):
 
 
 def test_a_journal_goes_on_where_it_was_interrupted(folder, result, tmp_path):
-    given = {"fixes": folder / "fixes.csv", "journal": tmp_path / "walk.journal"}
+    options = Options(fixes=folder / "fixes.csv", journal=tmp_path / "walk.journal")
     with pytest.raises(KeyboardInterrupt):
-        replay_recording(folder / "walk.txt", tmp_path, **given, kind=Dies)
-    replay_recording(folder / "walk.txt", tmp_path, **given, kind=Metronome)
+        replay_recording(folder / "walk.txt", tmp_path, options, Dies)
+    replay_recording(folder / "walk.txt", tmp_path, options, Metronome)
     assert (tmp_path / "trajectory.csv").read_text() == (result / "trajectory.csv").read_text()
     assert "events were in the journal" in " ".join(json.loads((tmp_path / "summary.json").read_text())["warnings"])
     causal = rows(tmp_path / "causal.csv")
     assert causal == rows(result / "causal.csv")[-len(causal) :]
     with pytest.raises(InputError, match="lag"):
-        replay_recording(folder / "walk.txt", tmp_path, **given, lag=None, kind=Metronome)
+        replay_recording(folder / "walk.txt", tmp_path, replace(options, lag=None), Metronome)
 
 
 def invoked(monkeypatch, *arguments, kind=Metronome):
@@ -162,4 +163,4 @@ def test_without_steps_and_fixes_it_is_refused(folder, tmp_path):
             pass
 
     with pytest.raises(InputError, match="neither steps nor fixes"):
-        replay_recording(folder / "walk.txt", tmp_path, use_recorded_fixes=False, kind=Nothing)
+        replay_recording(folder / "walk.txt", tmp_path, Options(recorded_fixes=False), Nothing)

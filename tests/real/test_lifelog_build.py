@@ -11,8 +11,8 @@ from contextlib import closing, suppress
 
 import pytest
 
-from pdr_graph.lifelog.adding import add
 from pdr_graph.lifelog.build import build
+from pdr_graph.lifelog.ingest import add
 
 FLOOR = ("ms_indoor20", "site1", "B1")  # a walk in four pieces
 
@@ -50,7 +50,7 @@ def test_real_days_are_the_same_whoever_builds_them(data, whole, tmp_path):
 
 CHILD = """
 import os, sys, pathlib
-import pdr_graph.lifelog.days
+import pdr_graph.lifelog.reconstruct
 from pdr_graph.lifelog.build import build
 while sys.stdin.readline().strip():  # a process for each life: what takes time to load is loaded
     child = os.fork()

@@ -9,10 +9,9 @@ import pytest
 from pdr_graph import io
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.lifelog.grouping import Group, groups_of
-from pdr_graph.lifelog.joining import turn_by_field
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.walks import walked
+from pdr_graph.lifelog.reconstruct import walked
+from pdr_graph.lifelog.sessions import Group, groups_of, turn_by_field
 from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = {"site1/B1": 4, "site1/F1": 6, "site2/F1": 2}
@@ -37,7 +36,7 @@ def by_ends(pieces):
     for n, at in ((0, 0), (-1, -1)):
         truth = pieces[n][1]
         end = Fixes(truth.time[[at]], truth.position[[at]], np.array([0.5]), ("",))
-        ones[n] = replace(ones[n], fixes=Fixes.together([ones[n].fixes, end]))
+        ones[n] = replace(ones[n], fixes=Fixes.concatenate([ones[n].fixes, end]))
     return Group(tuple((str(n), one) for n, one in enumerate(ones)))
 
 

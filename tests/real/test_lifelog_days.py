@@ -10,10 +10,9 @@ from cleaned_track import cleaned_length, raw_length
 
 from pdr_graph import Walker, detect_steps
 from pdr_graph.geometry import dead_reckon, interpolate
-from pdr_graph.inputs import read_inputs
+from pdr_graph.inputs import read
+from pdr_graph.lifelog.activities import follow_positions, rides, segments_of, without_rides
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.rides import rides, without_rides
-from pdr_graph.lifelog.segments import follow_positions, segments_of
 from pdr_graph.types import Fixes, Steps
 
 DAYS = ("geolife_sample/000", "geolife_sample/001", "geolife_sample/005", "geolife_sample/010", "gpx_sample")
@@ -23,7 +22,7 @@ FASTEST_WALK = 2.2  # [m/s] in the mean of a segment: between walking fast and c
 
 def day(data, folder):
     (path,) = [p for p in (data / folder).iterdir() if p.suffix in (".plt", ".gpx")]
-    fixes = read_inputs(path).fixes
+    fixes = read(path).fixes
     return fixes, *follow_positions(fixes)
 
 
@@ -86,7 +85,7 @@ def test_a_volunteer_says_the_same(data):
 def test_a_real_walk_has_no_ride(data, walk):
     """Outdoors, and indoors where the receiver is 10 to 30 m off and its first fixes may be 400 m off."""
     (path,) = data.glob(walk)
-    given = read_inputs(path)
+    given = read(path)
     assert len(given.fixes) > 100
     assert not len(rides(detect_steps(given.walk, Walker()), given.fixes))
 
@@ -94,7 +93,7 @@ def test_a_real_walk_has_no_ride(data, walk):
 @pytest.mark.parametrize("bumps", [0.0, 0.7])
 def test_a_ride_within_a_real_walk_is_found(data, bumps):
     """After five minutes on the campus a bus, five minutes at 7 m/s; bumps: spurious steps per second of it."""
-    given = read_inputs(data / "nju_phyphox_outdoor")
+    given = read(data / "nju_phyphox_outdoor")
     steps, fixes = with_a_ride(detect_steps(given.walk, Walker()), given.fixes, 300.0, 300.0, bumps)
     found = rides(steps, fixes)
     assert found == pytest.approx(np.array([[300.0, 600.0]]), abs=30)

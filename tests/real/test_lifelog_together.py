@@ -6,9 +6,9 @@ from contextlib import closing
 import pytest
 
 from pdr_graph import io
-from pdr_graph.lifelog.adding import add
 from pdr_graph.lifelog.build import build
-from pdr_graph.lifelog.joint import bind
+from pdr_graph.lifelog.ingest import add
+from pdr_graph.lifelog.multi_day import bind
 from pdr_graph.lifelog.store import Store
 
 

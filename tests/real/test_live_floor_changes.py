@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from pdr_graph import detect_steps, io
-from pdr_graph.estimation.floors import floors_along
-from pdr_graph.estimation.live_floors import LiveFloors
-from pdr_graph.gait.live import LiveGait
-from pdr_graph.online.events import Samples, events_of
+from pdr_graph.estimation.floors import LiveFloors, floors_along
+from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.types import Fixes
 
 PATIENCE = 15.0  # [s]
@@ -15,7 +14,7 @@ PATIENCE = 15.0  # [s]
 
 def told_of(walk, start):
     """Times and labels of the certain steps, as they were told PATIENCE later; and each new label, and when it came."""
-    gait, floors = LiveGait(), LiveFloors(None, start)
+    gait, floors = StepStream(), LiveFloors(None, start)
     waiting, told, changes = [], [], []
     for event in events_of(walk):
         if not isinstance(event, Samples):

@@ -5,10 +5,10 @@ import pytest
 
 from pdr_graph import detect_steps, io
 from pdr_graph.frames import enu
-from pdr_graph.gait.live import LiveGait
-from pdr_graph.gait.live_heading import LiveCompass
+from pdr_graph.gait.compass import LiveCompass
+from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.online.events import Samples, events_of
+from pdr_graph.online.interface import Samples, events_of
 
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
 NEAR = 60.0  # [s] of the walk before and after a heading that it is compared with
@@ -17,7 +17,7 @@ NEAR = 60.0  # [s] of the walk before and after a heading that it is compared wi
 def said_of(walk, frame):
     compass = LiveCompass()
     compass.locate(frame, np.zeros(2), walk.epoch)
-    gait, said = LiveGait(listener=compass.take), []
+    gait, said = StepStream(listener=compass.take), []
     for event in events_of(walk):
         if isinstance(event, Samples) and event.sensor == "magnetometer":
             compass.push(event.time, event.values)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
-from pdr_graph.inputs import read_inputs
-from pdr_graph.online.events import Samples, events_of
+from pdr_graph.inputs import read
+from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes
 
@@ -24,7 +24,7 @@ def distance(track, at, place):
 @pytest.mark.parametrize(("name", "lag"), [("IPIN", 60.0), ("IPIN", None), ("NJU", 60.0)])
 def test_live_is_about_as_good_as_the_batch(data, name, lag):
     """Smoothed, by the truth where it was surveyed, else by the GNSS fixes; both without the compass or a plan."""
-    given = read_inputs(sorted(data.glob(WALKS[name]))[0])
+    given = read(sorted(data.glob(WALKS[name]))[0])
     batch = smooth(WalkGraph(detect_steps(given.walk), given.fixes)).trajectory
     nav = Navigator(lag=lag, frame=given.frame)
     for n, event in enumerate(events_of(replace(given.walk, fixes=given.fixes, magnetometer=None))):

@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 
 from pdr_graph import detect_steps, io
-from pdr_graph.gait.gaps import follow
-from pdr_graph.gait.live import LiveGait
+from pdr_graph.gait.signals import append_steps
+from pdr_graph.gait.step_stream import StepStream
 
 WALKS = ["ms_indoor20/site1/B1/*.txt", "ms_indoor20/site2/*/*.txt", "ipin2023_track3/*Trial01*.txt", "ipin21_hcu/eight"]
 
 
 def live(walk, packet=0.1):
     """Certain steps of a walk whose sensors' samples come in packets of so many seconds."""
-    gait, chunks = LiveGait(), []
+    gait, chunks = StepStream(), []
     for end in np.arange(packet, walk.accelerometer.time[-1] + packet, packet):
         for sensor in ("accelerometer", "gyroscope"):
             signal = walk.signals[sensor]
             now = slice(*np.searchsorted(signal.time, [end - packet, end]))
             gait.push(sensor, signal.time[now], signal.values[now])
         chunks.append(gait.advance()[0])
-    return reduce(follow, [chunk for chunk in [*chunks, gait.finish()] if chunk is not None])
+    return reduce(append_steps, [chunk for chunk in [*chunks, gait.finish()] if chunk is not None])
 
 
 def headings(steps):

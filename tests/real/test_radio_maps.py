@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
-from pdr_graph.estimation.radio_map import SHARED, RadioMap
+from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import Fixes

@@ -10,8 +10,8 @@ from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings,
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu, projected
 from pdr_graph.geometry import interpolate, wrap_angle
-from pdr_graph.io.positions import RADIUS_68
 from pdr_graph.io.tables import read_fixes
+from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import LONLAT
 
 UTM_32 = 32632
@@ -39,7 +39,7 @@ def test_ipin_2023(data, trial):
     assert 6 < walk.barometer.rate < 10.1
     assert (len(walk.truth), len(walk.bluetooth), set(walk.truth.floor)) == (landmarks, beacons, floors)
     assert walk.truth.time[0] == pytest.approx(61, abs=1.5)
-    assert any("repeats of an epoch" in note for note in walk.notes), "every epoch is written twice"
+    assert any("duplicate epochs" in note for note in walk.notes), "every epoch is written twice"
     assert np.median(np.diff(walk.fixes.time)) == pytest.approx(1.0, abs=0.05)
     assert 1_686_700_000 < walk.epoch < 1_686_900_000, "14 and 15 June 2023"
     frame = enu(49.461, 11.111)

@@ -7,8 +7,8 @@ import pytest
 
 from pdr_graph import Walker, detect_steps, io
 from pdr_graph.frames import enu
-from pdr_graph.gait.detection import walking_steps
-from pdr_graph.inertial.samples import on_one_grid
+from pdr_graph.gait.step_detection import walking_steps
+from pdr_graph.inertial.attitude import on_one_grid
 
 COUNTED = {"user1_hand": 326, "user1_frontpocket": 327, "user1_bag": 346}
 

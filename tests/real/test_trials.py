@@ -1,8 +1,8 @@
 """Real logs, served as a competition serves them."""
 
 import pytest
-from online.evaal_server import Trial, serving
-from online.trials import assert_same_as_loaded, received, rows_of, run, summary
+from evaal.evaal_server import Trial, serving
+from evaal.trials import assert_same_as_loaded, received, rows_of, run, summary
 
 from pdr_graph import io
 

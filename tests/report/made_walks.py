@@ -1,4 +1,4 @@
-"""Walks for reports, made by hand."""
+"""Synthetic walks for tests of reports."""
 
 import numpy as np
 from walks import fixes_on, steps_of
@@ -6,16 +6,18 @@ from walks import fixes_on, steps_of
 from pdr_graph import dead_reckon, kalman_filter, smooth
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import Frame
-from pdr_graph.pipeline import summarize
-from pdr_graph.report.walk import Shown
-from pdr_graph.types import Headings, Recording, Signal
+from pdr_graph.gait.walker import Walker
+from pdr_graph.inputs import Inputs
+from pdr_graph.outputs import Result, summarize
+from pdr_graph.report.walk import WalkReport
+from pdr_graph.types import Fixes, Recording, Signal
 
 RATE = 100.0  # [Hz]
 SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 
 
 def laps(count, side=25):
-    """Steps round and round a square of so many steps, and fixes now and then."""
+    """Steps along ``count`` laps of a square of ``side`` steps per side, and a fix every 40 steps."""
     random = np.random.default_rng(3)
     turn = np.zeros(4 * side * count)
     turn[side::side] = np.pi / 2
@@ -24,7 +26,7 @@ def laps(count, side=25):
 
 
 def recording_of(steps, name="walk.txt", **more):
-    """What a phone may have recorded during some steps: noise."""
+    """A recording as long as ``steps`` with white noise in all sensors."""
     time = np.arange(0.0, steps.end, 1 / RATE)
     random = np.random.default_rng(5)
     signals = {sensor: Signal(time, random.normal(0, 1, (len(time), 3))) for sensor in SENSORS}
@@ -32,7 +34,7 @@ def recording_of(steps, name="walk.txt", **more):
 
 
 def estimated(steps, fixes, **more):
-    """A walk as ``pdr-graph smooth`` estimates it, and what it shows of it."""
+    """The report data of a walk as ``pdr-graph smooth`` estimates it."""
     graph = WalkGraph(steps, fixes)
     causal = {"filter": kalman_filter(graph).trajectory}
     return shown(recording_of(steps), smooth(graph), steps=steps, causal=causal, **more)
@@ -40,7 +42,8 @@ def estimated(steps, fixes, **more):
 
 def shown(walk, estimate, building=None, warnings=(), missing=(), **more):
     """What a report has of an estimate."""
-    summary = summarize(walk, more.get("steps"), Headings.none(), building, None, Frame(), estimate)
+    inputs = Inputs(walk, Walker(), building, Frame(), Fixes.none(), ())
+    summary = summarize(inputs, Result(estimate, steps=more.get("steps")))
     summary |= {"seconds": {"reading": 1.0}, "settings": {"method": "graph"}}
     summary |= {"missing": list(missing), "warnings": list(warnings)}
-    return Shown(walk, building, estimate, "graph", summary, **more)
+    return WalkReport(walk, building, estimate, "graph", summary, **more)

@@ -13,7 +13,7 @@ from made_walks import estimated, laps, recording_of, shown
 
 from pdr_graph.floor.building import Building
 from pdr_graph.online.replay import replay_recording
-from pdr_graph.pipeline import smooth_recording
+from pdr_graph.pipeline import Options, smooth_recording
 from pdr_graph.report.page import page
 from pdr_graph.report.walk import content
 from pdr_graph.types import BeaconReport, Estimate, Trajectory
@@ -36,9 +36,9 @@ def browser():
 def walk(tmp_path_factory):
     """The folder of a simulated walk through the arcade, smoothed and replayed."""
     folder = simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
-    options = {"plan": MAPS / "arcade.geojson", "fixes": folder / "fixes.csv"}
-    assert smooth_recording(folder / "walk.txt", folder / "out", **options) == ()
-    assert replay_recording(folder / "walk.txt", folder / "live", **options) == ()
+    options = Options(plan=MAPS / "arcade.geojson", fixes=folder / "fixes.csv")
+    assert smooth_recording(folder / "walk.txt", folder / "out", options) == ()
+    assert replay_recording(folder / "walk.txt", folder / "live", options) == ()
     return folder
 
 
@@ -170,7 +170,7 @@ def two_floors():
     position = np.stack([5.0 + 0.5 * time, np.full(41, 9.0)], axis=1)
     floors = ("1",) * 21 + ("2",) * 20
     path = Trajectory(time, position, np.zeros(41), floors, np.tile(np.diag([1.0, 1.0, 0.01]), (41, 1, 1)))
-    estimate = Estimate(path, path, None, (), 1, 0.0, True)
+    estimate = Estimate(path, path, None, {}, 1, 0.0, True)
     steps = laps(1)[0]
     return shown(recording_of(steps), estimate, Building.load(MAPS / "two_floors.geojson"), steps=steps)
 
@@ -199,7 +199,7 @@ def test_names_stay_text_whatever_they_are(browser, tmp_path):
     given = two_floors()
     beacon = BeaconReport(HOSTILE, 3, 1.0, 8.0, 9.0, False, HOSTILE)
     walk = replace(given.walk, source=HOSTILE, notes=(f"accelerometer: {HOSTILE}",))
-    made = shown(walk, replace(given.estimate, beacons=(beacon,)), Building(named), [HOSTILE], [HOSTILE])
+    made = shown(walk, replace(given.estimate, reports={"beacons": (beacon,)}), Building(named), [HOSTILE], [HOSTILE])
     report = Page(browser, written(tmp_path, content(made)))
     report.run("document.querySelectorAll('details').forEach(d => { d.open = true; })")
     report.run("Plotly.relayout('map', {'xaxis.range': [10, 20], 'yaxis.range': [5, 15]})")  # names appear

@@ -1,11 +1,11 @@
-"""What a report says, without a browser."""
+"""Content of a report, without a browser."""
 
 import base64
 import hashlib
 import json
 import re
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -17,13 +17,12 @@ from made_walks import SENSORS, estimated, laps, recording_of, shown
 from scipy.stats import chi2
 from walks import steps_of
 
-from pdr_graph import confidence
+from pdr_graph import geometry
 from pdr_graph.evaluation import evaluate
-from pdr_graph.pipeline import smooth_recording
+from pdr_graph.pipeline import Options, smooth_recording
 from pdr_graph.report import page as page_module
-from pdr_graph.report import sensors
-from pdr_graph.report.columns import MOST_ROWS, column, runs, thinned
-from pdr_graph.report.page import page
+from pdr_graph.report.charts_and_tables import health, measurement_table, sensor_rows
+from pdr_graph.report.page import MOST_ROWS, column, page, runs, thinned
 from pdr_graph.report.walk import content
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
 
@@ -32,7 +31,7 @@ MOST_BYTES = 8_000_000
 
 
 def decoded(said):
-    """Independent of the page's own script."""
+    """Decode a column, independently of the script of the page."""
     total, values = 0, []
     for step in said["steps"]:
         total += step or 0
@@ -62,11 +61,11 @@ def test_the_band_holds_nineteen_positions_of_twenty():
     """Of a walk that stays where it is the band is one ellipse: 20 000 draws, within 4 sigma of their share."""
     covariance = np.array([[4.0, 1.5, 0], [1.5, 1.0, 0], [0, 0, 0.1]])
     still = Trajectory(np.arange(2.0), np.ones((2, 2)), np.zeros(2), ("", ""), np.stack([covariance, covariance]))
-    (region,) = confidence.band(still, np.ones(2, dtype=bool))
+    (region,) = geometry.confidence_band(still, np.ones(2, dtype=bool))
     draws = np.random.default_rng(0).multivariate_normal([1.0, 1.0], covariance[:2, :2], 20_000)
     inside = shapely.contains_xy(region, *draws.T).mean()
-    inscribed = np.pi / confidence.CORNERS
-    least = chi2.cdf(confidence.CHI_SQUARE * np.cos(inscribed) ** 2, 2)  # of a polygon within the ellipse
+    inscribed = np.pi / geometry.CORNERS
+    least = chi2.cdf(geometry.CHI_SQUARE * np.cos(inscribed) ** 2, 2)  # of a polygon within the ellipse
     noise = 4 * np.sqrt(0.95 * 0.05 / 20_000)
     assert least - noise < inside < 0.95 + noise
 
@@ -80,9 +79,9 @@ def noise(n=1000, size=10.0):
     return np.random.default_rng(1).normal(0, size, (n, 3))
 
 
-def test_a_sensor_that_is_well_has_no_ailments():
-    found = sensors.health("accelerometer", signal(noise()))
-    assert found.ailments == ()
+def test_a_good_sensor_has_no_issues():
+    found = health("accelerometer", signal(noise()))
+    assert found.issues == ()
     assert (found.samples, found.recorded) == (1000, 1.0)
     assert found.rate == pytest.approx(100.0)
 
@@ -90,32 +89,32 @@ def test_a_sensor_that_is_well_has_no_ailments():
 def test_gaps_are_counted_and_are_no_recorded_time():
     whole = signal(noise())
     late = replace(whole, time=whole.time + 5.0 * (np.arange(1000) >= 400))
-    found = sensors.health("gyroscope", late)
+    found = health("gyroscope", late)
     assert (found.gaps, round(found.longest_gap, 2)) == (1, 5.01)
     assert found.recorded == pytest.approx(9.98 / 14.99)
-    assert found.ailments == ("1 gap, the longest of 5.0 s",)
+    assert found.issues == ("1 gap, longest 5.0 s",)
 
 
 def test_a_sensor_that_hangs_is_stuck():
     values = noise()
     values[300:500] = values[300]
-    assert sensors.health("gyroscope", signal(values)).stuck == pytest.approx(1.99)
-    assert sensors.health("barometer", signal(values[:, :1])).stuck == 0.0, "a barometer says the same for seconds"
+    assert health("gyroscope", signal(values)).stuck == pytest.approx(1.99)
+    assert health("barometer", signal(values[:, :1])).stuck == 0.0, "a barometer says the same for seconds"
 
 
 def test_samples_at_the_end_of_a_range_are_clipped():
     values = noise(size=30.0)
     values[400:440] = np.abs(values[400:440]) + 40.0  # a shock, all of it beyond the range
     cut = np.clip(values, -39.2, 39.2)
-    assert sensors.health("accelerometer", signal(values)).clipped == 0
-    assert sensors.health("accelerometer", signal(cut)).clipped >= 3 * 40
-    assert sensors.health("magnetometer", signal(cut)).clipped == 0
+    assert health("accelerometer", signal(values)).clipped == 0
+    assert health("accelerometer", signal(cut)).clipped >= 3 * 40
+    assert health("magnetometer", signal(cut)).clipped == 0
 
 
-def test_the_table_says_what_a_missing_sensor_would_have_told():
+def test_the_table_says_what_a_missing_sensor_is_required_for():
     walk = Recording("w", 0.0, None, accelerometer=signal(noise()), notes=("accelerometer: it was shaken",))
-    rows = {row[0]: row for row in sensors.table(walk)[1]}
-    assert rows["gyroscope"][1:] == ["not recorded", "", "", "without it, nothing told turns"]
+    rows = {row[0]: row for row in sensor_rows(walk)[1]}
+    assert rows["gyroscope"][1:] == ["no data", "", "", "required for turns"]
     assert rows["accelerometer"][-1] == "it was shaken"
 
 
@@ -143,7 +142,9 @@ def test_a_days_march_with_a_fix_a_second_is_smaller_than_8_mb():
     covariance = np.tile(np.eye(3), (len(time), 1, 1)) * random.uniform(1, 5, (len(time), 1, 1))
     path = Trajectory(time, position, random.uniform(-3, 3, len(time)), ("",) * len(time), covariance)
     fixes = tuple(FixReport(float(t), 1.0, 2.0, 3.0, 4.0, 0.5, "4.1 sigma from the walk: full") for t in range(43_200))
-    march = shown(Recording("march", 0.0, None), Estimate(path, path, None, fixes, 1, 0.0, True), causal={"live": path})
+    march = shown(
+        Recording("march", 0.0, None), Estimate(path, path, None, {"fixes": fixes}, 1, 0.0, True), causal={"live": path}
+    )
     assert len(page(content(march))) < MOST_BYTES
 
 
@@ -184,7 +185,7 @@ def test_truth_is_scored_as_evaluate_does_and_changes_no_estimate():
     truth = replace(truth, position=truth.position + 1.0, covariance=None)
     with_truth, without = content(estimated(steps, fixes, truth=truth)), content(estimated(steps, fixes))
     table = with_truth["tables"][0]
-    assert table["head"] == ["error", "unit", "graph", "filter", "dead reckoning"]
+    assert table["head"] == ["metric", "unit", "graph", "filter", "dead reckoning, rigidly aligned"]
     ce50 = next(row for row in table["rows"] if row[0].startswith("CE50"))
     assert ce50[2] == "1.414", "a metre aside each way"
     mine = evaluate(estimated(steps, fixes).causal["filter"], truth)
@@ -195,10 +196,50 @@ def test_truth_is_scored_as_evaluate_does_and_changes_no_estimate():
     assert list(named) == ["truth"]
 
 
-def test_what_was_learnt_is_told_from_what_is_the_priors():
+def test_estimated_and_prior_values_are_drawn_apart():
     charts = {chart["title"]: chart for chart in content(estimated(*laps(4)))["charts"]}
-    assert [line["name"] for line in charts["stride scale R_s"]["lines"]] == ["learnt"]
-    assert "the prior's, not learnt" in [line["name"] for line in charts["gyro drift b"]["lines"]]
+    assert [line["name"] for line in charts["stride scale R_s"]["lines"]] == ["estimated"]
+    assert "prior kept" in [line["name"] for line in charts["gyro drift b"]["lines"]]
+
+
+@dataclass(frozen=True)
+class EchoReport:
+    """A report of a kind of measurement that the package does not know."""
+
+    anchor: str
+    time: float
+    residual: float
+    weight: float
+    blocked: bool
+
+
+def test_a_kind_of_measurement_that_is_new_gets_a_table():
+    echoes = tuple(
+        EchoReport(f"A{n}", float(n), (-1) ** n * 0.5, 0.1 if n % 4 == 0 else 1.0, n == 1) for n in range(300)
+    )
+    shown_walk = estimated(*laps(1))
+    reports = {**shown_walk.estimate.reports, "sonar_echoes": echoes, "silent": ()}
+    tables = content(replace(shown_walk, estimate=replace(shown_walk.estimate, reports=reports)))["tables"]
+    titles = [table["title"] for table in tables]
+    assert titles.count("Fixes") == 1
+    assert "Silent" not in titles
+    table = tables[titles.index("Sonar echoes")]
+    assert table["head"] == ["time", "anchor", "residual", "weight", "blocked"]
+    assert table["rows"][1] == ["0:01", "A1", "-0.5", "1", "yes"]
+    assert len(table["rows"]) == len(table["moments"]) == 200
+    assert table["moments"][:3] == [0.0, 1.0, 2.0]
+    assert table["note"] == "300 measurements, the first 200 shown; mean |residual| 0.5; weight < 0.5: 25%"
+
+
+def test_a_report_without_time_residual_and_weight_is_a_plain_table():
+    @dataclass(frozen=True)
+    class Link:
+        name: str
+        distance: float
+
+    table = measurement_table("links", (Link("a", float("nan")), Link("b", 2.5)))
+    assert (table["head"], table["rows"], table["moments"]) == (["name", "distance"], [["a", ""], ["b", "2.5"]], [])
+    assert table["note"] == "2 measurements"
 
 
 def test_positions_alone_have_no_steps_and_no_probability():
@@ -206,17 +247,17 @@ def test_positions_alone_have_no_steps_and_no_probability():
     path = Trajectory(
         time, np.stack([time, time], axis=1), np.full(20, np.nan), ("",) * 20, np.tile(np.eye(3), (20, 1, 1))
     )
-    alone = Estimate(path, path, None, (), 0, 0.0, True)
+    alone = Estimate(path, path, None, {}, 0, 0.0, True)
     said = content(shown(Recording("track.gpx", 0.0, None), alone))
     assert [track["name"] for track in said["tracks"]] == ["smoothed positions"]
     assert [what for what, _ in said["headline"]] == ["distance", "duration", "fixes"]
-    assert said["tables"][0]["rows"][0][:2] == ["accelerometer", "not recorded"]
+    assert said["tables"][0]["rows"][0][:2] == ["accelerometer", "no data"]
     page(said)
 
 
 def test_each_sensor_of_a_recording_is_in_its_table():
     steps = steps_of(np.full(20, 0.7), np.zeros(20))
-    rows = [row[0] for row in sensors.table(recording_of(steps))[1]]
+    rows = [row[0] for row in sensor_rows(recording_of(steps))[1]]
     assert rows == [*SENSORS, "barometer"]
 
 
@@ -227,7 +268,7 @@ def test_a_report_that_fails_costs_nothing_else(tmp_path, monkeypatch):
         raise RuntimeError("no more paper")
 
     monkeypatch.setattr(page_module, "page", broken)
-    missing = smooth_recording(folder / "walk.txt", tmp_path / "out", fixes=folder / "fixes.csv")
+    missing = smooth_recording(folder / "walk.txt", tmp_path / "out", Options(fixes=folder / "fixes.csv"))
     assert missing == ("report.html (RuntimeError: no more paper)",)
     assert {"trajectory.csv", "figure.png", "summary.json"} <= {path.name for path in (tmp_path / "out").iterdir()}
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["missing"] == list(missing)

@@ -104,10 +104,10 @@ def test_from_a_scenario_to_a_score(tmp_path):
         ("route = [[0, 0], [9, 0]]\nspeed = 3", "speed: found an unknown name"),
         ("route = 3", "route: found 3"),
         ("seed = 1", "route: found None"),
-        ("route = [[0, 0], [9, 0]]\n[phone]\nhold = 'ear'", "phone.hold: found 'ear', needed one of hand"),
-        ("route = [[0, 0], [9, 0]]\n[phone]\nrate = 3", "phone.rate: found 3, needed 20 to 1000 Hz"),
-        ("route = [[0, 0], [9, 0]]\n[phone]\nrate = 'fast'", "phone.rate: found 'fast', needed a number"),
-        ("route = [[0, 0], [9, 0]]\n[walker]\nheight = 172", "walker.height: found 172, needed 0.5 to 2.5 m"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nhold = 'ear'", "phone.hold: found 'ear', expected one of hand"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nrate = 3", "phone.rate: found 3, expected 20 to 1000 Hz"),
+        ("route = [[0, 0], [9, 0]]\n[phone]\nrate = 'fast'", "phone.rate: found 'fast', expected a number"),
+        ("route = [[0, 0], [9, 0]]\n[walker]\nheight = 172", "walker.height: found 172, expected 0.5 to 2.5 m"),
         ("route = [[0, 0], {go = 3}]", "route, item 2: found {'go': 3}"),
         ("route = [[0, 0], {stand = 3, for = 4}]", "route, item 2: found an unknown name 'for'"),
         ("route = [[0, 0], {stand = -1}]", "route, item 2: found -1"),
@@ -137,7 +137,7 @@ def test_a_wrong_scenario_makes_nothing(tmp_path):
     path.write_text("route = 3")
     code, _, errors = run("simulate", path, "--out", tmp_path / "out")
     assert code == 2
-    assert [line.endswith("needed a list: where it starts, and what is done then") for line in errors] == [True]
+    assert [line.endswith("expected a list: where it starts, and what is done then") for line in errors] == [True]
     assert not (tmp_path / "out").exists()
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.simulation.walker import MANNERS, Walker, footfalls
-from pdr_graph.simulation.way import way_along
+from pdr_graph.simulation.pedestrian import MANNERS, Walker, footfalls, way_along
 
 CROWD = [Walker.drawn(np.random.default_rng(seed)) for seed in range(400)]
 

@@ -1,20 +1,20 @@
-// The charts: one above the other, over the same time.
+// Charts, stacked over one time axis.
 
 const ROW = 128,
   TITLE = 30,
-  GAP = 10; // [px] of a chart, of its title, and below it
-const LEAST = 0.05; // below which a logarithmic axis shows nothing
+  GAP = 10; // [px] height of a chart, of its title, of the gap below
+const LEAST = 0.05; // lower end of logarithmic axes
 
 const charts = here("charts");
 
 const runsOf = (line) => {
-  // of known rows
+  // runs of rows with a known value
   const found = [[]];
   line.low.forEach((low, n) => (Number.isFinite(low) ? found[found.length - 1].push(n) : found.push([])));
   return found.filter((run) => run.length);
 };
 const spread = (line) => {
-  // a ring about each run of low and high
+  // a polygon around low and high of each run
   const x = [],
     y = [];
   for (const run of runsOf(line)) {
@@ -57,7 +57,7 @@ const tracesOf = (chart, number) =>
     }));
   });
 const decades = (chart) => {
-  // the range of a logarithmic axis, and as many ticks as there is room for
+  // range and ticks of a logarithmic axis
   const known = chart.lines.flatMap((line) => line.y).filter((y) => y > LEAST);
   const low = known.reduce((a, b) => Math.min(a, b), known.length ? Infinity : LEAST);
   const high = known.reduce((a, b) => Math.max(a, b), low);

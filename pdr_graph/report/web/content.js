@@ -1,18 +1,18 @@
-// What the page is given, and the numbers and words in it.
+// The content of the page: its format, decoding of its numbers, formatting of its times.
 //
-//   title, subtitle; headline: [what, how much]; missing, warnings: lines; start, end: of the slider
+//   title, subtitle; headline: [name, value]; missing, warnings: lines; start, end: of the slider
 //   offsets: [from, seconds] of local time, of Unix times; null: times are since the start
 //   maps: name, corners, plan: null or svg with its corners and the names in it
 //   tracks: name, colour, on, time, x, y, heading, covariance (xx, xy, yy), bands (rings per map), width, dash, mode,
-//     symbol, walker: whether a marker goes along it; lead: whether that has a direction, a region and a trail
+//     symbol, walker: true if a marker moves along it; lead: true if the marker has a direction, a region and a trail
 //   marks: name, colour, symbol, on, x, y, text; time, weight, heading, and to_x, to_y: where a line leads from each
 //   charts: title, unit, height [px], from_zero, logarithmic, labels of whole numbers, lines: name, colour, time, y;
 //     low, high, mode, shape, width, weight, text
-//   phases: start, end, text: what is said of a time
-//   tables: title, open, head, rows; moments: the time of each row
+//   phases: start, end, text: shown beside the clock during this time
+//   tables: title, note: a line above it, open, head, rows; moments: the time of each row
 //
-// A column of numbers is {unit, steps}: each is so many units more than the one before, null what is not known. `on` is
-// the number of the map of each row, as [number, how often] runs; -1: on any, -2: on none.
+// A column of numbers is {unit, steps}: differences between consecutive values in units, null for an unknown value. `on` is
+// the number of the map of each row, run-length encoded as [number, count]; -1: on every map, -2: on none.
 
 const EVERYWHERE = -1;
 const STEPS = [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 28800, 86400]; // [s] between ticks
@@ -21,7 +21,7 @@ const TICKS = 7;
 const content = JSON.parse(document.getElementById("content").textContent);
 const here = (id) => document.getElementById(id);
 
-// What the content's numbers and words are
+// Decoding
 const numbers = ({ unit, steps }) => {
   let sum = 0;
   return steps.map((step) => (step === null ? NaN : (sum += step) * unit));
@@ -44,7 +44,7 @@ for (const track of content.tracks) {
 }
 for (const mark of content.marks) mark.on = unrolled(mark.on);
 
-// Words for times
+// Formatting of times
 const two = (number) => String(number).padStart(2, "0");
 const shift = (time) => (content.offsets || []).reduce((found, [from, by]) => (time >= from ? by : found), 0);
 const clock = (time) => {

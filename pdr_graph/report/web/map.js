@@ -1,14 +1,14 @@
 // The map: plan, tracks, marks and the walker.
 
-const LETTER = 6; // [px] as wide as a letter of a name
-const MANY = 50; // marks that would hide a track: they are small, and below it
+const LETTER = 6; // [px] width of a letter of a name
+const MANY = 50; // marks above which they are drawn small and below the track
 const INK = "#26241f",
   SOFT = "#6b655b",
   LINE = "#e4e0d8",
   OUTSIDE = "#efece6";
 const FONT = { family: "system-ui, sans-serif", size: 12, color: INK };
 const CONFIG = {
-  // no button that would send to the library's makers where somebody walked
+  // privacy: no button that uploads the track to the makers of the library
   displaylogo: false,
   responsive: true,
   scrollZoom: true,
@@ -19,7 +19,7 @@ const CONFIG = {
 };
 
 const map = here("map");
-let shown = 0; // which of the content's maps
+let shown = 0; // number of the map shown
 const onMap = (on) => on === shown || on === EVERYWHERE;
 const kept = (item, column) => item[column].map((value, n) => (onMap(item.on[n]) ? value : NaN));
 const pale = (colour, share) =>
@@ -151,7 +151,7 @@ const drawMap = () => {
   return Plotly.react(map, data, layout, CONFIG);
 };
 const renamed = () => {
-  // other names fit
+  // after zooming, other names fit
   const names = namesOf(content.maps[shown], perMetre());
   if (content.maps[shown].plan && names.text.join() !== map.data[0].text.join())
     Plotly.restyle(map, { x: [names.x], y: [names.y], text: [names.text] }, [0]);
@@ -164,7 +164,7 @@ const choose = (number) => {
   return drawMap().then(renamed);
 };
 const follows = () => {
-  // the map on which the walker is: the one shown, if it is on it
+  // number of the map with the walker on it, preferably the map shown
   const inside = (pose, { corners: [low, high] }) =>
     pose.x >= low[0] && pose.x <= high[0] && pose.y >= low[1] && pose.y <= high[1];
   const shows = (number) =>

@@ -1,12 +1,12 @@
-// The moment that is shown: slider, clock and playing.
+// The time shown: slider, clock and playback.
 
-const PLAYING = 40; // [s] that it takes to play it all
+const PLAYING = 40; // [s] duration of the playback of a whole walk
 
 const slider = here("slider");
 
 const describe = () => {
   const phase = (content.phases || []).find((one) => one.start <= time && time <= one.end);
-  const pose = walkers.length ? at(walkers[0], time) : null; // the result's
+  const pose = walkers.length ? at(walkers[0], time) : null; // of the result
   const floor =
     pose && content.maps.length > 1 && pose.on >= 0 && !content.phases ? `floor ${content.maps[pose.on].name}, ` : "";
   const sigma =
@@ -33,7 +33,7 @@ const show = (when, from) => {
   }
 };
 
-// Play: all of it in PLAYING seconds, a short walk as fast as it was
+// Playback of all in PLAYING seconds, of a short walk in real time
 let playing = null;
 const speed = Math.max(1, (content.end - content.start) / PLAYING);
 const frame = (before) => (now) => {

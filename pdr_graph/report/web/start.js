@@ -1,4 +1,4 @@
-// All of it: first the map, since that is what one looks at.
+// Draw the page: the map first, since users look at it first.
 
 write();
 Object.assign(slider, { min: content.start, max: content.end, step: "any", value: content.start });
@@ -7,7 +7,7 @@ slider.addEventListener("input", () => {
   show(slider.valueAsNumber, slider);
 });
 slider.addEventListener("keydown", (event) => {
-  // a step of a slider without steps
+  // keyboard steps: the slider itself is continuous
   const by = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageDown: -20, PageUp: 20 }[event.key];
   if (by) {
     event.preventDefault();
@@ -17,7 +17,7 @@ slider.addEventListener("keydown", (event) => {
 here("play").addEventListener("click", () => (playing === null ? play() : pause()));
 
 const begun = () => {
-  // nothing is on a map of a day of which nobody knows where it was
+  // a day without positions has no map
   if (!content.maps.length) {
     here("place").remove();
     return Promise.resolve();

@@ -1,11 +1,11 @@
-// Where the walker is at a time, and how it is drawn.
+// Pose of the walker at a time, and its markers.
 
-const ARROW = [[13, 0], [-8, 8], [-4, 0], [-8, -8]]; // [px] ahead and to the left
+const ARROW = [[13, 0], [-8, 8], [-4, 0], [-8, -8]]; // [px] forward and left
 const CHI = Math.sqrt(5.99); // of the 95 % ellipse
-const TRAIL = 60; // [s] that the walker's trail is long, at most a twentieth of the walk
+const TRAIL = 60; // [s] length of the walker's trail, at most a twentieth of the walk
 
-const walkers = content.tracks.filter((track) => track.walker).reverse(); // that of the result first
-let time = content.start; // that is shown
+const walkers = content.tracks.filter((track) => track.walker).reverse(); // the result first
+let time = content.start; // shown now
 
 const at = (track, when) => {
   const times = track.time;
@@ -88,7 +88,7 @@ const shapesOf = (track) => {
   ];
 };
 const trailOf = (track) => {
-  // where it came from
+  // the latest part of the track
   const points = track.time
     .map((_, n) => n)
     .filter(

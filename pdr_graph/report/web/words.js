@@ -1,6 +1,6 @@
 // Headline, warnings and tables.
 
-const FEW = 3; // warnings that are shown unasked
+const FEW = 3; // warnings up to which their list is open at first
 
 const element = (tag, text, more = {}) =>
   Object.assign(document.createElement(tag), text === undefined ? more : { textContent: text, ...more });
@@ -15,7 +15,7 @@ const write = () => {
   }
   for (const [lines, kind, name] of [
     [content.missing, "missing", "Missing"],
-    [content.warnings, "warnings", "Beware"],
+    [content.warnings, "warnings", "Warnings"],
   ]) {
     const list = element("ul"),
       notice = element("details", undefined, { className: kind, open: lines.length <= FEW || kind === "missing" });
@@ -50,13 +50,13 @@ const cells = (table) => {
     body.tBodies[0].append(line);
   });
   inside.append(body);
-  return inside;
+  return [...(table.note ? [element("p", table.note, { className: "note" })] : []), inside];
 };
 const tabulate = () =>
   content.tables.forEach((table) => {
     const details = element("details");
     details.append(element("summary", table.rows.length > 5 ? `${table.title} (${table.rows.length})` : table.title));
-    details.addEventListener("toggle", () => details.children.length < 2 && details.append(cells(table)), {
+    details.addEventListener("toggle", () => details.children.length < 2 && details.append(...cells(table)), {
       once: true,
     });
     details.open = table.open;

@@ -1,0 +1,438 @@
+"""The command line: a function for each command, which loads what it needs, so that ``--help`` is instant."""
+
+from __future__ import annotations
+
+import gc
+import json
+import sys
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+import pdr_graph
+from pdr_graph.cli.lifelog import lifelog as lifelog_commands
+from pdr_graph.cli.options import (
+    BeaconsPath,
+    FixesPath,
+    FloorLabel,
+    GnssLatency,
+    MapPath,
+    OutFolder,
+    RadioMapPath,
+    RangesPath,
+    Rate,
+    RecordedFixes,
+    RecordingPath,
+    TruthPath,
+    WalkerPath,
+)
+from pdr_graph.cli.plans import maps
+from pdr_graph.errors import DegradedExit, InputError, RefusedExit, first_look
+
+
+class Verbs(TyperGroup):
+    """The verbs; who gives a file and no verb is told of one."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """As of every group."""
+        if args[0] not in self.commands and Path(args[0]).exists():
+            raise InputError(args[0], "", "a path but no verb", f"one of them, as in pdr-graph smooth {args[0]}")
+        return super().resolve_command(ctx, args)
+
+
+app = typer.Typer(
+    cls=Verbs,
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 100},
+    pretty_exceptions_enable=False,
+)
+app.add_typer(maps, name="map")
+app.add_typer(lifelog_commands, name="lifelog")
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pdr-graph {pdr_graph.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def about(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Which way did this person walk? A phone's sensor log and a floor plan in, the most probable walk out.
+
+    \b
+    pdr-graph smooth walk.zip              any recorder's export; look at walk-smoothed/report.html
+    pdr-graph simulate arcade              no recording at hand? a walk with known truth, in arcade/
+    """
+
+
+class Method(StrEnum):
+    """How a walk is estimated."""
+
+    graph = "graph"
+    filter = "filter"
+    rts = "rts"
+    pdr = "pdr"
+
+
+class Coordinates(StrEnum):
+    """What a competition's positions are in."""
+
+    lonlat = "lonlat"
+    xy = "xy"
+
+
+class Pairing(StrEnum):
+    """How truth and estimate are brought to the same time."""
+
+    linear = "linear"
+    nearest = "nearest"
+
+
+@app.command()
+def smooth(
+    recording: RecordingPath,
+    map_: MapPath = None,
+    fixes: FixesPath = None,
+    out: OutFolder = None,
+    walker: WalkerPath = None,
+    method: Annotated[
+        Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
+    ] = Method.graph,
+    recorded_fixes: RecordedFixes = True,
+    rate: Rate = None,
+    gnss_latency: GnssLatency = 0.0,
+    floor: FloorLabel = None,
+    beacons: BeaconsPath = None,
+    ranges: RangesPath = None,
+    radio_map: RadioMapPath = None,
+    truth: TruthPath = None,
+) -> None:
+    """Reconstruct one walk.
+
+    \b
+    pdr-graph smooth walk.zip
+    pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
+    """
+    from pdr_graph.inputs import Options
+    from pdr_graph.pipeline import smooth_recording
+
+    gc.freeze()  # what was imported stays: no collection need look at it again
+    folder = out or _named(recording, "-smoothed")
+    options = Options(
+        plan=map_,
+        fixes=fixes,
+        beacons=beacons,
+        ranges=ranges,
+        radio_map=radio_map,
+        walker=walker,
+        truth=truth,
+        method=str(method),
+        recorded_fixes=recorded_fixes,
+        rate=rate,
+        gnss_latency=gnss_latency,
+        floor=floor,
+    )
+    _end(smooth_recording(recording, folder, options), folder)
+
+
+@app.command()
+def replay(
+    recording: RecordingPath,
+    map_: MapPath = None,
+    fixes: FixesPath = None,
+    out: OutFolder = None,
+    walker: WalkerPath = None,
+    recorded_fixes: RecordedFixes = True,
+    rate: Rate = None,
+    gnss_latency: GnssLatency = 0.0,
+    floor: FloorLabel = None,
+    beacons: BeaconsPath = None,
+    ranges: RangesPath = None,
+    radio_map: RadioMapPath = None,
+    lag: Annotated[str, typer.Option(metavar="S", help="Finalize steps older than this; inf or none: never.")] = "60",
+    journal: Annotated[
+        Path | None,
+        typer.Option("--journal", metavar="FILE", help="Keep the walk in this file, or resume the walk in it."),
+    ] = None,
+    truth: TruthPath = None,
+) -> None:
+    """Walk through a recording as if it were live.
+
+    Step by step, each pose from what came before it; says how long each step took.
+
+    \b
+    pdr-graph replay walk.zip
+    pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
+    """
+    from pdr_graph.inputs import LIVE, Options
+    from pdr_graph.online.replay import replay_recording
+
+    folder = out or _named(recording, "-replayed")
+    options = Options(
+        plan=map_,
+        fixes=fixes,
+        beacons=beacons,
+        ranges=ranges,
+        radio_map=radio_map,
+        walker=walker,
+        truth=truth,
+        method=LIVE,
+        recorded_fixes=recorded_fixes,
+        rate=rate,
+        gnss_latency=gnss_latency,
+        floor=floor,
+        lag=_lag(lag),
+        journal=journal,
+    )
+    _end(replay_recording(recording, folder, options), folder)
+
+
+@app.command()
+def steps(
+    recording: RecordingPath,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="CSV", help="Default: here, named after the recording.")
+    ] = None,
+    walker: WalkerPath = None,
+) -> None:
+    """Write the steps alone, for other back ends.
+
+    A row each: time,length,turn,sigma_length,sigma_turn.
+
+    \b
+    pdr-graph steps walk.zip
+    """
+    from pdr_graph import io
+    from pdr_graph.gait.steps import detect_steps
+    from pdr_graph.gait.walker import Walker
+    from pdr_graph.io.writers import write_steps
+
+    walk = io.load(recording)
+    found = detect_steps(walk, Walker.load(walker) if walker else None)
+    file = out or _named(recording, "-steps.csv")
+    write_steps(file, found, walk.clock_origin)
+    typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {file}")
+
+
+@app.command()
+def calibrate(
+    recording: RecordingPath,
+    route: Annotated[
+        Path,
+        typer.Option("--route", metavar="GEOJSON", help="The line that was walked: the one feature of kind link."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="Where the walker's profile goes.")],
+    walker: WalkerPath = None,
+) -> None:
+    """Learn a walker's own stride and turns from a known line.
+
+    \b
+    pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
+    """
+    from pdr_graph.gait.walker import COEFFICIENTS
+    from pdr_graph.pipeline import calibrate_walker
+
+    profile, laps = calibrate_walker(recording, route, out, walker)
+    sigma = profile.covariance.diagonal() ** 0.5
+    named = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
+    said = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in named)
+    typer.echo(f"{laps} x the route, {profile.residual:.2f} m from it (rms): {said} -> {out}")
+
+
+@app.command("radio-map")
+def radio_map(
+    walks: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING DIR ...", help="Recordings, each with what smooth --out wrote of it."),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the radio map goes.")],
+) -> None:
+    """Learn what phones hear where, from smoothed walks.
+
+    For smooth --radio-map; the walks must have been smoothed on one plan.
+
+    \b
+    pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
+    """
+    from pdr_graph.pipeline import learn_radio_map
+
+    if len(walks) % 2:
+        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its folder")
+    found = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
+    typer.echo(f"{len(found)} scans of {len(found.transmitter)} transmitters -> {out}")
+
+
+@app.command()
+def evaal(
+    url: Annotated[str, typer.Argument(metavar="URL", help="The server's base URL, which ends in /evaalapi/.")],
+    trial: Annotated[str, typer.Argument(metavar="TRIAL", help="The trial's name.")],
+    map_: MapPath = None,
+    format_: Annotated[
+        Coordinates, typer.Option("--format", help="Positions as lon,lat,floor or as x,y,floor in the output frame.")
+    ] = Coordinates.lonlat,
+    ignore_initial: Annotated[
+        bool, typer.Option("--ignore-initial", help="Do not start from the trial's initial position.")
+    ] = False,
+    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="As of smooth.")] = None,
+    walker: WalkerPath = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where results go; default: evaal-TRIAL.")
+    ] = None,
+) -> None:
+    """Take part in a competition over the EvAAL API.
+
+    Or go on with a trial that was interrupted: same --out.
+
+    \b
+    pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
+    """
+    from functools import partial
+    from urllib.parse import quote
+
+    from pdr_graph.evaal.client import Api
+    from pdr_graph.evaal.trial import Entry, PositionFormat, run_trial
+    from pdr_graph.inputs import Options
+    from pdr_graph.online.replay import navigator_of
+    from pdr_graph.pipeline import smooth_recording
+
+    api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
+    options = Options(plan=map_, beacons=beacons, walker=walker)
+    navigator, labels = navigator_of(options)
+
+    def smoothed(recording: Path, fixes: Path | None) -> tuple[str, ...]:
+        return smooth_recording(recording, folder, replace(options, fixes=fixes))
+
+    def show(text: str) -> None:
+        typer.echo(f"\r{text} ", nl=False, err=True)
+
+    position_format = partial(PositionFormat, format_ is Coordinates.lonlat, ignored=ignore_initial)
+    entry = Entry(navigator, smoothed, position_format, labels, show if sys.stderr.isatty() else None)
+    ending = run_trial(api, folder, entry)
+    typer.echo(f"{ending.said} -> {folder}", err=not ending.normal)
+    if not ending.normal:
+        for part in ending.missing:
+            typer.echo(f"pdr-graph: without {part}", err=True)
+        raise typer.Exit(DegradedExit)
+
+
+@app.command()
+def evaluate(
+    trajectory: Annotated[
+        Path, typer.Argument(metavar="TRAJECTORY", help="trajectory.csv, or any CSV with time,x,y[,heading][,floor].")
+    ],
+    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor].")],
+    map_: Annotated[
+        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for EAG and CA against its walls.")
+    ] = None,
+    pairing: Annotated[
+        Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
+    ] = Pairing.linear,
+    json_: Annotated[bool, typer.Option("--json", help="Print JSON: metres, radians, seconds.")] = False,
+) -> None:
+    """Score a trajectory against the truth.
+
+    CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/accuracy.md).
+
+    \b
+    pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
+    """
+    from pdr_graph import evaluation
+    from pdr_graph.floor.building import Building
+    from pdr_graph.io.tables import read_trajectory
+
+    floor = Building.load(map_) if map_ else None
+    tracks = read_trajectory(trajectory), read_trajectory(truth)
+    if not len(evaluation.pair(*tracks, str(pairing)).time):
+        raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
+    scores = evaluation.evaluate(*tracks, floor, str(pairing))
+    typer.echo(json.dumps(scores) if json_ else evaluation.table(scores))
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[
+        Path, typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md), or the name of a ready one.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="For recording, truth and plan; default: here, by its name."),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, metavar="N", help="Another walk: instead of the scenario's seed.")
+    ] = None,
+) -> None:
+    """Simulate a walk with known truth.
+
+    As a phone would have recorded it. Ready scenarios: arcade campus cart figure_eight l_corridor loop mall office
+    outdoors stairs two_floors.
+
+    \b
+    pdr-graph simulate arcade --out walk
+    pdr-graph smooth walk --map walk/plan.geojson --fixes walk/fixes.csv
+    """
+    from pdr_graph.simulation.recorders import write
+    from pdr_graph.simulation.scenario import Scenario
+    from pdr_graph.simulation.simulate import simulate as simulated
+
+    given = Scenario.load(scenario)
+    walk = simulated(given if seed is None else replace(given, seed=seed))
+    folder = out or Path(given.name)
+    write(walk, folder)
+    body = walk.body
+    typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
+
+
+def _lag(said: str) -> float | None:
+    """Seconds, None for no end."""
+    try:
+        seconds = float("inf" if said.lower() == "none" else said)
+    except ValueError:
+        seconds = 0.0
+    if not seconds > 0:
+        raise InputError("--lag", "", said, "seconds above 0, inf or none")
+    return None if seconds == float("inf") else seconds
+
+
+def _named(given: Path, ending: str) -> Path:
+    """A path in the current folder, named after what was given: walk.zip, walk-smoothed."""
+    whole = given.resolve()
+    return Path(f"{whole.name if whole.is_dir() else whole.stem}{ending}")
+
+
+def _end(missing: tuple[str, ...], out: Path) -> None:
+    """Say what came out, what to beware of, and where to look."""
+    told = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    steps = f"{told['steps']} steps, " if told["steps"] else ""
+    typer.echo(f"{steps}{told['distance']:.1f} m in {told['duration']:.1f} s")
+    for warning in told["warnings"]:
+        typer.echo(f"note: {warning}")
+    typer.echo(f"-> {first_look(out)}")
+    if missing:
+        typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+        raise typer.Exit(DegradedExit)
+
+
+def main() -> None:
+    """Run; a refusal is one line and exit 2, never a traceback."""
+    try:
+        app()
+    except InputError as error:
+        typer.echo(f"pdr-graph: {error}", err=True)
+        sys.exit(RefusedExit)
+    except (FileExistsError, NotADirectoryError) as error:
+        typer.echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
+        sys.exit(RefusedExit)
+    except OSError as error:
+        typer.echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
+        sys.exit(RefusedExit)

@@ -1,0 +1,422 @@
+"""What factors are made of: variables, residuals with derivatives, losses; and what a kind of measurement is.
+
+A kind of measurement is one object, a `Measurement`: all its instances on one walk, the times at which it needs
+keyframes, the variables it adds, its residuals with derivatives and weights, and its reports. Batch smoother, live
+smoother, filter, GTSAM export, reports and journal loop over a list of them and name none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss
+from pdr_graph.floor.cells import STRAY
+from pdr_graph.geometry import interpolate, rotation, wrap_angle
+from pdr_graph.types import Array, Fixes, Index
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+AnyArray = NDArray[Any]
+POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
+TOLERANCE = {  # how far variables may move before most factors are linearised again
+    "x": np.array([0.2, 0.2, 0.05]),  # [m, m, rad]
+    "c": np.array([0.01, 0.01, 0.002]),  # [-, -, rad/s]
+    "g": np.array([0.2, 0.2, 0.2]),  # [σ, σ, s]
+    "b": np.array([0.2, 0.2, 1.0]),  # [m, m, dB]
+    "q": np.array([1.0, 0.1, 1.0]),  # [dBm, -, dB]
+}
+EXACT = 1e6  # times a number, in a signature of which any change counts
+ELSE = np.array([0.2, 0.2, 0.2])  # of variables of other symbols
+
+
+def key(symbol: str, number: int = 0) -> int:
+    """GTSAM's key of a variable."""
+    return int(gtsam.symbol(symbol, number))
+
+
+@dataclass(frozen=True)
+class Variables:
+    """Variables of one symbol that a measurement brings.
+
+    number: ``(n,)`` in their GTSAM keys; initial: ``(n, 3)``; needed: ``(n,)`` until when factors use them [s].
+    """
+
+    symbol: str
+    number: Index
+    initial: Array
+    needed: Array
+
+
+@dataclass(frozen=True)
+class State:
+    """Estimates of all variables: an array ``(n, 3)`` per symbol, of poses (x, y, θ) under "x".
+
+    numbers: ``(n,)`` of each variable in its GTSAM key; 0, 1, … by default.
+    """
+
+    arrays: Mapping[str, Array]
+    numbers: Mapping[str, Index] = field(default_factory=dict)
+
+    @property
+    def poses(self) -> Array:
+        """Keyframe poses ``(k + 1, 3)``: x, y [m], heading [rad]."""
+        return self.arrays[POSE]
+
+    @property
+    def c(self) -> Array:
+        """Calibrations ``(s, 3)``: R_s [-], R_d [-], b [rad/s]."""
+        return self.arrays[CALIBRATION]
+
+    def __getitem__(self, symbol: str) -> Array:
+        """The variables ``(n, 3)`` of one symbol."""
+        return self.arrays[symbol]
+
+    def number(self, symbol: str) -> Index:
+        """The numbers ``(n,)`` of the variables of one symbol."""
+        known = self.numbers.get(symbol)
+        return np.arange(len(self.arrays[symbol])) if known is None else known
+
+    def keys(self, symbol: str, rows: Index | slice = slice(None)) -> Index:
+        """GTSAM keys of some variables, given by their rows ``(m,)``."""
+        return key(symbol) + self.number(symbol)[rows]
+
+    def replaced(self, **arrays: Array) -> State:
+        """Replace the arrays of some symbols; new symbols are added."""
+        return replace(self, arrays={**self.arrays, **arrays})
+
+    def rotated(self, angle: float, pivot: Array) -> State:
+        """Rotate all poses by ``angle`` [rad] about ``pivot (2,)`` [m]."""
+        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
+        return self.replaced(x=np.column_stack([position, self.poses[:, 2] + angle]))
+
+    def retracted(self, move: gtsam.VectorValues, longest: float = np.inf) -> State:
+        """Move every variable by GTSAM's local coordinates; poses by Pose2's full exponential map.
+
+        longest: no pose may go further [m]; the whole move is shortened instead.
+        """
+        by_symbol, moves, first = sorted(self.arrays), {}, 0
+        rows = move.vector().reshape(-1, 3)
+        for symbol in by_symbol:
+            count = len(self.arrays[symbol])
+            moves[symbol] = np.empty((count, 3))
+            moves[symbol][np.argsort(self.number(symbol))] = rows[first : first + count]
+            first += count
+        furthest = float(np.abs(moves[POSE][:, :2]).max())
+        scale = min(1.0, longest / max(furthest, 1e-9))
+        arrays = {symbol: self.arrays[symbol] + scale * moves[symbol] for symbol in by_symbol}
+        arrays[POSE] = retracted(self.poses, scale * moves[POSE])
+        return replace(self, arrays=arrays)
+
+    def to_values(self) -> gtsam.Values:
+        """All variables as ``gtsam.Values``."""
+        values = gtsam.Values()
+        for symbol, rows in self.arrays.items():
+            for one, vector in zip(self.keys(symbol).tolist(), rows, strict=True):
+                insert(values, symbol, one, vector)
+        return values
+
+    def updated(self, values: gtsam.Values) -> State:
+        """Copy the estimates of all variables from ``values``, which must have them all."""
+        arrays = {}
+        for symbol, rows in self.arrays.items():
+            found = extract(values, symbol)
+            arrays[symbol] = np.empty_like(rows)
+            arrays[symbol][np.argsort(self.number(symbol))] = found
+        return replace(self, arrays=arrays)
+
+
+def retracted(poses: Array, move: Array) -> Array:
+    """Poses ``(n, 3)`` moved by ``move (n, 3)`` in their own axes: x Exp(ξ), as ``gtsam.Pose2.retract``."""
+    angle = move[:, 2]
+    small = np.abs(angle) < 1e-10
+    divisor = np.where(small, 1.0, angle)
+    sine = np.where(small, 1.0, np.sin(angle) / divisor)
+    cosine = np.where(small, 0.0, (1 - np.cos(angle)) / divisor)
+    ahead, left = sine * move[:, 0] - cosine * move[:, 1], cosine * move[:, 0] + sine * move[:, 1]
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    columns = [poses[:, 0] + cos * ahead - sin * left, poses[:, 1] + sin * ahead + cos * left]
+    return np.column_stack([*columns, wrap_angle(poses[:, 2] + angle)])
+
+
+def insert(values: gtsam.Values, symbol: str, one: int, vector: Array) -> None:
+    """Add a variable to ``gtsam.Values``."""
+    values.insert(one, gtsam.Pose2(*vector) if symbol == POSE else np.asarray(vector))
+
+
+def extract(values: gtsam.Values, symbol: str) -> Array:
+    """The variables ``(n, 3)`` of one symbol, in order of their numbers."""
+    if symbol == POSE:
+        return np.asarray(gtsam.utilities.extractPose2(values))
+    return np.asarray(gtsam.utilities.extractVectors(values, symbol)).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Linearized:
+    """Values ``(k, r)`` that depend on x_i, x_j and c, and their derivatives by each, ``(k, r, 3)``."""
+
+    value: Array
+    by_i: Array
+    by_j: Array
+    by_c: Array
+
+    def times(self, matrix: Array) -> Linearized:
+        """Multiply values and derivatives by ``matrix (k, q, r)``."""
+        value = np.einsum("kqr,kr->kq", matrix, self.value)
+        return Linearized(value, matrix @ self.by_i, matrix @ self.by_j, matrix @ self.by_c)
+
+    def take(self, rows: Index) -> Linearized:
+        """The rows with these indices."""
+        return Linearized(self.value[rows], self.by_i[rows], self.by_j[rows], self.by_c[rows])
+
+
+@dataclass(frozen=True)
+class FactorBlock:
+    """Factors of one kind at one state, ``n`` of them with ``m`` rows in all.
+
+    name: of the kind; residual: ``(m,)`` whitened; row_of: ``(m,)`` the factor of each row, ascending.
+    variables: of each factor, as symbol and rows ``(n,)`` of the state; jacobian: makes the derivatives ``(m, 3)`` of
+    all rows by each of these variables, in GTSAM's local coordinates.
+    number: ``(n,)`` that stays a factor's own while the walk goes on; loss: of its residual's norm; signed: of the
+    residual itself, where each has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
+    tolerance: by symbol, how far ``(3,)`` a variable may move before a live smoother linearises the factors again, None
+    where they are linear; signature: ``(n,)`` changes by 1 when a factor's data change by as much as matters; prior:
+    these are priors of variables that the kind has added.
+    native: makes factor n as GTSAM has it, where GTSAM has such a factor.
+    """
+
+    name: str
+    residual: Array
+    row_of: Index
+    variables: tuple[tuple[str, Index], ...]
+    jacobian: Callable[[], Sequence[Array]]
+    number: Index
+    loss: Loss = GAUSSIAN
+    signed: bool = False
+    most_rows: Index | None = None
+    tolerance: Mapping[str, Array] | None = field(default_factory=lambda: TOLERANCE)
+    signature: Array | None = None
+    prior: bool = False
+    native: Callable[[int], gtsam.NonlinearFactor] | None = None
+
+    @classmethod
+    def uniform(
+        cls,
+        name: str,
+        residual: Array,
+        variables: Iterable[tuple[str, Index]],
+        jacobian: Callable[[], Sequence[Array]],
+        number: Index | None = None,
+        **others: Any,
+    ) -> FactorBlock:
+        """Factors with the same number of rows: residual ``(n, r)``; jacobian makes ``(n, r, 3)`` by each variable."""
+        n, r = residual.shape
+
+        def rows() -> list[Array]:
+            return [by.reshape(-1, 3) for by in jacobian()]
+
+        number = np.arange(n) if number is None else number
+        row_of = np.repeat(np.arange(n), r)
+        return cls(name, residual.ravel(), row_of, tuple(variables), rows, number, signed=r == 1, **others)
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def point(self, state: State) -> Array:
+        """The variables ``(n, 3 v)`` of each factor."""
+        return np.hstack([state[symbol][rows] for symbol, rows in self.variables])
+
+    def limits(self) -> Array:
+        """How far its variables may move ``(3 v,)`` before a factor is linearised again."""
+        known = self.tolerance or {}
+        return np.concatenate([known.get(symbol, ELSE) for symbol, _ in self.variables])
+
+    @cached_property
+    def deviation(self) -> Array:
+        """How many sigmas each factor is off ``(n,)``."""
+        if self.signed:
+            return self.residual
+        return np.sqrt(np.bincount(self.row_of, self.residual**2, len(self)))
+
+    @cached_property
+    def weight(self) -> Array:
+        """The share ``(n,)`` of each factor's information that is used, 0 to 1."""
+        return self.loss.weight(self.deviation)
+
+    @cached_property
+    def cost(self) -> float:
+        """The sum of the losses, as GTSAM counts it: half a squared residual where the loss is Gaussian."""
+        return float(np.sum(self.loss.cost(self.deviation)))
+
+    @cached_property
+    def weighted(self) -> tuple[Array, list[Array]]:
+        """Residuals ``(m,)`` and derivatives ``(m, 3)`` by each variable, times the root of the weight."""
+        if self.loss is GAUSSIAN:
+            return self.residual, list(self.jacobian())
+        root = np.sqrt(self.weight)[self.row_of]
+        return root * self.residual, [root[:, None] * by for by in self.jacobian()]
+
+    def terms(self, state: State) -> Iterable[tuple[int, list[tuple[int, Array]], Array]]:
+        """Of each factor with rows: its index, key and derivatives ``(r, 3)`` of each variable, residuals ``(r,)``."""
+        residual, blocks = self.weighted
+        keys = [state.keys(symbol, rows).tolist() for symbol, rows in self.variables]
+        bounds = np.searchsorted(self.row_of, np.arange(len(self) + 1)).tolist()
+        for n, (a, b) in enumerate(pairwise(bounds)):
+            if a < b:
+                pairs = [(column[n], by[a:b]) for column, by in zip(keys, blocks, strict=True)]
+                yield n, pairs, residual[a:b]
+
+    def add_to(self, graph: gtsam.GaussianFactorGraph, state: State) -> None:
+        """Add all factors to a linear graph, weighted."""
+        add: Any = graph.add  # its overloads are of one, two and three variables
+        for _, pairs, residual in self.terms(state):
+            add(*(side for pair in pairs for side in pair), -residual, UNIT[len(residual)])
+
+
+class _UnitNoise(dict[int, gtsam.noiseModel.Base]):
+    """Unit noise models by dimension, each made once."""
+
+    def __missing__(self, rows: int) -> gtsam.noiseModel.Base:
+        self[rows] = gtsam.noiseModel.Unit.Create(rows)
+        return self[rows]
+
+
+UNIT = _UnitNoise()
+
+
+class Stage(Enum):
+    """How far the search for the walk has come.
+
+    ROUGH: which rooms it went through may be wrong; FINAL: the walk is near its optimum.
+    """
+
+    ROUGH = "rough"
+    FINAL = "final"
+
+
+class Measurement:
+    """A kind of measurement: all its instances on one walk.
+
+    Subclasses are frozen dataclasses; methods return new objects. What a method says here is what a kind does that
+    needs nothing else.
+    """
+
+    name: ClassVar[str] = ""
+    on_plan: ClassVar[bool] = False  # whether it is evidence of the floor plan
+    places: ClassVar[bool] = False  # whether it determines positions
+    overhang: ClassVar[float] = 0.0  # [s] by which it may lie before or after the steps
+    yields_slowly: ClassVar[bool] = False  # whether the optimiser converges slowly with it from a distant start
+
+    def keyframe_times(self) -> Array:
+        """Times [s] at which keyframes are needed ``(t,)``."""
+        return np.empty(0)
+
+    def on(self, chain: Chain) -> Self:
+        """Bind every instance to its keyframe in ``chain``."""
+        return self
+
+    def variables(self, poses: Array) -> Sequence[Variables]:
+        """The variables it brings, with initial values; poses: ``(k + 1, 3)`` where the walk starts."""
+        return ()
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """All factors at one state, those of the instances in the first block."""
+        return ()
+
+    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+        """Associate instances with rooms or corridors along the walk ``at``.
+
+        stray: sigma of that walk, everywhere or at the end of each piece ``(m,)`` [m]; alike: number of pieces in a row
+        with the same error.
+        """
+        return self
+
+    def same_association(self, other: Measurement) -> bool:
+        """True if its instances are associated with the same things as those of another version of it."""
+        return True
+
+    def initialized(self, poses: Array) -> Self:
+        """Take from the initial poses ``(k + 1, 3)`` what is not known otherwise (places of unknown beacons)."""
+        return self
+
+    def restarted(self, poses: Array) -> Self:
+        """Adapt to a search that starts at other poses ``(k + 1, 3)``."""
+        return self
+
+    def staged(self, stage: Stage) -> Self:
+        """The version for a stage of the search (tighter, looser)."""
+        return self
+
+    def alternatives(self) -> Sequence[Self]:
+        """Other versions from whose optima the search must start too, where one optimum does not show the other."""
+        return ()
+
+    def refined(self, at: Evaluation) -> Measurement:
+        """The second pass, once a first optimum is known: outliers lose weight, common errors are modelled."""
+        return self
+
+    def corrected(self, at: Evaluation) -> Self | None:
+        """The measurement without what the optimum ``at`` shows to be listed wrongly; None if nothing is."""
+        return None
+
+    def rough_fixes(self) -> Fixes:
+        """Positions to start from where the walk has no other fix."""
+        return Fixes.none()
+
+    def reclassified(self, at: Evaluation) -> Self:
+        """Live: lower the weight of instances far from the walk, and restore it for those that are near again."""
+        return self
+
+    @property
+    def instances(self) -> tuple[Index, Array] | None:
+        """Numbers and times ``(n,)`` [s] of what `reports` has a report of each; None where it sums up."""
+        return None
+
+    @property
+    def astray(self) -> bool:
+        """True if its last instances agree with one another and all lie far from the walk."""
+        return False
+
+    def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
+        """True if instances that were used before are now inconsistent: the walk was elsewhere."""
+        return False
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """What was decided about its instances, for `continued`."""
+        return {}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Take over what was decided about instances that are still there."""
+        return self
+
+    def reports(self, at: Evaluation) -> tuple[Any, ...]:
+        """Residual, weight and reason of each instance."""
+        return ()
+
+    @property
+    def price(self) -> float:
+        """What the association costs beside the residuals, in units of half a squared sigma."""
+        return 0.0
+
+
+def initial_state(poses: Array, c: Array, measurements: Iterable[Measurement]) -> State:
+    """The state in which a batch starts: poses, calibrations, and the variables that measurements bring."""
+    arrays, numbers = {POSE: poses, CALIBRATION: c}, {}
+    for one in measurements:
+        for brought in one.variables(poses):
+            arrays[brought.symbol], numbers[brought.symbol] = brought.initial, brought.number
+    return State(arrays, numbers)
+
+
+def poses_at(time: Array, keyframe_time: Array, poses: Array) -> Array:
+    """Poses ``(n, 3)`` at some times, linear between keyframes; headings are unwrapped."""
+    return interpolate(time, keyframe_time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))

@@ -1,0 +1,358 @@
+"""Bluetooth beacons as ranges: how strong each is tells how far it is, roughly.
+
+Log-distance path loss (Rappaport, *Wireless Communications*, Sec. 4.9): a beacon m at height HEIGHT above the phone and
+d metres aside is heard with
+
+    rssi = P + a_m − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ,      φ its bearing from where the walker faces
+
+in the mean over a stretch of the walk, since the walker's body shades what is behind. Variables: q = (P, n, k) of the
+phone and the building, b_m = (x, y, a_m) of each beacon: known to a metre, or not at all. What a place adds or takes
+stays the same where nobody moves, so that levels are averaged over metres walked, not over seconds.
+
+A beacon that is not where a list says it is, moved or swapped with another, is found by its levels, heard and *not*
+heard, held against every place where it could be: that a near beacon is silent tells more than how strong a far one is.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Measurement, Variables
+from pdr_graph.estimation.factors.losses import RobustLoss
+from pdr_graph.estimation.factors.preintegration import DECIMALS
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.io.beacons import number_of
+from pdr_graph.measurements import Levels
+from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+STRETCH = 2.0  # [m] of the walk over which levels are averaged
+LEVEL_SIGMA = 5.0  # [dB] of such a mean: reflections, people, furniture
+HEIGHT = 1.5  # [m]
+PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
+BIN, NEAREST = 15.0, 2.0  # [s], [m]
+LONGEST = 6.0  # [s] that a stretch may take while the walk goes on
+POWER_SIGMA = 4.0  # [dB] of a beacon's power
+ANYWHERE = 30.0  # [m] about the place of its strongest level, of a beacon without a survey
+
+WEAKEST = -97.0  # [dBm] that phones hear
+MOST_EVIDENCE = 4.5  # log-odds of one level at most
+RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon is taken to be elsewhere, and how far [m]
+GRID, BESIDE = 5.0, 20.0  # [m] between places that are tried, and how far beside the walk
+POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] of a beacon's own power that are tried
+
+
+@dataclass(frozen=True, eq=False)
+class BeaconRssiFactor(Measurement):
+    """Mean levels of beacons on stretches of the walk, ``l`` of them, of ``m`` beacons.
+
+    listed: the levels, with the listed positions; position: ``(m, 2)`` as used, NaN where unknown [m]; prior:
+    ``(m, 3)`` of each beacon's variable, the place of its strongest level where unknown.
+    beacon_number: ``(m,)``, number: ``(l,)``, for good; keyframe: ``(l,)``.
+    """
+
+    listed: Levels
+    position: Array
+    prior: Array
+    beacon_number: Index
+    number: Index
+    keyframe: Index
+
+    name: ClassVar[str] = "beacons"
+    places: ClassVar[bool] = True
+    yields_slowly: ClassVar[bool] = True
+
+    @classmethod
+    def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
+        """The levels of one walk."""
+        unknown = np.column_stack([levels.position, np.zeros(len(levels.position))])
+        number, beacons = np.arange(len(levels)) if number is None else number, np.arange(len(levels.position))
+        return cls(levels, levels.position, unknown, beacons, number, np.full(len(levels), -1))
+
+    def keyframe_times(self) -> Array:
+        """The middles of the stretches."""
+        return self.listed.time
+
+    def on(self, chain: Chain) -> Self:
+        """Bind every level to its keyframe."""
+        return replace(self, keyframe=chain.keyframe(self.listed.time))
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """Positions and priors of the beacons."""
+        return {"beacon": self._identity, "position": self.position, "prior": self.prior}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Keep relocated beacons where they were found."""
+        if not decisions:
+            return self
+        same, own = np.nonzero(decisions["beacon"][:, None] == self._identity)
+        position, prior = self.position.copy(), self.prior.copy()
+        position[own], prior[own] = decisions["position"][same], decisions["prior"][same]
+        return replace(self, position=position, prior=prior)
+
+    @property
+    def _identity(self) -> Index:
+        """A number for each beacon's label ``(m,)``, whichever table it is in."""
+        return np.array([zlib.crc32(label.encode()) for label in self.listed.label], dtype=np.intp)
+
+    def initialized(self, poses: Array) -> Self:
+        """Beacons whose place is unknown begin where they were strongest."""
+        prior = np.column_stack([self.position, np.zeros(len(self.position))])
+        for m in np.flatnonzero(np.isnan(self.position[:, 0])):
+            own = np.flatnonzero(self.listed.beacon == m)
+            prior[m, :2] = poses[self.keyframe[own[np.argmax(self.listed.rssi[own])]], :2]
+        return replace(self, prior=prior)
+
+    def variables(self, poses: Array) -> Sequence[Variables]:
+        """Place and power (x, y [m], a [dB]) of each beacon; the path loss (P [dBm], n, k [dB]) of all."""
+        needed = np.full(len(self.prior), np.inf)
+        beacons = Variables("b", self.beacon_number, self.prior, needed)
+        return beacons, Variables("q", np.zeros(1, dtype=np.intp), PATH_LOSS[None], np.full(1, np.inf))
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """The levels, and priors of beacons and path loss."""
+        return [self._levels(at), *self._priors(at)]
+
+    def _levels(self, at: Evaluation) -> FactorBlock:
+        which = np.flatnonzero(self.keyframe >= 0)
+        keyframe, m = self.keyframe[which], self.listed.beacon[which]
+        pose, beacon, q = at.state.poses[keyframe], at.state["b"][m], at.state["q"][0]
+        gap = beacon[:, :2] - pose[:, :2]
+        square = np.sum(gap**2, axis=1) + HEIGHT**2
+        ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
+        left = ahead[:, ::-1] * [-1, 1]
+        along, aside, distance = np.sum(ahead * gap, axis=1), np.sum(left * gap, axis=1), np.sqrt(square)
+        expected = q[0] + beacon[:, 2] - 5 * q[1] * np.log10(square) + q[2] * along / distance
+
+        def jacobian() -> list[Array]:
+            slope = (-10 * q[1] / np.log(10) / square - q[2] * along / distance**3)[:, None]
+            by_beacon = np.column_stack([slope * gap + q[2] * ahead / distance[:, None], np.ones(len(pose))])
+            by_place = (np.sum(v * by_beacon[:, :2], axis=1) for v in (ahead, left))
+            by_pose = -np.stack([*by_place, -q[2] * aside / distance], axis=1)
+            by_loss = np.stack([np.ones(len(pose)), -5 * np.log10(square), along / distance], axis=1)
+            return [by[:, None] / LEVEL_SIGMA for by in (by_pose, by_beacon, by_loss)]
+
+        value = (expected - self.listed.rssi[which])[:, None] / LEVEL_SIGMA
+        variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(which), dtype=np.intp))]
+        loss = RobustLoss(np.zeros(len(which), dtype=bool))
+        return FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], loss=loss)
+
+    def _priors(self, at: Evaluation) -> list[FactorBlock]:
+        b, q = at.state["b"], at.state["q"]
+        place = np.where(np.isnan(self.position[:, 0]), ANYWHERE, self.listed.sigma)
+        root = 1 / np.stack([place, place, np.full(len(b), POWER_SIGMA)], axis=1)
+        beacons, one = np.arange(len(b)), np.zeros(1, dtype=np.intp)
+        return [
+            FactorBlock.uniform(
+                f"{self.name}.place",
+                (b - self.prior) * root,
+                [("b", beacons)],
+                lambda: [np.eye(3) * root[:, :, None]],
+                self.beacon_number,
+                tolerance=None,
+                signature=EXACT * np.nan_to_num(self.prior[:, :2].sum(axis=1)),
+                prior=True,
+            ),
+            FactorBlock.uniform(
+                f"{self.name}.path_loss",
+                (q - PATH_LOSS) / PATH_LOSS_SIGMA,
+                [("q", one)],
+                lambda: [np.diag(1 / PATH_LOSS_SIGMA)[None]],
+                one,
+                tolerance=None,
+                prior=True,
+            ),
+        ]
+
+    def rough_fixes(self) -> Fixes:
+        """Fixes at the surveyed beacons that were strongest, one in BIN seconds."""
+        levels = self.listed
+        surveyed = np.flatnonzero(np.isfinite(levels.position[levels.beacon, 0]))
+        order = surveyed[np.argsort(-levels.rssi[surveyed], kind="stable")]
+        chosen = order[np.unique(levels.time[order] // BIN, return_index=True)[1]]
+        distance = 10 ** ((PATH_LOSS[0] - levels.rssi[chosen]) / (10 * PATH_LOSS[1]))
+        near = np.maximum(NEAREST, distance)
+        return Fixes(levels.time[chosen], levels.position[levels.beacon[chosen]], near, ("",) * len(chosen))
+
+    def corrected(self, at: Evaluation) -> Self | None:
+        """Forget the listed places of beacons that are heard as if they were elsewhere; None if there are none.
+
+        A list that is wrong about one beacon is doubted about the next.
+        """
+        moved = relocated_beacons(
+            replace(self.listed, position=self.position), at.chain.time, at.state.poses[:, :2], at.state["q"][0]
+        )
+        if not moved:
+            return None
+        position = self.position.copy()
+        position[moved] = np.nan
+        return replace(self, position=position).initialized(at.state.poses)
+
+    def reports(self, at: Evaluation) -> tuple[BeaconReport, ...]:
+        """What the walk tells of each beacon that was heard on it."""
+        [block] = at.blocks_of(self.name)
+        off, of_beacon = np.abs(LEVEL_SIGMA * block.residual), self.listed.beacon[self.keyframe >= 0]
+        return tuple(self._report(m, at.state["b"][m], off[of_beacon == m]) for m in np.unique(of_beacon).tolist())
+
+    def _report(self, m: int, variable: Array, off: Array) -> BeaconReport:
+        x, y = variable[:2].tolist()
+        listed, label = self.listed.position[m], self.listed.label
+        moved = bool(np.isfinite(listed[0]) and np.isnan(self.position[m, 0]))
+        reason = "heard where it is listed"
+        if np.isnan(listed[0]):
+            reason = "not listed: its place is estimated"
+        elif moved:
+            distance = np.hypot(*(self.listed.position - (x, y)).T)
+            reason = (
+                f"heard as if it were {distance[m]:.0f} m from where it is listed, nearest to the place of "
+                f"{label[int(np.nanargmin(distance))]}: moved or swapped, its place was not used"
+            )
+        return BeaconReport(label[m], len(off), float(off.mean()), x, y, moved, reason)
+
+
+def levels_along(sightings: Sightings, beacons: Beacons, steps: Steps) -> Levels:
+    """Mean levels of the beacons that were heard, by stretches of the walk. beacons: in the frame of the walk."""
+    known = {name: m for m, name in enumerate(beacons.name)}
+    which = np.array([known.get(name, -1) for name in sightings.transmitter], dtype=np.intp)
+    rows = (which >= 0) & (sightings.time >= steps.start) & (sightings.time <= steps.end)
+    time, which, rssi = sightings.time[rows], which[rows], sightings.rssi[rows]
+    walked = np.append(0.0, np.cumsum(steps.length))[np.searchsorted(steps.time, time)]
+    return mean_levels((walked // STRETCH).astype(np.intp), time, which, rssi, beacons)
+
+
+def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons: Beacons) -> Levels:
+    """Mean level of every beacon on every stretch, at the mean time of all that was heard there.
+
+    stretch, time [s], beacon, rssi [dBm]: ``(n,)`` of single advertisements.
+    """
+    _, group, count = np.unique(stretch * len(beacons) + beacon, return_inverse=True, return_counts=True)
+    stretches, of_stretch, size = np.unique(stretch, return_inverse=True, return_counts=True)
+    middle = np.bincount(of_stretch, time, minlength=len(stretches)) / size
+    first = np.unique(group, return_index=True)[1]
+    mean = np.bincount(group, rssi, minlength=len(count)) / count
+    heard, row = np.unique(beacon[first], return_inverse=True)
+    label = tuple(beacons.label[m] for m in heard)
+    return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[heard], beacons.sigma[heard])
+
+
+class LevelCollector:
+    """Mean levels of surveyed beacons while a walk goes on, stretch by stretch. beacons: in the frame of the walk.
+
+    A stretch ends when the walker has gone on, or after LONGEST seconds.
+    """
+
+    def __init__(self, beacons: Beacons):
+        self._beacons = beacons
+        known = np.isfinite(beacons.position[:, 0])
+        self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if known[m]}
+        self._by_minor = {number_of(name): m for name, m in self._by_name.items()}
+        self._waiting = np.empty((0, 3))  # time, beacon, rssi of the stretches that are not complete
+        self._window = np.empty((0, 3))  # of all that are in the window
+        self._met = list[int]()  # beacons, in the order in which they were first heard
+
+    def collect(self, data: Any) -> bool:
+        """Take advertisements; whether any is of a surveyed beacon."""
+        if not isinstance(data, Sightings):
+            return False
+        minors = data.minor or ("",) * len(data)
+        rows = []
+        for time, name, minor, rssi in zip(
+            data.time.tolist(), data.transmitter, minors, data.rssi.tolist(), strict=True
+        ):
+            beacon = self._by_name.get(name.lower(), self._by_minor.get(minor) if minor else None)
+            if beacon is not None and np.isfinite([time, rssi]).all():
+                rows.append((time, beacon, rssi))
+        known = np.array(rows).reshape(-1, 3)
+        self._waiting, self._window = np.vstack([self._waiting, known]), np.vstack([self._window, known])
+        return len(rows) > 0
+
+    def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
+        """The levels of the stretches that are complete until a moment [s]."""
+        time = self._waiting[:, 0]
+        if not len(time) or time.min() > until:
+            return
+        stretch, now = walked(time) // STRETCH, float(walked(np.array([until]))[0] // STRETCH)
+        complete = (time <= until) & ((stretch < now) | (time < until - LONGEST))
+        if complete.any():
+            time, beacon, rssi = self._waiting[complete].T
+            self._met += [m for m in dict.fromkeys(beacon.astype(int).tolist()) if m not in self._met]
+            found = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
+            yield self._among_met(found, np.unique(beacon.astype(np.intp)))
+        self._waiting = self._waiting[~complete]
+
+    def _among_met(self, levels: Levels, heard: Index) -> Levels:
+        """The same levels, in the table of all beacons that were met; heard: ``(m,)`` which are in theirs."""
+        row = np.array([self._met.index(int(m)) for m in heard])
+        met, beacons = np.array(self._met), self._beacons
+        return Levels(
+            time=np.round(levels.time, DECIMALS),
+            beacon=row[levels.beacon],
+            rssi=levels.rssi,
+            label=tuple(beacons.label[m] for m in met),
+            position=beacons.position[met],
+            sigma=beacons.sigma[met],
+        )
+
+    def complete(self, steps: Steps) -> Iterable[Levels]:
+        """The levels of the window, as the batch makes them."""
+        time, beacon, rssi = self._window.T
+        names = tuple(self._beacons.name[int(m)] for m in beacon)
+        levels = levels_along(Sightings(time, names, rssi), self._beacons, steps)
+        return [levels] if len(levels) else []
+
+    def forget(self, before: float) -> None:
+        """Drop what was heard before a moment [s]."""
+        self._window = self._window[self._window[:, 0] >= before]
+
+    def checkpoint(self) -> dict[str, AnyArray]:
+        """What it keeps, as arrays by name."""
+        return {"waiting": self._waiting, "window": self._window, "met": np.array(self._met, dtype=float)}
+
+    def restore(self, checkpoint: Mapping[str, Array]) -> None:
+        """Go on from a checkpoint, of the same beacons."""
+        self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
+        self._met = checkpoint["met"].astype(int).tolist()
+
+
+def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
+    """The surveyed beacons that must be elsewhere. position: ``(k, 2)`` of the walk at its keyframes; q: (P, n, k)."""
+    stretch, of = np.unique(levels.time, return_inverse=True)
+    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
+    listed, surveyed = levels.position, np.flatnonzero(np.isfinite(levels.position[:, 0]))
+    places = np.concatenate([listed[surveyed], _grid(track)])
+    square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
+    expected = q[0] - 5 * q[1] * np.log10(square)
+    found = list[int]()
+    for m in surveyed:
+        level = np.full(len(stretch), np.nan)
+        own = levels.beacon == m
+        level[of[own]] = levels.rssi[own]
+        surprise = np.array([_surprise(level, at) for at in expected])
+        near = np.hypot(*(places - listed[m]).T) < APART
+        if surprise[near].min() - surprise.min() > RELOCATED:
+            found.append(int(m))
+    return found
+
+
+def _grid(track: Array) -> Array:
+    """Places ``(n, 2)`` about a walk."""
+    low, high = track.min(axis=0) - BESIDE, track.max(axis=0) + BESIDE
+    axes = (np.arange(a, b, GRID) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+
+def _surprise(level: Array, expected: Array) -> float:
+    """What levels ``(n,)``, NaN where nothing was heard, have against those expected, at the best power."""
+    heard = np.isfinite(level)
+    off = (level[heard] - expected[heard] - POWERS[:, None]) / LEVEL_SIGMA
+    silent = -log_ndtr((WEAKEST - expected[~heard] - POWERS[:, None]) / LEVEL_SIGMA)
+    total = np.minimum(0.5 * off**2, MOST_EVIDENCE).sum(axis=1) + np.minimum(silent, MOST_EVIDENCE).sum(axis=1)
+    return float(np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2))

@@ -1,0 +1,344 @@
+"""Fixes: measured positions, and the longest consistent chain of them.
+
+A robust loss handles scattered outliers. Outliers in a row that agree with one another (a receiver locked to a
+reflection, a beacon listed wrongly) bend the walk until the good fixes beside them look wrong, and no loss recovers
+from there. But a walk through them must jump twice: so the longest chain of fixes is used first in which each is within
+reach of the one before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import gtsam
+import numpy as np
+
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
+from pdr_graph.estimation.factors.losses import GAUSSIAN, NOISE, Loss, RobustLoss
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.geometry import distance_walked, pose_rotation
+from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
+WALKING_SPEED = 1.4  # [m/s] at which such a fix grows stale
+OUTLIER = 5.0  # [σ] from a first optimum beyond which a fix is an outlier
+STRETCHED = 1.5  # times as far as strides say that a walk may lead
+WITHIN = 5.0  # [σ] of both fixes
+DRIVEN = 30.0  # [m/s] while the recording has a gap
+MOST_RUNS = 1000  # searched backwards for a predecessor
+ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
+LOOSELY = 5.0  # times its sigma, of the second factor of a fix that states only a radius
+PATIENCE = 4  # fixes that follow from one another, all far from the walk, until it is the walk that is wrong
+STANDING, ALONG = 120.0, 30.0  # [s] and [m] walked in which a receiver's errors stay alike: satellites and walkers move
+DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
+LOUD_BEACON = "a loud beacon: used only to find where to start"
+
+
+@dataclass(frozen=True, eq=False)
+class FixFactor(Measurement):
+    """Positions with independent errors: r = (p − z) / σ. [gps-dr] Sec. 4
+
+    fixes: all that were given, ``f`` of them; number: ``(f,)`` of each, for good.
+    sigma: ``(f,)`` per axis, wider outside the recording [m]; used: ``(f,)`` not far outside it, and no duplicate;
+    duplicate: ``(f,)`` epochs that repeat the one before.
+    run: ``(f,)`` fixes in a row within reach of each other, −1 of unused ones; consistent: ``(f,)`` of the longest
+    chain that one walk can have made.
+    independent_sigma: ``(f,)`` with which fixes of one receiver count for what they are worth, each taken for
+    independent [m].
+    outlier: ``(f,)`` far from the first optimum; held: ``(f,)`` which have a factor at all.
+    biased: ``(f,)`` whose errors `GnssBias` has in common: they have no factor here.
+    keyframe: ``(f,)``; flat: within so many sigmas all places are about as likely; approximate: the fixes only tell
+    roughly where to start.
+    """
+
+    fixes: Fixes
+    number: Index
+    sigma: Array
+    used: Mask
+    duplicate: Mask
+    run: Index
+    consistent: Mask
+    independent_sigma: Array
+    outlier: Mask
+    held: Mask
+    biased: Mask
+    keyframe: Index
+    flat: float = 0.0
+    approximate: bool = False
+
+    name: ClassVar[str] = "fixes"
+    places: ClassVar[bool] = True
+    overhang: ClassVar[float] = LONGEST_OVERHANG
+
+    @classmethod
+    def of(
+        cls, fixes: Fixes, steps: Steps, prior: Prior, number: Index | None = None, *, approximate: bool = False
+    ) -> FixFactor:
+        """The fixes of one walk. approximate: they only tell roughly where to start; number: 0, 1, … by default."""
+        overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
+        fresh, sigma = overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
+        duplicate = duplicates(fixes)
+        used = fresh & ~duplicate
+        run, consistent = consistent_chains(steps, fixes, sigma, used)
+        none = np.zeros(len(fixes), dtype=bool)
+        return cls(
+            fixes=fixes,
+            number=np.arange(len(fixes)) if number is None else number,
+            sigma=sigma,
+            used=used,
+            duplicate=duplicate,
+            run=run,
+            consistent=consistent,
+            independent_sigma=independent_sigmas(fixes, sigma, consistent, steps),
+            outlier=none,
+            held=consistent,
+            biased=none,
+            keyframe=np.full(len(fixes), -1),
+            flat=prior.fix_flat,
+            approximate=approximate,
+        )
+
+    def __len__(self) -> int:
+        return len(self.fixes)
+
+    def keyframe_times(self) -> Array:
+        """The times of the fixes that are used."""
+        return self.fixes.time[self.used]
+
+    def on(self, chain: Chain) -> Self:
+        """Bind every fix to its keyframe."""
+        return replace(self, keyframe=chain.keyframe(self.fixes.time))
+
+    @property
+    def independent(self) -> Index:
+        """The fixes that have a factor here."""
+        return np.flatnonzero(self.held & ~self.biased & (self.keyframe >= 0))
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """One factor for each fix; a second, loose one where a receiver states a radius: all else is flat there."""
+        which = self.independent
+        sigma = self.sigma if self.flat else self.independent_sigma
+        loss = RobustLoss(self.outlier[which], flat=self.flat)
+        found = [self._positions(at, self.name, which, sigma[which], loss)]
+        if self.flat:
+            loosely = LOOSELY * self.independent_sigma[which]
+            found.append(self._positions(at, f"{self.name}.radius", which, loosely, GAUSSIAN))
+        return found
+
+    def _positions(self, at: Evaluation, name: str, which: Index, sigma: Array, loss: Loss) -> FactorBlock:
+        pose, position = at.state.poses[self.keyframe[which]], self.fixes.position[which]
+
+        def jacobian() -> list[Array]:
+            return [pose_rotation(pose[:, 2])[:, :2] / sigma[:, None, None]]
+
+        def native(n: int) -> gtsam.NonlinearFactor:
+            one = int(at.state.keys("x", self.keyframe[which])[n])
+            return gtsam.PoseTranslationPrior2D(one, position[n], loss.noise(n, NOISE.Isotropic.Sigma(2, sigma[n])))
+
+        value = (pose[:, :2] - position) / sigma[:, None]
+        variables = [("x", self.keyframe[which])]
+        return FactorBlock.uniform(name, value, variables, jacobian, self.number[which], loss=loss, native=native)
+
+    def distance(self, at: Evaluation) -> Array:
+        """Distance ``(f,)`` [m] of each fix from the walk at its time."""
+        return np.hypot(*(at.state.poses[self.keyframe, :2] - self.fixes.position).T)
+
+    def refined(self, at: Evaluation) -> Self:
+        """Mark fixes far from a first optimum as outliers; leave those of one receiver to `GnssBias`.
+
+        Approximate fixes, used only for the start, are released.
+        """
+        far = self.used & (self.distance(at) > OUTLIER * self.sigma)
+        held = self.used & (self.consistent | ~_mostly(far, self.run))
+        sourced = np.array([bool(source) for source in self.fixes.source], dtype=bool)
+        if not (far.any() or sourced.any() or self.approximate) and (held == self.held).all():
+            return self
+        return self.classified(far, held & (not self.approximate))
+
+    def classified(self, outlier: Mask, held: Mask) -> Self:
+        """The same fixes with these ``outlier (f,)``, without factors where not ``held (f,)``."""
+        sourced = np.array([bool(source) for source in self.fixes.source], dtype=bool)
+        return replace(self, outlier=outlier, held=held, biased=held & sourced & (self.flat == 0))
+
+    def reclassified(self, at: Evaluation) -> Self:
+        """Mark fixes far from the walk as outliers, or drop them if inconsistent; restore near ones."""
+        far = self.distance(at) > OUTLIER * self.sigma
+        reached = self.used & (self.keyframe >= 0)
+        outlier = np.where(reached, far & self.consistent, self.outlier)
+        return self.classified(outlier, np.where(reached, ~far | self.consistent, self.held))
+
+    @property
+    def instances(self) -> tuple[Index, Array]:
+        """Numbers and times of the fixes."""
+        return self.number, self.fixes.time
+
+    @property
+    def astray(self) -> bool:
+        """True if the last consistent fixes all lie far from the walk."""
+        last = np.flatnonzero(self.consistent & (self.keyframe >= 0))[-PATIENCE:]
+        return len(last) == PATIENCE and bool(self.outlier[last].all())
+
+    def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
+        """True if fixes before the newest were consistent with the others and no longer are."""
+        if not decisions or np.count_nonzero(self.consistent) < 2:
+            return False
+        was = dict(zip(decisions["number"].tolist(), decisions["consistent"].tolist(), strict=True))
+        newest = self.fixes.time[self.consistent].max()
+        lost = self.used & ~self.consistent & (self.fixes.time < newest)
+        return any(was.get(number, False) for number in self.number[lost].tolist())
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """Which fixes are outliers, held, and consistent with the others."""
+        masks = {"outlier": self.outlier, "held": self.held, "consistent": self.consistent}
+        return {"number": self.number, **{name: np.asarray(mask) for name, mask in masks.items()}}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Keep outliers; release fixes that are no longer consistent with the others."""
+        if not decisions:
+            return self.classified(self.outlier, self.held)
+        order = np.argsort(decisions["number"])
+        known = decisions["number"][order]
+        place = np.minimum(np.searchsorted(known, self.number), len(known) - 1)
+        was = order[place]
+        decided = known[place] == self.number if len(known) else np.zeros(len(self), dtype=bool)
+        outlier = np.where(decided, decisions["outlier"][was], self.outlier)
+        still = decisions["held"][was] & (self.consistent | outlier)
+        return self.classified(outlier, np.where(decided, still, self.held) & self.used)
+
+    def weight(self, at: Evaluation) -> Array:
+        """The share ``(f,)`` of each fix's information that is used."""
+        weight = np.zeros(len(self))
+        order = np.argsort(self.number)
+        for block in at.blocks_of(self.name):
+            weight[order[np.searchsorted(self.number[order], block.number)]] = block.weight
+        return weight
+
+    def reports(self, at: Evaluation) -> tuple[FixReport, ...]:
+        """Residual, weight and reason of every fix."""
+        reached = self.keyframe >= 0
+        distance = np.where(reached, self.distance(at), np.nan)
+        return self.reported(distance, distance / self.sigma, self.weight(at), "the walk")
+
+    def reported(self, distance: Array, sigmas: Array, weight: Array, origin: str) -> tuple[FixReport, ...]:
+        """Reports of all fixes, at ``distance (f,)`` [m], in ``sigmas (f,)``, from ``origin`` ("the walk")."""
+        reports = []
+        for n, (x, y) in enumerate(self.fixes.position.tolist()):
+            if self.duplicate[n]:
+                reason = DUPLICATE
+            elif self.approximate:
+                reason = LOUD_BEACON
+            elif not self.used[n] or self.keyframe[n] < 0:
+                reason = OUTSIDE
+            else:
+                reason = fix_reason(float(sigmas[n]), float(weight[n]), bool(self.outlier[n]), origin)
+            time, sigma = float(self.fixes.time[n]), float(self.fixes.sigma[n])
+            reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
+        return tuple(reports)
+
+
+def fix_reason(sigmas: float, weight: float, outlier: bool, origin: str = "the walk") -> str:
+    """Why a fix that lies so many sigmas from ``origin`` has this weight."""
+    trust = {0.0: "rejected", 1.0: "full weight"}.get(weight, "reduced weight")
+    return f"{sigmas:.1f} sigma from {origin}: {'outlier' if outlier else trust}"
+
+
+def duplicates(fixes: Fixes) -> Mask:
+    """True ``(f,)`` where a receiver repeats its last position: it holds it while it believes to stand still."""
+    result = np.zeros(len(fixes), dtype=bool)
+    for own in by_source(fixes, np.ones(len(fixes), dtype=bool)):
+        result[own[1:]] = (np.diff(fixes.position[own], axis=0) == 0).all(axis=1)
+    return result
+
+
+def by_source(fixes: Fixes, used: Mask) -> list[Index]:
+    """The used fixes of each source that has a name, in order of time."""
+    names = np.where(used, np.array(fixes.source, dtype=str), "")
+    order = np.argsort(fixes.time, kind="stable")
+    return [order[names[order] == name] for name in np.unique(names[names != ""])]
+
+
+def drift(steps: Steps, time: Array) -> Array:
+    """How far a receiver's errors have changed ``(n,)`` by some times: apart by 1, they are correlated by 1/e.
+
+    Paths of the signals change with the place, and little where nobody moves.
+    """
+    return time / STANDING + distance_walked(steps, time) / ALONG
+
+
+def alike(drifted: Array) -> tuple[Index, Index]:
+    """The first that errs like each of a source's fixes ``(f,)``, in order of time, and the one after the last."""
+    return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
+
+
+def independent_sigmas(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
+    """Sigmas ``(f,)`` [m] with which fixes that err alike count for what they are worth, each taken for independent."""
+    result = sigma.copy()
+    for own in by_source(fixes, used):
+        first, after = alike(drift(steps, fixes.time[own]))
+        result[own] *= np.sqrt(after - first)
+    return result
+
+
+def consistent_chains(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[Index, Mask]:
+    """The run of every fix ``(f,)``, and whether it is of the longest chain that one walk can have made ``(f,)``.
+
+    A run is a sequence of used fixes within reach of one another, used or dropped together. Others have run −1.
+    sigma: ``(f,)`` [m] per axis.
+    """
+    run, consistent = np.full(len(fixes), -1), np.zeros(len(fixes), dtype=bool)
+    order = np.flatnonzero(used)
+    order = order[np.argsort(fixes.time[order], kind="stable")]
+    if len(order):
+        moved = np.where(steps.is_gap, DRIVEN * steps.duration, steps.length)
+        way = STRETCHED * distance_walked(steps, fixes.time[order], moved)
+        found = longest_consistent_chain(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS)
+        run[order], consistent[order] = found
+    return run, consistent
+
+
+def longest_consistent_chain(
+    position: Array, error: Array, way: Array, jump: float, ends: int = 1
+) -> tuple[Index, Mask]:
+    """The run of each of at least one fix ``(f,)``, and whether it is of the longest chain.
+
+    position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` at most [m]; way: ``(f,)`` at most, since the start [m].
+    jump: as how many fixes it counts against a chain to go where nobody could; ends: how many fixes at a run's end,
+    and at the start of the next, may lead on.
+    """
+
+    def reaches(one: Index, other: Index) -> Mask:
+        apart = np.linalg.norm(position[other] - position[one], axis=-1)
+        return apart <= way[other] - way[one] + np.hypot(error[one], error[other])
+
+    every = np.arange(len(position))
+    begins = np.append(True, ~reaches(every[:-1], every[1:]))
+    first, run = np.flatnonzero(begins), np.cumsum(begins) - 1
+    last = np.append(first[1:], len(position)) - 1
+    length, before = (last - first + 1).astype(float), np.full(len(first), -1)
+    for n in range(1, len(first)):
+        earlier = np.arange(max(0, n - MOST_RUNS), n)
+        leaving = np.maximum(last[earlier, None] - np.arange(ends), first[earlier, None])
+        entering = np.minimum(first[n] + np.arange(ends), last[n])
+        led = np.any([reaches(leaving, np.full_like(leaving, at)) for at in entering], axis=(0, 2))
+        gain = length[earlier] - np.where(led, 0.0, jump)
+        if gain.max() > 0:
+            before[n] = earlier[np.argmax(gain)]
+            length[n] += gain.max()
+    chain = [int(np.argmax(length))]
+    while before[chain[-1]] >= 0:
+        chain.append(int(before[chain[-1]]))
+    return run, np.isin(run, chain)
+
+
+def _mostly(far: Mask, run: Index) -> Mask:
+    """True ``(f,)`` if most fixes of the same run are far from the walk.
+
+    The rest of a run in a wrong place does not become right where the walk happens to pass it.
+    """
+    share = np.bincount(run + 1, far) / np.maximum(np.bincount(run + 1), 1)
+    return share[run + 1] > 0.5

@@ -1,0 +1,81 @@
+"""Loop closures: moments that were spent at one place.
+
+A stop between two recordings, a place that was seen again, an encounter of two people.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
+from pdr_graph.estimation.factors.losses import GAUSSIAN, RobustLoss
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.geometry import pose_rotation
+from pdr_graph.measurements import Closures
+from pdr_graph.types import Array, Index, Steps
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+CLOSURE_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one in ten may be wrong by metres
+FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how closures hold
+
+
+@dataclass(frozen=True, eq=False)
+class LoopClosureFactor(Measurement):
+    """Pairs of moments at one place, whichever way the walker faced: r = (p_j − p_i) / σ.
+
+    ``BetweenFactorPose2`` would take the logarithm, in which the same distance counts up to π/2 times as much where
+    the walker faced opposite ways.
+
+    closures: ``l`` of them; number: ``(l,)`` of each, for good; keyframe: ``(l, 2)`` of both moments; hold: FIRM as if
+    they were certain, DOUBTED as they may be wrong, UNBOUND without factors.
+    """
+
+    closures: Closures
+    number: Index
+    keyframe: Index
+    hold: str = DOUBTED
+
+    name: ClassVar[str] = "closures"
+
+    @classmethod
+    def of(cls, closures: Closures, steps: Steps, prior: Prior, number: Index | None = None) -> LoopClosureFactor:
+        """The closures of one walk."""
+        number = np.arange(len(closures)) if number is None else number
+        return cls(closures, number, np.full((len(closures), 2), -1))
+
+    def keyframe_times(self) -> Array:
+        """Both times of each closure."""
+        return self.closures.time.ravel()
+
+    def on(self, chain: Chain) -> Self:
+        """Bind both moments of every closure to their keyframes."""
+        return replace(self, keyframe=chain.keyframe(self.closures.time.ravel()).reshape(-1, 2))
+
+    def staged(self, stage: Stage) -> Self:
+        """Closures hold firmly while which rooms the walk went through may be wrong."""
+        return replace(self, hold=FIRM if stage is Stage.ROUGH else DOUBTED)
+
+    def alternatives(self) -> Sequence[Self]:
+        """All hold, or none does: an optimum near a closure that holds does not show the other."""
+        return [replace(self, hold=hold) for hold in (FIRM, UNBOUND)] if len(self.closures) else []
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """One factor for each closure both of whose moments are in the walk."""
+        which = np.flatnonzero((self.keyframe >= 0).all(axis=1) & (self.hold != UNBOUND))
+        keyframe, sigma = self.keyframe[which], self.closures.sigma[which]
+        i, j = at.state.poses[keyframe[:, 0]], at.state.poses[keyframe[:, 1]]
+
+        def jacobian() -> list[Array]:
+            R_i, R_j = (pose_rotation(pose[:, 2])[:, :2] / sigma[:, None, None] for pose in (i, j))
+            return [-R_i, R_j]
+
+        loss = GAUSSIAN if self.hold == FIRM else RobustLoss(np.ones(len(which), dtype=bool), CLOSURE_WIDTH)
+        value = (j - i)[:, :2] / sigma[:, None]
+        variables = [("x", keyframe[:, 0]), ("x", keyframe[:, 1])]
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], loss=loss)]

@@ -1,0 +1,88 @@
+"""Robust losses: the weight of a factor with a large residual.
+
+A loss is a function of the deviation s of a factor, in sigmas; its weight w(s) = ρ'(s) / s is the share of the factor's
+information that is used. Huber's never reaches 0 and has one minimum. Geman and McClure's tends to 0 far off, and is
+used only for outliers from a first optimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from pdr_graph.types import Array, Mask
+
+HUBER_WIDTH = 2.45  # [σ] 95 % of inliers in the plane lie within (χ² of 2 degrees: 5.99), at full weight
+GEMAN_MCCLURE_WIDTH = 2.45  # [σ] where an outlier has a quarter of its weight; far off it has next to none
+NOISE = gtsam.noiseModel
+ESTIMATOR = gtsam.noiseModel.mEstimator
+
+
+def huber_weight(deviation: Array, width: float = HUBER_WIDTH) -> Array:
+    """Huber's weight ``(n,)`` at deviations ``(n,)`` [σ]: full up to ``width``."""
+    return np.minimum(1.0, width / np.maximum(np.abs(deviation), 1e-9))
+
+
+def geman_mcclure_weight(deviation: Array, width: float = GEMAN_MCCLURE_WIDTH) -> Array:
+    """Geman and McClure's weight ``(n,)`` at deviations ``(n,)`` [σ]: it tends to 0 far off."""
+    return (width**2 / (width**2 + deviation**2)) ** 2
+
+
+def dead_zone_weight(deviation: Array, flat: float) -> Array:
+    """Weight ``(n,)`` that is 0 within ``flat`` sigmas, as GTSAM's L2WithDeadZone."""
+    return np.maximum(0.0, 1 - flat / np.maximum(np.abs(deviation), 1e-9))
+
+
+class Loss:
+    """Half the squared deviation: errors are Gaussian."""
+
+    def weight(self, deviation: Array) -> Array:
+        """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
+        return np.ones(len(deviation))
+
+    def cost(self, deviation: Array) -> Array:
+        """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
+        return 0.5 * deviation**2
+
+    def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
+        """GTSAM's noise model of factor ``n``, whose errors are as of ``noise``."""
+        return noise
+
+
+GAUSSIAN = Loss()
+
+
+@dataclass(frozen=True)
+class RobustLoss(Loss):
+    """Huber's loss, and Geman and McClure's for outliers.
+
+    outlier: ``(n,)``; width: of Geman and McClure's [σ]; flat: within so many sigmas the cost is 0, for receivers
+    that state only a radius (0: Huber's loss).
+    """
+
+    outlier: Mask
+    width: float = GEMAN_MCCLURE_WIDTH
+    flat: float = 0.0
+
+    def weight(self, deviation: Array) -> Array:
+        """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
+        inlier = dead_zone_weight(deviation, self.flat) if self.flat else huber_weight(deviation)
+        return np.where(self.outlier, geman_mcclure_weight(deviation, self.width), inlier)
+
+    def cost(self, deviation: Array) -> Array:
+        """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
+        far, square = np.abs(deviation), deviation**2
+        if self.flat:
+            inlier = 0.5 * np.maximum(0.0, far - self.flat) ** 2
+        else:
+            inlier = np.where(far > HUBER_WIDTH, HUBER_WIDTH * (far - HUBER_WIDTH / 2), square / 2)
+        return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
+
+    def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
+        """GTSAM's noise model of factor ``n``."""
+        if self.outlier[n]:
+            return NOISE.Robust.Create(ESTIMATOR.GemanMcClure.Create(self.width), noise)
+        loss = ESTIMATOR.L2WithDeadZone.Create(self.flat) if self.flat else ESTIMATOR.Huber.Create(HUBER_WIDTH)
+        return NOISE.Robust.Create(loss, noise)

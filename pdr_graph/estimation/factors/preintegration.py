@@ -1,0 +1,275 @@
+"""Steps summed up between keyframes.
+
+A walk is cut into *pieces* at every step's end, at both ends of every pause, and at every keyframe (a fix has its own
+time: the step that it falls into is split linearly). The pieces between two keyframes i and j are preintegrated into
+one increment in the frame of x_i, exact in the calibration c = (R_s, R_d, b), after k of them:
+
+    Δp_k(c) = Σ_{m≤k} R_s l_m e(R_d turn_m + b time_m)      turn and time from x_i to the middle of piece m
+    Δθ_k(c) = R_d turn_k + b time_k                          turn and time from x_i to the end of piece k
+
+which is the papers' recursion ([heading] Sec. 1; [calibration-walk] Eqs. (8), (9)). Everything is one flat array
+over the pieces of the whole walk, so that all keyframes are evaluated at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_graph.types import Array, Index, Steps
+
+DECIMALS = 6  # of time [s]: see INSTANT
+PIECES_PER_KEYFRAME = 10  # reproduces the per-step optimum
+SIGMA_LATERAL = 0.25  # [m] of one step to the side: walkers weave about the phone's heading
+SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
+SIGMA_STANDING_TURN = 0.02  # [rad] by which a pause loosens the walking direction from the phone's
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The walk, cut: ``m`` pieces in ``k`` intervals between ``k + 1`` keyframes.
+
+    length: ``(m,)`` [m].
+    to_middle, to_end: ``(2, m)`` turn [rad] and time [s] from the interval's start to the piece's middle and end.
+    variance: ``(m, 3)`` of length [m²], sideways [m²], turn [rad²].
+    interval: ``(m,)`` the interval of each piece; first, last: ``(k,)`` the pieces of each interval.
+    keyframe_time: ``(k + 1,)`` [s].
+    row_end: ``(n + 1,)`` the piece that ends at each row of the trajectory after the first.
+    """
+
+    length: Array
+    to_middle: Array
+    to_end: Array
+    variance: Array
+    interval: Index
+    first: Index
+    last: Index
+    keyframe_time: Array
+    row_end: Index
+
+    def running(self, per_piece: NDArray[np.floating]) -> Array:
+        """Sums ``(…, m)`` of quantities per piece ``(…, m)``, from the interval's start to each piece's end."""
+        total = np.cumsum(per_piece, axis=-1)
+        before = (total - per_piece)[..., self.first]
+        return total - before[..., self.interval]
+
+    def only(self, i: int) -> Pieces:
+        """Interval ``i`` alone."""
+        here = slice(self.first[i], self.last[i] + 1)
+        count = self.last[i] + 1 - self.first[i]
+        return Pieces(
+            length=self.length[here],
+            to_middle=self.to_middle[:, here],
+            to_end=self.to_end[:, here],
+            variance=self.variance[here],
+            interval=np.zeros(count, dtype=np.intp),
+            first=np.zeros(1, dtype=np.intp),
+            last=np.array([count - 1]),
+            keyframe_time=self.keyframe_time[i : i + 2],
+            row_end=np.empty(0, dtype=np.intp),
+        )
+
+    @classmethod
+    def none(cls, time: float) -> Pieces:
+        """No intervals: a single keyframe at a time [s]."""
+        none, numbers = np.empty(0), np.empty(0, dtype=np.intp)
+        turns = np.empty((2, 0))
+        return cls(none, turns, turns, np.empty((0, 3)), numbers, numbers, numbers, np.array([time]), numbers)
+
+    @classmethod
+    def together(cls, one_by_one: Sequence[Pieces]) -> Pieces:
+        """Intervals, one each, as many; their keyframes need not follow one another."""
+        sizes = [len(pieces.length) for pieces in one_by_one]
+        last = np.cumsum(sizes) - 1
+        return cls(
+            length=np.concatenate([pieces.length for pieces in one_by_one]),
+            to_middle=np.concatenate([pieces.to_middle for pieces in one_by_one], axis=1),
+            to_end=np.concatenate([pieces.to_end for pieces in one_by_one], axis=1),
+            variance=np.concatenate([pieces.variance for pieces in one_by_one]),
+            interval=np.repeat(np.arange(len(sizes)), sizes),
+            first=(last + 1 - sizes).astype(np.intp),
+            last=last,
+            keyframe_time=np.array([one_by_one[0].keyframe_time[0], *(p.keyframe_time[1] for p in one_by_one)]),
+            row_end=np.empty(0, dtype=np.intp),
+        )
+
+
+def cut(steps: Steps, at: Array) -> Pieces:
+    """Cut a walk into pieces, with a keyframe at the start, the end and each of the times ``at`` [s] within.
+
+    Between these, a keyframe follows at least every ``PIECES_PER_KEYFRAME`` pieces.
+    """
+    start, whole = round(steps.start, DECIMALS), whole_pieces(steps)
+    required = np.round(np.clip(np.append(at, steps.end), start, steps.end), DECIMALS)
+    required = np.unique(required[required > start]).astype(float)
+
+    end = np.union1d(whole[:, 0], required).astype(float)
+    interval, first = _intervals(np.searchsorted(required, end))
+    row_end = np.searchsorted(end, np.round(np.append(steps.time, steps.end), DECIMALS))
+    return _pieces(whole, start, end, interval, first, row_end)
+
+
+def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
+    """What of the pieces ``whole``, of which the first begins at ``start``, lies between a keyframe and the next ones.
+
+    ends: ``(k,)`` of these, in order [s].
+    """
+    within = whole[(whole[:, 0] > begin) & (whole[:, 0] < ends[-1]), 0]
+    end = np.union1d(within, ends).astype(float)
+    interval = np.searchsorted(ends, end)
+    first = np.flatnonzero(np.diff(interval, prepend=-1))
+    return _pieces(whole, start, end, interval, first, np.empty(0, dtype=np.intp), begin)
+
+
+def _pieces(
+    whole: Array, start: float, end: Array, interval: Index, first: Index, row_end: Index, begin: float | None = None
+) -> Pieces:
+    """Pieces that end at ``end (m,)``, each a share of one whole piece; the first begins at ``begin``, or ``start``."""
+    begins = np.append(start if begin is None else begin, end[:-1])
+    of = np.searchsorted(whole[:, 0], end)
+    share = (end - begins) / np.diff(whole[:, 0], prepend=start)[of]
+    length, turn = whole[of, 1] * share, whole[of, 2] * share
+    last = np.append(first[1:], len(end)) - 1
+    empty, keyframe_time = np.empty((2, 0)), np.append(begins[0], end[last])
+    variance = whole[of, 3:6] * share[:, None]
+    pieces = Pieces(length, empty, empty, variance, interval, first, last, keyframe_time, row_end)
+    turn_and_time = np.stack([turn, end - begins])
+    to_end = pieces.running(turn_and_time)
+    return replace(pieces, to_end=to_end, to_middle=to_end - turn_and_time / 2)
+
+
+def whole_pieces(steps: Steps) -> Array:
+    """Pauses and steps before any split, the last until the recording's end.
+
+    Rows: end [s], length [m], turn [rad], variances of length, sway and turn.
+    """
+    n = len(steps)
+    rows = np.zeros((2 * n + 1, 6))
+    pauses, moves = rows[0:-1:2], rows[1::2]
+    pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
+    moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
+    sigma_lateral = np.where(~steps.is_gap, SIGMA_LATERAL, steps.sigma_length)  # a gap in the recording leads anywhere
+    moves[:, 3:] = np.stack([steps.sigma_length, sigma_lateral, steps.sigma_turn], axis=1) ** 2
+    rows[-1, :3] = steps.end, 0.0, steps.final_turn
+    rows[0::2, 5] = SIGMA_STANDING_TURN**2
+    rows[:, 0] = np.round(rows[:, 0], DECIMALS)
+    return rows[np.diff(rows[:, 0], prepend=round(steps.start, DECIMALS)) > 0]
+
+
+def _intervals(gap: Index) -> tuple[Index, Index]:
+    """Split each gap between required keyframes into equal intervals of few pieces: interval per piece, first pieces.
+
+    gap: ``(m,)`` which gap each piece lies in, 0, 0, 1, …
+    """
+    size = np.bincount(gap)
+    starts = np.concatenate([[0], np.cumsum(size)[:-1]])
+    parts = -(-size // PIECES_PER_KEYFRAME)
+    offset = np.concatenate([[0], np.cumsum(parts)[:-1]])
+    within = np.arange(len(gap)) - starts[gap]
+    interval = offset[gap] + within * parts[gap] // size[gap]
+    return interval, np.flatnonzero(np.diff(interval, prepend=-1))
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Partial sums Δ_k(c) to the end of each piece, in the frame of its interval's start.
+
+    delta: ``(m, 3)`` x, y [m], heading [rad]; by_c: ``(m, 3, 3)`` derivative by (R_s, R_d, b).
+    """
+
+    delta: Array
+    by_c: Array
+
+
+def preintegrate(pieces: Pieces, c: Array) -> Increments:
+    """Δ_k(c) of every piece. c: ``(k, 3)`` R_s, R_d, b of each interval."""
+    R_s, R_d, b = c[pieces.interval].T
+    turn, time = pieces.to_middle
+    course = R_d * turn + b * time
+    forward_x, forward_y = pieces.length * np.cos(course), pieces.length * np.sin(course)
+    left_x, left_y = -R_s * forward_y, R_s * forward_x
+    sums = pieces.running(np.stack([forward_x, left_x * turn, left_x * time, forward_y, left_y * turn, left_y * time]))
+    turn, time = pieces.to_end
+    nothing = np.zeros_like(turn)
+    by_c = np.stack([*sums, nothing, turn, time]).reshape(3, 3, -1).transpose(2, 0, 1)
+    return Increments(np.stack([R_s * sums[0], R_s * sums[3], R_d * turn + b * time], axis=1), by_c)
+
+
+@dataclass(frozen=True)
+class Bridge:
+    """How the error of a whole interval spreads over the pieces in it.
+
+    root: ``(k, 3, 3)`` W with WᵀW = Q⁻¹, Q the covariance of the whole increment.
+    gain: ``(m, 3, 3)`` G_k = Cov(Δ_k, Δ_K) Q⁻¹: the expected share of the whole interval's error after piece k.
+    spread: ``(m, 3, 3)`` covariance of Δ_k that is left when both ends are known.
+    """
+
+    root: Array
+    gain: Array
+    spread: Array
+
+    @classmethod
+    def none(cls) -> Bridge:
+        """That of no intervals."""
+        return cls(*(np.empty((0, 3, 3)) for _ in range(3)))
+
+    @classmethod
+    def together(cls, one_by_one: Sequence[Bridge]) -> Bridge:
+        """Those of many intervals."""
+        columns = zip(*((b.root, b.gain, b.spread) for b in one_by_one), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
+
+
+def bridge(pieces: Pieces, increments: Increments) -> Bridge:
+    """Covariances of the partial sums, by first-order propagation of each piece's length, sway and turn.
+
+    A turn error δθ made half-way through a piece, at u, swings all that follows: δp_k = J (Δp_k − u) δθ, J = +90°.
+    Hence with s the turn's variance and A the sum of the lengths' and sways' covariances,
+
+        Cov(p_k, p_o) = A_k + J [ Σs p_k p_oᵀ − p_k Σ(s u)ᵀ − Σ(s u) p_oᵀ + Σ(s u uᵀ) ] Jᵀ
+        Cov(p_k, θ) = J [ Σs p_k − Σ(s u) ],      Cov(θ, θ) = Σs
+
+    with all sums over the pieces up to k, for any o that ends no earlier.
+    """
+    x, y = increments.delta[:, :2].T
+    move_x, move_y = np.diff(x, prepend=0.0), np.diff(y, prepend=0.0)
+    move_x[pieces.first], move_y[pieces.first] = x[pieces.first], y[pieces.first]
+    u_x, u_y = x - move_x / 2, y - move_y / 2
+    along, across = pieces.variance[:, 0] + SIGMA_STILL**2, pieces.variance[:, 1] + SIGMA_STILL**2
+    course = np.arctan2(move_y, move_x)
+    cos, sin, s = np.cos(course), np.sin(course), pieces.variance[:, 2]
+    A_xx, A_xy, A_yy, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(
+        np.stack(
+            [
+                *(
+                    along * cos**2 + across * sin**2,
+                    (along - across) * cos * sin,
+                    along * sin**2 + across * cos**2,
+                ),
+                *(s, s * u_x, s * u_y, s * u_x * u_x, s * u_x * u_y, s * u_y * u_y),
+            ]
+        )
+    )
+
+    def covariance(o_x: Array, o_y: Array) -> Array:
+        """Cov(Δ_k, Δ_o) ``(m, 3, 3)`` for each piece k and one at ``o`` that ends no earlier."""
+        xx = A_xx + S * y * o_y - y * Su_y - Su_y * o_y + Su_yy
+        xy = A_xy - (S * y * o_x - y * Su_x - Su_y * o_x + Su_xy)
+        yx = A_xy - (S * x * o_y - x * Su_y - Su_x * o_y + Su_xy)
+        yy = A_yy + S * x * o_x - x * Su_x - Su_x * o_x + Su_xx
+        columns = [xx, xy, Su_y - S * y, yx, yy, S * x - Su_x, Su_y - S * o_y, S * o_x - Su_x, S]
+        return np.stack(columns, axis=1).reshape(-1, 3, 3)
+
+    own = covariance(x, y)
+    end = pieces.last[pieces.interval]
+    cross = covariance(x[end], y[end])
+    inverse = np.linalg.inv(own[pieces.last])
+    gain = cross @ inverse[pieces.interval]
+    return Bridge(
+        root=np.linalg.cholesky(inverse).transpose(0, 2, 1).astype(float),
+        gain=gain,
+        spread=own - gain @ cross.transpose(0, 2, 1),
+    )

@@ -1,0 +1,216 @@
+"""Ranges to anchors at known places: UWB, Wi-Fi RTT, BLE ranging.
+
+A range is the distance to an anchor, an anchor's bias, noise, and now and then a detour: without line of sight the
+signal goes round, so that errors are long and never short. The noise is a mixture (Jourdan, Dardari, Win, "Position
+error bound for UWB localization in dense cluttered environments", IEEE T-AES 44(2), 2008, Sec. III),
+
+    z = d + b + ε,      p(ε) = (1 − NLOS) N(ε; 0, σ) + NLOS · (N(0, σ) + Exp(DETOUR))
+
+whose negative logarithm is the loss: of a range too long by many sigmas next to nothing is left, of one too short
+Huber's. Bias and place of each anchor are variables (x, y, b), about what was surveyed, so that a walk that tells them
+corrects them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+from scipy.special import erfcx
+
+from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Variables
+from pdr_graph.estimation.factors.losses import HUBER_WIDTH, NOISE, Loss, RobustLoss, huber_weight
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.geometry import rotation
+from pdr_graph.measurements import RangeReport, Ranges, take
+from pdr_graph.types import Array, Fixes, Index, Steps
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+NLOS = 0.2  # share of ranges without line of sight, before anything is known
+DETOUR = 3.0  # [m] mean length of a detour
+BIAS_SIGMA = 0.15  # [m] of an anchor's bias: antenna delays, calibrated or not
+FAR = 8.0  # [σ] beyond which a range without line of sight is all detour
+NEAR = 0.1  # [m] softens the distance at the anchor itself, where it has no direction
+BIN, FEWEST = 5.0, 3  # [s] of ranges, and anchors in it, that make a rough position
+DETOUR_WEIGHT = 0.5  # weight below which a range is taken for one without line of sight
+
+
+@dataclass(frozen=True)
+class LongErrors(Loss):
+    """The negative log of the mixture, by deviations s = (expected − measured) / σ; negative for ranges too long.
+
+    scale: ``(n,)`` mean detour in sigmas of each range.
+    """
+
+    scale: Array
+
+    def weight(self, deviation: Array) -> Array:
+        """Huber's weight where a range is too short, else the probability that it had line of sight."""
+        excess = -deviation
+        line, detour = self._likelihoods(np.maximum(excess, 0.0))
+        return np.where(excess < 0, huber_weight(deviation), line / (line + detour))
+
+    def cost(self, deviation: Array) -> Array:
+        """Negative log likelihood, 0 where a range is as expected; Huber's loss where it is too short."""
+        excess = -deviation
+        line, detour = self._likelihoods(np.maximum(excess, 0.0))
+        at_zero = sum(self._likelihoods(np.zeros(len(excess))))
+        long = np.log(at_zero) - np.log(line + detour)
+        short = np.where(-excess > HUBER_WIDTH, HUBER_WIDTH * (-excess - HUBER_WIDTH / 2), excess**2 / 2)
+        return np.where(excess < 0, short, long)
+
+    def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
+        """GTSAM has no loss with a sign: Huber's, for its own optimisers."""
+        return RobustLoss(np.zeros(len(self.scale), dtype=bool)).noise(n, noise)
+
+    def _likelihoods(self, excess: Array) -> tuple[Array, Array]:
+        """Of errors ``(n,)`` [σ]: with line of sight, and with a detour (an exponentially modified Gaussian)."""
+        gauss = np.exp(-0.5 * excess**2)
+        near = np.minimum(excess, FAR)
+        modified = np.exp(-0.5 * near**2) * erfcx((1 / self.scale - near) / np.sqrt(2)) / (2 * self.scale)
+        far = (1 / self.scale) * np.exp(np.minimum(0.5 / self.scale**2 - excess / self.scale, 0.0))
+        detour = np.where(excess > FAR, far, np.sqrt(2 * np.pi) * modified)
+        return (1 - NLOS) * gauss, NLOS * detour
+
+
+@dataclass(frozen=True, eq=False)
+class RangeFactor(Measurement):
+    """Ranges to anchors: r = (|a − p| + b − z) / σ.
+
+    ranges: ``n`` of them, to ``m`` anchors; number: ``(n,)`` of each, for good; keyframe: ``(n,)``; detours: errors are
+    the mixture above, instead of Huber's loss for a first optimum.
+    """
+
+    ranges: Ranges
+    number: Index
+    keyframe: Index
+    detours: bool = False
+
+    name: ClassVar[str] = "ranges"
+    symbol: ClassVar[str] = "r"
+    places: ClassVar[bool] = True
+
+    @classmethod
+    def of(cls, ranges: Ranges, steps: Steps, prior: Prior, number: Index | None = None) -> RangeFactor:
+        """The ranges that were measured while the recording ran."""
+        number = np.arange(len(ranges)) if number is None else number
+        inside = np.flatnonzero((ranges.time >= steps.start) & (ranges.time <= steps.end))
+        return cls(take(ranges, inside), number[inside], np.full(len(inside), -1))
+
+    def keyframe_times(self) -> Array:
+        """The times of the ranges."""
+        return self.ranges.time
+
+    def on(self, chain: Chain) -> Self:
+        """Bind every range to its keyframe."""
+        return replace(self, keyframe=chain.keyframe(self.ranges.time))
+
+    def variables(self, poses: Array) -> Sequence[Variables]:
+        """Place and bias (x, y, b) [m] of each anchor to which there are ranges."""
+        return (Variables(self.symbol, self._met, self._surveyed, np.full(len(self._met), np.inf)),)
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """The ranges, and what was surveyed of the anchors."""
+        which = np.flatnonzero(self.keyframe >= 0)
+        keyframe, m = self.keyframe[which], np.searchsorted(self._met, self.ranges.anchor[which])
+        pose, anchor, sigma = at.state.poses[keyframe], at.state[self.symbol][m], self.ranges.sigma[which]
+        gap = anchor[:, :2] - pose[:, :2]
+        distance = np.sqrt(np.sum(gap**2, axis=1) + NEAR**2)
+        value = (distance + anchor[:, 2] - self.ranges.range[which]) / sigma
+
+        def jacobian() -> list[Array]:
+            towards = gap / distance[:, None]
+            in_body = np.einsum("nji,nj->ni", rotation(pose[:, 2]), towards)
+            by_pose = np.column_stack([-in_body, np.zeros(len(pose))]) / sigma[:, None]
+            by_anchor = np.column_stack([towards, np.ones(len(pose))]) / sigma[:, None]
+            return [by_pose[:, None], by_anchor[:, None]]
+
+        loss = LongErrors(DETOUR / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
+        variables = [("x", keyframe), (self.symbol, m)]
+        own = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
+        return [own, self._anchors(at)]
+
+    def _anchors(self, at: Evaluation) -> FactorBlock:
+        every, place = np.arange(len(self._met)), self.ranges.position_sigma[self._met]
+        root = 1 / np.stack([place, place, np.full(len(every), BIAS_SIGMA)], axis=1)
+        return FactorBlock.uniform(
+            f"{self.name}.anchor",
+            (at.state[self.symbol] - self._surveyed) * root,
+            [(self.symbol, every)],
+            lambda: [np.eye(3) * root[:, :, None]],
+            self._met,
+            tolerance=None,
+            prior=True,
+        )
+
+    @cached_property
+    def _met(self) -> Index:
+        """The anchors ``(a,)`` to which there are ranges."""
+        return np.unique(self.ranges.anchor)
+
+    @property
+    def _surveyed(self) -> Array:
+        return np.column_stack([self.ranges.position[self._met], np.zeros(len(self._met))])
+
+    def refined(self, at: Evaluation) -> Self:
+        """Model detours, once a first optimum is known."""
+        return self if self.detours else replace(self, detours=True)
+
+    def continued(self, decisions: Mapping[str, Array]) -> Self:
+        """Model detours: a live walk is near its optimum."""
+        return replace(self, detours=True)
+
+    def rough_fixes(self) -> Fixes:
+        """A position from the ranges of BIN seconds to three anchors or more; else near the nearest anchor."""
+        bins, found = np.floor(self.ranges.time / BIN), list[tuple[float, float, float, float]]()
+        for one in np.unique(bins):
+            own = take(self.ranges, np.flatnonzero(bins == one))
+            nearest = int(np.argmin(own.range))
+            (x, y), sigma = own.position[own.anchor[nearest]], float(own.range[nearest]) + BIN
+            if len(np.unique(own.anchor)) >= FEWEST:
+                (x, y), sigma = _trilaterated(own), BIN
+            found.append((float(own.time.mean()), float(x), float(y), sigma))
+        time, x, y, sigma = np.array(found).reshape(-1, 4).T
+        return Fixes(time, np.column_stack([x, y]), sigma)
+
+    @property
+    def instances(self) -> tuple[Index, Array]:
+        """Numbers and times of the ranges."""
+        return self.number, self.ranges.time
+
+    def reports(self, at: Evaluation) -> tuple[RangeReport, ...]:
+        """Residual, weight and reason of every range."""
+        [block] = at.blocks_of(self.name)
+        place = {number: n for n, number in enumerate(block.number.tolist())}
+        reports = []
+        for n, number in enumerate(self.number.tolist()):
+            label, sigma = self.ranges.label[self.ranges.anchor[n]], float(self.ranges.sigma[n])
+            residual, weight, reason = np.nan, 0.0, "outside the recording: not used"
+            if number in place:
+                residual, weight = float(block.residual[place[number]]) * sigma, float(block.weight[place[number]])
+                long = "longer" if residual < 0 else "shorter"
+                detour = ": no line of sight" if weight < DETOUR_WEIGHT and residual < 0 else ""
+                reason = f"{abs(residual):.2f} m {long} than from the walk{detour}"
+            reports.append(
+                RangeReport(
+                    float(self.ranges.time[n]), label, float(self.ranges.range[n]), sigma, -residual, weight, reason
+                )
+            )
+        return tuple(reports)
+
+
+def _trilaterated(ranges: Ranges) -> Array:
+    """A position ``(2,)`` [m] that ranges agree on, long ones counting for little."""
+    from scipy.optimize import least_squares  # here, since few walks have ranges and it takes time to load
+
+    anchors = ranges.position[ranges.anchor]
+
+    def off(place: Array) -> Array:
+        return (np.hypot(*(anchors - place).T) - ranges.range) / ranges.sigma
+
+    return np.asarray(least_squares(off, anchors.mean(axis=0), loss="cauchy").x)

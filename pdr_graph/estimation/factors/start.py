@@ -1,0 +1,186 @@
+"""Priors of a walk: its first pose, and the calibration of its walker."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import gtsam
+import numpy as np
+
+from pdr_graph.estimation.factors.base import FactorBlock, Measurement
+from pdr_graph.estimation.factors.losses import NOISE
+from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
+from pdr_graph.types import Array
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Evaluation
+
+FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
+
+
+@dataclass(frozen=True)
+class CorridorUse:
+    """Which evidence of corridors is used beside their walls, which tell much of the same."""
+
+    turns: bool = False
+    directions: bool = False
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Prior of walker, gyro and walls.
+
+    mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
+    correlation: of (R_s, R_d), (R_s, b), (R_d, b).
+    change: standard deviation of their change from one segment to the next.
+    wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m]; corridors: see ``CorridorUse``.
+    fix_flat: within so many sigmas of a fix all positions are about equally likely, for receivers that state only a
+        radius; the common error of one source is then not modelled.
+    """
+
+    mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
+    sigma: tuple[float, float, float] = (0.15, 0.03, 0.002)
+    change: tuple[float, float, float] = (0.03, 0.005, 0.0005)
+    correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    wall_margin: float = 0.8
+    wall_sigma: float = 1.0
+    corridors: CorridorUse = field(default_factory=CorridorUse)
+    fix_flat: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what no factor can be made of."""
+        for name in ("sigma", "change"):
+            if not all(np.isfinite(s) and s > 0 for s in getattr(self, name)):
+                raise ValueError(f"Prior.{name}: found {getattr(self, name)}, expected standard deviations above 0")
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance ``(3, 3)`` of (R_s, R_d, b)."""
+        correlation = np.eye(3)
+        correlation[np.triu_indices(3, 1)] = correlation.T[np.triu_indices(3, 1)] = self.correlation
+        return correlation * np.outer(self.sigma, self.sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationFactor(Measurement):
+    """Prior and slow change of stride, turn and gyro coefficients.
+
+    r_0 = Σ₀^(−1/2) (c_0 − μ),  r_s = (c_s − c_{s−1}) / σ_change
+
+    [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3
+
+    begins: mean ``(3,)`` and covariance ``(3, 3)`` of the segments with which a walk begins, by row; change: standard
+    deviations of a change from one segment to the next.
+    """
+
+    begins: Mapping[int, tuple[Array, Array]]
+    change: tuple[float, float, float]
+
+    name: ClassVar[str] = "calibration"
+
+    @cached_property
+    def _priors(self) -> tuple[Array, Array, Array]:
+        """Means ``(n, 3)``, covariances ``(n, 3, 3)`` and roots of the information ``(n, 3, 3)``, in order of rows."""
+        known = [self.begins[s] for s in sorted(self.begins)]
+        mean = np.array([mean for mean, _ in known]).reshape(-1, 3)
+        covariance = np.array([covariance for _, covariance in known]).reshape(-1, 3, 3)
+        root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1).astype(float)
+        return mean, covariance, root
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """A factor for each segment with which a walk begins, one for each that follows another."""
+        c, first = at.state.c, np.array(sorted(self.begins), dtype=np.intp)
+        later = np.setdiff1d(np.arange(1, len(c)), first)
+        number, sigma = at.state.number("c"), np.array(self.change)
+        mean, covariance, root = self._priors
+        keys = at.state.keys("c").tolist()
+
+        def prior_factor(n: int) -> gtsam.NonlinearFactor:
+            return gtsam.PriorFactorVector(keys[first[n]], mean[n], NOISE.Gaussian.Covariance(covariance[n]))
+
+        def changed(n: int) -> gtsam.NonlinearFactor:
+            s = int(later[n])
+            return gtsam.BetweenFactorVector(keys[s - 1], keys[s], np.zeros(3), NOISE.Diagonal.Sigmas(sigma))
+
+        by = np.tile(np.diag(1 / sigma), (len(later), 1, 1))
+        return [
+            FactorBlock.uniform(
+                f"{self.name}.begin",
+                np.einsum("nij,nj->ni", root, c[first] - mean),
+                [("c", first)],
+                lambda: [root],
+                number[first],
+                native=prior_factor,
+                tolerance=None,
+            ),
+            FactorBlock.uniform(
+                f"{self.name}.change",
+                (c[later] - c[later - 1]) / sigma,
+                [("c", later - 1), ("c", later)],
+                lambda: [-by, by],
+                number[later],
+                native=changed,
+                tolerance=None,
+            ),
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class StartFactor(Measurement):
+    """Prior of the first pose, for when nothing else determines it.
+
+    pose: ``(3,)``; sigmas: ``(3,)`` of x, y [m] and heading [rad], infinite where other measurements determine it.
+    """
+
+    pose: Array
+    sigmas: Array
+
+    name: ClassVar[str] = "start"
+
+    @classmethod
+    def heading(cls, heading: float) -> StartFactor:
+        """A loose prior of the first heading [rad]: fixes determine the position."""
+        return cls(np.array([0.0, 0.0, heading]), np.array([np.inf, np.inf, ANY_HEADING]))
+
+    @classmethod
+    def fixed(cls, pose: Array) -> StartFactor:
+        """A pose ``(3,)`` that defines the frame."""
+        return cls(pose, np.full(3, FRAME_SIGMA))
+
+    @classmethod
+    def frame(cls, heading: float, plan_size: float | None, known_heading: bool) -> StartFactor:
+        """The start of a walk without fixes at (0, 0): it defines the frame, or is anywhere on a plan of this size [m].
+
+        known_heading: a compass tells the direction.
+        """
+        place = FRAME_SIGMA if plan_size is None else plan_size
+        turn = FRAME_SIGMA if plan_size is None and not known_heading else ANY_HEADING
+        return cls(np.array([0.0, 0.0, heading]), np.array([place, place, turn]))
+
+    def restarted(self, poses: Array) -> Self:
+        """Centre the prior on the heading of the new start."""
+        return replace(self, pose=np.append(self.pose[:2], poses[0, 2]))
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """One factor, of x_0: r = (R₀ᵀ (p − p₀), wrap(θ − θ₀)) / σ."""
+        first, pose = np.zeros(1, dtype=np.intp), at.state.poses[0]
+        held = np.isfinite(self.sigmas)
+        root = np.diag(1 / self.sigmas)[held]
+        turned_back = np.eye(3)
+        turned_back[:2, :2] = rotation(-self.pose[2])
+        off = turned_back @ (pose - self.pose)
+        off[2] = wrap_angle(off[2])
+
+        def jacobian() -> list[Array]:
+            return [(root @ turned_back @ pose_rotation(pose[2:])[0])[None]]
+
+        def native(_: int) -> gtsam.NonlinearFactor:
+            one, prior = int(at.state.keys("x", first)[0]), gtsam.Pose2(*self.pose)
+            return gtsam.PoseRotationPrior2D(one, prior, NOISE.Isotropic.Sigma(1, float(self.sigmas[2])))
+
+        # GTSAM's prior of a whole pose takes the logarithm, in which a place counts otherwise where the heading is off
+        number, own = at.state.number("x")[first], None if held.all() else native
+        return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, native=own)]

@@ -1,0 +1,155 @@
+"""Steps between keyframes, and the walls along them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
+from pdr_graph.floor.building import FloorSequence
+from pdr_graph.floor.cells import NOWHERE, STRAY
+from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.types import Array, Index
+
+if TYPE_CHECKING:
+    from pdr_graph.estimation.factors.chain import Evaluation
+
+BODY, BODY_SIGMA = 0.15, 0.1  # [m] that the middle of a walker keeps from any wall; its sigma, as share of the margin's
+C_TOLERANCE = np.array([0.01, 0.01, 0.002])
+OF_STEPS = {"x": np.array([0.5, 0.5, 0.02]), "c": C_TOLERANCE}  # nearly linear in translations
+OF_WALLS = {"x": np.array([0.15, 0.15, 0.02]), "c": C_TOLERANCE}
+LOOSE = 3.0  # times the sigma of walls in a rough search: tight walls keep a walk that starts 3° off in the wrong aisle
+
+
+@dataclass(frozen=True)
+class StepFactor(Measurement):
+    """The steps, preintegrated between keyframes: x_j = x_i ∘ Δ(c), with c the walker's calibration.
+
+    [heading] Sec. 1, [calibration-walk] Eqs. (8), (9), [map-matching] Eqs. (4), (5); see `step_residuals`.
+    """
+
+    name: ClassVar[str] = "steps"
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """One factor for each interval."""
+        chain, root = at.chain, at.chain.bridge.root
+        value = np.einsum("kij,kj->ki", root, at.step_residual.value)
+        i = np.arange(len(value))
+        variables = (("x", i), ("x", i + 1), ("c", chain.segment))
+
+        def jacobian() -> list[Array]:
+            whitened = at.step_residual.times(root)
+            return [whitened.by_i, whitened.by_j, whitened.by_c]
+
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, chain.number[1:], tolerance=OF_STEPS)]
+
+
+@dataclass(frozen=True, eq=False)
+class WallFactor(Measurement):
+    """Walls: steps keep clear of them, and bodies stay out of them.
+
+    floor_sequence: the floor of each piece; fields: distances to the walls of a region; field_of: ``(m,)`` which
+    of them for each piece, −1 none; region_price: what it costs that the walk leads through these regions.
+    margin: clearance that people keep [m]; sigma: how loosely [m].
+    """
+
+    floor_sequence: FloorSequence | None
+    fields: tuple[DistanceField, ...]
+    field_of: Index
+    region_price: float
+    margin: float
+    sigma: float
+
+    name: ClassVar[str] = "walls"
+    on_plan: ClassVar[bool] = True
+
+    @classmethod
+    def about(cls, floor_sequence: FloorSequence, margin: float, sigma: float) -> WallFactor:
+        """The walls of the floors that a walk is on, associated with none of its pieces yet."""
+        return cls(floor_sequence, (), np.full(len(floor_sequence.level), NOWHERE), 0.0, margin, sigma)
+
+    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+        """The walls of the regions that the walk ``at`` leads through.
+
+        stray: by how much it errs, everywhere or at the end of each piece ``(m,)`` [m]; alike: how many pieces in a row
+        err alike.
+        """
+        if self.floor_sequence is None:
+            return self
+        found = self.floor_sequence.walls_along(at.ends[:, :2], at.pieces.length > 0, stray, alike)
+        fields, field_of, price = found
+        return replace(self, fields=fields, field_of=field_of, region_price=price)
+
+    def staged(self, stage: Stage) -> Self:
+        """Walls hold loosely in a rough search."""
+        return replace(self, sigma=LOOSE * self.sigma) if stage is Stage.ROUGH else self
+
+    def same_association(self, other: Measurement) -> bool:
+        """True if all pieces are in the same regions."""
+        assert isinstance(other, WallFactor)
+        return self.fields == other.fields and np.array_equal(self.field_of, other.field_of)
+
+    def distance(self, points: Array) -> tuple[Array, Array]:
+        """Signed distance ``(m,)`` [m] of each piece's end to its walls, and its gradient ``(m, 2)``."""
+        distance, gradient = np.full(len(points), np.inf), np.zeros((len(points), 2))
+        for n, field in enumerate(self.fields):
+            here = self.field_of == n
+            distance[here], gradient[here] = field.at(points[here])
+        return distance, gradient
+
+    def residual(self, at: Evaluation) -> tuple[Array, Array]:
+        """A spring that keeps steps clear of walls, and a stiff one that keeps bodies out of them, whitened:
+
+            r = max(0, margin − d(p)) / σ + max(0, BODY − d(p)) / σ_body
+
+        d is the signed distance to the walls of the piece's own region, negative behind the thinnest wall. A piece in
+        which nobody moved adds no evidence. [map-matching] Sec. 3.5 forbids steps through walls; as a hinge on a
+        distance field it is GPMP2's (Mukadam et al., IJRR 2018).
+
+        Returns r ``(m,)`` and its gradient ``(m, 2)`` by the position.
+        """
+        distance, gradient = self.distance(at.ends[:, :2])
+        moved = at.pieces.length > 0
+        r, steepness = np.zeros(len(distance)), np.zeros(len(distance))
+        for keep, sigma in ((self.margin, self.sigma), (BODY, BODY_SIGMA * self.sigma)):
+            near = moved & (distance < keep)
+            r[near] += (keep - distance[near]) / sigma
+            steepness[near] += 1 / sigma
+        return r, -gradient * steepness[:, None]
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """One factor for each interval, with a row for each of its steps that is near walls."""
+        r, gradient = self.residual(at)
+        near = np.flatnonzero(r)
+        chain, i = at.chain, np.arange(len(at.pieces.first))
+        variables = (("x", i), ("x", i + 1), ("c", chain.segment))
+
+        def jacobian() -> list[Array]:
+            poses = at.poses_of(near)
+            slope = np.zeros((len(near), 1, 3))
+            slope[:, 0, :2] = gradient[near]
+            return [(slope @ by)[:, 0] for by in (poses.by_i, poses.by_j, poses.by_c)]
+
+        regions = np.array([id(field) % 2**31 for field in self.fields] + [0], dtype=float)
+        signature = np.bincount(at.pieces.interval, regions[self.field_of] * (1.0 + np.arange(len(r)) % 10))
+        return [
+            FactorBlock(
+                self.name,
+                r[near],
+                at.pieces.interval[near],
+                variables,
+                jacobian,
+                chain.number[1:],
+                most_rows=np.bincount(at.pieces.interval),
+                tolerance=OF_WALLS,
+                signature=np.asarray(signature, dtype=np.float64),
+            )
+        ]
+
+    @property
+    def price(self) -> float:
+        """What it costs to lead through these regions."""
+        return self.region_price

@@ -1,0 +1,230 @@
+"""The start of the search: dead reckoning aligned with the fixes, in closed form.
+
+The optimum is found by Gauss–Newton, which needs headings that are roughly right. With the track of each segment (about
+a hundred steps) as complex numbers z, turning and scaling it is a product with one complex number a, and "the fix lies
+where the turned track says" is *linear* in the unknowns p_s (where segment s starts) and a_s:
+
+    fix at z:      p_s + a_s (z − z_s) = f                joint:   p_{s+1} = p_s + a_s (z_{s+1} − z_s)
+    slow change:   a_{s+1} = a_s                          weak:    a_s = 0
+
+a banded least squares, re-weighted a few times against outliers. It needs no start and has no local minimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from pdr_graph.estimation.factors.chain import Chain
+from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.losses import huber_weight
+from pdr_graph.estimation.factors.preintegration import DECIMALS
+from pdr_graph.geometry import dead_reckon, interpolate, nearest, rotation, wrap_angle
+from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
+
+SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
+SIGMA_CHANGE = 0.2  # [rad, ratio] by which direction and scale change between segments
+ANY_TURN = 1.0  # [rad] of uncertain turn beyond which nothing is known of it
+SIGMA_SCALE = 3.0  # keeps a finite where no two fixes measure it
+REWEIGHTINGS = 5
+HUBER = 2.0  # [σ]
+AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the scale is not fitted, and several starts are tried
+LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
+ROUGH_TRACK = 0.05  # of the way walked: the error of dead reckoning when it is asked for a direction
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A track aligned with fixes.
+
+    position: ``(k,)`` complex, of each keyframe [m]; turned: ``(k,)`` angle to add to each keyframe's heading [rad].
+    scale: ``(s,)`` by which each segment was stretched.
+    """
+
+    position: Complex
+    turned: Array
+    scale: Array
+
+
+def align(
+    track: Complex,
+    segment: Index,
+    fix_keyframe: Index,
+    fix: Complex,
+    sigma: Array,
+    gap: Array | None = None,
+    lost: Array | None = None,
+) -> Alignment:
+    """Align a dead-reckoned track with at least two fixes.
+
+    track: ``(k,)`` complex positions of the keyframes [m]; segment: ``(k,)`` the segment of each, 0, 0, …, 1, …;
+    fix_keyframe: ``(f,)`` index of the keyframe at each fix; fix: ``(f,)`` complex [m]; sigma: ``(f,)`` [m].
+    gap: ``(s - 1,)`` how far the walker may have gone, unrecorded and in any direction, from each segment to the next
+        [m]; none by default. lost: ``(s - 1,)`` how little is known of their turn there [rad].
+    """
+    starts = np.flatnonzero(np.diff(segment, prepend=-1))
+    offset = track - track[starts[segment]]
+    of_fix, z = segment[fix_keyframe], offset[fix_keyframe]
+    move = np.diff(track[starts])
+    gap = np.zeros(len(move)) if gap is None else gap
+    lost = np.zeros(len(move)) if lost is None else lost
+    change = np.where(lost < ANY_TURN, np.hypot(SIGMA_CHANGE, lost), SIGMA_SCALE)
+    joints = np.hypot(SIGMA_JOINT, gap) ** -2, change**-2
+    p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0)
+    for _ in range(REWEIGHTINGS):
+        residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma
+        if np.all(residual < HUBER):
+            break
+        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * huber_weight(residual, HUBER))
+    return Alignment(p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a))
+
+
+def _solve(
+    move: Complex, joints: tuple[Array, Array], of_fix: Index, z: Complex, fix: Complex, weight: Array
+) -> tuple[Complex, Complex]:
+    """Solve the module's four kinds of row for p, a of each segment.
+
+    move: ``(s - 1,)`` z_{s+1} − z_s; joints: weights ``(s - 1,)`` of the joint and of the slow change.
+    """
+    segments = len(move) + 1
+
+    def per_segment(values: Array | Complex) -> Complex:
+        total = np.zeros(segments, dtype=complex)
+        np.add.at(total, of_fix, values)
+        return total
+
+    joint, change = joints
+    band = np.zeros((3, 2 * segments), dtype=complex)  # lower, of p_0, a_0, p_1, a_1, …
+    pp, aa, ap = band[0, 0::2], band[0, 1::2], band[1, 0::2]
+    pp += per_segment(weight)
+    aa += per_segment(weight * np.abs(z) ** 2) + SIGMA_SCALE**-2
+    ap += per_segment(weight * z.conj())
+    pp[:-1] += joint
+    pp[1:] += joint
+    aa[:-1] += joint * np.abs(move) ** 2 + change
+    aa[1:] += change
+    ap[:-1] += joint * move.conj()
+    band[1, 1:-1:2] -= joint * move  # next p by this a
+    band[2, 0:-2:2] -= joint  # next p by this p
+    band[2, 1:-1:2] -= change  # next a by this a
+    right = np.stack([per_segment(weight * fix), per_segment(weight * z.conj() * fix)], axis=1).ravel()
+    x: Complex = np.asarray(solveh_banded(band, right, lower=True), dtype=complex)
+    return x[0::2], x[1::2]
+
+
+def sigma_direction(at_fixes: Complex, sigma: Array, walked: float) -> float:
+    """How well the fixes determine the direction of the whole track [rad]; infinite with fewer than two.
+
+    Their errors, and the track's own, over their spread along the track. at_fixes: ``(f,)`` complex; walked [m].
+    """
+    weight = 1.0 / (sigma**2 + (ROUGH_TRACK * walked) ** 2)
+    centre = np.average(at_fixes, weights=weight) if len(at_fixes) else 0.0
+    information = float(np.sum(weight * np.abs(at_fixes - centre) ** 2))
+    return 1.0 / np.sqrt(information) if information > 0 else np.inf
+
+
+def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
+    """Dead reckoning, rigidly aligned with the fixes (rotated and moved, not scaled)."""
+    track = dead_reckon(steps)
+    if not len(fixes):
+        return track
+    at_fixes = interpolate(fixes.time, track.time, track.position)
+    turn = 0.0
+    if len(fixes) > 1:
+        rows = as_complex(np.concatenate([track.position, at_fixes]))
+        at = np.arange(len(track), len(rows), dtype=np.intp)
+        turn = align(rows, np.zeros(len(rows), dtype=np.intp), at, as_complex(fixes.position), fixes.sigma).turned[0]
+    turned = track.position @ rotation(turn).T
+    shift = np.mean(fixes.position - at_fixes @ rotation(turn).T, axis=0)
+    return replace(track, position=turned + shift, heading=wrap_angle(track.heading + turn))
+
+
+def as_complex(xy: Array) -> Complex:
+    """Points ``(n, 2)`` as complex numbers ``(n,)``."""
+    return xy[:, 0] + 1j * xy[:, 1]
+
+
+@dataclass(frozen=True)
+class InitialWalk:
+    """Where the search for the walk starts.
+
+    poses: ``(k + 1, 3)`` of the keyframes; c: ``(s, 3)``; sigma_direction: how well fixes and headings determine the
+    direction of the whole walk [rad].
+    """
+
+    poses: Array
+    c: Array
+    sigma_direction: float
+
+    def rotated(self, angle: float, pivot: Array) -> InitialWalk:
+        """Rotate the poses by ``angle`` [rad] about ``pivot (2,)`` [m]."""
+        position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
+        return replace(self, poses=np.column_stack([position, self.poses[:, 2] + angle]))
+
+
+def initial_walk(
+    chain: Chain, fixes: FixFactor, headings: HeadingFactor, steps: Steps, c: Array, sigma_stride: float
+) -> InitialWalk:
+    """Dead reckoning aligned with the fixes, or with the headings if they determine the direction better.
+
+    c: ``(s, 3)`` prior means of the calibrations; sigma_stride: prior sigma of R_s [-].
+    """
+    start = _on_fixes(chain, fixes, steps, c, sigma_stride)
+    known = headings.headings
+    if not len(known):
+        return start
+    weight = known.sigma**-2.0
+    sigma = float(weight.sum() ** -0.5)
+    if sigma > start.sigma_direction:
+        return start
+    apart = wrap_angle(known.heading - start.poses[headings.keyframe, 2])
+    turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
+    return replace(start.rotated(turn, pivot(start.poses, fixes)), sigma_direction=sigma)
+
+
+def pivot(poses: Array, fixes: FixFactor) -> Array:
+    """The point ``(2,)`` [m] about which a start may be rotated without leaving the fixes."""
+    held = fixes.keyframe[fixes.consistent] if fixes.used.any() else [0]
+    return poses[held, :2].mean(axis=0)
+
+
+def _on_fixes(chain: Chain, fixes: FixFactor, steps: Steps, c: Array, sigma_stride: float) -> InitialWalk:
+    (track, heading), used = chain.track, fixes.consistent
+    at, sigma = fixes.keyframe[used], fixes.independent_sigma[used]
+    fix = as_complex(fixes.fixes.position[used])
+    uncertain = sigma_direction(track[at], sigma, float(np.sum(chain.pieces.length)))
+    if len(fix) < 2:
+        track = track + (fix - track[at] if len(fix) else 0.0)
+        return InitialWalk(np.stack([track.real, track.imag, heading], axis=1), c, uncertain)
+    aligned = align(track, np.append(chain.segment[:1], chain.segment), at, fix, sigma, *_gaps(chain, steps))
+    if uncertain < AMBIGUOUS:
+        c = c.copy()
+        c[:, 0] = np.clip(aligned.scale, *(c[:, 0] + np.array([[-2], [2]]) * sigma_stride))
+    poses = np.stack([aligned.position.real, aligned.position.imag, heading + aligned.turned], axis=1)
+    return InitialWalk(poses, c, uncertain)
+
+
+def _gaps(chain: Chain, steps: Steps) -> tuple[Array, Array]:
+    """Sigmas ``(s - 1,)`` of the distance [m] and of the turn [rad] in gaps from each segment to the next."""
+    lost = np.flatnonzero(steps.is_gap)
+    begins = chain.time[chain.segment_first[1:]]
+    after = np.searchsorted(begins, np.round(steps.time[lost], DECIMALS))
+    inside = after < len(begins)  # after a gap with which the recording ends there is no segment
+    gap, turn = np.zeros((2, len(begins)))
+    for total, sigma in ((gap, steps.sigma_length), (turn, steps.sigma_turn)):
+        np.maximum.at(total, after[inside], sigma[lost[inside]])
+    return gap, turn
+
+
+def reach(chain: Chain, fixes: FixFactor, steps: Steps) -> tuple[Array, Array]:
+    """South-west and north-east corner ``(2,)`` [m] of the area that the walk can have reached."""
+    place, at = fixes.fixes.position[fixes.used], np.append(chain.pieces.first, len(chain.pieces.length))
+    walked = np.append(0.0, np.cumsum(chain.pieces.length))[at]
+    at_fixes = np.sort(walked[fixes.keyframe[fixes.used]])
+    to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
+    gaps = float(np.sum(steps.sigma_length[steps.is_gap]))
+    far = LONGER * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + BEYOND
+    return place.min(axis=0) - far, place.max(axis=0) + far

@@ -1,0 +1,434 @@
+"""The causal Kalman filter of a walk, its Rauch–Tung–Striebel smoother, and mixtures of Gaussians.
+
+The fusion of [gps-dr] as one extended Kalman filter over (x, y, θ, R_s, R_d, b), the variables of the graph, over the
+same pieces and fixes:
+
+    predict   p ← p + R_s l e(θ + half the turn),  θ ← θ + R_d turn + b time      (Secs. 2, 3: strides, gyro)
+              Q from the stride's variance (Sec. 4), and from sway and turn, of which the paper says nothing
+    correct   with validated magnetic headings, R by both tests of the field      (Sec. 3)
+              with fixes, R by the receiver's accuracy or HDOP                    (Sec. 4)
+
+The paper has one filter for the heading and another for the position, so that its fixes correct no heading and no
+stride: with both in one state they do. Its magnetometer tells the heading from the first step on, as our first magnetic
+heading does here, carried back by the gyro. A fix beyond the gate is rejected; after several in a row the filter is
+re-initialised where they are.
+
+An unknown direction, or one from a rough compass, is too wide for one linearisation: a mixture of filters, one per
+direction, runs in parallel, and measurements decide between them. A measurement beyond the gate of a hypothesis does
+not move it.
+
+The smoother is that of "Maximum likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965. From the last
+moment back, each state is corrected by the one after it:
+
+    C_k = P_k F_kᵀ (P⁻_{k+1})⁻¹
+    x̂_k = x_k + C_k (x̂_{k+1} − x⁻_{k+1}),      P̂_k = P_k + C_k (P̂_{k+1} − P⁻_{k+1}) C_kᵀ
+
+with x, P as the filter knew them and x⁻, P⁻ as it predicted. It is linear about the filter's walk, where the graph is
+linearised again and again about its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_graph.errors import expect
+from pdr_graph.estimation.factors.losses import HUBER_WIDTH, huber_weight
+from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
+from pdr_graph.estimation.factors.start import FRAME_SIGMA
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.results import calibration_of, warnings
+from pdr_graph.geometry import interpolate, row_times, wrap_angle
+from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
+
+DIRECTIONS = 12
+FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
+GATE = 5.0  # [σ] of a measurement, χ² of 25, beyond which it is rejected, as outliers in the graph
+HOPELESS = 1e-6  # probability below which a hypothesis is dropped
+EXACT = 1e-3  # [rad] as which a narrow direction is taken when its neighbours' probability is asked for
+SAME = 1.0  # [σ] from the best within which another hypothesis says the same
+
+
+@dataclass(frozen=True)
+class GaussianMixture:
+    """Hypotheses, each an extended Kalman filter.
+
+    mean: ``(h, 6)`` x, y, θ, R_s, R_d, b; covariance: ``(h, 6, 6)``; log_weight: ``(h,)`` log of the probability;
+    origin: ``(h,)`` the hypothesis, before any measurement of this moment, that each one was.
+    """
+
+    mean: Array
+    covariance: Array
+    log_weight: Array
+    origin: Index
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @property
+    def best(self) -> int:
+        """The most probable hypothesis."""
+        return int(np.argmax(self.log_weight))
+
+    def summary(self) -> tuple[Array, Array]:
+        """Mean ``(6,)`` of the most probable hypothesis, and the covariance ``(6, 6)`` of all about it."""
+        if len(self) == 1:
+            return self.mean[0], self.covariance[0]
+        apart = _apart(self.mean, self.mean[self.best])
+        spread = self.covariance + apart[:, :, None] * apart[:, None, :]
+        return self.mean[self.best], np.einsum("h,hij->ij", np.exp(self.log_weight), spread)
+
+    def take(self, rows: Index) -> GaussianMixture:
+        """Some of the hypotheses, their probabilities made to sum to 1."""
+        log_weight = self.log_weight[rows]
+        log_weight = log_weight - np.logaddexp.reduce(log_weight)
+        return GaussianMixture(self.mean[rows], self.covariance[rows], log_weight, self.origin[rows])
+
+
+@dataclass(frozen=True)
+class Surprise:
+    """How a measurement met each hypothesis: ``(h,)`` how many sigmas off, and the weight that it was given."""
+
+    sigmas: Array
+    weight: Array
+
+
+def measured(
+    bank: GaussianMixture, H: Array, gap: Array, R: Array, share: float = 1.0
+) -> tuple[GaussianMixture, Surprise]:
+    """The bank after a measurement, with Huber's weight up to the gate and none beyond.
+
+    H: ``(d, 6)`` how the measurement depends on the state; gap: ``(h, d)`` measured less expected; R: ``(d, d)``;
+    share: of its information that others do not say too. What is off for one is judged by R alone.
+    A gap beyond the gate costs a hypothesis as much as one at the gate: an outlier decides nothing.
+    """
+    seen = H @ bank.covariance
+    expected = seen @ H.T
+    S = expected + R
+    sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
+    weight = np.where(sigmas < GATE, huber_weight(sigmas, HUBER_WIDTH), 0.0)
+    log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
+
+    weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
+    K = (weight > 0)[:, None, None] * seen.transpose(0, 2, 1) @ np.linalg.inv(weighted)
+    covariance = bank.covariance - K @ seen
+    mean = bank.mean + np.einsum("hij,hj->hi", K, gap)
+    covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
+    return GaussianMixture(mean, covariance, log_weight - np.logaddexp.reduce(log_weight), bank.origin), Surprise(
+        sigmas, weight
+    )
+
+
+def thinned(bank: GaussianMixture) -> GaussianMixture:
+    """Without hypotheses that became hopeless, and with those that say what the best says counted as it."""
+    if len(bank) == 1:
+        return bank
+    pose = _apart(bank.mean, bank.mean[bank.best])[:, :3]
+    apart = np.einsum("hi,ij,hj->h", pose, np.linalg.inv(bank.covariance[bank.best, :3, :3]), pose)
+    same = apart < SAME**2
+    keep = ~same & (bank.log_weight > np.log(HOPELESS))
+    keep[bank.best] = True
+    log_weight = bank.log_weight.copy()
+    log_weight[bank.best] = np.logaddexp.reduce(log_weight[same])
+    return replace(bank, log_weight=log_weight).take(np.flatnonzero(keep))
+
+
+def by_direction(one: GaussianMixture) -> GaussianMixture:
+    """One hypothesis whose direction is not well known, as DIRECTIONS narrow ones around the circle.
+
+    Together they are the Gaussian that it was, with Huber's tails: those far from a direction that a compass told are
+    kept, with little probability. The first is in the direction that it had.
+    """
+    V, width = one.covariance[0, 2, 2], np.pi / DIRECTIONS
+    off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)))
+    wider, by_heading = max(V - width**2, 0.0), one.covariance[0, 2] / V
+    narrow = one.covariance[0] - wider * np.outer(by_heading, by_heading)
+    all_round = np.zeros(DIRECTIONS, dtype=np.intp)
+    log_weight = -_cost(np.abs(off) / np.sqrt(max(wider, EXACT**2)))
+    log_weight -= np.logaddexp.reduce(log_weight)
+    return GaussianMixture(
+        one.mean + off[:, None] * by_heading, np.tile(narrow, (DIRECTIONS, 1, 1)), log_weight, all_round
+    )
+
+
+def _cost(sigmas: Array) -> Array:
+    """What a gap of so many sigmas has against a hypothesis: Huber's loss up to the gate, no more beyond."""
+    return 0.5 * np.minimum(sigmas, HUBER_WIDTH) ** 2 + HUBER_WIDTH * (np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH)
+
+
+def _apart(mean: Array, other: Array) -> Array:
+    """Differences ``(h, 6)`` of states, that of headings wrapped."""
+    apart = mean - other
+    apart[:, 2] = wrap_angle(apart[:, 2])
+    return apart
+
+
+PATIENCE = 5  # rejected fixes in a row after which the filter is re-initialised
+UNLIKELY = 0.01  # probability below which another walk is not reported
+OF_POSITION, OF_HEADING = np.eye(2, 6), np.eye(1, 6, 2)
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """How one fix met the walk: distance [m] from where it was expected, in sigmas, the weight it was given, and
+    whether the filter was re-initialised there.
+    """
+
+    fix: int
+    distance: float
+    sigmas: float
+    weight: float
+    anew: bool
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The walk at the start, or at the end of one piece.
+
+    predicted: before the measurements of this moment, known: after them. Hypothesis n of ``predicted`` came from
+    ``parent (h,)`` n of the moment before, by a movement whose derivative is ``motion (h, 6, 6)`` n.
+    """
+
+    parent: Index
+    motion: Array
+    predicted: GaussianMixture
+    known: GaussianMixture
+    met: tuple[Meeting, ...]
+
+
+def kalman_filter(graph: WalkGraph) -> Estimate:
+    """The causal estimate at every row: each pose knows the fixes up to its time, and no wall.
+
+    graph: the same measurements as for ``smooth``; its walls are not used.
+    """
+    expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
+    known, met, last = list[tuple[Array, Array]](), list[Meeting](), _start(graph).known
+    for moment in moments(graph):
+        last = moment.known
+        known.append(last.summary())
+        met += moment.met
+    means, covariances = (np.array(column) for column in zip(*known, strict=True))
+    return estimate_of(graph, means, covariances, met, last)
+
+
+def estimate_of(
+    graph: WalkGraph, means: Array, covariances: Array, met: list[Meeting], last: GaussianMixture
+) -> Estimate:
+    """States ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` before and after each piece, as an estimate.
+
+    met: how fixes were met; last: the bank at the end.
+    """
+    rows = np.concatenate([[0], graph.pieces.row_end + 1])
+    position, heading = means[rows, :2], wrap_angle(means[rows, 2])
+    of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
+    calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
+    probability, walks = float(np.exp(last.log_weight.max())), int(np.sum(last.log_weight > np.log(UNLIKELY)))
+    return Estimate(
+        trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
+        dead_reckoning=lay_dead_reckoning(graph.steps, graph.positions.fixes[graph.positions.consistent]),
+        calibration=calibration,
+        reports={graph.positions.name: _reports(graph, met)},
+        iterations=1,
+        cost=float("nan"),
+        converged=True,
+        probability=probability,
+        warnings=(*warnings(graph, walks, probability, True, calibration), *_lost(graph, met)),
+    )
+
+
+def moments(graph: WalkGraph) -> Iterator[Moment]:
+    """Once through the walk: its start, then the end of each piece."""
+    fixes_at, headings_at = _by_keyframe(graph)
+    moment, refused = _start(graph), 0
+    for keyframe in range(len(fixes_at)):
+        if keyframe > 0:
+            *before, moment = _predicted(moment.known, graph, keyframe - 1)
+            yield from before
+        for n in fixes_at[keyframe].tolist():
+            moment, refused = _fixed(moment, graph, n, refused)
+        known = moment.known
+        for n in headings_at[keyframe].tolist():
+            known = _pointed(known, graph, n, OF_HEADING, float(graph.headings.headings.sigma[n] ** 2))
+        moment = replace(moment, known=thinned(known))
+        yield moment
+
+
+def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
+    """The fixes and the headings of each keyframe; the first heading is told before the start."""
+    keyframes = np.arange(1, len(graph.pieces.last) + 1)
+    fixes = graph.positions
+    used = np.flatnonzero(fixes.used)
+    used = used[np.argsort(fixes.keyframe[used], kind="stable")]
+    fixes_at = np.split(used, np.searchsorted(fixes.keyframe[used], keyframes))
+    later = graph.headings.keyframe[1:]
+    return fixes_at, np.split(1 + np.arange(len(later)), np.searchsorted(later, keyframes))
+
+
+def _start(graph: WalkGraph) -> Moment:
+    """Before any fix: everywhere near the first, in the direction that the compass tells, or in any.
+
+    Without a fix at (0, 0), and without a compass with heading 0: the start is the frame.
+    """
+    fixes = graph.positions
+    fixed, told = fixes.used.any(), len(graph.headings.headings) > 0
+    place = FAR if fixed else FRAME_SIGMA
+    mean, covariance = np.zeros(6), np.zeros((6, 6))
+    mean[:2] = fixes.fixes.position[fixes.used][0] if fixed else 0.0
+    mean[3:], covariance[3:, 3:] = graph.prior.mean, graph.prior.covariance
+    covariance[:3, :3] = np.diag(np.square([place, place, FAR if fixed or told else FRAME_SIGMA]))
+    own = np.zeros(1, dtype=np.intp)
+    bank = GaussianMixture(mean[None], covariance[None], np.zeros(1), own)
+    if told:
+        bank = _first_heading(bank, graph)
+    return Moment(own, np.eye(6)[None], bank, by_direction(bank) if fixed or told else bank, ())
+
+
+def _first_heading(bank: GaussianMixture, graph: WalkGraph) -> GaussianMixture:
+    """The first heading, carried back to the start: it measures θ + R_d turn + b time to its own moment."""
+    pieces = graph.pieces
+    until = pieces.last[: graph.headings.keyframe[0]]
+    H = np.zeros((1, 6))
+    H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
+    on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
+    return _pointed(bank, graph, 0, H, float(graph.headings.headings.sigma[0] ** 2 + on_the_way))
+
+
+def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
+    """After each piece of interval ``i``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a random
+    walk. Nothing is measured meanwhile, so that what each piece does to a state is known at once, ``(k, h, …)``.
+    """
+    pieces, here = graph.pieces, slice(graph.pieces.first[i], graph.pieces.last[i] + 1)
+    length, (turn, time) = pieces.length[here, None], 2 * (pieces.to_end - pieces.to_middle)[:, here, None]
+    theta, R_s, R_d, b = bank.mean[:, 2:].T
+    turned = R_d * turn + b * time
+    heading = np.cumsum(np.concatenate([theta[None], turned]), axis=0)
+    course = heading[:-1] + turned / 2
+    ahead = np.stack([np.cos(course), np.sin(course)], axis=2)
+    aside = ahead[..., ::-1] * [-1, 1]
+    left = (R_s * length)[..., None] * aside
+
+    mean = np.tile(bank.mean, (len(length), 1, 1))
+    mean[..., :2] += np.cumsum((R_s * length)[..., None] * ahead, axis=0)
+    mean[..., 2] = heading[1:]
+    F = np.tile(np.eye(6), (*turned.shape, 1, 1))
+    by_c = [left, length[..., None] * ahead, left * turn[..., None] / 2, left * time[..., None] / 2]
+    F[..., :2, 2:] = np.stack(by_c, axis=3)
+    F[..., 2, 4], F[..., 2, 5] = turn, time
+    G = np.zeros((*turned.shape, 3, 3))  # by the errors of length, sway and turn
+    G[..., :2, 0], G[..., :2, 1], G[..., :2, 2], G[..., 2, 2] = ahead, aside, left / 2, 1.0
+    variance = pieces.variance[here] + SIGMA_STILL**2 * np.array([1.0, 1.0, 0.0])
+    Q = np.zeros_like(F)
+    Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
+
+    own, P, found = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), _changed(graph, i))), []
+    for m, motion in enumerate(F):
+        P = motion @ P @ motion.swapaxes(1, 2) + Q[m]
+        after = GaussianMixture(mean[m], P, bank.log_weight, own)
+        found.append(Moment(own, motion, after, after, ()))
+    return found
+
+
+def _changed(graph: WalkGraph, i: int) -> Array:
+    """Variance ``(3,)`` by which the calibration changes before interval ``i``: where another segment begins."""
+    begins = i > 0 and graph.segment[i] != graph.segment[i - 1]
+    return np.square(graph.prior.change) if begins else np.zeros(3)
+
+
+def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
+    """After fix ``n``, where ``refused`` before it were refused in a row; and how many now are."""
+    fixes = graph.positions
+    place, R = fixes.fixes.position[n], fixes.sigma[n] ** 2 * np.eye(2)
+    share = float(fixes.sigma[n] / fixes.independent_sigma[n]) ** 2
+    bank = moment.known
+    known, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+    meeting = _meeting(n, np.hypot(*(place - bank.mean[known.best, :2])), surprise, known.best)
+    refused = refused + 1 if meeting.weight == 0.0 else 0
+    if refused == PATIENCE:
+        moment, refused = _anew(moment), 0
+        bank = moment.known
+        known, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+        meeting = replace(meeting, weight=1.0, anew=True)
+    return replace(moment, known=known, met=(*moment.met, meeting)), refused
+
+
+def _meeting(n: int, distance: float, surprise: Surprise, best: int) -> Meeting:
+    return Meeting(n, float(distance), float(surprise.sigmas[best]), float(surprise.weight[best]), anew=False)
+
+
+def _anew(moment: Moment) -> Moment:
+    """A lost filter before the fix that it believes again: anywhere, in the direction that it has or in any other.
+
+    What it refused changed nothing, so that this is the prediction with its pose forgotten.
+    """
+    own = moment.known.origin[[moment.known.best]]
+    lost = moment.predicted.take(own)
+    forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
+    anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
+    return Moment(moment.parent[own], moment.motion[own], anywhere, by_direction(anywhere), moment.met)
+
+
+def _pointed(bank: GaussianMixture, graph: WalkGraph, n: int, H: Array, variance: float) -> GaussianMixture:
+    """After heading ``n``, of which H ``(1, 6)`` depends on the state."""
+    gap = np.asarray(wrap_angle(graph.headings.headings.heading[n] - bank.mean @ H.T))
+    return measured(bank, H, gap, np.array([[variance]]))[0]
+
+
+def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:
+    """What became of every fix; those outside the recording were not met."""
+    distance, sigmas, weight = (np.full(len(graph.positions), fill) for fill in (np.nan, np.nan, 0.0))
+    for one in met:
+        distance[one.fix], sigmas[one.fix], weight[one.fix] = one.distance, one.sigmas, one.weight
+    reports = list(graph.positions.reported(distance, sigmas, weight, "where it was expected"))
+    for one in met:
+        if one.anew:
+            reason = f"{one.sigmas:.1f} sigma from where it was expected, as those before: the filter is re-initialised"
+            reports[one.fix] = replace(reports[one.fix], reason=reason)
+    return tuple(reports)
+
+
+def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
+    """Warnings about rejected fixes and re-initialisation."""
+    refused = sum(one.weight == 0.0 for one in met)
+    anew = [f"{graph.positions.fixes.time[one.fix]:.1f} s" for one in met if one.anew]
+    holds_for = {
+        f"{refused} fixes more than {GATE:.0f} sigma from where they were expected were rejected": refused > 0,
+        f"the filter was lost and re-initialised at {', '.join(anew)}": bool(anew),
+    }
+    return tuple(text for text, holds in holds_for.items() if holds)
+
+
+def kalman_smoother(graph: WalkGraph) -> Estimate:
+    """The filter's most probable walk at every row, given the fixes before and after; it knows no wall.
+
+    graph: the same measurements as for ``smooth``; its walls are not used. Rejected fixes stay rejected.
+    """
+    expect("kalman_smoother, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
+    run = list(moments(graph))
+    means, covariances = _backward(run)
+    met = [one for moment in run for one in moment.met]
+    estimate = estimate_of(graph, means, covariances, met, run[-1].known)
+    track = estimate.trajectory
+    given = graph.positions.fixes
+    apart = np.hypot(*(given.position - interpolate(given.time, track.time, track.position)).T)
+    fixes = tuple(replace(fix, residual=float(d)) for fix, d in zip(estimate.fixes, apart, strict=True))
+    return replace(estimate, reports={"fixes": fixes})
+
+
+def _backward(run: list[Moment]) -> tuple[Array, Array]:
+    """Smoothed states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` along the hypothesis that won."""
+    own = run[-1].known.best
+    mean, P = run[-1].known.mean[own], run[-1].known.covariance[own]
+    means, covariances = [mean], [P]
+    for before, after in zip(run[-2::-1], run[:0:-1], strict=True):
+        n = after.known.origin[own]
+        own, F, predicted = after.parent[n], after.motion[n], after.predicted
+        known = before.known
+        C = np.linalg.solve(predicted.covariance[n], F @ known.covariance[own]).T
+        mean = known.mean[own] + C @ (mean - predicted.mean[n])
+        P = known.covariance[own] + C @ (P - predicted.covariance[n]) @ C.T
+        means.append(mean)
+        covariances.append(P)
+    return np.array(means[::-1]), np.array(covariances[::-1])

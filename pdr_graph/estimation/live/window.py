@@ -1,0 +1,270 @@
+"""The window of a walk under way: its keyframes, the intervals between them, their walls, and the estimate of all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C
+
+from pdr_graph.estimation.factors.base import Measurement, State, extract
+from pdr_graph.estimation.factors.chain import Chain
+from pdr_graph.estimation.factors.preintegration import Bridge, Pieces, preintegrate
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.graph import STEPS_PER_SEGMENT
+from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint
+from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.types import Array, Index
+
+ALL = 10**9  # pieces
+
+
+@dataclass(frozen=True)
+class WindowCheckpoint:
+    """What a `Window` knows but for the poses, which the incremental solver has.
+
+    calibrations: ``(s, 4)`` number and value of each segment; segments: ``(k,)`` of each interval; labels: floors.
+    """
+
+    floor: str
+    segment: int
+    in_segment: int
+    count: int
+    steps: StepCheckpoint
+    keyframes: list[int]
+    times: list[float]
+    segments: list[int]
+    labels: list[str]
+    calibrations: Array
+
+
+class Window:
+    """Keyframes in order of time, which need not be that of their numbers.
+
+    steps: those of the walk; keyframes, times, pose ``(k, 3)``: number, time [s] and estimate of each; intervals:
+    between one and the next; c: estimate ``(3,)`` of each segment; floor: label of that on which the walk goes on.
+    """
+
+    def __init__(self, prior: Prior, plan: Building | None, floor: str):
+        self.prior, self.plan, self.floor, self.steps = prior, plan, floor, StepBuffer()
+        self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
+        self.intervals, self.c = list[Interval](), dict[int, Array]()
+        self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
+
+    def begin(self) -> None:
+        """Set the first keyframe."""
+        self.keyframes, self.times, self.count = [0], [self.steps.start], 1
+        self.pose, self.c = np.zeros((1, 3)), {0: np.array(self.prior.mean)}
+
+    @property
+    def complete(self) -> bool:
+        """Whether all of the walk is still in it."""
+        return bool(self.keyframes) and self.keyframes[0] == 0
+
+    def cut(self, marks: list[float]) -> list[Interval]:
+        """Close the intervals that are complete since the last keyframe, and return them."""
+        new: list[Interval] = []
+        for end in self.steps.keyframe_ends(self.times[-1], marks):
+            segment = self._segment_until(end)
+            new.append(self._interval(self.keyframes[-1], self._number(), self.times[-1], end, segment, self.floor))
+            ahead = self._led(self.pose[-1], new[-1], self.c[segment])
+            self.pose = np.concatenate([self.pose, ahead[None]])
+            self.keyframes.append(new[-1].j)
+            self.times.append(new[-1].end)
+            self.intervals.append(new[-1])
+        return new
+
+    def has_keyframe(self, time: float) -> bool:
+        """Whether there is a keyframe at a moment."""
+        return bool(np.abs(np.array(self.times) - time).min() <= CLOSE)
+
+    def split(self, time: float) -> None:
+        """Set a keyframe in an interval that was closed."""
+        at = int(np.searchsorted(self.times, time))
+        old, number = self.intervals[at - 1], self._number()
+        halves = [
+            self._interval(old.i, number, old.begin, time, old.segment, old.label),
+            self._interval(number, old.j, time, old.end, old.segment, old.label),
+        ]
+        ends = old.begin + old.pieces.to_end[1]
+        for half in halves:
+            inside = np.searchsorted(ends, half.begin + half.pieces.to_end[1] - CLOSE)
+            half.fields = [old.fields[min(n, len(ends) - 1)] for n in inside]
+        share = (time - old.begin) / (old.end - old.begin)
+        between = (1 - share) * self.pose[at - 1] + share * self.pose[at]
+        between[2] = self.pose[at - 1, 2] + share * wrap_angle(self.pose[at, 2] - self.pose[at - 1, 2])
+        self.intervals[at - 1 : at] = halves
+        self.keyframes.insert(at, number)
+        self.times.insert(at, time)
+        self.pose = np.insert(self.pose, at, between, axis=0)
+
+    def part(self, last: int) -> Part:
+        """The last so many intervals, as the factors take them."""
+        return Part(self, self.intervals[-last:] if last < len(self.intervals) else self.intervals)
+
+    @property
+    def known_plan(self) -> Building | None:
+        """The plan, where it is known on which of its floors the walk is."""
+        return self.plan if self.plan is not None and self.floor in self.plan.labels else None
+
+    def associate_walls(self, pieces: int) -> float:
+        """Find the walls about the last so many pieces, where the walk leads now; returns what it costs."""
+        if self.known_plan is None or not self.intervals:
+            return 0.0
+        count = np.cumsum([len(one.fields) for one in reversed(self.intervals)])
+        last = self.part(1 + int(np.searchsorted(count, min(pieces, count[-1]))))
+        labels = [one.label for one in last.intervals for _ in one.fields]
+        walls = WallFactor.about(
+            FloorSequence.of(self.known_plan, labels), self.prior.wall_margin, self.prior.wall_sigma
+        )
+        walls = walls.associated(last.chain.evaluate(last.state(gtsam.Values(), ())))
+        named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
+        for one, first in zip(last.intervals, last.chain.pieces.first.tolist(), strict=True):
+            one.fields = named[first : first + len(one.fields)]
+        return walls.price
+
+    def lead_on(self, after: int, c: Array) -> None:
+        """Place the keyframes after one, by its place in order, where the steps lead."""
+        for n in range(after + 1, len(self.times)):
+            self.pose[n] = self._led(self.pose[n - 1], self.intervals[n - 1], c)
+
+    def read(self, values: gtsam.Values, first: int = 0) -> None:
+        """Copy poses, from the keyframe ``first`` on by its place in order, and calibrations from ``values``."""
+        self.pose = self.pose.copy()
+        self.pose[first + np.argsort(self.keyframes[first:])] = extract(values, "x")
+        self.c |= {segment: values.atVector(C(segment)) for segment in self.c if values.exists(C(segment))}
+
+    @property
+    def segments(self) -> list[int]:
+        """The calibrations of its intervals."""
+        return sorted({one.segment for one in self.intervals} or {self.segment})
+
+    def row_labels(self) -> list[str]:
+        """The floor's label of each row of the trajectory of the steps that are kept: start, steps, end."""
+        ends = np.array([one.end for one in self.intervals])
+        steps, labels = self.steps.steps, [*(one.label for one in self.intervals), self.floor]
+        rows = [steps.start, *steps.time.tolist(), steps.end]
+        return [labels[n] for n in np.searchsorted(ends, np.array(rows) - CLOSE).tolist()]
+
+    def forget(self, count: int) -> None:
+        """Let go of the first so many keyframes."""
+        del self.keyframes[:count], self.times[:count], self.intervals[:count]
+        self.pose = self.pose[count:]
+        self.steps.forget(self.times[0])
+        kept = {*self.segments, self.segment}
+        self.c = {segment: value for segment, value in self.c.items() if segment in kept}
+
+    def checkpoint(self) -> WindowCheckpoint:
+        """All that it knows but for the poses."""
+        return WindowCheckpoint(
+            floor=self.floor,
+            segment=self.segment,
+            in_segment=self.in_segment,
+            count=self.count,
+            steps=self.steps.checkpoint(),
+            keyframes=list(self.keyframes),
+            times=list(self.times),
+            segments=[one.segment for one in self.intervals],
+            labels=[one.label for one in self.intervals],
+            calibrations=np.array([[segment, *value] for segment, value in self.c.items()]).reshape(-1, 4),
+        )
+
+    def restore(self, checkpoint: WindowCheckpoint) -> None:
+        """Go on from a checkpoint, with the same prior and plan; the poses are to be read."""
+        self.floor, self.steps = checkpoint.floor, StepBuffer.restored(checkpoint.steps)
+        self.segment, self.in_segment, self.count = checkpoint.segment, checkpoint.in_segment, checkpoint.count
+        self.keyframes, self.times = list(checkpoint.keyframes), list(checkpoint.times)
+        self.c = {int(segment): np.array(value) for segment, *value in checkpoint.calibrations}
+        spans = zip(self.keyframes, self.keyframes[1:], self.times, self.times[1:], strict=False)
+        told = zip(spans, checkpoint.segments, checkpoint.labels, strict=True)
+        self.intervals = [self._interval(*span, segment, label) for span, segment, label in told]
+        self.pose = np.zeros((len(self.keyframes), 3))
+
+    def _interval(self, i: int, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
+        return self.steps.interval(i, j, begin, end, segment, np.array(self.prior.mean), label)
+
+    def _led(self, pose: Array, one: Interval, c: Array) -> Array:
+        """Where the steps of an interval lead."""
+        moved = preintegrate(one.pieces, c[None]).delta[-1]
+        return pose + np.append(rotation(pose[2]) @ moved[:2], moved[2])
+
+    def _number(self) -> int:
+        self.count += 1
+        return self.count - 1
+
+    def _segment_until(self, end: float) -> int:
+        """The calibration of the interval up to ``end`` [s]: another after so many steps, and over a gap."""
+        gap = len(self.intervals) > 0 and self.steps.gap_within(self.times[-1], end)
+        if self.in_segment >= STEPS_PER_SEGMENT or gap:
+            self.segment, self.in_segment = self.segment + 1, 0
+            self.c[self.segment] = self.c[self.segment - 1]
+        self.in_segment += len(self.steps.rows(self.times[-1], end))
+        return self.segment
+
+
+class Part:
+    """The last intervals of a window, as a chain of keyframes with their state.
+
+    intervals: in order; the window must not change while it is used.
+    """
+
+    def __init__(self, window: Window, intervals: list[Interval]):
+        self.window, self.intervals = window, intervals
+        self.first = len(window.keyframes) - len(intervals) - 1
+
+    @cached_property
+    def chain(self) -> Chain:
+        """Its keyframes and steps."""
+        segments, own = self.segments, self.intervals
+        pieces = Pieces.together([one.pieces for one in own]) if own else Pieces.none(self.window.times[-1])
+        return Chain(
+            pieces=pieces,
+            bridge=Bridge.together([one.bridge for one in own]) if own else Bridge.none(),
+            delta=np.array([one.delta for one in own]).reshape(-1, 3),
+            segment=np.searchsorted(segments, [one.segment for one in own]).astype(np.intp),
+            number=np.array(self.window.keyframes[self.first :], dtype=np.intp),
+            segment_number=segments,
+            begins=self.first == 0,
+            ends=self.window.finished,
+        )
+
+    @cached_property
+    def segments(self) -> Index:
+        """The numbers ``(s,)`` of its calibrations."""
+        own = {one.segment for one in self.intervals} or {self.window.segment}
+        return np.array(sorted(own), dtype=np.intp)
+
+    def state(self, values: gtsam.Values, measurements: Iterable[Measurement]) -> State:
+        """All its variables: poses and calibrations of the window, others as in ``values``, or initial."""
+        c = np.array([self.window.c[segment] for segment in self.segments.tolist()])
+        arrays = {"x": self.window.pose[self.first :], "c": c}
+        numbers = {"x": self.chain.number, "c": self.segments}
+        state = State(arrays, numbers)
+        for one in measurements:
+            for brought in one.variables(state.poses):
+                state = State(
+                    {**state.arrays, brought.symbol: brought.initial}, {**state.numbers, brought.symbol: brought.number}
+                )
+                keys = state.keys(brought.symbol).tolist()
+                known = [n for n, key in enumerate(keys) if values.exists(key)]
+                if known:
+                    current = brought.initial.copy()
+                    current[known] = [values.atVector(keys[n]) for n in known]
+                    state = state.replaced(**{brought.symbol: current})
+        return state
+
+    def walls(self) -> WallFactor | None:
+        """The walls about its steps, None without a plan."""
+        if self.window.plan is None:
+            return None
+        number: dict[DistanceField | None, int] = {None: -1}
+        field_of = [number.setdefault(field, len(number) - 1) for one in self.intervals for field in one.fields]
+        fields = tuple(field for field in number if field is not None)
+        prior = self.window.prior
+        return WallFactor(None, fields, np.array(field_of, dtype=np.intp), 0.0, prior.wall_margin, prior.wall_sigma)

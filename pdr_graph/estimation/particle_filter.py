@@ -1,0 +1,414 @@
+"""A particle filter on the plan, keyframe by keyframe, against walls, doors and stairs; batch and live.
+
+As in Woodman & Harle (2008), *Pedestrian localisation for indoor environments*, with the walker's calibration
+(R_s, R_d, b) as states, rejuvenated by a kernel (Liu & West 2001); the number of particles adapts to their spread (Fox
+2003). Fixes may be outliers, and walls may be wrong.
+
+Walls are local: the optimum next to a wrong aisle is a walk through that aisle. So a `ParticleFilter` starts with
+thousands of particles, weighted by walls, fixes and compass. The ancestors of the survivors are the possible paths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_graph.estimation.factors.base import Measurement
+from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
+from pdr_graph.estimation.factors.preintegration import Pieces
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, WalkGraph
+from pdr_graph.floor.cells import OUTSIDE_PRICE, WALL_COST
+from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.types import Array, Index, Mask
+
+BODY = 0.12  # [m] that the middle of a walker keeps from any wall
+LOOK = 0.24  # [m] between two places at which a step is held against the walls: twice BODY, so that none is missed
+MOST_LOOKS = 100  # of a step, however long
+DOUBTED, RARE = 0.2, 4  # [rad] of a turn that may be the phone's: for one in four it was any
+TRIES = 4  # other draws of a step that would cross a wall
+CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
+STAIRS_SIGMA = 1.0  # [m] from stairs or a lift, as far as a barometer knows when
+
+
+def stepped(
+    state: Array,
+    length: float,
+    turn: float,
+    time: float,
+    sigma: Array,
+    field: DistanceField,
+    random: np.random.Generator,
+    tiles: int | None = None,
+) -> tuple[Array, Array]:
+    """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
+
+    A particle that would cross a wall draws its errors again, a few times; this costs its log-odds.
+    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
+    tiles: of the field that are computed at once, see there.
+    """
+    count = min(np.ceil(length / LOOK), MOST_LOOKS)
+    looks = np.arange(1, count + 1)[:, None] / count
+
+    def tried(state: Array) -> tuple[Array, Mask, Array]:
+        after, way = _moved(state, length, turn, time, sigma, random)
+        places = looks * way[:, None]
+        places += state[:2, None]
+        clear = field.about(places, tiles)
+        return after, clear.min(axis=0) < BODY, clear[-1]
+
+    after, blocked, clear = tried(state)
+    price = CLEAR_PRICE * np.square(np.maximum(0.0, 1 - clear / CLEAR))
+    if not blocked.any():
+        return after, price
+    price[clear < BODY] = OUTSIDE_PRICE
+    stopped = np.flatnonzero(blocked)
+    stopped = stopped[field.about(state[:2, stopped], tiles) >= BODY]
+    if len(stopped):
+        others, blocked, _ = tried(np.repeat(state[:, stopped], TRIES, axis=1))
+        free = np.logical_not(blocked).reshape(-1, TRIES)
+        ways = free.sum(axis=1)
+        got = ways > 0
+        after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * TRIES + free.argmax(axis=1))[got]]
+        price[stopped] = np.where(got, np.log((TRIES + 1) / np.maximum(ways, 1)), WALL_COST)
+    return after, price
+
+
+def stood(state: Array, turn: float, time: float, sigma: Array, random: np.random.Generator) -> Array:
+    """States ``(6, n)`` after a pause: the phone may have turned."""
+    return _moved(state, 0.0, turn, time, sigma, random)[0]
+
+
+def changed_floor(state: Array, ways: Sequence[DistanceField]) -> Array:
+    """Cost ``(n,)`` of a change of floor at each particle's place, by stairs or lifts with these fields."""
+    if not ways:
+        return np.zeros(state.shape[1])
+    outside = -np.max([way.about(state[:2]) for way in ways], axis=0)
+    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / STAIRS_SIGMA), WALL_COST)
+
+
+def _moved(
+    state: Array, length: float, turn: float, time: float, sigma: Array, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """States ``(6, n)`` after a piece with random errors, and the displacement ``(2, n)`` [m]."""
+    noise = random.standard_normal((3, state.shape[1]))
+    noise *= sigma[:, None]
+    forward, left, turned = noise
+    if sigma[2] > DOUBTED:
+        turned[::RARE] = random.uniform(-np.pi, np.pi, len(turned[::RARE]))
+    turned += state[4] * turn + state[5] * time
+    forward += state[3] * length
+    course = (state[2] + 0.5 * turned).astype(np.float32)  # to 1e-6 of a turn; six times as fast
+    cos, sin = np.cos(course).astype(float), np.sin(course).astype(float)
+    way = np.stack([forward * cos - left * sin, forward * sin + left * cos])
+    after = state.copy()
+    after[:2] += way
+    after[2] += turned
+    return after, way
+
+
+PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles for each square [m] and direction [rad] that they occupy
+AMONG = 8000  # particles at most, of which so many are in a bin: fewer at most, fewer in each
+RESAMPLE = 0.5  # of the particles in effect
+KERNEL = 0.2  # of their spread, by which copies differ in (R_s, R_d, b)
+WIDE = np.array([1.5, 1.5, 2.0])  # times the prior's sigma: what is rare must not be missed
+CALM = np.array([0.7, 0.7, 1.0])  # times the sigmas of a step's length, sway and turn, which state what is unknown too
+LEAST_STRIDE = 0.1  # R_s of who seems not to get on: its logarithm is asked for
+
+LEAST_SIGMA = 1.0  # [m] of a fix: particles lie no denser
+LEAST_SIGMA_DIRECTION = 0.1  # [rad] at the start
+FAR, SOUGHT, LOST_PRICE = 4.0, 5, 4.0  # [σ] of a fix from all; one in so many is put there; log-odds of that
+OUTLIER_PRICE = 8.0  # log-odds that an outlier costs at most
+
+
+@dataclass(frozen=True)
+class KeyframeMeasurements:
+    """What was measured at a keyframe.
+
+    position: of fixes ``(f, 2)`` [m]; sigma: ``(f,)`` of each per axis [m]; outlier: ``(f,)`` known ones;
+    heading, sigma_heading: ``(h,)`` walking directions [rad].
+    """
+
+    position: Array = field(default_factory=lambda: np.empty((0, 2)))
+    sigma: Array = field(default_factory=lambda: np.empty(0))
+    outlier: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
+    heading: Array = field(default_factory=lambda: np.empty(0))
+    sigma_heading: Array = field(default_factory=lambda: np.empty(0))
+
+
+NOTHING = KeyframeMeasurements()
+
+
+@dataclass(frozen=True)
+class Paths:
+    """The ancestors of the last particles.
+
+    state: ``(k + 1, 6, n)`` x, y [m], θ [rad], R_s, R_d, b at each keyframe; weight: ``(n,)``, sum 1.
+    """
+
+    state: Array
+    weight: Array
+
+
+class ParticleFilter:
+    """Particles ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b, and their ancestors at the keyframes that are kept.
+
+    prior: of (R_s, R_d, b); fewest, most: particles, as many as needed between; tiles: of distances to walls that are
+    computed at once, by default all that are missing: a walk under way cannot wait for them.
+    """
+
+    def __init__(self, prior: Prior, seed: int, *, fewest: int, most: int, tiles: int | None = None):
+        self.prior, self.fewest, self.most, self.tiles = prior, fewest, most, tiles
+        self.random = np.random.default_rng(seed)
+        self.state, self.weight = np.empty((6, 0)), np.empty(0)  # weight: its logarithm ``(n,)``
+        self._change = np.array(prior.change)[:, None]
+        self._steps = 0  # since the last keyframe
+        self._states, self._origins = list[Array](), list[Index]()
+
+    def begin(
+        self,
+        place: Array,
+        sigma: float,
+        heading: float,
+        sigma_heading: float,
+        way: complex = 0j,
+        seen: KeyframeMeasurements = NOTHING,
+    ) -> None:
+        """The first keyframe: particles such that steps lead each to a place as it is known.
+
+        place: ``(2,)`` ± sigma [m]; heading: at the keyframe, ± sigma_heading [rad]; way: from the keyframe to the
+        place as steps have it, turned to that heading [m]; seen: at the keyframe.
+        """
+        n, random = self.most, self.random
+        spread = max(sigma_heading, LEAST_SIGMA_DIRECTION)
+        turned = spread * random.standard_normal(n)
+        anyhow = slice(None) if spread > np.pi / 2 else slice(None, None, RARE)  # fixes lay a walk as a whole
+        turned[anyhow] = 2 * np.pi * np.arange(n)[anyhow] / n
+        drawn = random.multivariate_normal(np.zeros(3), self.prior.covariance * np.outer(WIDE, WIDE), n).T
+        c = _calibrated(drawn, self.prior)
+        led = way * c[0] * np.exp(1j * turned)
+        start = place[:, None] + sigma * random.standard_normal((2, n)) - [led.real, led.imag]
+        self.begin_at(np.concatenate([start, [heading + turned], c]))
+        self.weight = _likelihood(seen, self.state)
+
+    def begin_at(self, state: Array) -> None:
+        """The first keyframe, with particles ``(6, n)`` where they are known to be."""
+        n = state.shape[1]
+        self.state, self.weight, self._steps = state, np.full(n, -np.log(n)), 0
+        self._states, self._origins = [state], [np.arange(n)]
+
+    def advance(
+        self,
+        pieces: Pieces,
+        fields: Sequence[DistanceField],
+        ways: Mapping[int, Sequence[DistanceField]] | None = None,
+        seen: KeyframeMeasurements = NOTHING,
+    ) -> None:
+        """Move to the next keyframe, through an interval of ``pieces``.
+
+        fields: of each piece's floor; ways: the stairs and lifts that lead to the floor of a piece from that of the
+        one before, where it is another; seen: at the keyframe.
+        """
+        turn, time = 2 * (pieces.to_end - pieces.to_middle)
+        for m, floor in enumerate(fields):
+            if ways and m in ways:
+                self.change_floor(ways[m])
+            self.step(float(pieces.length[m]), turn[m], time[m], pieces.variance[m], floor)
+        self.close(seen)
+
+    def change_floor(self, ways: Sequence[DistanceField]) -> None:
+        """Change the floor, by stairs or lifts with these fields."""
+        self.weight = self.weight - changed_floor(self.state, ways)
+
+    def step(self, length: float, turn: float, time: float, variance: Array, floor: DistanceField) -> None:
+        """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(3,)`` as of ``Pieces``."""
+        sigma = CALM * np.sqrt(variance)
+        if length > 0:
+            self.state, price = stepped(self.state, length, turn, time, sigma, floor, self.random, self.tiles)
+            self.weight = self.weight - price
+            self._steps += 1
+        else:
+            self.state = stood(self.state, turn, time, sigma, self.random)
+
+    def close(self, seen: KeyframeMeasurements = NOTHING) -> None:
+        """Close a keyframe: weight by fixes and compass, resample."""
+        state, random = self.state, self.random
+        state[3:] += np.sqrt(self._steps / STEPS_PER_SEGMENT) * self._change * random.standard_normal(state[3:].shape)
+        np.maximum(state[3], LEAST_STRIDE, out=state[3])
+        far = _far_fix(seen, state)
+        if far is not None:
+            self._seek(seen, far)
+        weight = self.weight + _likelihood(seen, self.state)
+        weight -= np.logaddexp.reduce(weight)
+        origin = np.arange(len(weight))
+        if np.exp(-np.logaddexp.reduce(2 * weight)) < RESAMPLE * len(weight):
+            origin = _resampled(weight, self._needed(), random)
+            self.state, weight = self.state[:, origin], np.full(len(origin), -np.log(len(origin)))
+            self.state[3:] = _varied(self.state[3:], self.prior, random)
+        self.weight, self._steps = weight, 0
+        self._states.append(self.state)
+        self._origins.append(origin)
+
+    def paths(self) -> Paths:
+        """The ancestors of the last keyframe's particles, at all keyframes that are kept."""
+        which = np.arange(len(self.weight))
+        paths = np.empty((len(self._states), 6, len(which)))
+        for k in range(len(paths) - 1, -1, -1):
+            self._states[k].take(which, axis=1, out=paths[k], mode="clip")
+            which = self._origins[k].take(which)
+        return Paths(paths, np.exp(self.weight))
+
+    def forget(self, count: int) -> None:
+        """Let go of the first ``count`` keyframes that are kept, not of the last."""
+        del self._states[:count], self._origins[:count]
+
+    def _seek(self, seen: KeyframeMeasurements, f: int) -> None:
+        """Move some particles to fix ``f`` at a price; later fixes decide whether they survive."""
+        state, weight, n = self.state.copy(), self.weight.copy(), self.state.shape[1]
+        put = np.arange(0, n, SOUGHT)
+        place = self.random.standard_normal((2, len(put))) * max(seen.sigma[f], LEAST_SIGMA)
+        state[:2, put] = seen.position[f][:, None] + place
+        state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
+        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - LOST_PRICE
+        self.state, self.weight = state, weight
+
+    def _needed(self) -> int:
+        """Number of particles needed: some for each bin of place and direction that they occupy."""
+        x, y, angle = np.floor(self.state[:3] / np.array([BIN, BIN, BIN_ANGLE])[:, None]).astype(np.int64)
+        bins = np.unique((x << 40) + (y << 16) + angle)
+        return int(np.clip(PER_BIN * self.most / AMONG * len(bins), self.fewest, self.most))
+
+
+def _likelihood(seen: KeyframeMeasurements, state: Array) -> Array:
+    """Log-likelihood ``(n,)`` of the measurements; an outlier costs OUTLIER_PRICE at most."""
+    total = np.zeros(state.shape[1])
+    for position, sigma in zip(seen.position, seen.sigma, strict=True):
+        apart = np.hypot(*(state[:2] - position[:, None])) / max(sigma, LEAST_SIGMA)
+        total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
+    for heading, sigma in zip(seen.heading, seen.sigma_heading, strict=True):
+        apart = wrap_angle(heading - state[2]) / sigma
+        total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
+    return total
+
+
+def _far_fix(seen: KeyframeMeasurements, state: Array) -> int | None:
+    """The fix that lies far from all particles, if any: it is an outlier, or they are in the wrong place."""
+    fixes = np.flatnonzero(~seen.outlier)
+    distance = [np.hypot(*(state[:2] - seen.position[f][:, None])).min() for f in fixes]
+    apart = np.divide(distance, seen.sigma[fixes])
+    return int(fixes[np.argmax(apart)]) if np.max(apart, initial=0.0) > FAR else None
+
+
+def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
+    """Systematic resampling: which particles ``(n,)`` go on."""
+    share = np.cumsum(np.exp(weight))
+    return np.minimum(np.searchsorted(share, share[-1] * (np.arange(n) + random.uniform()) / n), len(weight) - 1)
+
+
+def _varied(c: Array, prior: Prior, random: np.random.Generator) -> Array:
+    """Calibrations ``(3, n)`` somewhat beside what they are, where the prior admits it (a Metropolis move)."""
+    before = _errors(c, prior)
+    root = np.linalg.cholesky(np.cov(before) + 1e-12 * np.eye(3))
+    after = before + KERNEL * root @ random.standard_normal(c.shape)
+    information = np.linalg.inv(prior.covariance * np.outer(WIDE, WIDE))
+    rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
+    return np.where(random.exponential(size=c.shape[1]) > rise, _calibrated(after, prior), c)
+
+
+def _calibrated(errors: Array, prior: Prior) -> Array:
+    """(R_s, R_d, b) ``(3, n)`` of errors about the prior's mean: R_s by its logarithm, or walls would favour walkers
+    who hardly move.
+    """
+    stride, turn, drift = prior.mean
+    return np.stack([stride * np.exp(errors[0]), turn + errors[1], drift + errors[2]])
+
+
+def _errors(c: Array, prior: Prior) -> Array:
+    """The inverse of `_calibrated`."""
+    stride, turn, drift = prior.mean
+    return np.stack([np.log(c[0] / stride), c[1] - turn, c[2] - drift])
+
+
+FEWEST, MOST = 1000, 8000  # particles
+
+
+def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
+    """The paths that plan, fixes and headings admit.
+
+    graph: with walls, and at least one fix that is used. times: as many particles as usual.
+    """
+    cloud = ParticleFilter(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
+    _begin(cloud, graph)
+    return _advanced(cloud, graph, 0)
+
+
+def particles_from(graph: WalkGraph, keyframe: int, state: Array) -> Paths:
+    """As `particle_filter`, from a keyframe on at which particles ``(6, n)`` are known."""
+    cloud = ParticleFilter(graph.prior, 0, fewest=FEWEST, most=MOST)
+    cloud.begin_at(state)
+    return _advanced(cloud, graph, keyframe)
+
+
+def _advanced(cloud: ParticleFilter, graph: WalkGraph, begin: int) -> Paths:
+    """The paths of particles from keyframe ``begin`` to the end."""
+    floor_sequence, pieces = graph.floor_sequence, graph.pieces
+    assert floor_sequence is not None, "asked for with a plan"
+    ways = {piece: [way.field for way in others] for piece, others in floor_sequence.changes.items()}
+    for interval in range(begin, len(pieces.first)):
+        first = int(pieces.first[interval])
+        here = range(first, int(pieces.last[interval]) + 1)
+        cloud.advance(
+            _pieces(graph, interval),
+            [floor_sequence.field(m) for m in here],
+            {m - first: ways[m] for m in here if m in ways},
+            measurements_at(graph.measurements, interval + 1),
+        )
+    return cloud.paths()
+
+
+def _pieces(graph: WalkGraph, interval: int) -> Pieces:
+    """The pieces of an interval; a gap with a loop closure is a pause.
+
+    If the walker walked on, the start aligned with the fixes finds it.
+    """
+    own = graph.pieces.only(interval)
+    closures = graph.find(LoopClosureFactor)
+    bound = np.flatnonzero((closures.keyframe == (interval, interval + 1)).all(axis=1)) if closures else []
+    if closures is None or not len(bound):
+        return own
+    stood = closures.closures.sigma[bound].min() ** 2
+    return replace(own, variance=np.minimum(own.variance, [stood, stood, np.inf]))
+
+
+def _begin(cloud: ParticleFilter, graph: WalkGraph) -> None:
+    """Start the particles so that the steps lead to the first fix."""
+    fixes, (track, _) = graph.positions, graph.chain.track
+    used = np.flatnonzero(fixes.used)
+    first = used[np.argmin(fixes.keyframe[used])]
+    cloud.begin(
+        fixes.fixes.position[first],
+        float(fixes.independent_sigma[first]),
+        float(graph.start.poses[0, 2]),
+        graph.sigma_direction,
+        complex(track[fixes.keyframe[first]]),
+        measurements_at(graph.measurements, 0),
+    )
+
+
+def measurements_at(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
+    """The fixes and headings at a keyframe."""
+    seen = KeyframeMeasurements()
+    for one in measurements:
+        if isinstance(one, FixFactor):
+            here = one.used & (one.keyframe == keyframe)
+            position, sigma = one.fixes.position[here], one.independent_sigma[here]
+            seen = replace(seen, position=position, sigma=sigma, outlier=one.outlier[here])
+        elif isinstance(one, HeadingFactor):
+            here = one.keyframe == keyframe
+            seen = replace(seen, heading=one.headings.heading[here], sigma_heading=one.headings.sigma[here])
+    return seen

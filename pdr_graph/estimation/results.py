@@ -1,0 +1,127 @@
+"""What an estimate says of itself: what was estimated of the walker, and what to know before trusting it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_graph.estimation.factors.fixes import DUPLICATE, LOUD_BEACON, OUTSIDE
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.types import Array, Calibration, Estimate, FixReport, Index
+
+SURE = 0.9  # probability below which a user is warned
+REJECTED = 0.1  # weight below which a fix counts as rejected
+MANY = 0.1  # share of rejected fixes at which a user is warned
+NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
+
+
+def calibration_of(graph: WalkGraph, value: Array, covariance: Array) -> Calibration:
+    """(R_s, R_d, b) in each segment of the walk, from ``(s, 3)`` and ``(s, 3, 3)``."""
+    prior = prior_sigma(graph.prior, np.arange(len(value)))
+    return Calibration(graph.keyframe_time[graph.chain.segment_first], value, covariance, prior)
+
+
+def prior_sigma(prior: Prior, segment: Index) -> Array:
+    """Standard deviations ``(s, 3)`` of (R_s, R_d, b) in segments ``(s,)`` before any measurement."""
+    return np.sqrt(np.square(prior.sigma) + segment[:, None] * np.square(prior.change))
+
+
+@dataclass(frozen=True)
+class Placement:
+    """What placed a walk: how many fixes were used; whether there were headings, a plan, and walls that were used."""
+
+    used: int
+    headings: bool
+    plan: bool
+    walled: bool
+
+    def warnings(self) -> tuple[str, ...]:
+        """Warn of a walk whose place or direction is not known, and of a plan that is elsewhere."""
+        warned = {
+            "no position fix: the track starts at (0, 0) with heading 0": self.used == 0,
+            "one position fix: the direction of the walk is unknown, heading 0 was assumed": self.used == 1
+            and not self.walled
+            and not self.headings,
+            "no fix lies near the floor plan: its walls were not used": bool(self.used)
+            and self.plan
+            and not self.walled,
+        }
+        return tuple(text for text, holds in warned.items() if holds)
+
+
+def warnings(
+    graph: WalkGraph, walks: int, probability: float, converged: bool, calibration: Calibration
+) -> tuple[str, ...]:
+    """Warn of what a user must know before trusting the result.
+
+    walks: how many explain the measurements; probability: that it took the path that the estimate has.
+    """
+    fixes, headings = graph.positions, len(graph.headings.headings) > 0
+    placement = Placement(int(fixes.used.sum()), headings, graph.floor_sequence is not None, graph.walled)
+    warned = {
+        f"{walks} different walks explain the measurements, this route with a probability of {probability:.0%}; the "
+        "covariance spans them": walks > 1,
+        f"the walk fits the plan poorly, this route with a probability of {probability:.0%}: another is possible": (
+            walks == 1 and probability < SURE
+        ),
+        "the optimiser had not converged": not converged,
+    }
+    outside = fixes.fixes.time[~fixes.used & ~fixes.duplicate]
+    return (
+        *placement.warnings(),
+        *outside_warnings(outside, graph.steps.start, graph.steps.end),
+        *(text for text, holds in warned.items() if holds),
+        *calibration_warnings(calibration),
+    )
+
+
+def outside_warnings(time: Array, start: float, end: float) -> tuple[str, ...]:
+    """Warn of fixes that were not used since their times ``(n,)`` lie outside the recording. [s]"""
+    if not len(time):
+        return ()
+    least = float(np.min(np.maximum(start - time, time - end)))
+    return (f"{len(time)} fixes lie outside the recording, by {least:.0f} s or more, and were not used",)
+
+
+def calibration_warnings(calibration: Calibration) -> tuple[str, ...]:
+    """Warn of coefficients that the walk does not determine."""
+    open_ = [NAMES[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
+    return (f"{', '.join(open_)} not observable from this walk: prior kept",) if open_ else ()
+
+
+def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
+    """Warn of fixes that the steps and the other fixes contradict; see `is_a_guess`."""
+    rejected, used = _rejected(fixes), len(used_fixes(fixes))
+    if rejected <= MANY * used:
+        return ()
+    guess = ": where the walk was is a guess" if is_a_guess(fixes) else ""
+    return (f"{rejected} of {used} fixes contradict the steps and the other fixes and have weight 0{guess}",)
+
+
+def missing_of(estimate: Estimate, fixes: int) -> tuple[str, ...]:
+    """Return what could not be had of a walk with so many fixes, a line each."""
+    if fixes and not used_fixes(estimate.fixes):
+        missing = ("a place: no fix lies within the recording",)
+    elif is_a_guess(estimate.fixes):
+        missing = ("a place: the fixes contradict the steps and one another",)
+    else:
+        missing = ()
+    return missing if estimate.converged else (*missing, "a converged optimum")
+
+
+def used_fixes(fixes: Sequence[FixReport]) -> list[FixReport]:
+    """Return the reports of the fixes that were used: no duplicates, and none outside the recording."""
+    return [fix for fix in fixes if fix.reason not in (DUPLICATE, OUTSIDE)]
+
+
+def is_a_guess(fixes: Sequence[FixReport]) -> bool:
+    """Whether as many fixes say that the walk was elsewhere as say that it was where it is."""
+    return 2 * _rejected(fixes) >= max(len(used_fixes(fixes)), 1)
+
+
+def _rejected(fixes: Sequence[FixReport]) -> int:
+    """How many of the used fixes were rejected; none of loud beacons, which are let go of on purpose."""
+    return sum(fix.weight < REJECTED and fix.reason != LOUD_BEACON for fix in used_fixes(fixes))

@@ -1,0 +1,211 @@
+"""Step length models and the features that they use.
+
+One published model is one function; each returns length and standard deviation ``(n,)`` [m]. The standard deviation is
+of one step about the model, beyond the walker's own scale R_s. Where a source gives none it is a share of the length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import resources
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from pdr_graph.gait.signals import GaitSignals
+from pdr_graph.types import Array
+
+SMOOTHING = 0.05  # [s] of the Gaussian over the vertical acceleration
+WINDOW = 2.0  # [s] about a landing over which the spectrum is taken
+BANDS = np.linspace(0.0, 5.0, 5)  # [Hz] [calibration-walk] has four between 0 and 5 Hz; their edges are not published
+
+
+@dataclass(frozen=True)
+class StepFeatures:
+    """Of the n steps of a part of a recording; each is worked out when first asked for."""
+
+    gait: GaitSignals
+
+    @property
+    def amplitude(self) -> Array:
+        """Of |a|, peak to peak ``(n,)``. [m/s²]"""
+        return self.gait.landings.amplitude
+
+    @property
+    def period(self) -> Array:
+        """Duration of a step ``(n,)``. [s]"""
+        return self.gait.landings.period
+
+    @cached_property
+    def turn(self) -> Array:
+        """Heading change over the step ``(n,)``. [rad]"""
+        return self._turned(self.period)
+
+    @cached_property
+    def bend(self) -> Array:
+        """Half of the heading change over the stride: without the body's sway from step to step ``(n,)``. [rad]"""
+        return self._turned(2 * self.period) / 2
+
+    @property
+    def vertical(self) -> Array:
+        """Vertical acceleration, peak to peak ``(n,)``. [m/s²]"""
+        return self._lifts[:, 0]
+
+    @property
+    def lift(self) -> Array:
+        """Time from the foot's lift to its landing, the vertical acceleration's lowest and highest ``(n,)``. [s]"""
+        return self._lifts[:, 1]
+
+    @cached_property
+    def power(self) -> Array:
+        """Of |a| about each landing, in four bands of 0–5 Hz ``(n, 4)``. [m²/s⁴]"""
+        attitude = self.gait.attitude
+        magnitude = np.linalg.norm(attitude.acceleration, axis=1)
+        count = min(max(4, round(WINDOW / attitude.period)), len(magnitude))
+        middle = np.searchsorted(attitude.time, self.gait.landings.time)
+        first = np.clip(middle - count // 2, 0, len(magnitude) - count)
+        windows = magnitude[first[:, None] + np.arange(count)]
+        taper = np.hanning(count)
+        level = (windows - windows.mean(axis=1, keepdims=True)) * taper
+        spectrum = np.abs(np.fft.rfft(level, axis=1)) ** 2 / (taper**2).sum() / count
+        band = np.digitize(np.fft.rfftfreq(count, attitude.period), BANDS) - 1
+        return np.stack([spectrum[:, band == b].sum(axis=1) for b in range(len(BANDS) - 1)], axis=1)
+
+    def _turned(self, duration: Array) -> Array:
+        landed, time, heading = self.gait.landings.time, self.gait.attitude.time, self.gait.direction.heading
+        return np.interp(landed, time, heading) - np.interp(landed - duration, time, heading)
+
+    @cached_property
+    def _lifts(self) -> Array:
+        attitude, landings = self.gait.attitude, self.gait.landings
+        up = attitude.R_world_device.apply(attitude.acceleration)[:, 2]
+        smooth = gaussian_filter1d(up, SMOOTHING / attitude.period)
+        found = np.zeros((len(landings), 2))
+        for n, (landed, period) in enumerate(zip(landings.time, landings.period, strict=True)):
+            first, middle, last = np.searchsorted(attitude.time, landed + period * np.array([-0.8, -0.3, 0.3]))
+            high = middle + int(np.argmax(smooth[middle : last + 1])) if middle < len(smooth) else len(smooth) - 1
+            low = first + int(np.argmin(smooth[first : high + 1]))
+            found[n] = smooth[high] - smooth[low], max(high - low, 1) * attitude.period
+        return found
+
+
+REFERENCE_HEIGHT = 1.70  # [m] stature at which a model without it was fitted
+K0, K1 = 0.34, 0.29  # [m], [√(m/s²)·s → m]: see inverted_pendulum
+SHORTEST, LONGEST = 0.2, 1.2  # [m]
+SPREAD = 0.3  # of a step's length; the settings table of docs/accuracy.md
+TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
+NORMAL_STEP, NORMAL_CADENCE = 0.70, 111.0  # [m], [steps/min] of people who say nothing of themselves
+WEINBERG = 0.425  # [m^¾ s^½] of Microsoft's walks, scripts/reproduce steps
+
+Lengths = tuple[Array, Array]
+
+
+def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """The default: from the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum).
+
+    A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and
+    the pendulum's chord grows with √h: L = k₀ + k₁ √A T. k₁ is fitted between the surveyed waypoints of 15 walks in
+    two malls (``scripts/reproduce steps``). k₀ is half a step, which the free fit agrees with: how hard a foot lands
+    depends on shoes, floor and pocket too, and is trusted by half. Both scale with stature. In bends steps are shorter:
+    [map-matching] Eq. (2), which real walks bear out (1.1 % per degree; ``scripts/reproduce steps``).
+    """
+    straight_on = K0 + K1 * np.sqrt(steps.amplitude) * steps.period
+    return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
+
+
+def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """[calibration-walk] Eq. (6): L = 0.26 h + 0.31, the same for every step."""
+    return _plausible(np.full(len(steps.period), 0.26 * height + 0.31))
+
+
+def by_cadence(
+    steps: StepFeatures,
+    height: float = REFERENCE_HEIGHT,
+    normal_step: float = NORMAL_STEP,
+    normal_cadence: float = NORMAL_CADENCE,
+) -> Lengths:
+    """[map-matching] Eqs. (1) to (3): L = R/100 · C r_c, with cadence C, r_c = L₀ / C₀, and R = 100 − a |θ| percent
+    in turns, θ the heading change of the step in degrees, here up to 89°.
+
+    normal_step: L₀ [m]; normal_cadence: C₀ [steps/min]; height is not used.
+    """
+    return _plausible(_in_turns(steps.turn) * 60 / steps.period * normal_step / normal_cadence)
+
+
+def _in_turns(turn: Array) -> Array:
+    """[map-matching] Eq. (2): the share of its length that a step keeps when it turns by ``turn (n,)`` [rad]."""
+    return 1 - TURN_SHORTENS / 100 * np.minimum(np.degrees(np.abs(turn)), LARGEST_TURN)
+
+
+def by_amplitude(
+    steps: StepFeatures,
+    height: float = REFERENCE_HEIGHT,
+    intercept: float = 0.445,
+    slope: float = 0.0335,
+    variance: float = 0.01,
+) -> Lengths:
+    """[gps-dr] Sec. 2.3: linear in the amplitude of the vertical acceleration, L = intercept + slope A.
+
+    intercept [m], slope [s²] and variance [m²] are one person's, of `regression`; height is not used.
+    """
+    length, _ = _plausible(intercept + slope * steps.vertical)
+    return length, np.full(len(length), np.sqrt(variance))
+
+
+def regression(amplitude: Array, length: Array) -> dict[str, float]:
+    """One person's constants of `by_amplitude`, from steps ``(n,)`` whose lengths ``(n,)`` [m] are known.
+
+    Raises ValueError for fewer than three steps, or amplitudes that are all the same.
+    """
+    if len(amplitude) < 3 or np.ptp(amplitude) == 0:
+        raise ValueError(f"found {len(amplitude)} steps, expected three or more of different amplitudes")
+    slope, intercept = np.polyfit(amplitude, length, 1)
+    left = length - intercept - slope * amplitude
+    return {"intercept": float(intercept), "slope": float(slope), "variance": float(left @ left / (len(left) - 2))}
+
+
+def weinberg(steps: StepFeatures, height: float = REFERENCE_HEIGHT, k: float = WEINBERG) -> Lengths:
+    """Weinberg 2002 (Analog Devices AN-602): L = k · (a_max − a_min)^¼ of the vertical acceleration.
+
+    height is not used.
+    """
+    return _plausible(k * steps.vertical**0.25)
+
+
+def lasso(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
+    """[calibration-walk] Eq. (7): L = K₀ h/T + K₁ P₀ + K₂ P₁ + K₃ P₂ + K₄ P₃; T from lift to landing, P the power of
+    |a| in four bands of 0–5 Hz.
+
+    The weights are not published; ours are of ``scripts/train_lasso``, which also shows what a Lasso chooses.
+    """
+    return _plausible(lasso_features(steps, height) @ lasso_weights())
+
+
+def lasso_features(steps: StepFeatures, height: float) -> Array:
+    """The five terms of Eq. (7), ``(n, 5)``."""
+    return np.column_stack([height / steps.lift, steps.power])
+
+
+@cache
+def lasso_weights() -> Array:
+    """K₀ … K₄."""
+    with resources.files("pdr_graph.gait").joinpath("lasso.csv").open() as file:
+        return np.loadtxt(file, delimiter=",", skiprows=1, usecols=1)
+
+
+MODELS: dict[str, Callable[..., Lengths]] = {
+    "inverted pendulum": inverted_pendulum,
+    "height": by_height,
+    "cadence": by_cadence,
+    "amplitude": by_amplitude,
+    "weinberg": weinberg,
+    "lasso": lasso,
+}
+
+
+def _plausible(length: Array) -> Lengths:
+    """Within what legs can do, and its standard deviation."""
+    length = np.clip(length, SHORTEST, LONGEST)
+    return length, SPREAD * length

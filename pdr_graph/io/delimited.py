@@ -1,0 +1,148 @@
+"""Columns of numbers from delimited text, at the speed of ``numpy.loadtxt``, with errors that name the line."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.types import Array
+
+DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark
+MISSING = ("", "nan", "null", "none", "na", "n/a", "-")  # texts that recorders write for a missing value
+LARGEST = 1e20  # a larger number counts as missing: Unix nanoseconds are about 1e18
+NO_CELLS = " \r\t;,"  # characters of a row without cells
+EMPTY_ROW = re.compile(rf"\n[{NO_CELLS}]*\n|\n[{NO_CELLS}]+\Z")
+LONGEST_LINE = 10_000  # characters; rows of recorders have some hundred
+
+
+@dataclass(frozen=True)
+class TextRows:
+    """Rows of one delimited text file.
+
+    where: name of the file in messages; lines: text of the rows; numbers: their line numbers, from 1.
+    """
+
+    where: str
+    lines: Sequence[str]
+    numbers: Sequence[int]
+    delimiter: str = ","
+
+    def __len__(self) -> int:
+        return len(self.lines)
+
+    def floats(self, columns: Sequence[int], cut_off_allowed: bool = True) -> Array:
+        """The columns as numbers ``(n, k)``, NaN where a cell is empty or its number too large.
+
+        cut_off_allowed: leave out a last row that is too short; False for formats that mark their end.
+        Raises InputError, with the line, if a cell is neither empty nor a number.
+        """
+        if not self.lines:
+            return np.empty((0, len(columns)))
+        try:
+            table = np.loadtxt(
+                self.lines, delimiter=self.delimiter, usecols=columns, comments=None, quotechar='"', ndmin=2
+            )
+        except (ValueError, OverflowError):
+            table = None
+        if table is None or len(table) != len(self.lines):  # loadtxt joins a line with an open quote to the next
+            table = self._floats_one_by_one(columns, cut_off_allowed)
+        with np.errstate(invalid="ignore"):
+            table[~(np.abs(table) < LARGEST)] = np.nan
+        return table
+
+    def words(self, column: int) -> list[str]:
+        """One column as texts ``(n,)``, empty where a row is too short."""
+        return [row[column].strip() if column < len(row) else "" for row in self._cells()]
+
+    def _cells(self) -> list[list[str]]:
+        if any(len(line) > LONGEST_LINE for line in self.lines):
+            longest = int(np.argmax([len(line) for line in self.lines]))
+            found = f"{len(self.lines[longest])} characters"
+            raise InputError(self.where, f"line {self.numbers[longest]}", found, f"a row of at most {LONGEST_LINE}")
+        if any('"' in line for line in self.lines):
+            return [split(line, self.delimiter) for line in self.lines]
+        return [line.split(self.delimiter) for line in self.lines]
+
+    def _floats_one_by_one(self, columns: Sequence[int], cut_off_allowed: bool) -> Array:
+        table: list[list[float]] = []
+        for number, line, row in zip(self.numbers, self.lines, self._cells(), strict=True):
+            if len(row) <= max(columns):
+                if cut_off_allowed and number == self.numbers[-1]:
+                    break  # the recorder stopped in mid-line
+                found = f"{len(row)} fields, {line[:40]!r}"
+                raise InputError(self.where, f"line {number}", found, f"at least {max(columns) + 1}")
+            table.append([self._number(number, row[c]) for c in columns])
+        return np.array(table).reshape(-1, len(columns))
+
+    def _number(self, line: int, cell: str) -> float:
+        cell = cell.strip()
+        if cell.lower() in MISSING:
+            return math.nan
+        try:
+            return float(cell)
+        except ValueError:
+            raise InputError(self.where, f"line {line}", repr(cell[:40]), "a number") from None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A file with a header: column names as written, and rows."""
+
+    header: tuple[str, ...]
+    rows: TextRows
+
+    def find(self, wanted: Callable[[str], bool]) -> int | None:
+        """The first column for whose lower-case name `wanted` is true; None if there is none."""
+        return next((k for k, name in enumerate(self.header) if wanted(name.lower())), None)
+
+    def floats(self, *names: str, optional: Sequence[str] = ()) -> Array:
+        """Columns ``(n, k)`` by name in any case; a missing optional column is all NaN.
+
+        Raises InputError if another column is missing.
+        """
+        columns = [self.find(name.lower().__eq__) for name in (*names, *optional)]
+        if None in columns[: len(names)]:
+            found = f"the columns {', '.join(self.header)[:80]}"
+            raise InputError(self.rows.where, "the header", found, f"a column {names[columns.index(None)]}")
+        there = [n for n, column in enumerate(columns) if column is not None]
+        values = self.rows.floats([column for column in columns if column is not None])
+        wide = np.full((len(values), len(columns)), np.nan)
+        wide[:, there] = values
+        return wide
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """The cells of one line; cells may be quoted."""
+    try:
+        return next(csv.reader([line.strip("\r\n")], delimiter=delimiter), [])
+    except csv.Error:
+        return line.split(delimiter)
+
+
+def table(where: str, text: str) -> Table:
+    """The table of a CSV with a header, with any of DELIMITERS and either decimal mark."""
+    lines = text.split("\n")
+    first = next((n for n, line in enumerate(lines) if line.strip()), None)
+    if first is None:
+        raise InputError(where, "", "an empty file", "a header and rows")
+    if len(lines[first]) > LONGEST_LINE:
+        raise InputError(where, "line 1", f"{len(lines[first])} characters", "a header")
+    head = lines[first]
+    delimiter = next((d for d in DELIMITERS if d in head), ",")
+    header = tuple(name.strip() for name in split(head, delimiter))
+    if not lines[-1]:
+        lines.pop()  # empty: the text ends with a line break
+    numbers: Sequence[int] = range(first + 2, len(lines) + 1)
+    rows = lines[first + 1 :]
+    if EMPTY_ROW.search(text):
+        numbers = [number for number in numbers if lines[number - 1].strip(NO_CELLS)]
+        rows = [lines[number - 1] for number in numbers]
+    if delimiter != "," and any("," in line for line in rows[:10]):
+        rows = [line.replace(",", ".") for line in rows]
+    return Table(header, TextRows(where, rows, numbers, delimiter))

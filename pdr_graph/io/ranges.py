@@ -1,0 +1,56 @@
+"""Tables of ranges to anchors: UWB, Wi-Fi RTT, BLE ranging."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.io.beacons import SURVEY_SIGMA as UNSTATED
+from pdr_graph.io.tables import read_table
+from pdr_graph.measurements import Ranges
+from pdr_graph.types import Beacons, Recording
+
+SIGMA = 0.3  # [m] of a range with line of sight, where the table does not say
+SURVEY_SIGMA = 0.1  # [m] per axis of an anchor's place, where the list does not say
+LONGEST = 1000.0  # [m] beyond which a distance is in other units
+
+
+def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
+    """Ranges of a table ``time,anchor,range[,sigma]``, in order of time.
+
+    time: in the recorder's clock [s]; anchor: a name in the list of anchors; range, sigma: [m]. anchors: in the frame
+    of the walk. Raises InputError naming the line, also if no range lies within the recording.
+    """
+    numbers, words = read_table(path, [("time", "range")], optional=("sigma",), words=("anchor",))
+    time, distance = numbers["time"] - recording.clock_origin, numbers["range"]
+    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(time), np.nan)), nan=SIGMA)
+    for wrong, values, name, expected in (
+        ((distance < 0) | (distance > LONGEST), distance, "range", f"metres, from 0 to {LONGEST:.0f}"),
+        (sigma <= 0, sigma, "sigma", "a standard deviation above 0 m"),
+    ):
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:g}", expected)
+    number = {label.lower(): m for m, label in enumerate(anchors.label)}
+    anchor = np.array([number.get(name.lower(), -1) for name in words["anchor"]], dtype=np.intp)
+    if (anchor < 0).any():
+        unknown = words["anchor"][int(np.argmax(anchor < 0))]
+        known = f"one of {', '.join(anchors.label)[:80]}"
+        raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", known)
+    order = np.argsort(time, kind="stable")
+    survey = np.where(anchors.sigma == UNSTATED, SURVEY_SIGMA, anchors.sigma)
+    found = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, survey)
+    _check_clock(path, found, recording)
+    return replace(found, time=time[order], anchor=anchor[order], range=distance[order], sigma=sigma[order])
+
+
+def _check_clock(path: Path, ranges: Ranges, recording: Recording) -> None:
+    end = max((signal.time[-1] for signal in recording.signals.values()), default=np.inf)
+    if not ((ranges.time >= 0) & (ranges.time <= end)).any():
+        clock = recording.clock_origin
+        found = f"{ranges.time.min() + clock:.1f} to {ranges.time.max() + clock:.1f} s" if len(ranges) else "no ranges"
+        expected = f"times within the recording, {clock:.1f} to {clock + end:.1f} s (another clock, or milliseconds?)"
+        raise InputError(path, "time", found, expected)

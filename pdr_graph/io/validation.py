@@ -1,0 +1,291 @@
+"""Input validation: raw columns of any reader become a ``Recording``, receiver positions become fixes.
+
+Damage that can be repaired with certainty is repaired and noted with numbers; other damage is refused. The notes are
+among the warnings of ``summary.json``. All recorders share these rules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
+
+MOST_MISSING = 0.2  # share of a sensor's rows without a value; with more, the file is damaged
+MOST_UNORDERED, FARTHEST_BACK = 0.01, 1.0  # share of rows, and [s]: threads of a recorder, not a shuffled file
+ABSURD = 1e12  # least absurd time [s] or value in any unit; NaN and infinity fail the test too
+WINDOW = 2.0  # [s], a stride or two, over which the walker's own acceleration averages out
+GRAVITY = (8.0, 11.5)  # [m/s²] of window means: 9.5–10.2 on real walks
+GRAVITY_IN_G = (0.85, 1.15)
+FASTEST_TURN = 10.0  # [rad/s] median; a walk exceeds it only if its unit is deg/s
+SLOWEST_RATE = 15.0  # [Hz] below which peaks of steps are missed
+SHORTEST_GAP = 0.5  # [s]
+APART = 1.0  # [s] between the starts or ends of two sensors that is noted
+PASCAL, KILOPASCAL = 2000.0, 200.0  # above, a pressure is in Pa, below in kPa: people walk at 400–1050 hPa
+Timed = TypeVar("Timed", Signal, Fixes, Sightings, Trajectory)
+INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
+
+
+def build_recording(
+    path: str,
+    source: str,
+    tables: Mapping[str, Array],
+    unix_zero: float | None,
+    fixes: Fixes | None = None,
+    bluetooth: Sightings | None = None,
+    wifi: Sightings | None = None,
+    truth: Trajectory | None = None,
+    notes: Sequence[str] = (),
+) -> Recording:
+    """The recording from a reader's raw columns, all times in the recorder's own clock.
+
+    path: name of the files in messages; source: name of the recording in titles.
+    tables: per sensor ``(n, 1 + k)`` times [s] and values, rows of NaN where a value is missing.
+    unix_zero: Unix time at which the recorder's clock is zero [s], None if unknown.
+
+    Raises InputError if a sensor's rows are damaged, or their unit is not recognised.
+    """
+    notes = list(notes)
+    signals: dict[str, Signal] = {}
+    for sensor, table in tables.items():
+        cleaned = _clean(path, sensor, table, notes)
+        if len(cleaned):
+            signals[sensor] = Signal(cleaned[:, 0], cleaned[:, 1:])
+    signals = _units(path, signals, notes)
+    _check_rates(signals, notes)
+    _check_clocks(path, signals, notes)
+
+    starts = [signals[s].time[0] for s in INERTIAL if s in signals] or [s.time[0] for s in signals.values()]
+    starts = starts or [part.time[0] for part in (fixes, truth) if part is not None and len(part)]
+    if not starts:
+        raise InputError(path, "", "no sensor rows and no positions", "the rows of a sensor, or positions")
+    origin = float(min(starts))
+    _check_fixes(signals, fixes, notes)
+    return Recording(
+        source=source,
+        clock_origin=origin,
+        epoch=None if unix_zero is None else unix_zero + origin,
+        accelerometer=_since(origin, signals.get("accelerometer")),
+        gyroscope=_since(origin, signals.get("gyroscope")),
+        magnetometer=_since(origin, signals.get("magnetometer")),
+        linear_acceleration=_since(origin, signals.get("linear_acceleration")),
+        barometer=_since(origin, signals.get("barometer")),
+        fixes=_since(origin, fixes) or Fixes.none(),
+        bluetooth=_since(origin, bluetooth),
+        wifi=_since(origin, wifi),
+        truth=_since(origin, truth),
+        notes=tuple(notes),
+    )
+
+
+def _since(origin: float, part: Timed | None) -> Timed | None:
+    """`part` with times relative to ``origin`` [s]; None without rows."""
+    return replace(part, time=part.time - origin) if part is not None and len(part) else None
+
+
+def _clean(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
+    """The rows with a value, sorted by time, without duplicates; repairs are noted."""
+    with np.errstate(invalid="ignore"):
+        plausible = np.abs(table) < ABSURD
+    valid = np.ones(len(table), dtype=bool) if plausible.all() else plausible.all(axis=1)
+    missing = int((~valid).sum())
+    if missing > MOST_MISSING * len(table):
+        raise InputError(path, sensor, f"{missing} of {len(table)} rows without a value", "rows of finite numbers")
+    if missing:
+        notes.append(f"{sensor}: {missing} rows without a value were left out")
+    return _spread(sensor, _without_repeats(sensor, _in_order(path, sensor, table[valid], notes), notes), notes)
+
+
+def _in_order(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
+    """The rows sorted by time; raises InputError if too many are out of order."""
+    step = np.diff(table[:, 0])
+    back = step < 0
+    if not back.any():
+        return table
+    if back.mean() > MOST_UNORDERED or -step.min() > FARTHEST_BACK:
+        row = int(np.argmin(step)) + 1
+        found = f"times that go back {int(back.sum())} times, by {-step.min():.3f} s at the sensor's row {row + 1}"
+        raise InputError(path, sensor, found, "rows in order of time: the file was shuffled, or its clock was set")
+    notes.append(f"{sensor}: {int(back.sum())} rows out of order by up to {-step.min():.3f} s were sorted")
+    return table[np.argsort(table[:, 0], kind="stable")]
+
+
+def _without_repeats(sensor: str, table: Array, notes: list[str]) -> Array:
+    """The rows without repeats: same time, same values."""
+    repeated = np.zeros(len(table), dtype=bool)
+    again = np.flatnonzero(table[1:, 0] == table[:-1, 0]) + 1
+    repeated[again] = (table[again] == table[again - 1]).all(axis=1)
+    if repeated.any():
+        notes.append(f"{sensor}: {int(repeated.sum())} repeated rows were left out")
+    return table[~repeated]
+
+
+def _spread(sensor: str, table: Array, notes: list[str]) -> Array:
+    """The rows with samples of equal time spread evenly to the next tick: the clock is coarser than the sensor."""
+    if (np.diff(table[:, 0]) > 0).all():
+        return table
+    ticks, first, count = np.unique(table[:, 0], return_index=True, return_counts=True)
+    if len(ticks) == len(table) or len(ticks) < 2:
+        return table[first]
+    notes.append(f"{sensor}: {len(table) - len(ticks)} samples share their time with another and were spread evenly")
+    interval = np.minimum(np.diff(ticks, append=2 * ticks[-1] - ticks[-2]), np.median(np.diff(ticks)))
+    place = np.arange(len(table)) - np.repeat(first, count)
+    time = np.repeat(ticks, count) + place * np.repeat(interval / count, count)
+    return np.column_stack([time, table[:, 1:]])
+
+
+def _units(path: str, signals: dict[str, Signal], notes: list[str]) -> dict[str, Signal]:
+    """All sensors in SI units, hPa and µT."""
+    signals = dict(signals)
+    if "accelerometer" in signals:
+        signal = signals.pop("accelerometer")
+        sensor, factor = unit_of(path, "accelerometer", signal, notes)
+        signals.setdefault(sensor, _scaled(signal, factor))
+    for sensor in ("gyroscope", "barometer"):
+        if sensor in signals:
+            signals[sensor] = _scaled(signals[sensor], unit_of(path, sensor, signals[sensor], notes)[1])
+    return signals
+
+
+def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
+    """The kind of a sensor, judged by its values, and the factor that converts them to SI units, hPa and µT.
+
+    Raises InputError if an accelerometer's unit is not recognised.
+    """
+    if sensor == "accelerometer":
+        return _acceleration(path, signal, notes)
+    if sensor == "gyroscope":
+        usual = float(np.median(np.linalg.norm(signal.values, axis=1)))
+        if usual > FASTEST_TURN:
+            notes.append(f"gyroscope: a median of {usual:.1f} can only be degrees per second; converted to rad/s")
+            return sensor, np.pi / 180
+    if sensor == "barometer":
+        usual = float(np.median(signal.values))
+        factor = 0.01 if usual > PASCAL else 10.0 if usual < KILOPASCAL else 1.0
+        if factor != 1.0:
+            notes.append(
+                f"barometer: a median of {usual:.5g} can only be in {'Pa' if factor < 1 else 'kPa'}; converted to hPa"
+            )
+        return sensor, factor
+    return sensor, 1.0
+
+
+def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
+    """The kind of an accelerometer, with or without gravity, and the factor that converts it to m/s².
+
+    Over a stride the walker's own acceleration averages out, and gravity remains.
+    """
+    gravity, usual = _mean_of_windows(signal), float(np.median(np.linalg.norm(signal.values, axis=1)))
+    if GRAVITY[0] <= gravity <= GRAVITY[1]:
+        return "accelerometer", 1.0
+    if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * usual:
+        notes.append(f"accelerometer: gravity is {gravity:.3f}: the unit is g; converted to m/s²")
+        return "accelerometer", STANDARD_GRAVITY
+    if gravity < 0.5 * usual and usual < GRAVITY[0]:
+        notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
+        return "linear_acceleration", 1.0
+    expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
+    raise InputError(path, "accelerometer", f"gravity of {gravity:.3f} (mean over {WINDOW:.0f} s, median)", expected)
+
+
+def _mean_of_windows(signal: Signal) -> float:
+    """Median magnitude of the means over windows of two seconds."""
+    samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
+    windows = len(signal) // samples
+    means = signal.values[: windows * samples].reshape(windows, samples, -1).mean(axis=1)
+    return float(np.median(np.linalg.norm(means, axis=1)))
+
+
+def _scaled(signal: Signal, factor: float) -> Signal:
+    return replace(signal, values=signal.values * factor)
+
+
+def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
+    for sensor in (s for s in INERTIAL if s in signals and len(signals[s]) > 1):
+        signal = signals[sensor]
+        if signal.rate < SLOWEST_RATE:
+            notes.append(f"{sensor}: {signal.rate:.1f} Hz is too slow to detect every step")
+        interval = np.diff(signal.time)
+        gaps = interval[are_gaps(signal)]
+        if len(gaps):
+            place = signal.time[int(np.argmax(interval))] - signal.time[0]
+            notes.append(f"{sensor}: {len(gaps)} gaps, the longest of {gaps.max():.2f} s after {place:.1f} s")
+
+
+def are_gaps(signal: Signal) -> Mask:
+    """True for intervals between samples ``(n - 1,)`` that are far longer than the median."""
+    return np.diff(signal.time) > max(SHORTEST_GAP, 5 / signal.rate if signal.rate else np.inf)
+
+
+def _check_clocks(path: str, signals: dict[str, Signal], notes: list[str]) -> None:
+    """Raise InputError unless accelerometer and gyroscope overlap in time; note different spans."""
+    gyroscope = signals.get("gyroscope")
+    other = signals.get("accelerometer") or signals.get("linear_acceleration")
+    if gyroscope is None or other is None:
+        return
+    begins, ends = gyroscope.time[0] - other.time[0], gyroscope.time[-1] - other.time[-1]
+    if min(gyroscope.time[-1], other.time[-1]) <= max(gyroscope.time[0], other.time[0]):
+        raise InputError(
+            path,
+            "gyroscope",
+            f"a begin {begins:.1f} s after the accelerometer's, without overlap",
+            "sensors of one clock",
+        )
+    if max(abs(begins), abs(ends)) > APART:
+        notes.append(f"gyroscope: begins {begins:+.1f} s and ends {ends:+.1f} s after the accelerometer")
+
+
+def _check_fixes(signals: dict[str, Signal], fixes: Fixes | None, notes: list[str]) -> None:
+    inertial = [signals[s] for s in INERTIAL if s in signals]
+    if fixes is None or not len(fixes) or not inertial:
+        return
+    start, end = min(s.time[0] for s in inertial), max(s.time[-1] for s in inertial)
+    if fixes.time[0] > end or fixes.time[-1] < start:
+        apart = fixes.time[0] - start
+        notes.append(
+            f"position fixes: they begin {apart:+.1f} s from the sensors' start: another clock or another day?"
+        )
+
+
+RADIUS_68 = 1.51  # [σ per axis] radius of 68 % of a circular normal distribution: a phone's "accuracy"
+EXTRAPOLATED, FEWEST = 1.5, 4  # true over stated error with fewer satellites than a position needs: real walks
+USUAL_ACCURACY = 7.5  # [m] 68 % radius of a phone outdoors, assumed if the log has none
+
+
+def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS", satellites: Array | None = None) -> Fixes:
+    """Fixes from a receiver's rows: time [s], latitude [deg], longitude [deg], accuracy (68 % radius) [m].
+
+    table: ``(n, 4)`` in any order. satellites: ``(n,)`` number used for each position, NaN if unknown: on real walks it
+    adds nothing to a stated accuracy, unless there are too few.
+
+    Left out and noted: rows without a valid position, rows with a negative accuracy (iOS's mark of an invalid
+    position), and duplicate epochs. An accuracy of zero or NaN is unknown.
+    """
+    if satellites is not None:
+        few = satellites < FEWEST
+        table = np.column_stack([table[:, :3], np.where(few, EXTRAPOLATED, 1.0) * table[:, 3]])
+    time, lat, lon, accuracy = table.T
+    valid = np.isfinite(table[:, :3]).all(axis=1) & (np.abs(lat) <= 90) & (np.abs(lon) <= 180)
+    valid &= ~(accuracy < 0) & ~((lat == 0) & (lon == 0))
+    if not valid.all():
+        notes.append(f"{source}: {int((~valid).sum())} of {len(table)} positions are invalid or missing")
+    table = table[valid][np.argsort(time[valid], kind="stable")]
+    repeated = np.zeros(len(table), dtype=bool)
+    repeated[1:] = np.diff(table[:, 0]) == 0
+    if repeated.any():
+        notes.append(f"{source}: {int(repeated.sum())} duplicate epochs were left out")
+    time, lat, lon, accuracy = table[~repeated].T
+    unknown = ~(accuracy > 0) | np.isinf(accuracy)
+    if unknown.any():
+        notes.append(f"{source}: {int(unknown.sum())} positions have no accuracy: {USUAL_ACCURACY} m (68 %) is assumed")
+    sigma = np.where(unknown, USUAL_ACCURACY, accuracy) / RADIUS_68
+    return Fixes(time, np.column_stack([lon, lat]), sigma, ("",) * len(time), LONLAT, (source,) * len(time))
+
+
+def surveyed(time: Array, position: Array, floor: tuple[str, ...] | None = None, epsg: int | None = None) -> Trajectory:
+    """Ground truth from surveyed positions; its headings are NaN."""
+    return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), epsg=epsg)

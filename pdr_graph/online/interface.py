@@ -1,0 +1,173 @@
+"""The interface of a live estimator: events in, in order of arrival; poses out; what journal and replay need of it.
+
+A fix is ``Fixes`` of one row or of several, steps of another front end are ``Steps``; times are seconds of one clock,
+any, that does not jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from pdr_graph.errors import expect
+from pdr_graph.estimation.factors import KINDS
+from pdr_graph.frames import Frame
+from pdr_graph.measurements import last_time, take
+from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
+
+PACKET = 0.1  # [s] of samples that a phone hands over at once
+NO_DATA = "no data received"  # what is wrong with a sensor that is not there
+NO_STEPS = "no steps can be detected, so that there are the fixes alone"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Of one sensor. sensor: its name, as of ``Recording.signals``; time: ``(n,)`` [s]; values: as of ``Signal``."""
+
+    sensor: str
+    time: Array
+    values: Array
+
+
+@dataclass(frozen=True)
+class Scan:
+    """What a radio heard. radio: "bluetooth" or "wifi"."""
+
+    radio: str
+    heard: Sightings
+
+
+Event = Any  # Samples, Scan, Steps, or a table of measurements: Fixes, Headings, …
+EVENTS = (Samples, Scan, Steps, *KINDS)
+
+
+def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:
+    """Yield a recording as it would have arrived: samples in packets, then what was measured meanwhile.
+
+    packet: what a phone hands over at once [s].
+    """
+    expect("events_of, recording", recording, Recording, instead="load(path)")
+    arriving: list[tuple[float, int, Event]] = []
+    for sensor, signal in recording.signals.items():
+        packets = _packets(signal.time, packet)
+        arriving += [(time, 0, Samples(sensor, signal.time[rows], signal.values[rows])) for time, rows in packets]
+    for radio, heard in (("bluetooth", recording.bluetooth), ("wifi", recording.wifi)):
+        if heard is not None:
+            packets = _packets(heard.time, packet)
+            arriving += [(time, 1, Scan(radio, _some(heard, rows))) for time, rows in packets]
+    arriving += [(time, 2, recording.fixes[rows]) for time, rows in _packets(recording.fixes.time, packet)]
+    for table in recording.measurements:
+        complete = last_time(table)
+        order = np.argsort(complete, kind="stable")
+        packets = _packets(complete[order], packet)
+        arriving += [(time, 3, take(table, order[rows])) for time, rows in packets]
+    for _, _, event in sorted(arriving, key=lambda one: one[:2]):
+        yield event
+
+
+def _packets(time: Array, packet: float) -> Iterator[tuple[float, slice]]:
+    """When each packet of times ``(n,)``, in order, is complete [s], and its rows."""
+    number = np.floor(time / packet).astype(np.int64)
+    bounds = np.flatnonzero(np.diff(number, prepend=number[:1] - 1, append=number[-1:] + 1)).tolist()
+    for begin, end in pairwise(bounds):
+        yield float(number[begin] + 1) * packet, slice(begin, end)
+
+
+def _some(heard: Sightings, rows: slice) -> Sightings:
+    return Sightings(heard.time[rows], heard.transmitter[rows], heard.rssi[rows], heard.minor[rows])
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the walker is now.
+
+    time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
+    (x, y, heading) in the output axes [m, m, rad].
+    """
+
+    time: float
+    x: float
+    y: float
+    heading: float
+    floor: str
+    covariance: Array
+
+
+def trajectory_of(poses: Sequence[Pose]) -> Trajectory:
+    """Poses one after the other."""
+    return Trajectory(
+        time=np.array([pose.time for pose in poses]),
+        position=np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2),
+        heading=np.array([pose.heading for pose in poses]),
+        floor=tuple(pose.floor for pose in poses),
+        covariance=np.array([pose.covariance for pose in poses]).reshape(-1, 3, 3),
+    )
+
+
+class Status(Protocol):
+    """How well a navigator does. issues: what is wrong now; unknown: what the sensors do not tell; a line each."""
+
+    @property
+    def issues(self) -> tuple[str, ...]: ...  # noqa: D102
+
+    @property
+    def unknown(self) -> tuple[str, ...]: ...  # noqa: D102
+
+
+class LiveEstimator(Protocol):
+    """A navigator: events in, in order of arrival; a pose at once, and the walk smoothed so far."""
+
+    def push(self, event: Event) -> None:
+        """Take in an event. Bad data lowers the status; an exception means that the event was not taken."""
+        ...
+
+    @property
+    def pose(self) -> Pose | None:
+        """The causal pose, None before there is one."""
+        ...
+
+    @property
+    def steps(self) -> int:
+        """How many steps there have been, those that may still turn out not to be any among them."""
+        ...
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The walk smoothed so far; of a journaled navigator the rows that `finalized` has not returned yet."""
+        ...
+
+    @property
+    def status(self) -> Status:
+        """How well it does."""
+        ...
+
+    def finish(self) -> Estimate:
+        """The walk, no more events coming."""
+        ...
+
+
+class Georeferenced(LiveEstimator, Protocol):
+    """A navigator whose poses have a place on earth."""
+
+    @property
+    def frame(self) -> Frame | None:
+        """That of the poses, None before anything defines it."""
+        ...
+
+
+class Journaled(LiveEstimator, Protocol):
+    """A navigator that a journal can keep. Checkpoint: a dataclass that `storage.encode` takes."""
+
+    Checkpoint: ClassVar[type]
+
+    def snapshot(self) -> Any:
+        """All that the rest of the walk depends on, a ``Checkpoint``; `finalized` rows are not part of it."""
+        ...
+
+    def finalized(self) -> Trajectory:
+        """Return the rows outside the lag window, which do not change any more; each row is returned once."""
+        ...

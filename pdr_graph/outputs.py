@@ -1,0 +1,213 @@
+"""What is written of a walk: trajectory, picture, report and summary; with a truth, scores."""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.estimation.calibration import posterior_profile
+from pdr_graph.estimation.floors import Floors
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.gait.walker import Profile
+from pdr_graph.geometry import resample
+from pdr_graph.inputs import LIVE, Inputs, Options
+from pdr_graph.io import gpx, writers
+from pdr_graph.types import Estimate, Steps, Trajectory
+
+REPORTED = ("fixes", "beacons", "headings")  # kinds that a summary has even if nothing was measured
+
+
+@dataclass
+class Stages:
+    """Wall time of each stage [s]; on a terminal, the stage under way is shown."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Time one stage."""
+        started = time.perf_counter()
+        if sys.stderr.isatty():
+            from rich.console import Console
+
+            with Console(stderr=True).status(f"{name} …"):
+                yield
+        else:
+            yield
+        self.seconds[name] = round(time.perf_counter() - started, 4)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a walk.
+
+    missing: what could not be estimated, a line each; graph, steps, floors: None where they are not known; profile: by
+    which the steps were corrected; step_count: where the steps are not known one by one; issues: warnings beside the
+    estimate's; causal: makes tracks, by name, that knew only what came before.
+    """
+
+    estimate: Estimate
+    missing: tuple[str, ...] = ()
+    graph: WalkGraph | None = None
+    steps: Steps | None = None
+    floors: Floors | None = None
+    profile: Profile | None = None
+    step_count: int = 0
+    issues: tuple[str, ...] = ()
+    causal: Callable[[Any], Mapping[str, Trajectory]] | None = None
+
+    def tracks(self) -> Mapping[str, Trajectory]:
+        """The causal tracks."""
+        return self.causal(self.graph) if self.causal else {}
+
+
+def write(out: Path, inputs: Inputs, result: Result, options: Options, stage: Stages) -> tuple[str, ...]:
+    """Write trajectory, picture, walker, report and summary to ``out``; returns all that is missing, a line each."""
+    found, missing = result.estimate, result.missing
+    with stage("write"):
+        missing += write_results(out, inputs, found, options.rate)
+        if result.steps is not None and found.calibration is not None and found.calibration.learnt[-1, 0]:
+            walker = replace(inputs.walker, profile=posterior_profile(found, result.steps, result.profile))
+            origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
+            walker.save(out / "walker.toml", origin)
+    summary = summarize(inputs, result) | {"seconds": stage.seconds}
+    summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
+    with stage("report"):
+        missing += write_report(out, inputs, result, options.method, summary)
+        missing += _unscored(options.truth, inputs, found)
+    writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
+    return missing
+
+
+def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | None) -> tuple[str, ...]:
+    """The trajectory in all its forms, and the picture; returns what could not be written."""
+    walk, frame = inputs.walk, inputs.frame
+    trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
+    writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
+    writers.write_tum(out / "trajectory.tum", trajectory, walk.clock_origin)
+    if frame.georeferenced:
+        writers.write_geojson(
+            out / "trajectory.geojson", replace(estimate, trajectory=trajectory), frame, walk.clock_origin
+        )
+        gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
+    try:
+        from pdr_graph.plotting import plot
+
+        truth = _truth_beside(inputs, estimate)
+        plot(estimate, inputs.building, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(
+            out / "figure.png", dpi=120
+        )
+    except Exception as error:  # a picture must not cost the result
+        return (f"figure.png ({type(error).__name__}: {error})",)
+    return ()
+
+
+def write_report(out: Path, inputs: Inputs, result: Result, method: str, summary: dict[str, Any]) -> tuple[str, ...]:
+    """Write ``report.html``; returns what could not be written."""
+    try:
+        from pdr_graph.report.page import page
+        from pdr_graph.report.walk import WalkReport, content
+
+        found, truth = result.estimate, _truth_beside(inputs, result.estimate)
+        method = "graph" if method == LIVE else method
+        tracks = result.tracks()
+        shown = WalkReport(inputs.walk, inputs.building, found, method, summary, result.steps, tracks, truth)
+        (out / "report.html").write_bytes(page(content(shown)))
+    except Exception as error:  # a report must not cost the result
+        return (f"report.html ({type(error).__name__}: {error})",)
+    return ()
+
+
+def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
+    """Return what ``summary.json`` says of the walk itself."""
+    walk, building, found = inputs.walk, inputs.building, result.estimate
+    track = found.trajectory
+    crossings = None if building is None else int(building.crosses_wall(track.position, track.floor).sum())
+    packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
+    return {
+        "recording": walk.source,
+        "steps": result.step_count if result.steps is None else int((~result.steps.is_gap).sum()),
+        "distance": round(_length(found), 3),
+        "duration": round(float(np.ptp(track.time)), 3),
+        "frame": inputs.frame.describe(),
+        "floor": track.floor[0] or None,
+        "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
+        "climbs": _climbs(result.floors, walk.clock_origin),
+        "calibration": _calibration(found, walk.clock_origin),
+        **{kind: _reports(found.reports.get(kind, ()), walk.clock_origin) for kind in (*REPORTED, *found.reports)},
+        "wall_crossings": crossings,
+        "probability": round(found.probability, 3),
+        "optimum": _finite({"cost": found.cost, "iterations": found.iterations, "converged": found.converged}),
+        "warnings": list(dict.fromkeys([*inputs.notes, *found.warnings, *result.issues])),
+        "versions": packages | {"python": platform.python_version()},
+    }
+
+
+def _reports(reports: tuple[Any, ...], clock_origin: float) -> list[dict[str, Any]]:
+    """The reports of one kind of measurement, their times on the recorder's clock."""
+    timed = bool(reports) and "time" in {column.name for column in fields(reports[0])}
+    return [_finite(asdict(replace(one, time=one.time + clock_origin) if timed else one)) for one in reports]
+
+
+def _unscored(truth: Path | None, inputs: Inputs, estimate: Estimate) -> tuple[str, ...]:
+    """What is missing where a truth was given and says nothing of the walk."""
+    if truth is None or _truth_beside(inputs, estimate) is not None:
+        return ()
+    return (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
+
+
+def _truth_beside(inputs: Inputs, estimate: Estimate) -> Trajectory | None:
+    """The truth, to be drawn where it has a place in the frame and lies where the walk is."""
+    truth, frame = inputs.walk.truth, inputs.frame
+    if truth is None or not estimate.fixes or (truth.epsg is not None and not frame.georeferenced):
+        return None
+    truth = frame.place(truth)
+    apart = np.abs(truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
+    near = np.max(apart) < 2 * np.ptp(estimate.trajectory.position, axis=0).max() + 50.0
+    return truth if near else None
+
+
+def _climbs(floors: Floors | None, clock_origin: float) -> list[dict[str, Any]]:
+    """When the walker went up or down, how far, and on what."""
+    if floors is None:
+        return []
+    found = floors.climbs
+    return [
+        {"start": float(t + clock_origin), "end": float(u + clock_origin), "height": float(h), "kind": kind}
+        for t, u, h, kind in zip(found.start, found.end, found.height, floors.kinds, strict=True)
+    ]
+
+
+def _calibration(estimate: Estimate, clock_origin: float) -> list[dict[str, Any]]:
+    c = estimate.calibration
+    if c is None:
+        return []
+    return [
+        {"start": float(c.start[s] + clock_origin)}
+        | {
+            name: {
+                "value": float(c.value[s, n]),
+                "sigma": float(c.sigma[s, n]),
+                "learnt": bool(c.learnt[s, n]),
+            }
+            for n, name in enumerate(c.names)
+        }
+        for s in range(len(c.start))
+    ]
+
+
+def _length(estimate: Estimate) -> float:
+    return float(np.hypot(*np.diff(estimate.trajectory.position, axis=0).T).sum())
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}

@@ -1,0 +1,1 @@
+"""Published methods that only experiments use: the product imports nothing from here."""

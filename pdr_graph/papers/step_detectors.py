@@ -1,0 +1,132 @@
+"""Step detectors as published, for comparison; the product uses `step_detection.walking_steps`.
+
+Each takes an `Attitude` and returns `Landings`. Those that look at the forward acceleration take it too, ``(n,)``
+[m/s²], from `heading.forward_acceleration`.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from itertools import pairwise
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+from pdr_graph.errors import InputError
+from pdr_graph.gait.step_detection import LONGEST_STEP, SHORTEST_STEP, Landings
+from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.types import Array, Index
+
+SMOOTHING = (
+    0.07  # [s] of the Gaussian over |a|: half power at 1.9 Hz, where people walk; the heel strike rings at 10 Hz
+)
+PEAK_PAIR = 1.0  # [m/s²] from trough to peak of |a|: [map-matching] gives no figure
+FALL, RISE = 0.3, 0.7  # [m/s²] of |a| below its median, and from there up: [calibration-walk] gives no figures
+VERTICAL_PAIR, FORWARD_SLOPE = 0.5, 1.0  # [m/s²], [m/s³]: [gps-dr] gives no figures
+FOLLOWS = 0.4  # [s] within which the second peak of a pair follows
+REACH, POINTS = 0.5, 21  # of a step to either side of a candidate's peak: what is compared, and at how many points
+WARP = 2  # points by which one shape may run ahead of the other
+
+
+def peak_pairs(attitude: Attitude, threshold: float = PEAK_PAIR) -> Landings:
+    """[map-matching] Sec. 3.2: a step is a maximum of smoothed |a| with the minimum beside it, over a threshold.
+
+    threshold [m/s²].
+    """
+    smooth, peaks = _peaks_of_magnitude(attitude)
+    before, after = _lowest_beside(smooth, peaks)
+    height = smooth[peaks] - (smooth[before] + smooth[after]) / 2
+    return _landings(attitude, peaks[height > threshold], height[height > threshold])
+
+
+def trough_to_peak(attitude: Attitude, threshold: float = RISE) -> Landings:
+    """The candidates of [calibration-walk] Sec. 3.1: |a| falls, and then rises by more than a threshold [m/s²]."""
+    smooth, peaks = _peaks_of_magnitude(attitude)
+    trough = smooth[_lowest_beside(smooth, peaks)[0]]
+    height = smooth[peaks] - trough
+    on = (height > threshold) & (trough < np.median(smooth) - FALL)
+    return _landings(attitude, peaks[on], height[on])
+
+
+def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE) -> Landings:
+    """[calibration-walk] Sec. 3.1, Eqs. (2) to (5): candidates but those that only bring the feet together.
+
+    A candidate's forward acceleration is compared by dynamic time warping with two templates: of walking, where it
+    falls strongly after it rose, since the other foot goes on; and of feet that close, where it only rises. Unlike the
+    paper only candidates that no other follows are asked. Needs the extra ``gait``; raises InputError without it.
+    """
+    found = trough_to_peak(attitude, threshold)
+    shapes = forward_shapes(attitude, forward, found)
+    walking, together = templates().T
+    on = np.diff(found.time, append=np.inf) < LONGEST_STEP
+    for n in np.flatnonzero(~on):
+        on[n] = _warped(shapes[n], walking) <= _warped(shapes[n], together)
+    return Landings.at(found.time[on], found.amplitude[on], float(attitude.time[0]))
+
+
+def vertical_forward(attitude: Attitude, forward: Array) -> Landings:
+    """[gps-dr] Sec. 2.2: a + peak of the vertical acceleration, then a − peak; a − peak of the forward one, then a +
+    peak; the slope between the last two over a threshold.
+    """
+    sigma = SMOOTHING / attitude.period
+    vertical = gaussian_filter1d(attitude.R_world_device.apply(attitude.acceleration)[:, 2], sigma)
+    along = gaussian_filter1d(forward, sigma)
+    reach = max(1, round(FOLLOWS / attitude.period))
+    landed, height = list[int](), list[float]()
+    for peak in _peaks(vertical, attitude.period).tolist():
+        low = peak + int(np.argmin(vertical[peak : peak + reach]))
+        brake = peak + int(np.argmin(along[peak : peak + reach]))
+        push = brake + int(np.argmax(along[brake : brake + reach]))
+        slope = (along[push] - along[brake]) / max((push - brake) * attitude.period, 1e-9)
+        if vertical[peak] - vertical[low] > VERTICAL_PAIR and push > brake and slope > FORWARD_SLOPE:
+            landed.append(peak)
+            height.append(float(vertical[peak] - vertical[low]))
+    return _landings(attitude, np.array(landed, dtype=int), np.array(height))
+
+
+def forward_shapes(attitude: Attitude, forward: Array, landings: Landings) -> Array:
+    """The forward acceleration about each landing ``(n, POINTS)``, without its mean and size."""
+    smooth = gaussian_filter1d(forward, SMOOTHING / 2 / attitude.period)
+    at = landings.time[:, None] + np.linspace(-REACH, REACH, POINTS) * landings.usual_step
+    shapes = np.interp(at, attitude.time, smooth)
+    size = np.maximum(shapes.std(axis=1, keepdims=True), 1e-9)
+    return (shapes - shapes.mean(axis=1, keepdims=True)) / size
+
+
+@cache
+def templates() -> Array:
+    """Walking and feet together ``(POINTS, 2)``, made by ``scripts/templates``."""
+    with resources.files("pdr_graph.papers").joinpath("templates.csv").open() as file:
+        return np.loadtxt(file, delimiter=",", skiprows=1)
+
+
+def _warped(shape: Array, template: Array) -> float:
+    """The distance of two shapes by dynamic time warping."""
+    try:
+        from dtaidistance import dtw
+    except ImportError:
+        raise InputError("dtaidistance", "", "it is not installed", "pip install 'pdr_graph[gait]'") from None
+    return float(dtw.distance(shape, template, window=WARP, use_c=True))
+
+
+def _peaks_of_magnitude(attitude: Attitude) -> tuple[Array, Index]:
+    smooth = gaussian_filter1d(np.linalg.norm(attitude.acceleration, axis=1), SMOOTHING / attitude.period)
+    return smooth, _peaks(smooth, attitude.period)
+
+
+def _peaks(smooth: Array, period: float) -> Index:
+    """Maxima that are the highest for half the shortest step to either side."""
+    highest = maximum_filter1d(smooth, 2 * round(SHORTEST_STEP / 2 / period) + 1) == smooth
+    return 1 + np.flatnonzero(highest[1:-1] & (np.diff(smooth)[:-1] > 0))
+
+
+def _lowest_beside(smooth: Array, peaks: Index) -> tuple[Index, Index]:
+    """The lowest samples before and after each peak, up to the peaks beside it."""
+    ends = [0, *peaks.tolist(), len(smooth) - 1]
+    lowest = np.array([a + np.argmin(smooth[a : b + 1]) for a, b in pairwise(ends)], dtype=int)
+    return lowest[:-1], lowest[1:]
+
+
+def _landings(attitude: Attitude, peaks: Index, height: Array) -> Landings:
+    return Landings.at(attitude.time[peaks], height, float(attitude.time[0]))

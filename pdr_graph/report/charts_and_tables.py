@@ -1,0 +1,429 @@
+"""Charts and tables of a walk report, with data quality per sensor: rate, gaps, stuck and clipped samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.evaluation import circular_error, evaluate, pair
+from pdr_graph.floor.building import Building
+from pdr_graph.io.validation import INERTIAL, are_gaps
+from pdr_graph.plotting import FIX, GREY, RADIO, TRACK
+from pdr_graph.report.page import CENTISECOND, column, thinned
+from pdr_graph.types import (
+    Array,
+    BeaconReport,
+    Calibration,
+    Estimate,
+    FixReport,
+    Mask,
+    Recording,
+    Sightings,
+    Signal,
+    Steps,
+    Trajectory,
+)
+
+CHART_RESOLUTION = 1e-4  # in the unit of the chart: finer than anybody can read it
+UNITS = {"R_s": "", "R_d": "", "b": "°/s"}
+MEANING = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
+SCALE_HEIGHT = 8434.0  # [m] of air at 15 °C: pressure falls to 1/e over this height
+BAROMETER_RATE = 1.0  # [Hz] of the chart: faster changes are noise
+LONGEST_PAUSE = 2.0  # [s] between steps over which a line is drawn
+MANY = 50  # points above which a line without markers is clearer
+
+
+def line(name: str, colour: str, time: Array, y: Array, **style: Any) -> dict[str, Any]:
+    """A chart line over time [s]; style: ``mode`` and any other key that ``web/content.js`` lists for a line."""
+    rows = thinned(len(time))
+    return {
+        "name": name,
+        "colour": colour,
+        "time": column(time[rows], CENTISECOND),
+        "y": column(y[rows], CHART_RESOLUTION),
+    } | style
+
+
+def calibration_charts(calibration: Calibration, end: float) -> list[dict[str, Any]]:
+    """A chart of each coefficient over the segments; values that were only kept from the prior are grey."""
+    edges = np.append(calibration.start, end)
+    time = np.stack([edges[:-1], edges[1:]], axis=1)
+    charts = []
+    for n, name in enumerate(calibration.names):
+        factor = np.degrees(1.0) if name == "b" else 1.0
+        value, sigma = factor * calibration.value[:, n], factor * calibration.sigma[:, n]
+        lines = [
+            _steps(label, colour, time, value, sigma, mask)
+            for label, colour, mask in (
+                ("estimated", TRACK, calibration.learnt[:, n]),
+                ("prior kept", GREY, ~calibration.learnt[:, n]),
+            )
+            if mask.any()
+        ]
+        charts.append({"title": MEANING[name], "unit": UNITS[name], "lines": lines})
+    return charts
+
+
+def _steps(name: str, colour: str, time: Array, value: Array, sigma: Array, mask: Mask) -> dict[str, Any]:
+    """A step line over segments ``time (s, 2)`` [s] with ±1 sigma, None where ``mask (s,)`` is False."""
+    at = np.where(mask, value, np.nan)
+    columns = [np.column_stack([y, y, np.full(len(y), np.nan)]).ravel() for y in (at, at - sigma, at + sigma)]
+    ends = np.column_stack([time, time[:, 1]]).ravel()
+    y, low, high = (column(values, CHART_RESOLUTION) for values in columns)
+    return {"name": name, "colour": colour, "time": column(ends, CENTISECOND), "y": y, "low": low, "high": high}
+
+
+def sigma(tracks: Mapping[str, tuple[str, Trajectory]]) -> dict[str, Any]:
+    """Chart of the position standard deviation of each track: root mean variance of both axes [m]."""
+    lines = [
+        line(name, colour, path.time, np.sqrt(np.trace(path.covariance[:, :2, :2], axis1=1, axis2=2) / 2))
+        for name, (colour, path) in tracks.items()
+        if path.covariance is not None
+    ]
+    return {"title": "position sigma", "unit": "m", "lines": lines, "logarithmic": True}
+
+
+def errors(tracks: Mapping[str, tuple[str, Trajectory]], truth: Trajectory) -> dict[str, Any]:
+    """Chart of the horizontal error of each track against the truth [m]."""
+    lines = []
+    for name, (colour, path) in tracks.items():
+        pairs = pair(path, truth)
+        marks = {"mode": "lines+markers"} if len(pairs.time) <= MANY else {}
+        lines.append(line(name, colour, pairs.time, circular_error(pairs), **marks))
+    return {"title": "horizontal error", "unit": "m", "lines": lines, "from_zero": True}
+
+
+def residuals(fixes: Sequence[FixReport], labels: Sequence[str]) -> dict[str, Any]:
+    """Chart of the distance of each fix from the walk [m]; labels: hover text of each fix."""
+    time, residual, weight = np.array([(f.time, f.residual, f.weight) for f in fixes]).T
+    marks = line("fixes", FIX, time, residual, mode="markers")
+    marks |= {"weight": column(weight, CHART_RESOLUTION), "text": list(labels)}
+    return {"title": "fix residuals", "unit": "m", "lines": [marks], "from_zero": True}
+
+
+def gait(steps: Steps) -> list[dict[str, Any]]:
+    """Charts of step length [m] and step frequency [Hz], broken where the walker stands or the recording has a gap."""
+    stood = np.flatnonzero(steps.time - steps.duration > np.append(steps.start, steps.time[:-1]) + LONGEST_PAUSE)
+    walked = ~steps.is_gap
+    time = np.insert(steps.time, stood, steps.time[stood])
+    length, frequency = (
+        np.insert(np.where(walked, y, np.nan), stood, np.nan) for y in (steps.length, 1 / steps.duration)
+    )
+    return [
+        {"title": "step length", "unit": "m", "lines": [line("length", TRACK, time, length)]},
+        {"title": "step frequency", "unit": "Hz", "lines": [line("frequency", TRACK, time, frequency)]},
+    ]
+
+
+def floors(path: Trajectory, labels: Sequence[str]) -> dict[str, Any]:
+    """Chart of the floor over time; labels: of the floors, the lowest first."""
+    number = {label: float(n) for n, label in enumerate(labels)}
+    on = line("floor", TRACK, path.time, np.array([number.get(f, np.nan) for f in path.floor]), shape="hv")
+    return {"title": "floor", "unit": "", "lines": [on], "labels": list(labels)}
+
+
+def height(barometer: Signal) -> dict[str, Any]:
+    """Chart of the barometric height above the start [m], not corrected for weather."""
+    time = np.arange(barometer.time[0], barometer.time[-1] + 1 / BAROMETER_RATE, 1 / BAROMETER_RATE)
+    place = np.searchsorted(time, barometer.time, side="right") - 1
+    count = np.bincount(place, minlength=len(time))
+    pressure = np.bincount(place, barometer.values[:, 0], len(time))[count > 0] / count[count > 0]
+    above = -SCALE_HEIGHT * np.log(pressure / pressure[0])
+    return {"title": "barometric height", "unit": "m", "lines": [line("height", RADIO, time[count > 0], above)]}
+
+
+def walk_charts(
+    walk: Recording,
+    tracks: Mapping[str, tuple[str, Trajectory]],
+    fixes: Sequence[FixReport],
+    fix_labels: Sequence[str],
+    calibration: Calibration | None,
+    steps: Steps | None,
+    truth: Trajectory | None,
+    labels: Sequence[str],
+) -> list[dict[str, Any]]:
+    """All charts for which there is data; tracks: name -> (colour, path), the result first."""
+    result = next(iter(tracks.values()))[1]
+    charts = [sigma(tracks)]
+    charts += [errors(tracks, truth)] if truth is not None else []
+    charts += [residuals(fixes, fix_labels)] if fixes else []
+    charts += calibration_charts(calibration, float(result.time[-1])) if calibration is not None else []
+    charts += [floors(result, labels)] if len(labels) > 1 else []
+    charts += [height(walk.barometer)] if walk.barometer is not None else []
+    return charts + (gait(steps) if steps is not None else [])
+
+
+PURPOSE = {  # what each sensor is required for
+    "accelerometer": "steps",
+    "gyroscope": "turns",
+    "magnetometer": "absolute heading where fixes are sparse",
+    "barometer": "floor changes",
+}
+STUCK_INERTIAL, STUCK = 1.0, 10.0  # [s] of exactly the same value above which a sensor is stuck: noise alone changes it
+CLIPPED = 3  # consecutive samples at the extreme value: an unclipped peak has one, two by rounding
+
+
+@dataclass(frozen=True)
+class Health:
+    """Data quality of one sensor.
+
+    samples: count; rate: from the median interval [Hz]; recorded: share of the duration without gaps; gaps: count;
+    longest_gap: [s]; stuck: longest time without any change [s], 0 if that is normal; clipped: samples clipped at the
+    extremes of an inertial sensor.
+    """
+
+    samples: int
+    rate: float
+    recorded: float
+    gaps: int
+    longest_gap: float
+    stuck: float
+    clipped: int
+
+    @property
+    def issues(self) -> tuple[str, ...]:
+        """One text per issue; empty for a sensor without issues."""
+        texts = {
+            f"{self.gaps} gap{'s' * (self.gaps != 1)}, longest {self.longest_gap:.1f} s": self.gaps > 0,
+            f"stuck at one value for {self.stuck:.1f} s": self.stuck > 0,
+            f"{self.clipped} samples clipped at the end of the range": self.clipped > 0,
+        }
+        return tuple(text for text, holds in texts.items() if holds)
+
+
+def health(name: str, signal: Signal) -> Health:
+    """Assess the data quality of a sensor from its samples, of which there must be at least one."""
+    inertial, rate = name in INERTIAL, signal.rate
+    interval, gap = np.diff(signal.time), are_gaps(signal)
+    axes = signal.values.T.copy()  # contiguous, for speed
+    moved = np.append(True, np.logical_or.reduce(axes[:, 1:] != axes[:, :-1]))
+    since = signal.time[np.maximum.accumulate(np.where(moved, np.arange(len(moved)), 0))]
+    still, lasted = float(np.max(signal.time - since)), float(np.ptp(signal.time))
+    return Health(
+        samples=len(signal),
+        rate=rate,
+        recorded=1.0 - float(interval[gap].sum()) / lasted if lasted else 1.0,
+        gaps=int(gap.sum()),
+        longest_gap=float(interval[gap].max(initial=0.0)),
+        stuck=still if still > (STUCK_INERTIAL if inertial else STUCK) else 0.0,
+        clipped=sum(_clipped(axis) for axis in axes) if inertial else 0,
+    )
+
+
+def _clipped(values: Array) -> int:
+    """Count samples of one axis in runs at its largest or smallest value; 0 for a constant axis."""
+    if np.ptp(values) == 0:
+        return 0
+    edge = np.flatnonzero(
+        np.diff(np.concatenate([[False], (values == values.max()) | (values == values.min()), [False]]))
+    )
+    length = edge[1::2] - edge[::2]
+    return int(length[length >= CLIPPED].sum())
+
+
+def sensor_rows(walk: Recording) -> tuple[list[str], list[list[str]]]:
+    """Head and rows of the sensor table: sensors, then radios, then fixes in the recording."""
+    missing = [name for name in PURPOSE if name not in walk.signals]
+    if "linear_acceleration" in walk.signals and "accelerometer" in missing:
+        missing.remove("accelerometer")
+    rows = [_row(name, signal, walk.notes) for name, signal in walk.signals.items()]
+    rows += [[name, "no data", "", "", f"required for {PURPOSE[name]}"] for name in missing]
+    rows += [_radio(name, heard) for name, heard in (("Bluetooth", walk.bluetooth), ("Wi-Fi", walk.wifi)) if heard]
+    if len(walk.fixes):
+        rows.append(["fixes in the recording", f"{len(walk.fixes):,}", _rate(walk.fixes.time), "", ""])
+    return ["sensor", "samples", "rate", "recorded", "remarks"], rows
+
+
+def _row(name: str, signal: Signal, notes: tuple[str, ...]) -> list[str]:
+    quality = health(name, signal)
+    noted = [note.removeprefix(f"{name}: ") for note in notes if note.startswith(f"{name}: ") and " gaps, " not in note]
+    remarks = "; ".join([*quality.issues, *noted]) or "ok"
+    plain = name.replace("_", " ")
+    return [plain, f"{quality.samples:,}", f"{quality.rate:.1f} Hz", f"{quality.recorded:.1%}", remarks]
+
+
+def _radio(name: str, heard: Sightings) -> list[str]:
+    return [name, f"{len(heard):,}", _rate(heard.time), "", f"{len(set(heard.transmitter))} transmitters"]
+
+
+def _rate(time: Array) -> str:
+    lasted = float(np.ptp(time))
+    return f"{len(time) / lasted:.2g} Hz" if lasted else ""
+
+
+SCORES = {  # key in the result of `evaluate` -> label, unit
+    ("ce", "p50"): ("CE50: median horizontal error", "m"),
+    ("ce", "p75"): ("CE75", "m"),
+    ("ce", "p95"): ("CE95", "m"),
+    ("he", "p50"): ("HE50: median heading error", "rad"),
+    ("eag",): ("EAG: error accumulation gradient", "m/s"),
+    ("ve",): ("VE: speed error", "m/s"),
+    ("ca",): ("CA: distance of the most frequent error from 0", "m"),
+    ("oe",): ("OE: share of steps leaving the walkable area", ""),
+    ("fe",): ("FE: share on the correct floor", ""),
+    ("n",): ("samples with ground truth", ""),
+}
+ESTIMATED, PRIOR_KEPT = "estimated", "not observable from this walk; prior kept"
+OWN_TABLE = ("fixes", "beacons")  # kinds of measurement with a table of their own
+MOST_OPEN = 30  # rows up to which a table is shown open
+MOST_REPORTS = 200  # rows shown of a kind of measurement
+HALF = 0.5  # weight below which a measurement is mostly ignored
+Table = dict[str, Any]
+
+
+def table(
+    title: str,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    moments: Sequence[float] = (),
+    closed: bool = False,
+    note: str = "",
+) -> Table:
+    """A table of text cells; moments: time of each row for the slider [s]; closed: folded at first; note: above it."""
+    closed = closed or len(rows) > MOST_OPEN
+    return {"title": title, "note": note, "head": head, "rows": rows, "moments": moments, "open": not closed}
+
+
+def walk_tables(
+    walk: Recording,
+    fixes: Sequence[FixReport],
+    estimate: Estimate,
+    scores: Table | None,
+    summary: Mapping[str, Any],
+) -> list[Table]:
+    """All tables for which there is data; fixes: those of the estimate that are shown."""
+    tables = [scores] if scores is not None else []
+    tables += [_calibration(estimate.calibration)] if estimate.calibration is not None else []
+    tables += [table("Sensors", *sensor_rows(walk))]
+    tables += [_fixes(fixes)] if fixes else []
+    tables += [_beacons(estimate.beacons)] if estimate.beacons else []
+    tables += [measurement_table(kind, own) for kind, own in estimate.reports.items() if own and kind not in OWN_TABLE]
+    tables += [_climbs(summary["climbs"], walk.clock_origin)] if summary["climbs"] else []
+    return [*tables, _processing(summary)]
+
+
+def scored(tracks: Mapping[str, Trajectory], truth: Trajectory, building: Building | None) -> Table | None:
+    """The metrics of each track; None where no sample has ground truth."""
+    scores = [_evaluated(path, truth, building) for path in tracks.values()]
+    if not scores[0]["n"]:
+        return None
+    rows = [[label, unit, *(_score(own, key) for own in scores)] for key, (label, unit) in SCORES.items()]
+    return table("Accuracy against ground truth", ["metric", "unit", *tracks], [row for row in rows if any(row[2:])])
+
+
+def _evaluated(path: Trajectory, truth: Trajectory, building: Building | None) -> Mapping[str, Any]:
+    """The metrics of one track; a track without floor labels (dead reckoning) has no floor score."""
+    scores = evaluate(path, truth, building)
+    return scores if any(path.floor) else {**scores, "fe": None}
+
+
+def _score(scores: Mapping[str, Any], key: tuple[str, ...]) -> str:
+    value: Any = scores
+    for name in key:
+        value = value[name] if value is not None else None
+    return "" if value is None else f"{value:d}" if isinstance(value, int) else f"{value:.3f}"
+
+
+def _calibration(calibration: Calibration) -> Table:
+    """Calibration of walker and gyroscope at the end of the walk."""
+    value, sigma = calibration.value[-1], calibration.sigma[-1]
+    prior, observable = calibration.prior_sigma[-1], calibration.learnt[-1]
+    names = [MEANING[name] + (" [rad/s]" if name == "b" else "") for name in calibration.names]
+    rows = [
+        [name, f"{v:.4f}", f"{s:.4f}", f"{p:.4f}", ESTIMATED if known else PRIOR_KEPT]
+        for name, v, s, p, known in zip(names, value, sigma, prior, observable, strict=True)
+    ]
+    return table("Estimated calibration", ["coefficient", "value", "sigma", "prior sigma", "status"], rows)
+
+
+def _fixes(fixes: Sequence[FixReport]) -> Table:
+    rows = [
+        [clock(f.time), metres(f.x), metres(f.y), metres(f.sigma), metres(f.residual), f"{f.weight:.2f}", f.reason]
+        for f in fixes
+    ]
+    head = ["time", "x [m]", "y [m]", "sigma [m]", "residual [m]", "weight", "reason"]
+    return table("Fixes", head, rows, [round(f.time, 2) for f in fixes])
+
+
+def _beacons(beacons: Sequence[BeaconReport]) -> Table:
+    rows = [[b.label, f"{b.levels}", f"{b.residual:.1f}", metres(b.x), metres(b.y), b.reason] for b in beacons]
+    return table("Beacons", ["beacon", "observations", "residual [dB]", "x [m]", "y [m]", "status"], rows)
+
+
+def measurement_table(kind: str, reports: Sequence[Any]) -> Table:
+    """A table of one kind of measurement, a row for each report (a dataclass), with a summary as its note.
+
+    Columns are the fields of the dataclass. Where it has them: ``time`` [s] comes first and sets the slider; the note
+    has the mean absolute ``residual`` and the share of measurements of a ``weight`` below a half.
+    """
+    names = sorted((field.name for field in fields(reports[0])), key=lambda name: name != "time")
+    shown = reports[:MOST_REPORTS]
+    rows = [[_cell(name, getattr(report, name)) for name in names] for report in shown]
+    moments = [round(float(report.time), 2) for report in shown] if names[0] == "time" else []
+    notes = [
+        f"{len(reports)} measurements" + (f", the first {MOST_REPORTS} shown" if len(reports) > len(shown) else "")
+    ]
+    if "residual" in names:
+        residual = np.abs([report.residual for report in reports])
+        notes += (
+            [f"mean |residual| {np.mean(residual[np.isfinite(residual)]):.3g}"] if np.isfinite(residual).any() else []
+        )
+    if "weight" in names:
+        notes.append(f"weight < {HALF}: {np.mean([report.weight < HALF for report in reports]):.0%}")
+    return table(kind.replace("_", " ").capitalize(), names, rows, moments, note="; ".join(notes))
+
+
+def _cell(name: str, value: Any) -> str:
+    """A field of a report as text; empty for None and NaN."""
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""
+    return clock(value) if name == "time" else _plain(value)
+
+
+def _climbs(climbs: Sequence[Mapping[str, Any]], clock_origin: float) -> Table:
+    starts = [climb["start"] - clock_origin for climb in climbs]
+    rows = [
+        [clock(start), clock(climb["end"] - clock_origin), f"{climb['height']:+.1f}", climb["kind"]]
+        for start, climb in zip(starts, climbs, strict=True)
+    ]
+    return table("Floor changes", ["from", "to", "height [m]", "by"], rows, starts)
+
+
+def _processing(summary: Mapping[str, Any]) -> Table:
+    """Run times, settings, frame, optimum and versions."""
+    rows = [[f"{stage} [s]", f"{seconds:.2f}"] for stage, seconds in summary["seconds"].items()]
+    rows += [[name.replace("_", " "), _plain(value)] for name, value in _flat(summary["settings"])]
+    rows += [[name.replace("_", " "), _plain(value)] for name, value in _flat(summary["frame"])]
+    rows += [[name, _plain(value)] for name, value in summary["optimum"].items()]
+    rows += [[name, value] for name, value in summary["versions"].items()]
+    return table("Processing", ["item", "value"], rows, closed=True)
+
+
+def _flat(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names and values of all settings that are not None; nested ones as "outer: inner"."""
+    for name, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{name}: {inner}", leaf) for inner, leaf in _flat(value))
+        elif value is not None:
+            yield name, value
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def metres(value: float) -> str:
+    """A length or coordinate [m] with two decimals; empty for NaN."""
+    return f"{value:.2f}" if np.isfinite(value) else ""
+
+
+def clock(seconds: float) -> str:
+    """Seconds since the start as h:mm:ss: "1:02:03", "4:05"."""
+    sign, whole = "-" if seconds < -0.5 else "", abs(round(seconds))
+    hours, minutes = whole // 3600, whole // 60 % 60
+    return f"{sign}{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{sign}{minutes}:{whole % 60:02d}"

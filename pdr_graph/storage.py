@@ -1,0 +1,327 @@
+"""Typed dataclasses as bytes and back, bit by bit and without pickle; checkpoints of objects; SQLite files.
+
+One format serves events, snapshots and the blobs of a lifelog:
+
+    CRC-32 of what follows (4 bytes) · format (1) · msgpack: [name of the type, fields by name in alphabetical order]
+
+A numeric array is an extension of msgpack: its dtype, its shape, its bytes. `decode` checks every field against its
+type hint, and that encoding again gives the same bytes: a field too many or too few is refused.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import math
+import os
+import sqlite3
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, get_args, get_origin
+
+import msgspec
+import numpy as np
+
+from pdr_graph.errors import InputError
+
+FORMAT = 2  # of the bytes; 1 was JSON with the arrays behind it
+HEADER = struct.Struct("<IB")  # checksum, format
+CHECKSUM = 4  # bytes
+ARRAY = 1  # code of the msgpack extension
+SHAPE = struct.Struct("<4sB")  # dtype and number of dimensions, before the dimensions
+DTYPES = frozenset(np.dtype(name).str for name in ("f8", "f4", "c16", "i8", "i4", "u8", "u4", "u1", "?"))
+MOST_DIMENSIONS = 8
+UNREADABLE = (
+    *(msgspec.MsgspecError, struct.error, ValueError, TypeError, AttributeError),
+    *(LookupError, RecursionError, OverflowError),
+)
+Value = TypeVar("Value")
+
+
+def encode(value: object) -> bytes:
+    """Encode a dataclass. Raises TypeError if a field is not of its type: it would not come back."""
+    return encode_and_decode(value)[0]
+
+
+def encode_and_decode(value: Value) -> tuple[bytes, Value]:
+    """The bytes of a dataclass, and what `decode` makes of them. Raises as `encode`."""
+    kind = type(value)
+    if not is_dataclass(value):
+        raise TypeError(f"found {kind.__name__}, expected a dataclass")
+    try:
+        again = _decoder(kind).decode(_ENCODER.encode(value))
+        payload = _ENCODER.encode([kind.__name__, again])
+    except UNREADABLE as error:
+        raise TypeError(f"{kind.__name__}: {_on_one_line(error)}") from None
+    checked = bytes([FORMAT]) + payload
+    return struct.pack("<I", zlib.crc32(checked)) + checked, again
+
+
+def decode(blob: bytes, *kinds: type) -> Any:
+    """The dataclass, one of these kinds, that `encode` made the bytes of.
+
+    Raises ValueError for other bytes; memory is allocated for no more than there are bytes.
+    """
+    try:
+        return _decoded(blob, {kind.__name__: kind for kind in kinds})
+    except UNREADABLE as error:
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"bytes of no {names[:80]}: {_on_one_line(error)}") from None
+
+
+def _decoded(blob: bytes, kinds: Mapping[str, type]) -> Any:
+    checksum, version = HEADER.unpack_from(blob)
+    if zlib.crc32(memoryview(blob)[CHECKSUM:]) != checksum:
+        raise ValueError("their checksum does not match")
+    if version != FORMAT:
+        raise ValueError(f"found format {version}, expected {FORMAT}")
+    payload = memoryview(blob)[HEADER.size :]
+    name, raw = _ENVELOPE.decode(payload)
+    if name not in kinds:
+        raise ValueError(f"found a {name[:40]!r}")
+    value = _decoder(kinds[name]).decode(raw)
+    _check_complete(value)
+    again = _ENCODER.encode([name, value])
+    if again != payload:
+        raise ValueError(_difference(msgspec.msgpack.decode(payload), msgspec.msgpack.decode(again)))
+    return value
+
+
+def _check_complete(value: Any, path: str = "$") -> None:
+    """Raise ValueError if a field was not in the bytes: msgspec leaves its default to the class."""
+    if is_dataclass(value):
+        known = vars(value)
+        for field in fields(value):
+            if field.name not in known:
+                raise ValueError(f"missing field `{field.name}` - at `{path}`")
+            _check_complete(known[field.name], f"{path}.{field.name}")
+    elif isinstance(value, (list, tuple, dict)):
+        for one in value.values() if isinstance(value, dict) else value:
+            if isinstance(one, (str, int, float)):
+                return  # elements are of one type
+            _check_complete(one, f"{path}[...]")
+
+
+def _difference(found: Any, expected: Any, path: str = "$") -> str:
+    """Which field the one has and the other has not."""
+    if isinstance(found, dict) and isinstance(expected, dict):
+        for name in found:
+            if name not in expected:
+                return f"unknown field `{name!s:.40}` - at `{path}`"
+        pairs: Any = ((name, found[name], expected[name]) for name in found)
+    elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
+        pairs = ((n, one, other) for n, (one, other) in enumerate(zip(found, expected, strict=True)))
+    else:
+        return f"found another encoding than that of this version - at `{path}`"
+    return next((_difference(a, b, f"{path}.{name}") for name, a, b in pairs if a != b), "its fields are not in order")
+
+
+def _on_one_line(error: Exception) -> str:
+    return " ".join((str(error) or type(error).__name__).split())[:120]
+
+
+def _plain(value: Any) -> Any:
+    """What msgspec can encode of a numpy value."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if not isinstance(value, np.ndarray) or value.dtype.str not in DTYPES:
+        what = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        raise TypeError(f"found {what}, expected texts, numbers, numeric arrays and dataclasses of these")
+    code = value.dtype.str.ljust(4).encode()
+    head = SHAPE.pack(code, value.ndim) + struct.pack(f"<{value.ndim}Q", *value.shape)
+    return msgspec.msgpack.Ext(ARRAY, head + value.tobytes())
+
+
+def _array(code: int, data: memoryview) -> Any:
+    """A numeric array, aligned and writable, of the bytes of an extension."""
+    if code != ARRAY:
+        raise ValueError(f"found msgpack extension {code}")
+    name, dimensions = SHAPE.unpack_from(data)
+    text = name.decode("ascii").rstrip()
+    if text not in DTYPES or dimensions > MOST_DIMENSIONS:
+        raise ValueError(f"found an array of dtype {text!r} and {dimensions} dimensions")
+    shape, dtype = struct.unpack_from(f"<{dimensions}Q", data, SHAPE.size), np.dtype(text)
+    begin = SHAPE.size + 8 * dimensions
+    if math.prod(shape) * dtype.itemsize != len(data) - begin:
+        raise ValueError(f"found an array of shape {shape} in {len(data) - begin} bytes")
+    array = np.frombuffer(data, dtype, offset=begin).reshape(shape).copy()
+    if dtype.kind == "b" and array.view(np.uint8).max(initial=0) > 1:
+        raise ValueError("found truth values beyond 1")
+    return array
+
+
+def _typed(kind: Any, value: Any) -> Any:
+    """The value of a field whose type msgspec does not know: an array of the declared dtype."""
+    if get_origin(kind) is not np.ndarray:
+        raise TypeError(f"a field of type {kind} cannot be stored")
+    if not isinstance(value, np.ndarray):
+        raise ValueError(f"Expected `array of numbers`, got `{type(value).__name__}`")
+    (declared,) = get_args(get_args(kind)[1])
+    if declared is not Any and value.dtype != np.dtype(declared):
+        raise ValueError(f"Expected `array of {np.dtype(declared)}`, got `array of {value.dtype}`")
+    return value
+
+
+@cache
+def _decoder(kind: type) -> msgspec.msgpack.Decoder[Any]:
+    return msgspec.msgpack.Decoder(kind, dec_hook=_typed, ext_hook=_array)
+
+
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=_plain, order="sorted")
+_ENVELOPE = msgspec.msgpack.Decoder(tuple[str, msgspec.Raw])
+
+
+LEVEL = 1  # of zlib: the next ones take twice the time for a hundredth of the size of random digits
+
+
+def compress(value: object) -> bytes:
+    """`encode`, compressed."""
+    return zlib.compress(encode(value), LEVEL)
+
+
+def decompress(blob: bytes, kind: type[Value]) -> Value:
+    """The dataclass of which `compress` made the bytes. Raises ValueError for other bytes."""
+    try:
+        return decode(zlib.decompress(blob), kind)
+    except zlib.error as error:
+        raise ValueError(f"bytes of no {kind.__name__}: {_on_one_line(error)}") from None
+
+
+def encode_json(value: object) -> str:
+    """A dataclass of texts and numbers as JSON."""
+    return msgspec.json.encode(value).decode()
+
+
+def decode_json(text: str, kind: type[Value]) -> Value:
+    """The dataclass of which `encode_json` made the text. Raises ValueError for other texts."""
+    try:
+        return msgspec.json.decode(text, type=kind)
+    except UNREADABLE as error:
+        raise ValueError(f"no JSON of {kind.__name__}: {_on_one_line(error)}") from None
+
+
+def checkpoint(one: object, kind: type[Value]) -> Value:
+    """The attributes of an object that a dataclass of this kind has, copied."""
+    return kind(**{field.name: deepcopy(getattr(one, field.name)) for field in fields(kind)})  # type: ignore[arg-type]
+
+
+def restore(one: object, known: Any) -> None:
+    """Set the attributes of an object to those of a checkpoint, copied."""
+    for field in fields(known):
+        setattr(one, field.name, deepcopy(getattr(known, field.name)))
+
+
+def fingerprint(path: Path, files: Sequence[Path] = ()) -> str:
+    """The name of an input, and the SHA-256 of names and contents of its files: itself by default."""
+    digest = hashlib.sha256()
+    for file in files or (path,):
+        with file.open("rb") as content:
+            own = hashlib.file_digest(content, "sha256").hexdigest()
+        digest.update(f"{file.name}\0{own}\n".encode(errors="surrogateescape"))
+    return f"{path.resolve().name}, sha256 {digest.hexdigest()}"
+
+
+WAL_LIMIT = 16 << 20  # [bytes] that are kept for reuse after a flood
+PATIENCE = 1.0  # [s] for another process to end
+OWN = 0o600  # where people were is nobody else's business; SQLite gives its -wal the mode of the file itself
+ERRORS = {
+    sqlite3.SQLITE_FULL: errno.ENOSPC,
+    sqlite3.SQLITE_READONLY: errno.EROFS,
+    sqlite3.SQLITE_IOERR: errno.EIO,
+    sqlite3.SQLITE_CANTOPEN: errno.ENOENT,
+    sqlite3.SQLITE_TOOBIG: errno.EFBIG,
+}
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file. name: in messages, as "journal"; application, version: numbers that its header has.
+
+    remedy: what to do with a file of an older version.
+    """
+
+    name: str
+    application: int
+    version: int
+    remedy: str
+
+
+def create_or_open(
+    path: Path, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
+) -> sqlite3.Connection:
+    """The database, which nobody else can open any more, with a write-ahead log.
+
+    schema: statements that make its tables, and rows: those with which it begins by the statement that puts them in,
+    if it is new.
+
+    Raises InputError if the file is something else, of a newer version, damaged or in use; OSError of the disk.
+    """
+    _recognise(path, kind)
+    with explained(path, kind):
+        os.close(os.open(path, os.O_CREAT | os.O_RDWR, OWN))
+        database = sqlite3.connect(path, PATIENCE, isolation_level=None, check_same_thread=False)
+    try:
+        with explained(path, kind):
+            database.execute("PRAGMA locking_mode = EXCLUSIVE")
+            database.execute("BEGIN EXCLUSIVE")
+            if not database.execute("PRAGMA user_version").fetchone()[0]:
+                _make(database, kind, schema, rows)
+            database.execute("COMMIT")
+            database.execute("PRAGMA journal_mode = WAL")
+            database.execute(f"PRAGMA journal_size_limit = {WAL_LIMIT}")
+        return database
+    except BaseException:
+        database.close()
+        raise
+
+
+@contextmanager
+def explained(path: Path, kind: Kind) -> Iterator[None]:
+    """What SQLite says, as this package says it: InputError of the file's content, OSError of the disk."""
+    try:
+        yield
+    except sqlite3.ProgrammingError:
+        raise
+    except sqlite3.Error as error:
+        code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF  # without the details
+        if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does") from None
+        if code in ERRORS:
+            raise OSError(ERRORS[code], f"{error}", str(path)) from None
+        raise InputError(path, "", f"a damaged {kind.name} ({error})", "one that is whole") from None
+
+
+def _recognise(path: Path, kind: Kind) -> None:
+    """Look before SQLite does: it would tidy up after another program's database."""
+    if not path.exists():
+        return
+    with path.open("rb") as file:
+        header = file.read(100)
+    if not header:
+        return  # of a process that was killed before it wrote anything
+    version, application = (int.from_bytes(header[at : at + 4], "big") for at in (60, 68))
+    if not header.startswith(b"SQLite format 3\0") or application != kind.application:
+        raise InputError(path, "", "another kind of file", f"a {kind.name}, or a name that is not taken")
+    if version != kind.version:
+        remedy = kind.remedy if version < kind.version else "use the newer pdr_graph that wrote it"
+        raise InputError(path, "format", f"{version}", f"{kind.version}, which this version reads: {remedy}")
+    size = int.from_bytes(header[16:18], "big") * int.from_bytes(header[28:32], "big")  # pages
+    if path.stat().st_size < size and not path.with_name(f"{path.name}-wal").exists():  # where the rest may be
+        raise InputError(path, "", f"a damaged {kind.name} ({path.stat().st_size} bytes)", f"one of {size} bytes")
+
+
+def _make(
+    database: sqlite3.Connection, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
+) -> None:
+    for statement in schema:
+        database.execute(statement)
+    for statement, values in rows.items():
+        database.executemany(statement, values)
+    database.execute(f"PRAGMA application_id = {kind.application}")
+    database.execute(f"PRAGMA user_version = {kind.version}")

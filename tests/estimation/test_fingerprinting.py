@@ -1,0 +1,217 @@
+"""Radio maps: what one walk heard where tells later ones where they are, and how surely."""
+
+import io as bytes_io
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pdr_graph.errors import InputError
+from pdr_graph.estimation.fingerprinting import SHARED, RadioMap, scans_of
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import interpolate
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, Transmitter, heard
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Recording, Sightings, Trajectory
+
+ROUND = [[0, 0], {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}]
+BACK = [[0, 0], {"to": [[0, 20], [40, 20], [40, 0], [0, 0]]}]
+ELSEWHERE = [[300, 200], {"to": [[340, 200]]}]
+BEACONS = [Transmitter(f"b{n}", np.array([8.0 * n, 10.0 + 12 * (-1) ** n])) for n in range(6)]
+POINTS = [
+    Transmitter(f"w{n}", place, power=-35.0)
+    for n, place in enumerate(np.random.default_rng(3).uniform(-20, 60, (25, 2)))
+]
+FAR_POINTS = [replace(t, name="far " + t.name, place=t.place + np.array([300, 200])) for t in POINTS]
+
+
+def walked(route, seed, floor="1", points=(*POINTS, *FAR_POINTS)):
+    """A walk's true track and what its phone heard; the walls' pattern is the same for all."""
+    body = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 25}})).body
+    random = np.random.default_rng(seed)
+    radio = [
+        heard(body, transmitters, air, random, np.random.default_rng(7))
+        for transmitters, air in ((BEACONS, BLUETOOTH), (points, WIFI))
+    ]
+    every = slice(None, None, 10)
+    track = Trajectory(body.time[every], body.position[every], body.heading[every], (floor,) * len(body.time[every]))
+    return track, Recording("walk", 0.0, None, bluetooth=radio[0], wifi=radio[1])
+
+
+def errors(fixes, track):
+    return fixes.position - interpolate(fixes.time, track.time, track.position)
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    return RadioMap.learn([walked(ROUND, 1), walked(BACK, 2), walked(ROUND, 3)])
+
+
+@pytest.fixture(scope="module")
+def later():
+    return [walked(route, seed) for seed, route in enumerate([ROUND, BACK] * 5, start=10)]
+
+
+def test_later_walks_are_placed_within_metres(learnt, later):
+    """Where the whole place is 40 m by 20 m, half of all fixes lie within 4 m, every few seconds."""
+    for track, recording in later:
+        fixes = learnt.fixes(recording)
+        assert np.median(np.hypot(*errors(fixes, track).T)) < 4.0
+        assert np.diff(fixes.time).max() < 12.0
+        assert set(fixes.floor) == {"1"}
+
+
+def test_sigmas_are_honest(learnt, later):
+    """Over ten walks that the map does not know, two thirds of the errors per axis are within a single fix's sigma."""
+    ratios = [SHARED * errors(fixes, t) / fixes.sigma[:, None] for t, r in later for fixes in [learnt.fixes(r)]]
+    ratios = np.concatenate(ratios)
+    assert np.mean(np.abs(ratios) < 1) == pytest.approx(0.68, abs=0.12)
+    assert np.mean((ratios**2).sum(axis=1) < 4.605) == pytest.approx(0.9, abs=0.08)
+
+
+def test_neighbouring_fixes_together_say_no_more_than_they_know(learnt, later):
+    """A walk's mean error is within what its fixes would have if they were independent, as stated."""
+    means = [errors(f, t).sum(axis=0) / np.sqrt((f.sigma**2).sum()) for t, r in later for f in [learnt.fixes(r)]]
+    assert np.sqrt(np.mean(np.square(means))) < 1.2
+
+
+def test_a_place_that_the_map_does_not_know_gives_no_fix(learnt):
+    _, recording = walked(ELSEWHERE, 5)
+    assert len(scans_of(recording)) > 10
+    assert len(learnt.fixes(recording)) == 0
+
+
+def test_one_walk_alone_tells_its_errors_from_its_own_neighbourhoods(later):
+    """A map of one walk is no surer than it may be: errors of other walks stay within twice what is stated."""
+    alone = RadioMap.learn([walked([*ROUND, {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}], 1)])
+    ratios = [SHARED * errors(f, t) / f.sigma[:, None] for t, r in later for f in [alone.fixes(r)]]
+    assert np.sqrt(np.mean(np.concatenate(ratios) ** 2)) < 2.0
+
+
+def test_a_walk_that_the_map_was_learnt_from_is_no_surer_than_others(learnt, later):
+    """Its scans are the map's own and fit perfectly, which says nothing of how far the map is to be trusted."""
+    own = learnt.fixes(walked(ROUND, 1)[1])
+    assert own.sigma.min() >= 0.99 * min(learnt.fixes(recording).sigma.min() for _, recording in later)
+
+
+def test_a_map_of_somebody_who_stood_still_is_no_surer_than_half_a_metre():
+    track, recording = walked([[0, 0], {"stand": 60}, {"to": [[2, 0]]}], 1)
+    still = replace(track, position=np.zeros_like(track.position))
+    assert RadioMap.learn([(still, recording)]).fixes(recording).sigma.min() >= 0.5 * SHARED
+
+
+def test_a_phone_that_is_carried_about_spoils_nothing(learnt, later):
+    """A hotspot in the pocket of two of three walkers and of all later ones: errors grow by less than a third."""
+
+    def with_hotspot(recording):
+        wifi = recording.wifi
+        time = np.arange(0.0, wifi.time[-1], 3.0)
+        everywhere = Sightings(
+            np.append(wifi.time, time),
+            (*wifi.transmitter, *["hotspot"] * len(time)),
+            np.append(wifi.rssi, np.full(len(time), -40.0)),
+        )
+        return replace(recording, wifi=everywhere)
+
+    walks = [walked(ROUND, 1), walked(BACK, 2), walked(ROUND, 3)]
+    spoilt = RadioMap.learn([(t, with_hotspot(r) if n else r) for n, (t, r) in enumerate(walks)])
+    clean = np.concatenate([errors(learnt.fixes(r), t) for t, r in later])
+    carried = np.concatenate([errors(spoilt.fixes(with_hotspot(r)), t) for t, r in later])
+    assert len(carried) > 0.9 * len(clean)
+    assert np.median(np.hypot(*carried.T)) < 1.3 * np.median(np.hypot(*clean.T))
+
+
+def test_the_floor_is_that_where_the_like_was_heard():
+    upstairs = [replace(t, name="up " + t.name) for t in POINTS]
+    both = [walked(ROUND, 1), walked(BACK, 2), walked(ROUND, 3, "2", upstairs), walked(BACK, 4, "2", upstairs)]
+    fixes = RadioMap.learn(both).fixes(walked(ROUND, 9, "2", upstairs)[1])
+    assert np.mean([label == "2" for label in fixes.floor]) > 0.9
+
+
+def test_where_a_walk_was_uncertain_it_teaches_nothing():
+    track, recording = walked(ROUND, 1)
+    covariance = np.zeros((len(track), 3, 3))
+    covariance[track.time > 60, 0, 0] = 5.0**2
+    learnt = RadioMap.learn([(replace(track, covariance=covariance), recording), walked(BACK, 2)])
+    everything = RadioMap.learn([(track, recording), walked(BACK, 2)])
+    scans = scans_of(recording).time
+    assert len(everything) - len(learnt) == np.sum((scans > 60.5) & (scans <= track.time[-1]))
+
+
+def test_what_was_heard_before_the_recording_or_at_no_level_is_no_scan():
+    time, names = np.arange(-10.0, 10.0, 0.5), ("a", "b", "c", "d") * 10
+    early = Recording("walk", 0.0, None, wifi=Sightings(time, names, np.full(40, -60.0)))
+    assert scans_of(early).time[0] >= -1.0
+    assert scans_of(replace(early, wifi=None)).time.size == 0
+    unknown = replace(early, wifi=Sightings(time, names, np.full(40, 127.0)))
+    assert len(scans_of(unknown)) == 0
+
+
+def test_a_map_is_read_as_it_was_written(learnt, later, tmp_path):
+    learnt.save(tmp_path / "map")
+    again = RadioMap.load(tmp_path / "map")
+    assert again.frame == Frame().describe()
+    for _, recording in later[:2]:
+        one, other = learnt.fixes(recording), again.fixes(recording)
+        assert one.time.tolist() == other.time.tolist()
+        assert other.position == pytest.approx(one.position, abs=1e-3)
+        assert other.sigma == pytest.approx(one.sigma, rel=1e-4)
+
+
+def damaged(whole):
+    """What may befall a file: cut off, a byte changed, another file."""
+    random = np.random.default_rng(0)
+    yield from (b"", b"time,x,y\n1,2,3\n", whole[: len(whole) // 2], whole[:-30])
+    for place in random.integers(0, len(whole), 60):
+        yield whole[:place] + bytes([whole[place] ^ 1 << random.integers(8)]) + whole[place + 1 :]
+    plain = bytes_io.BytesIO()
+    with zipfile.ZipFile(plain, "w") as archive:
+        archive.writestr("level.npy", b"no array")
+    yield plain.getvalue()
+    other = bytes_io.BytesIO()
+    np.savez(other, level=np.array([{}], dtype=object), allow_pickle=True)
+    yield other.getvalue()
+
+
+def test_a_damaged_file_is_refused_in_one_line_or_tells_the_same(learnt, tmp_path):
+    path = tmp_path / "map.npz"
+    learnt.save(path)
+    said = []
+    for content in damaged(path.read_bytes()):
+        path.write_bytes(content)
+        try:
+            found = RadioMap.load(path)
+        except InputError as refusal:
+            said.append(str(refusal))
+        else:
+            assert found.level == pytest.approx(learnt.level, abs=1e-3)
+    assert len(said) > 50
+    assert all(str(path) in line and "\n" not in line for line in said)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("level", lambda level: level[:, 1:]),
+        ("level", lambda level: -level),
+        ("position", lambda position: position * np.nan),
+        ("range", lambda limits: limits.astype(str)),
+        ("transmitter", lambda names: np.arange(len(names))),
+        ("floor", lambda floor: floor[1:]),
+    ],
+)
+def test_arrays_that_do_not_belong_together_are_refused(name, wrong, learnt, tmp_path):
+    path = tmp_path / "map.npz"
+    learnt.save(path)
+    arrays = dict(np.load(path))
+    np.savez(path, **arrays | {name: wrong(arrays[name])})
+    with pytest.raises(InputError, match=f"map.npz, {name}: found"):
+        RadioMap.load(path)
+
+
+def test_walks_that_heard_next_to_nothing_make_no_map():
+    track, recording = walked(ROUND, 1)
+    with pytest.raises(ValueError, match="found 0 scans"):
+        RadioMap.learn([(track, replace(recording, bluetooth=None, wifi=None))])

@@ -1,0 +1,167 @@
+"""Fixes of one receiver, whose errors are alike for a while."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from walks import PERIOD, dead_reckon, fixes_at, steps_of
+
+from pdr_graph.estimation.factors import gnss_bias
+from pdr_graph.estimation.factors.fixes import STANDING, FixFactor, drift, independent_sigmas
+from pdr_graph.estimation.factors.gnss_bias import NODE, WHITE, GnssBias
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.optimizer import optimize
+from pdr_graph.estimation.smoother import smooth
+from pdr_graph.geometry import interpolate
+from pdr_graph.types import Fixes, Steps
+
+
+def named(fixes, source="GNSS"):
+    return replace(fixes, source=(source,) * len(fixes))
+
+
+def meander(n=300, seed=0):
+    """Steps of a walk with many turns: a lag is not to be confused with an offset."""
+    random = np.random.default_rng(seed)
+    turn = np.where(np.arange(n) % 15 == 14, random.choice([-1, 1], n) * np.pi / 2, 0.0)
+    return steps_of(np.full(n, 0.7), turn)
+
+
+def gauss_markov(steps, time, random):
+    """A process of unit variance ``(n, 2)``, correlated as a receiver's errors on a walk."""
+    keep = np.exp(-np.diff(drift(steps, time), prepend=0.0))
+    process = random.normal(0, 1, (len(time), 2))
+    for i in range(1, len(time)):
+        process[i] = keep[i] * process[i - 1] + np.sqrt(1 - keep[i] ** 2) * process[i]
+    return process
+
+
+def biased(graph):
+    """The graph with what a receiver's fixes have in common, all of which are held."""
+    fixes = graph.positions
+    fixes = fixes.classified(fixes.outlier, fixes.used)
+    gnss = GnssBias.of(fixes, graph.steps).on(graph.chain)
+    told = {FixFactor.name: fixes, GnssBias.name: gnss}
+    return graph._with_variables(tuple(told.get(one.name, one) for one in graph.measurements))
+
+
+def test_a_minute_of_alike_errors_is_worth_a_few_fixes():
+    """Someone stands still: the position is the generalised mean of the fixes, as plain algebra has it."""
+    time, sigma = np.arange(0, 61, NODE), 3.0
+    standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
+    errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
+    estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
+
+    alike = np.exp(-np.abs(time[:, None] - time) / STANDING)
+    weight = np.linalg.solve(sigma**2 * (alike + WHITE**2 * np.eye(len(time))), np.ones(len(time)))
+    assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
+    assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(1 / weight.sum(), rel=0.01)
+
+
+def test_an_offset_that_stays_for_a_minute_does_not_bend_the_walk():
+    """The walk's shape comes from steps; fixes that all err alike for a while move it no more than they should."""
+    bent = []
+    for seed in range(6):
+        said, random = meander(300, seed), np.random.default_rng(seed)
+        truth = dead_reckon(said)
+        time = np.arange(1.0, said.end, 1.0)
+        errors = 3.0 * gauss_markov(said, time, random)
+        fixes = fixes_at(time, interpolate(time, truth.time, truth.position) + errors, 3.0)
+        shape = [np.std(smooth(WalkGraph(said, f)).trajectory.position - truth.position) for f in (fixes, named(fixes))]
+        bent.append(shape[1] / shape[0])
+    assert np.mean(bent) < 0.8
+
+
+def test_a_receiver_that_lags_is_found_out(monkeypatch):
+    """Positions of two seconds ago on a walk with many turns: the walk is less late than they are."""
+    said = meander(300)
+    truth = dead_reckon(said)
+    time = np.arange(4.0, said.end, 1.0)
+    late = named(fixes_at(time, interpolate(time - 2.0, truth.time, truth.position), 2.0))
+
+    def error():
+        return np.hypot(*(smooth(WalkGraph(said, late)).trajectory.position - truth.position).T).mean()
+
+    graph = biased(WalkGraph(said, late))
+    lag = optimize(graph, graph.start).state["g"][:, 2]
+    assert 0.5 < np.median(lag) < 2.5
+    aware = error()
+    monkeypatch.setattr(gnss_bias, "LAG", 1e-3)
+    assert aware < 0.8 * error()
+
+
+def test_what_a_receiver_says_again_is_not_used_twice():
+    """It holds its position while it thinks it is still; every fix keeps its place in the report."""
+    said = meander(60)
+    track = dead_reckon(said)
+    held = np.repeat(track.position[:20:4], 4, axis=0)
+    estimate = smooth(WalkGraph(said, named(fixes_at(track.time[:20], held, 3.0))))
+    again = ["duplicate epoch" in report.reason for report in estimate.fixes]
+    assert again == [n % 4 != 0 for n in range(20)]
+
+
+def test_a_single_fix_of_a_receiver_is_enough():
+    said = meander(30)
+    estimate = smooth(WalkGraph(said, named(fixes_at([PERIOD], [[5.0, 5.0]], 3.0))))
+    assert estimate.trajectory.position[1] == pytest.approx([5.0, 5.0], abs=0.1)
+
+
+def test_two_receivers_have_offsets_of_their_own():
+    """One errs to the east, one to the west; neither is believed alone."""
+    said = meander(100)
+    truth = dead_reckon(said)
+    place, east = truth.position[::5], np.array([4.0, 0.0])
+    both = Fixes(
+        np.tile(truth.time[::5], 2),
+        np.concatenate([place + east, place - east]),
+        np.full(2 * len(place), 4.0),
+        ("",) * (2 * len(place)),
+        source=("one",) * len(place) + ("other",) * len(place),
+    )
+    graph = biased(WalkGraph(said, both))
+    state, gnss = optimize(graph, graph.start).state, graph.find(GnssBias)
+    sources = [both.source[gnss.fix[gnss.node == m][0]] for m in np.flatnonzero(gnss.keep == 0)]
+    offset, half = state["g"][:, 0], len(state["g"]) // 2
+    offset = offset if sources == ["one", "other"] else np.roll(offset, half)
+    assert (np.sign(offset) == np.repeat([1, -1], half)).all()
+    assert state.poses[:, 0].mean() == pytest.approx(graph.start.poses[:, 0].mean(), abs=0.5)
+
+
+def test_sigmas_grow_with_the_number_of_fixes_that_err_alike():
+    """A minute of epochs, each for itself, must not count as sixty."""
+    fixes = named(fixes_at(np.arange(600.0), np.zeros((600, 2)), 3.0))
+    standing, used = Steps(0.0, 600.0, *np.empty((6, 0)), sigma_turn=np.empty(0)), np.ones(600, dtype=bool)
+    sigma = independent_sigmas(fixes, fixes.sigma, used, standing)
+    assert sigma[300] == pytest.approx(3.0 * np.sqrt(2 * STANDING), rel=0.02)
+    independent = replace(fixes, source=())
+    assert (independent_sigmas(independent, independent.sigma, used, standing) == 3.0).all()
+
+
+def test_errors_change_sooner_where_somebody_walks():
+    said = meander(300)
+    walking = drift(said, np.array([10.0, 70.0]))
+    assert np.diff(walking)[0] > 2 * 60.0 / STANDING
+
+
+def test_worse_fixes_beside_a_good_one_err_alike_too():
+    """A minute of fixes that say 20 m and all lie 20 m to the east does not outvote one that says 2 m."""
+    said, east = meander(120), np.array([20.0, 0.0])
+    truth = dead_reckon(said)
+    time = np.arange(1.0, said.end, 1.0)
+    fixes, good = fixes_at(time, interpolate(time, truth.time, truth.position) + east, 20.0), len(time) // 2
+    fixes.sigma[good], fixes.position[good] = 2.0, fixes.position[good] - east
+    track = smooth(WalkGraph(said, named(fixes))).trajectory
+    row = np.argmin(np.abs(truth.time - time[good]))
+    assert np.hypot(*(track.position[row] - truth.position[row])) < 2.0
+
+
+def test_a_flat_zone_leaves_the_walk_alone_within_the_radius():
+    """An option for receivers that tell a radius and no more: fixes 1 σ off, to alternate sides, bend nothing."""
+    said = meander(100)
+    truth = dead_reckon(said)
+    off = 3.0 * np.where(np.arange(20) % 4 < 2, 1.0, -1.0)[:, None] * np.array([1.0, 0.0])
+    fixes = fixes_at(truth.time[:100:5], truth.position[:100:5] + off, 3.0)
+    bent, flat = (smooth(WalkGraph(said, fixes, prior=Prior(fix_flat=zone))).trajectory for zone in (0.0, 1.5))
+    shape = [np.std(track.position - truth.position, axis=0).max() for track in (bent, flat)]
+    assert shape[1] < 0.5 * shape[0]

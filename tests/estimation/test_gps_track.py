@@ -1,0 +1,79 @@
+"""The way through positions alone: the smoother, and what it says of itself."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from streets import SIGMA, gauss_markov
+
+from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, smooth_track
+from pdr_graph.estimation.gps_track import KEEPS, LOST, SPEED, way_through
+from pdr_graph.estimation.transport_mode import WALKS
+from pdr_graph.types import Fixes
+
+
+def kernel(time, speed, keeps):
+    """Covariance of positions in a correlated random walk from time[0] on: the double integral of s² exp(−|u − w| / τ),
+    by hand.
+    """
+    a, b = time[:, None] - time[0], time[None] - time[0]
+    fades = np.exp(-a / keeps) + np.exp(-b / keeps) - np.exp(-abs(a - b) / keeps)
+    return speed**2 * keeps**2 * (2 * np.minimum(a, b) / keeps - 1 + fades)
+
+
+def test_the_smoother_is_the_gaussian_process_that_it_says():
+    """Kriging with the walk's kernel in closed form, dense: mean and variance of every row."""
+    random = np.random.default_rng(1)
+    time = np.cumsum(random.choice([0.2, 1.0, 5.0, 40.0], 60))
+    z = np.cumsum(random.normal(0, 3, (60, 2)), axis=0)
+    slow, white = random.uniform(2, 20, 60), random.uniform(1, 5, 60)
+    n = len(time) - 1
+    way = smooth_track(
+        GpsKnots(time, z, slow, white), Motion(np.full(n, 0.9), np.full(n, 40.0), np.zeros(n, dtype=bool)), ()
+    )
+    everywhere = 1e6  # [m²] where it begins
+    of_way = kernel(time, 0.9, 40.0) + everywhere
+    offset = np.outer(slow, slow) * np.exp(-abs(time[:, None] - time) / 120.0)
+    gain = np.linalg.solve(of_way + offset + np.diag(white**2), of_way).T
+    # the oracle's start is vague by 1 km, ours by 1000 km
+    assert way.position == pytest.approx(gain @ z, abs=2e-2)
+    assert way.variances()[:, 0] == pytest.approx(np.diag(of_way - gain @ of_way), rel=2e-3)
+
+
+def drawn(seed, kind, worse=1.0):
+    """A walk drawn from the model, and its fixes; worse: times the noise that is said."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0, 600, 5.0)
+    root = np.linalg.cholesky(kernel(time, SPEED[kind], KEEPS[kind]) + 1e-6 * np.eye(len(time)))
+    truth = root @ random.normal(size=(len(time), 2))
+    noise = gauss_markov(600, 4.8, 120, random)[::5] + random.normal(0, 1.5, (len(time), 2))
+    return time, truth, truth + worse * noise
+
+
+@pytest.mark.parametrize(("worse", "honest"), [(1.0, True), (1.5, False)])
+def test_the_covariance_of_a_way_is_honest(worse, honest):
+    seeds, row, nees = 150, 60, 0.0
+    for seed in range(seeds):
+        time, truth, z = drawn(seed, WALKS, worse)
+        n = len(time)
+        motion = Motion(np.full(n - 1, SPEED[WALKS]), np.full(n - 1, KEEPS[WALKS]), np.zeros(n - 1, dtype=bool))
+        way = smooth_track(GpsKnots(time, z, np.full(n, 4.8), np.full(n, 1.5)), motion, ())
+        nees += np.sum((way.position[row] - truth[row]) ** 2) / way.variances()[row, 0]
+    low, high = chi2.ppf([0.005, 0.995], 2 * seeds)
+    assert (low < nees < high) == honest
+
+
+def test_the_covariance_of_a_gap_holds_those_who_walked_on():
+    """Walkers drawn from the model, unseen for half an hour: at its rows, and linear between them."""
+    time = np.r_[np.arange(0, 600, 5.0), np.arange(700, 2400, 100.0), np.arange(2400, 3000, 5.0)]
+    known = (time < 600) | (time >= 2400)
+    root = np.linalg.cholesky(kernel(time, SPEED[LOST], KEEPS[LOST]) + 1e-6 * np.eye(len(time)))
+    inside = []
+    for seed in range(60):
+        truth = root @ np.random.default_rng(seed).normal(size=(len(time), 2))
+        fixes = Fixes(time[known], truth[known], np.full(known.sum(), SIGMA), ("",) * known.sum())
+        way = way_through(fixes).trajectory
+        for at in (900.0, 1500.0, 2200.0):
+            mean = [np.interp(at, way.time, axis) for axis in way.position.T]
+            variance = np.interp(at, way.time, way.covariance[:, 0, 0])
+            inside.append(np.sum((truth[time == at][0] - mean) ** 2) / variance < chi2.ppf(0.9, 2))
+    assert 0.8 < np.mean(inside) < 0.98

@@ -1,0 +1,215 @@
+"""Batch and live smoother are one engine: with all of a walk in the window they find the same walk."""
+
+from copy import deepcopy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from test_live_smoother import some
+from walks import dead_reckon, drawn_beside_beacons, drawn_from_the_model, drawn_with_a_receiver, fixes_on, square_walk
+
+from pdr_graph import smooth
+from pdr_graph.estimation.factors.losses import RobustLoss
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.floor.areas import Area
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.measurements import last_time, take
+from pdr_graph.types import Headings
+
+ROUNDS = 40
+
+
+def ring():
+    """Corridors of 2.5 m round a block of 14 m."""
+    block = shapely.box(-1.25, -1.25, 15.25, 15.25).difference(shapely.box(1.25, 1.25, 12.75, 12.75))
+    return FloorPlan("ring", (Area("corridor", "", block),), Frame())
+
+
+def plain(seed):
+    steps, fixes, _ = drawn_from_the_model(120, seed)
+    return steps, [fixes], None
+
+
+def with_outliers(seed):
+    steps, fixes, _ = drawn_from_the_model(150, seed)
+    far = np.where(np.arange(len(fixes)) % 5 == 3, 40.0, 0.0)
+    return steps, [replace(fixes, position=fixes.position + far[:, None])], None
+
+
+def with_headings(seed):
+    steps, fixes, truth = drawn_from_the_model(120, seed, every=40)
+    time = np.arange(4.0, 60.0, 11.0)
+    turned = interpolate(time, truth.time, np.unwrap(truth.heading)[:, None])[:, 0]
+    heading = turned + np.random.default_rng(seed).normal(0, 0.2, len(time))
+    return steps, [fixes, Headings(time, wrap_angle(heading), np.full(len(time), 0.2))], None
+
+
+def with_a_receiver(seed):
+    steps, fixes, _ = drawn_with_a_receiver(120, seed)
+    return steps, [fixes], None
+
+
+def with_beacons(seed):
+    steps, fixes, levels, _ = drawn_beside_beacons(120, seed)
+    return steps, [fixes, levels], None
+
+
+def on_a_plan(seed):
+    steps = square_walk(20, laps=2)
+    random = np.random.default_rng(seed)
+    truth = dead_reckon(steps)
+    said = replace(steps, length=steps.length * 1.05, turn=steps.turn + random.normal(0, 0.02, len(steps)))
+    return said, [fixes_on(truth, every=15, sigma=1.5, seed=seed)], ring()
+
+
+def on_a_plan_with_a_receiver(seed):
+    steps, [fixes], floor = on_a_plan(seed)
+    return steps, [replace(fixes, source=("GNSS",) * len(fixes))], floor
+
+
+# whose factors change with each further fix, and are linearised again when they have by a tenth (`signature`)
+WITH_A_RECEIVER = [with_a_receiver, on_a_plan_with_a_receiver]
+WALKS = [plain, with_outliers, with_headings, with_a_receiver, with_beacons, on_a_plan, on_a_plan_with_a_receiver]
+
+
+def walking(live, steps, data, begin=0, end=None):
+    """Push steps one by one, and measurements as soon as their time has come."""
+    for n in range(begin, len(steps) if end is None else end):
+        chunk = some(steps, n, n + 1)
+        live.extend(chunk)
+        for one in data:
+            time = last_time(one)
+            own = (time <= chunk.end) & ((time > chunk.start) | (n == 0))
+            if own.any():
+                live.append(take(one, np.flatnonzero(own)))
+    return live
+
+
+def started(floor, lag=np.inf):
+    return LiveSmoother(lag=lag, plan=None if floor is None else Building.around(floor))
+
+
+def from_batch(estimate, other):
+    """Greatest distance [m] between the tracks of two estimates."""
+    one, two = estimate.trajectory, other.trajectory
+    assert one.time == pytest.approx(two.time, abs=2e-6)
+    return float(np.hypot(*(one.position - two.position).T).max())
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("drawn", WALKS)
+def test_finished_live_it_is_the_batchs_walk(drawn, seed):
+    """Track to a millimetre, with covariance, cost, calibration and the report of every measurement."""
+    steps, data, floor = drawn(seed)
+    live = walking(started(floor), steps, data)
+    live.finish()
+    batch = smooth(WalkGraph.of(steps, data, floor=floor))
+    assert live.final is not None
+    assert from_batch(batch, live.final) < 1e-3
+    assert live.final.trajectory.covariance == pytest.approx(batch.trajectory.covariance, rel=1e-3, abs=1e-6)
+    assert live.final.cost == pytest.approx(batch.cost, rel=1e-5)
+    assert live.final.calibration.value == pytest.approx(batch.calibration.value, abs=1e-5)
+    assert live.final.reports.keys() == batch.reports.keys()
+    assert [one.reason for one in live.final.fixes] == [one.reason for one in batch.fixes]
+    assert live.final.warnings == batch.warnings
+
+
+def relinearized(live):
+    """Everything linearised again where it is until nothing moves; the association is as it was."""
+    for _ in range(ROUNDS):
+        if not live.graph.relinearize(1e-7, everything=True):
+            break
+    return live.graph.evaluate(everything=True)
+
+
+def optimum(at):
+    """Gauss–Newton over the blocks of an evaluation, with a line search, to convergence."""
+    for _ in range(ROUNDS):
+        move = at.linearized().optimize()
+        candidate = at.chain.evaluate(at.state.retracted(move), at.measurements)
+        longest = np.inf
+        while candidate.cost > at.cost and longest > 1e-6:
+            longest = 0.5 * min(longest, 2.0)
+            candidate = at.chain.evaluate(at.state.retracted(move, longest), at.measurements)
+        if np.abs(candidate.state.poses[:, :2] - at.state.poses[:, :2]).max() < 1e-7:
+            return candidate
+        at = candidate
+    return at
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("drawn", [one for one in WALKS if one not in WITH_A_RECEIVER])
+def test_isam2_is_at_the_optimum_of_the_windows_factors(drawn, seed):
+    """The incremental estimate, linearised everywhere again, is that of Gauss–Newton over the same blocks: 1 mm."""
+    steps, data, floor = drawn(seed)
+    live = walking(started(floor), steps, data)
+    at = relinearized(live)
+    best = optimum(at)
+    assert best.cost == pytest.approx(at.cost, rel=1e-6, abs=1e-6)
+    assert np.abs(best.state.poses[:, :2] - at.state.poses[:, :2]).max() < 1e-3
+    assert wrap_angle(best.state.poses[:, 2] - at.state.poses[:, 2]) == pytest.approx(0, abs=1e-4)
+    assert best.state.c == pytest.approx(at.state.c, abs=1e-4)
+
+
+@pytest.mark.parametrize("drawn", WITH_A_RECEIVER)
+def test_isam2_is_near_the_optimum_where_a_receivers_sigmas_change_with_each_fix(drawn):
+    """15 cm were seen, of fixes of 3 m; an accuracy that the batch has the last word on."""
+    steps, data, floor = drawn(0)
+    live = walking(started(floor), steps, data)
+    at = relinearized(live)
+    assert np.abs(optimum(at).state.poses[:, :2] - at.state.poses[:, :2]).max() < 0.3
+
+
+def test_the_optimum_is_not_found_without_linearising_again():
+    """The control: iSAM2 as it is after the last step is some millimetres off."""
+    steps, data, floor = with_outliers(0)
+    live = walking(started(floor), steps, data)
+    at = live.graph.evaluate(everything=True)
+    assert np.abs(optimum(at).state.poses[:, :2] - at.state.poses[:, :2]).max() > 1e-4
+
+
+def test_the_windows_factors_are_those_of_the_batch():
+    """As many rows of every kind, with the same losses; calibration segments and keyframes lie elsewhere."""
+    steps, data, _ = with_a_receiver(0)
+    live = walking(started(None), steps, data)
+    batch = WalkGraph.of(steps, data)
+    refined = batch.refined(batch.evaluate(batch.start))
+    again = refined.evaluate(refined.start)
+    for name in ("fixes", "gnss_bias.begin"):
+        [one], [other] = (at.blocks_of(name)[:1] for at in (live.graph.evaluate(everything=True), again))
+        assert len(one) == len(other)
+        assert isinstance(one.loss, RobustLoss) == isinstance(other.loss, RobustLoss)
+
+
+@pytest.mark.parametrize("lag", [np.inf, 30.0])
+@pytest.mark.parametrize("drawn", WALKS)
+def test_a_checkpoint_in_mid_walk_goes_on_with_the_same_result(drawn, lag):
+    """Two restored of one checkpoint, one of which is written down once more: to 1e-6 m with all of the walk open.
+
+    With a lag to 0.2 m, where a receiver's fixes leave 2 m: what was linearised where stays behind in the marginal.
+    """
+    steps, data, floor = drawn(1)
+    begun = walking(started(floor, lag), steps, data, end=60)
+    kept, ends = begun.checkpoint(), []
+    for again in (False, True):
+        live = started(floor, lag)
+        live.restore(deepcopy(kept))
+        walking(live, steps, data, begin=60, end=75)
+        if again:
+            later, live = live.checkpoint(), started(floor, lag)
+            live.restore(deepcopy(later))
+        walking(live, steps, data, begin=75)
+        live.finish()
+        ends.append(live)
+    one, other = ends
+    assert other.graph.window.pose[-1] == pytest.approx(one.graph.window.pose[-1], abs=0.2)
+    if np.isinf(lag):
+        assert from_batch(one.final, other.final) < 1e-6
+        uninterrupted = walking(begun, steps, data, begin=60)
+        uninterrupted.finish()
+        assert from_batch(one.final, uninterrupted.final) < 1e-6

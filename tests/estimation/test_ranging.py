@@ -1,0 +1,124 @@
+"""Ranges to anchors: without line of sight errors are long and never short, and an anchor's bias is estimated."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from walks import drawn_from_the_model
+
+from pdr_graph.estimation.factors import ranging
+from pdr_graph.estimation.factors.ranging import LongErrors, RangeFactor
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.estimation.optimizer import solutions
+from pdr_graph.estimation.smoother import smooth
+from pdr_graph.measurements import Ranges, take
+from pdr_graph.types import Steps
+
+SIGMA, NLOS, DETOUR = 0.3, 0.2, 3.0  # [m], share, [m]
+ANCHOR_SIGMA = 0.1  # [m]
+INSIDE_90 = 4.605  # χ² of two degrees of freedom
+
+
+def ranged(truth, seed, bias=(0.0, 0.0, 0.0, 0.0), nlos=NLOS):
+    """Ranges at 1 Hz to four anchors about a walk, a share of them with a detour."""
+    random = np.random.default_rng(seed)
+    (west, south), (east, north) = truth.position.min(axis=0) - 5, truth.position.max(axis=0) + 5
+    anchors = np.array([[west, south], [west, north], [east, north], [east, south]])
+    rows = []
+    for m, anchor in enumerate(anchors):
+        for time in np.arange(truth.time[0] + 0.5 + 0.1 * m, truth.time[-1]).tolist():
+            place = np.array([np.interp(time, truth.time, axis) for axis in truth.position.T])
+            detour = DETOUR if random.random() < nlos else 0.0
+            rows.append((time, m, np.hypot(*(place - anchor)) + bias[m] + random.normal(0, SIGMA) + detour, detour))
+    time, anchor, distance, detour = np.array(sorted(rows)).T
+    n, label = len(time), tuple(f"A{m}" for m in range(4))
+    sigma, survey = np.full(n, SIGMA), np.full(4, ANCHOR_SIGMA)
+    ranges = Ranges(time, anchor.astype(np.intp), np.maximum(distance, 0.0), sigma, label, anchors, survey)
+    return ranges, detour > 0
+
+
+def off(trajectory, truth):
+    """Distances from the truth [m], and whether it lies in the stated 90 % region."""
+    place = np.stack([np.interp(truth.time, trajectory.time, axis) for axis in trajectory.position.T], axis=1)
+    gap = place - truth.position
+    inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(trajectory.covariance[:, :2, :2]), gap) < INSIDE_90
+    return np.hypot(*gap.T), inside
+
+
+def test_a_walk_by_ranges_alone_is_right_and_honest():
+    """No fix, no plan: 0.3 m noise and one range in five 3 m too long. Asked: CE50 0.3 m, 85 to 95 % inside."""
+    found = []
+    for seed in range(6):
+        steps, _, truth = drawn_from_the_model(120, seed)
+        ranges, _ = ranged(truth, seed)
+        found.append(off(smooth(WalkGraph(steps, measurements=[ranges])).trajectory, truth))
+    errors, inside = (np.concatenate(column) for column in zip(*found, strict=True))
+    assert np.median(errors) < 0.3
+    assert 0.85 < inside.mean() < 0.97
+
+
+def test_a_loss_that_is_the_same_on_both_sides_is_worse(monkeypatch):
+    """The control: with Huber's loss the detours pull the walk away."""
+    steps, _, truth = drawn_from_the_model(120, 1)
+    ranges, _ = ranged(truth, 1)
+    one_sided = np.median(off(smooth(WalkGraph(steps, measurements=[ranges])).trajectory, truth)[0])
+    monkeypatch.setattr(RangeFactor, "refined", lambda self, at: self)
+    assert np.median(off(smooth(WalkGraph(steps, measurements=[ranges])).trajectory, truth)[0]) > 1.2 * one_sided
+
+
+def test_detours_are_told_apart_in_the_reports():
+    """Nine in ten ranges with a 3 m detour, ten sigmas, are said to have no line of sight, and few of the others."""
+    steps, _, truth = drawn_from_the_model(120, 2)
+    ranges, detour = ranged(truth, 2)
+    reports = smooth(WalkGraph(steps, measurements=[ranges])).reports["ranges"]
+    said = np.array(["no line of sight" in one.reason for one in reports])
+    assert said[detour].mean() > 0.9
+    assert said[~detour].mean() < 0.03
+
+
+def test_an_anchors_bias_is_estimated():
+    """One anchor measures 0.4 m too long throughout, almost three of its prior sigmas: more than half is found."""
+    steps, _, truth = drawn_from_the_model(150, 3)
+    ranges, _ = ranged(truth, 3, bias=(0.0, 0.4, 0.0, 0.0), nlos=0.0)
+    graph = WalkGraph(steps, measurements=[ranges])
+    bias = solutions(graph)[0].state[RangeFactor.symbol][:, 2]
+    assert 0.2 < bias[1] < 0.5
+    assert np.abs(bias[[0, 2, 3]]).max() < 0.1
+
+
+def test_long_errors_cost_little_and_short_ones_as_hubers():
+    """Steps of the deviation: the cost rises on both sides, is steeper for ranges too short, and its slope is w(s) s
+    to where the mixture is near its Gaussian.
+    """
+    deviation = np.linspace(-15, 15, 301)
+    loss = LongErrors(np.full(301, ranging.DETOUR / SIGMA))
+    cost, weight = loss.cost(deviation), loss.weight(deviation)
+    assert cost[150] == pytest.approx(0.0, abs=1e-9)
+    assert (np.diff(cost[150:]) > 0).all()
+    assert (np.diff(cost[:150]) < 1e-9).all()
+    assert cost[100] < 0.5 * cost[200]
+    assert weight[0] < 1e-6
+    assert weight[200] == pytest.approx(2.45 / deviation[200])
+
+
+def test_ranges_work_while_the_walk_goes_on():
+    """The same object in the live smoother: near the batch at each end of a lag of 20 s, and equal with none."""
+    steps, _, truth = drawn_from_the_model(120, 4)
+    steps = replace(steps, end=float(steps.time[-1]))
+    ranges, _ = ranged(truth, 4)
+    batch = smooth(WalkGraph(steps, measurements=[ranges])).trajectory
+    for lag, near in ((20.0, 0.3), (np.inf, 0.05)):
+        live, begin, given = LiveSmoother(lag=lag), steps.start, 0
+        for k, end in enumerate(steps.time.tolist()):
+            upto = int(np.searchsorted(ranges.time, end))
+            if upto > given:
+                live.append(take(ranges, np.arange(given, upto)))
+                given = upto
+            columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
+            live.extend(Steps(begin, end, **columns))
+            begin = end
+        assert live.sure
+        rows = live.rows()
+        there = np.stack([np.interp(rows.time, batch.time, axis) for axis in batch.position.T], axis=1)
+        assert np.median(np.hypot(*(there - rows.pose[:, :2]).T)) < near

@@ -1,0 +1,88 @@
+"""Straight runs along corridors, and the turns between them, of walks whose way is known."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import shapely
+from plans import MAPS
+
+from pdr_graph import FloorPlan
+from pdr_graph.floor.areas import Area
+from pdr_graph.floor.corridor_runs import straight_runs, turns_between
+from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import wrap_angle
+
+LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
+LAP = [[14.85, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 1.25], [14.0, 1.25]]
+STRIDE = 0.7
+
+
+def along(*corners, sway=0.0):
+    """Places every stride along a line, swaying to either side with a period of 8 m."""
+    line = shapely.LineString(corners)
+    at = np.arange(0, line.length, STRIDE)
+    way = shapely.get_coordinates(shapely.line_interpolate_point(line, at))
+    ahead = np.gradient(way, axis=0)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.hypot(*ahead.T)[:, None]
+    return way + sway * np.sin(2 * np.pi * at / 8.0)[:, None] * left
+
+
+@pytest.mark.parametrize("sway", [0.0, 0.6])
+def test_a_lap_is_five_straight_runs(sway):
+    """Also with a zigzag as wide as corridors leave: walls lead straight on, whoever sways between them."""
+    runs = straight_runs(along(*LAP, sway=sway), LOOP.distance)
+    assert np.degrees([wrap_angle(run.direction) for run in runs]) % 360 == pytest.approx([0, 90, 180, 270, 0], abs=0.1)
+    assert [run.width for run in runs] == pytest.approx([2.5] * 5, abs=0.05)
+
+
+def test_a_corridor_leads_both_ways():
+    there, back = (straight_runs(track, LOOP.distance)[0] for track in (along(*LAP[:2]), along(*LAP[:2])[::-1]))
+    assert abs(wrap_angle(there.direction - back.direction)) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize(
+    "area",
+    [
+        shapely.box(0, -5, 20, 5),  # [m] a hall half as wide as it is long
+        shapely.box(0, -30, 60, 30),  # a plaza: no wall in reach
+        shapely.box(0, -30, 60, 1),  # a wall on one side only
+        shapely.Point(0, 0).buffer(31) - shapely.Point(0, 0).buffer(29),  # a bend all the way
+    ],
+    ids=["hall", "plaza", "one wall", "bend"],
+)
+def test_there_is_no_run_where_no_corridor_is(area):
+    way = shapely.boundary(shapely.Point(0, 0).buffer(30)) if len(shapely.get_rings(area)) > 1 else None
+    track = along(*shapely.get_coordinates(way)) if way else along([0.5, 0.0], [19.5, 0.0])
+    assert not straight_runs(track, DistanceField(area))
+
+
+def test_a_run_goes_on_across_an_intersection_and_past_pillars():
+    street = shapely.box(0, -1.5, 40, 1.5) | shapely.box(19, -20, 22, 20)
+    pillars = [shapely.box(x, 1.0, x + 0.4, 1.5) for x in range(2, 40, 5)]
+    area = shapely.affinity.rotate(street - shapely.union_all(pillars), 25, origin=(0, 0))
+    track = shapely.get_coordinates(shapely.affinity.rotate(shapely.LineString(along([1, 0], [39, 0])), 25, (0, 0)))
+    (run,) = straight_runs(track, DistanceField(area))
+    assert np.degrees(run.direction) == pytest.approx(25, abs=0.1)
+    assert run.last - run.first > 0.9 * len(track)
+
+
+def test_a_lap_turns_at_each_intersection():
+    track = along(*LAP)
+    runs = straight_runs(track, LOOP.distance)
+    found = list(turns_between(runs, track, LOOP.network))
+    assert [f[:2] for f in found] == list(pairwise(runs))
+    for (_, _, turn), corner in zip(found, LAP[1:-1], strict=True):
+        assert np.hypot(*(LOOP.network.nodes[turn.node] - corner)) < 0.1
+        assert np.hypot(*(track[turn.first] - corner)) < STRIDE
+        assert LOOP.network.links[turn.before].tolist().count(turn.node) == 1
+
+
+def test_nobody_turns_at_an_intersection_elsewhere():
+    """The same lap where the plan has no intersection: drawn beside it."""
+    beside = FloorPlan(
+        "1", tuple(Area(a.kind, a.name, shapely.affinity.translate(a.shape, 9, 9)) for a in LOOP.areas), Frame()
+    )
+    track = along(*LAP)
+    assert not list(turns_between(straight_runs(track, LOOP.distance), track, beside.network))

@@ -1,0 +1,86 @@
+"""Absolute headings of simulated walks with a magnetometer: right, or silent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pdr_graph import magnetic_headings
+from pdr_graph.frames import Frame, projected
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Signal
+
+HERE = np.zeros(2)
+
+
+def walked(hold="hand", seed=0, minutes=1, **phone):
+    laps = [[40, 0], [40, 30], [0, 30], [0, 0]] * minutes
+    given = {"seed": seed, "route": [[0, 0], {"stand": 3}, {"to": laps}], "phone": {"hold": hold, "rate": 50} | phone}
+    return simulate(Scenario.of(given))
+
+
+def errors(walk, headings):
+    """Against the walking direction at their time, in sigmas of their own and in radians."""
+    truth = np.interp(headings.time, walk.body.time, walk.body.heading)
+    error = wrap_angle(headings.heading - truth)
+    return error / headings.sigma, error
+
+
+@pytest.mark.parametrize("hold", ["hand", "swinging arm", "trouser pocket", "breast pocket", "bag"])
+def test_they_are_right_or_silent(hold):
+    """Steel and a phone's own hard iron of 3 µT per axis: never the wrong way, and within three sigmas."""
+    for seed in range(3):
+        walk = walked(hold, seed)
+        z, error = errors(walk, magnetic_headings(walk.recording(), walk.frame, HERE))
+        assert np.all(np.abs(z) < 3)
+        assert np.all(np.abs(error) < 0.8)
+
+
+def test_many_headings_weigh_no_more_than_one():
+    """What they share, they share: the information of a walk of seven minutes is that of one heading."""
+    short, long = walked(minutes=1), walked(minutes=4)
+    of_one = magnetic_headings(short.recording(), short.frame, HERE)
+    of_many = magnetic_headings(long.recording(), long.frame, HERE)
+    assert (len(of_one), len(of_many) > 2) == (2 if len(of_one) == 2 else 1, True)
+    assert np.sum(of_many.sigma**-2.0) < 1.3 * np.sum(of_one.sigma**-2.0)
+
+
+def test_a_magnet_on_the_phone_silences_it():
+    """A case with a magnet adds 150 µT: the dip is wrong all the way."""
+    walk = walked()
+    recording = walk.recording()
+    field = recording.magnetometer
+    magnet = replace(recording, magnetometer=Signal(field.time, field.values + np.array([0.0, 0.0, 150.0])))
+    assert len(magnetic_headings(magnet, walk.frame, HERE)) == 0
+
+
+def test_nothing_is_said_without_a_place_or_a_sensor():
+    walk = walked()
+    assert len(magnetic_headings(walk.recording(), Frame(), HERE)) == 0
+    for sensors in (("accelerometer", "gyroscope"), ("accelerometer", "magnetometer"), ("gyroscope", "magnetometer")):
+        assert len(magnetic_headings(walk.recording(*sensors), walk.frame, HERE)) == 0
+
+
+@pytest.mark.parametrize("samples", [1, 500])
+def test_a_magnetometer_that_stopped_says_nothing_of_the_rest(samples):
+    """One sample, or ten seconds of a walk of four minutes."""
+    walk = walked(minutes=3)
+    recording = walk.recording()
+    field = recording.magnetometer
+    stopped = replace(recording, magnetometer=Signal(field.time[:samples], field.values[:samples]))
+    assert len(magnetic_headings(stopped, walk.frame, HERE)) == 0
+
+
+def test_nothing_is_said_of_who_stands():
+    given = {"route": [[0, 0], {"stand": 30}], "phone": {"rate": 50}}
+    standing = simulate(Scenario.of(given))
+    assert len(magnetic_headings(standing.recording(), standing.frame, HERE)) == 0
+
+
+def test_a_projections_north_is_not_the_earths():
+    """UTM 32 at 6° east of its middle and 36° N: the meridians lean to the left of the grid by 6° sin 36°."""
+    utm = projected(32632)
+    east = utm.from_lonlat(np.array([[15.0, 36.0]]))[0]
+    assert np.degrees(utm.bearing_of_east(east)) == pytest.approx(6 * np.sin(np.radians(36)), abs=0.1)

@@ -1,0 +1,247 @@
+"""The compass of a walk under way: right or silent, and never surer for having spoken often."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from pdr_graph import magnetic_headings
+from pdr_graph.frames import Frame
+from pdr_graph.gait.compass import COMPASS_SIGMA, SAMPLING, STRETCH, CompassCheckpoint, LiveCompass
+from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.gait.walker import Walker
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.inertial.magnetometer import fit_iron, refined, unknown_iron
+from pdr_graph.online.interface import Samples, events_of
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.storage import decode, encode
+from pdr_graph.types import Signal
+
+HERE = np.zeros(2)
+SENSORS = ("accelerometer", "gyroscope", "magnetometer")
+
+
+@cache
+def walked(hold="hand", seed=0, laps=1, **phone):
+    corners = [[40, 0], [40, 30], [0, 30], [0, 0]] * laps
+    given = {
+        "seed": seed,
+        "route": [[0, 0], {"stand": 3}, {"to": corners}],
+        "phone": {"hold": hold, "rate": 50} | phone,
+    }
+    return simulate(Scenario.of(given))
+
+
+def recorded(walk):
+    return walk.recording(*SENSORS)
+
+
+def live(walk, recording=None, compass=None, after=-np.inf, packet=0.1):
+    """Headings in the order in which they were said."""
+    compass = compass or LiveCompass()
+    compass.locate(walk.frame, HERE)
+    gait, said = StepStream(listener=compass.take), []
+    for event in events_of(recording or recorded(walk), packet):
+        if isinstance(event, Samples) and event.time[-1] > after:
+            if event.sensor == "magnetometer":
+                compass.push(event.time, event.values)
+            else:
+                gait.push(event.sensor, event.time, event.values)
+                gait.advance()
+            said += compass.advance()
+    gait.finish()
+    return said + compass.advance()
+
+
+def errors(walk, said):
+    """Against the walking direction then, in their sigmas and in radians."""
+    time, heading, sigma = np.array([(one.time, one.heading, one.sigma) for one in said]).reshape(-1, 3).T
+    error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
+    return error / sigma, error
+
+
+def last_of_each(said):
+    """What stays of every stretch."""
+    return [one for one in {one.stretch: one for one in said}.values() if np.isfinite(one.sigma)]
+
+
+def field_of(recording, change):
+    """The recording with its magnetometer's times and values changed."""
+    field = recording.magnetometer
+    return replace(recording, magnetometer=Signal(*change(field.time, field.values.copy())))
+
+
+@pytest.mark.parametrize("hold", ["hand", "swinging arm", "trouser pocket"])
+def test_it_is_right_or_silent(hold):
+    """As offline: steel, and a phone's own hard iron of 3 µT per axis."""
+    for seed in range(2):
+        walk = walked(hold, seed)
+        z, error = errors(walk, live(walk))
+        assert np.all(np.abs(z) < 3)
+        assert np.all(np.abs(error[np.isfinite(z)]) < 0.9)
+
+
+def test_a_phone_in_the_hand_tells_soon_and_then_better():
+    """Within twenty-five seconds of walking; in the end what the whole recording tells, to the drift of a filter."""
+    walk = walked(seed=1, laps=2)
+    said = live(walk)
+    assert said[0].time < 25
+    assert said[-1].sigma < said[0].sigma
+    offline = magnetic_headings(recorded(walk), walk.frame, HERE)
+    assert abs(errors(walk, said[-1:])[1][0] - errors(walk, [one_of(offline)])[1][0]) < 0.15
+
+
+def one_of(headings):
+    from pdr_graph.gait.compass import LiveHeading
+
+    return LiveHeading(0, *(float(column[-1]) for column in (headings.time, headings.heading, headings.sigma)))
+
+
+def test_many_headings_never_tell_the_direction_better_than_one_could():
+    """The oracle: a filter of the direction that drifts as the graph's turns do, and hears all that was said."""
+    walk = walked(laps=5)
+    kept = last_of_each(live(walk))
+    assert len(kept) > 2
+    drift = Walker().sigma_turn ** 2 * walk.walker.cadence
+    variance, now = np.inf, 0.0
+    for one in kept:
+        variance += drift * (one.time - now)
+        variance, now = 1 / (1 / variance + one.sigma**-2.0), one.time
+        assert variance > COMPASS_SIGMA**2
+
+
+def test_a_stretch_ends_where_the_phone_is_held_otherwise_or_after_minutes():
+    walk = walked(laps=3)
+    assert [one.stretch for one in last_of_each(live(walk))] == [0, 1]
+    route = [[0, 0], {"to": [[45, 0]]}, {"hold": "trouser pocket"}, {"to": [[45, 45], [0, 45]]}]
+    reheld = simulate(Scenario.of({"seed": 2, "route": route, "phone": {"hold": "hand", "rate": 50}}))
+    said = live(reheld)
+    assert np.all(np.abs(errors(reheld, said)[0]) < 3)
+    assert len({one.stretch for one in said}) > 1 or max(one.time for one in said) < 40
+
+
+def test_after_a_gap_it_begins_anew():
+    """The attitude's world is another then."""
+    walk = walked(laps=2)
+    recording = recorded(walk)
+    gap = {}
+    for name, signal in recording.signals.items():
+        outside = (signal.time < 60) | (signal.time > 70)
+        gap[name] = Signal(signal.time[outside], signal.values[outside])
+    said = live(walk, replace(recording, **gap))
+    assert {one.stretch for one in said if one.time < 60} == {0}
+    assert {one.stretch for one in said if one.time > 70} == {1}
+    assert np.all(np.abs(errors(walk, said)[0]) < 3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda time, field: (time, field + np.array([0.0, 0.0, 150.0])),
+        lambda time, field: (time, 0 * field + np.array([20.0, 0.0, 40.0])),
+        lambda time, field: (time, 0 * field),
+        lambda time, field: (time, field * np.nan),
+        lambda time, field: (time[:100], field[:100]),
+        lambda time, field: (time[:0], field[:0]),
+        lambda time, field: (time, np.random.default_rng(0).normal(0, 60, field.shape)),
+    ],
+    ids=["a magnet", "stuck", "dead", "NaN", "stopped", "missing", "noise"],
+)
+def test_a_bad_magnetometer_says_nothing(change):
+    walk = walked(laps=2)
+    assert live(walk, field_of(recorded(walk), change)) == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda time, field: (time, np.where(np.arange(len(time))[:, None] % 7 == 0, np.nan, field)),
+        lambda time, field: (time, np.where(np.arange(len(time))[:, None] % 97 == 0, 1e6, field)),
+        lambda time, field: (np.where(time > 40, time - 25, time), field),
+        lambda time, field: (np.where(np.arange(len(time)) % 50 == 0, time + 1e5, time), field),
+        lambda time, field: (np.repeat(time, 2), np.repeat(field, 2, axis=0)),
+    ],
+    ids=["NaN", "spikes", "put back", "wild times", "repeated"],
+)
+def test_a_magnetometer_that_errs_now_and_then_is_used(change):
+    """In any case it is right or silent."""
+    walk = walked(laps=2)
+    recording = recorded(walk)
+    packets = change(recording.magnetometer.time, recording.magnetometer.values.copy())
+    compass, said = LiveCompass(), []
+    compass.locate(walk.frame, HERE)
+    gait, rows = StepStream(listener=compass.take), len(packets[0]) // len(recording.magnetometer)
+    order = recording.magnetometer.time
+    for event in events_of(replace(recording, magnetometer=None)):
+        gait.push(event.sensor, event.time, event.values)
+        if event.sensor == "gyroscope":
+            a, b = np.searchsorted(order, event.time[[0, -1]] + [0, 1e-9])
+            compass.push(*(column[rows * a : rows * b] for column in packets))
+        gait.advance()
+        said += compass.advance()
+    assert len(said) > 1
+    assert np.all(np.abs(errors(walk, said)[0]) < 3)
+
+
+def test_nothing_is_said_before_it_is_known_where_on_earth():
+    walk = walked()
+    assert live(replace(walk, frame=Frame())) == []
+
+
+def test_what_is_kept_does_not_grow():
+    """Stretches of 150 s at 25 Hz, whether it speaks or not."""
+    walk = walked(laps=5)
+    compass, gait = LiveCompass(), None
+    gait = StepStream(listener=compass.take)
+    for event in events_of(recorded(walk)):
+        (compass if event.sensor == "magnetometer" else gait).push(
+            *(
+                (event.time, event.values)
+                if event.sensor == "magnetometer"
+                else (event.sensor, event.time, event.values)
+            )
+        )
+        gait.advance()
+        sizes = [len(v) for v in vars(compass.checkpoint()).values() if isinstance(v, np.ndarray)]
+        assert max(sizes) <= 1.2 * STRETCH / SAMPLING
+
+
+def test_a_restored_state_goes_on_to_the_bit():
+    """Encoded and decoded, in the middle of the second stretch's first half."""
+    walk = walked(laps=2)
+    whole, first, second = LiveCompass(), LiveCompass(), LiveCompass()
+    gaits, said = [], []
+    gait = StepStream(listener=gaits.append)
+    for event in events_of(recorded(walk)):
+        if event.sensor == "magnetometer":
+            gaits.append((event.time, event.values))
+        else:
+            gait.push(event.sensor, event.time, event.values)
+            gait.advance()
+    half = len(gaits) // 2
+    for compass, part in ((whole, gaits), (first, gaits[:half])):
+        compass.locate(walk.frame, HERE)
+        for one in part:
+            compass.push(*one) if isinstance(one, tuple) else compass.take(one)
+        said.append(compass.advance())
+    second.restore(decode(encode(first.checkpoint()), CompassCheckpoint))
+    second.locate(walk.frame, HERE)
+    for one in gaits[half:]:
+        second.push(*one) if isinstance(one, tuple) else second.take(one)
+    assert said[0] == said[1] + second.advance()
+    assert len(said[0]) > len(said[1]) > 0
+
+
+def test_a_fit_of_iron_round_by_round_is_the_fit():
+    """Of a phone turned all ways in 50 µT, with 20 and −30 µT of its own, and of one that was hardly turned."""
+    random = np.random.default_rng(1)
+    for spread in (3.0, 0.3):
+        way = random.normal([0, 0, 1], spread, (500, 3))
+        field = 50 * way / np.linalg.norm(way, axis=1, keepdims=True) + [20, 0, -30] + random.normal(0, 0.5, (500, 3))
+        iron, fit = unknown_iron(field), fit_iron(field, 50.0)
+        for _ in range(30):
+            iron = refined(iron, field, 50.0)
+        assert iron.known == fit.known
+        assert iron.hard == pytest.approx(fit.hard, abs=np.max(fit.sigma) / 3)

@@ -1,0 +1,102 @@
+"""Which way of the phone is ahead, on simulated walks and on accelerations that are known exactly."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pdr_graph import detect_steps
+from pdr_graph.gait.heading import LEAD, braking_axis, forward_axis, principal_axis, reading_axis, walking_direction
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.inertial.attitude import Attitude, attitude_of
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
+PERIOD, STEP, AHEAD = 0.01, 0.5, 2.0
+TIME = np.arange(0.0, 60.0, PERIOD)
+ALWAYS = np.ones(len(TIME), dtype=bool)
+HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
+
+
+def marching(start=None, sway=0.6, push=0.5, heading=None):
+    """A phone on a body that rises once a step, pushes with the lead of people, and sways once in two."""
+    step = 2 * np.pi * TIME / STEP
+    ahead, left = push * np.cos(step + LEAD), sway * np.cos(step / 2)
+    course = AHEAD + (np.zeros(len(TIME)) if heading is None else heading)
+    level = (ahead + 1j * left) * np.exp(1j * course)
+    world = np.column_stack([level.real, level.imag, 9.81 + 2 * np.cos(step)])
+    held = Rotation.from_euler("Z", np.zeros((len(TIME), 1)) + course[:, None]) * (start or Rotation.identity())
+    return Attitude(TIME, PERIOD, held, held.inv().apply(world), None)
+
+
+def simulated(hold, seed):
+    """Its attitude, heading, when it walks, step, and the angle that is to be found."""
+    route = [[37.0, 1.2], {"stand": 3}, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold}}))
+    recording = walk.recording("accelerometer", "gyroscope")
+    attitude, steps = attitude_of(recording), detect_steps(recording)
+    step = float(np.median(steps.duration))
+    heading = walking_direction(attitude, step).heading
+    walking = np.interp(attitude.time, walk.body.time, walk.body.step_length) > 0.3
+    truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
+    east = walk.world_of(attitude).apply([1.0, 0.0, 0.0]) @ [1, 1j, 0]
+    wanted = np.angle(np.mean((east * np.exp(1j * (truth - heading)))[walking]))
+    return attitude, heading, walking, step, wanted
+
+
+@pytest.mark.parametrize("start", [None, Rotation.from_euler("x", np.pi), Rotation.from_euler("xyz", [1.0, 2.0, 3.0])])
+@pytest.mark.parametrize("method", [braking_axis, principal_axis])
+def test_ahead_is_where_the_braking_comes_from(method, start):
+    """However the phone lies, upside down too; to the front, not the back."""
+    found = method(marching(start, sway=0.2), np.zeros(len(TIME)), ALWAYS, STEP)
+    assert found.angle == pytest.approx(AHEAD, abs=0.02)
+
+
+def test_a_sway_wider_than_the_push_misleads_the_principal_component_alone():
+    attitude, straight = marching(sway=1.0), np.zeros(len(TIME))
+    assert braking_axis(attitude, straight, ALWAYS, STEP).angle == pytest.approx(AHEAD, abs=0.05)
+    assert abs(wrap_angle(2 * (principal_axis(attitude, straight, ALWAYS, STEP).angle - AHEAD))) > 3.0
+
+
+def test_the_walk_need_not_be_straight():
+    turns = np.clip((TIME - 20) / 2, 0, 1) * 2.0
+    found = braking_axis(marching(heading=turns), turns, ALWAYS, STEP)
+    assert found.angle == pytest.approx(AHEAD, abs=0.05)
+
+
+def test_who_stands_goes_nowhere():
+    attitude = marching(sway=0.0, push=0.0)
+    noise = np.random.default_rng(0).normal(0, 0.1, attitude.acceleration.shape)
+    standing = Attitude(TIME, PERIOD, attitude.R_world_device, attitude.acceleration + noise, None)
+    assert not braking_axis(standing, np.zeros(len(TIME)), ALWAYS, STEP).known
+    for method in (braking_axis, reading_axis, principal_axis, forward_axis):
+        assert not method(attitude, np.zeros(len(TIME)), ~ALWAYS, STEP).known
+
+
+def test_a_phone_that_is_read_points_ahead():
+    """Its y axis, here at AHEAD + 90°, where gait says nothing; where gait contradicts, as held across, gait."""
+    straight = np.zeros(len(TIME))
+    silent = marching(sway=0.0, push=0.0)
+    assert forward_axis(silent, straight, ALWAYS, STEP).angle == pytest.approx(AHEAD - 1.5 * np.pi)
+    assert forward_axis(marching(), straight, ALWAYS, STEP).angle == pytest.approx(AHEAD, abs=0.05)
+    upright = Rotation.from_euler("z", -np.pi / 2 + 0.2)  # held lengthwise, 0.2 rad askew
+    agreeing = forward_axis(marching(upright), straight, ALWAYS, STEP)
+    assert agreeing.angle == pytest.approx(AHEAD + 0.2, abs=0.01)
+    assert agreeing.sigma < forward_axis(silent, straight, ALWAYS, STEP).sigma
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_ahead_is_found_in_every_hold(hold):
+    """Never the back, and within what it says of itself."""
+    for seed in range(4):
+        *walk, wanted = simulated(hold, seed)
+        found = forward_axis(*walk)
+        assert not found.known or abs(wrap_angle(found.angle - wanted)) < min(2.5 * found.sigma, 0.7)
+
+
+@pytest.mark.parametrize("method", [forward_axis, braking_axis, reading_axis, principal_axis])
+def test_an_unusual_rate_is_no_obstacle(method):
+    """At 3 Hz steps are above what the samples can tell."""
+    slow = slice(None, None, 33)
+    attitude = marching()
+    sparse = Attitude(TIME[slow], 0.33, attitude.R_world_device[slow], attitude.acceleration[slow], None)
+    assert method(sparse, np.zeros(len(TIME[slow])), ALWAYS[slow], STEP).sigma > 0

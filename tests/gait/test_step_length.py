@@ -1,0 +1,113 @@
+"""Stride models against their equations, computed by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pdr_graph.gait import step_length
+from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
+
+def features(**values):
+    given = {
+        "amplitude": [4.0],
+        "period": [0.5],
+        "turn": [0.0],
+        "bend": [0.0],
+        "vertical": [5.0],
+        "lift": [0.3],
+        "power": [[0, 0, 0, 0]],
+    }
+    return SimpleNamespace(**{name: np.array(value, dtype=float) for name, value in (given | values).items()})
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """A walk from browsing to hurrying."""
+    to = [{"to": [[20 * (n + 1), 0]], "manner": m} for n, m in enumerate(("browse", "slow", "normal", "fast"))]
+    walk = simulate(Scenario.of({"seed": 4, "route": [[0, 0], {"stand": 2}, *to, {"stand": 2}]}))
+    return walk, StepFeatures(gait_signals(walk.recording("accelerometer", "gyroscope"))[0])
+
+
+def test_by_height():
+    """[calibration-walk] Eq. (6): 0.26 · 1.70 + 0.31 = 0.752."""
+    assert step_length.by_height(features(), height=1.70)[0] == pytest.approx(0.752)
+
+
+def test_by_cadence():
+    """[map-matching] Eqs. (1)–(3): at 120 steps/min, of a walker of 0.7 m at 100, 0.84 m; in a turn by 30° 66.28 %."""
+    straight, turning = features(), features(turn=[-np.pi / 6])
+    normal = {"normal_step": 0.7, "normal_cadence": 100.0}
+    assert step_length.by_cadence(straight, **normal)[0] == pytest.approx(0.84)
+    assert step_length.by_cadence(turning, **normal)[0] == pytest.approx(0.84 * (1 - 0.01124 * 30))
+    assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == step_length.SHORTEST, "clipped at 89°"
+
+
+def test_the_default_is_shorter_in_bends():
+    """[map-matching] Eq. (2): by 11.24 % in a bend of 10° a step, to either side."""
+    straight, left, right = (step_length.inverted_pendulum(features(bend=[np.radians(v)]))[0] for v in (0, 10, -10))
+    assert left == pytest.approx(straight * (1 - 0.1124))
+    assert right == left
+
+
+def test_by_amplitude_is_learnt_from_a_walk():
+    """[gps-dr] Sec. 2.3: slope, intercept and the variance that is left."""
+    random = np.random.default_rng(0)
+    amplitude = random.uniform(2, 10, 4000)
+    constants = step_length.regression(amplitude, 0.4 + 0.05 * amplitude + random.normal(0, 0.03, 4000))
+    assert constants == pytest.approx({"intercept": 0.4, "slope": 0.05, "variance": 0.0009}, rel=0.06)
+    found, sigma = step_length.by_amplitude(features(), **constants)
+    assert found == pytest.approx(0.65, abs=0.01)
+    assert sigma == pytest.approx(0.03, rel=0.05)
+    with pytest.raises(ValueError, match="three or more"):
+        step_length.regression(np.ones(9), np.ones(9))
+
+
+def test_weinberg():
+    assert step_length.weinberg(features(vertical=[16.0]), k=0.4)[0] == pytest.approx(0.8)
+
+
+def test_lasso_has_the_five_terms():
+    """[calibration-walk] Eq. (7)."""
+    terms = step_length.lasso_features(features(power=[[1, 2, 3, 4]]), 1.8)
+    assert terms[0] == pytest.approx([1.8 / 0.3, 1, 2, 3, 4])
+    assert step_length.lasso(features(power=[[1, 2, 3, 4]]), 1.8)[0] == pytest.approx(
+        terms @ step_length.lasso_weights()
+    )
+
+
+def test_taller_people_take_longer_steps():
+    for model in (step_length.inverted_pendulum, step_length.by_height, step_length.lasso):
+        assert (
+            model(features(power=[[0.1, 0.2, 0.1, 0]]), height=1.9)[0]
+            > model(features(power=[[0.1, 0.2, 0.1, 0]]), height=1.5)[0]
+        )
+
+
+@pytest.mark.parametrize("name", step_length.MODELS)
+def test_every_model_gives_plausible_lengths_and_a_sigma(walked, name):
+    found, sigma = step_length.MODELS[name](walked[1])
+    assert found.shape == sigma.shape == walked[1].period.shape
+    assert np.all((found >= step_length.SHORTEST) & (found <= step_length.LONGEST))
+    assert np.all((sigma > 0.02) & (sigma < 0.5))
+
+
+def test_the_default_follows_from_browsing_to_hurrying(walked):
+    """Each quarter within 42 %: steps from 0.42 to 0.78 m, of which a constant length would err by 80 %."""
+    walk, steps = walked
+    found, _ = step_length.inverted_pendulum(steps, walk.walker.height)
+    ends = np.interp([20, 40, 60, 80], np.cumsum(walk.body.lengths), walk.body.landings)
+    landed = steps.gait.landings.time
+    sums = np.array([found[(landed > a) & (landed <= b)].sum() for a, b in zip([0, *ends[:-1]], ends, strict=True)])
+    assert sums == pytest.approx([20] * 4, rel=0.42)
+
+
+def test_lift_and_power_are_of_the_step(walked):
+    """The foot is lifted for less than a step lasts; power falls towards 5 Hz."""
+    _, steps = walked
+    assert np.all((steps.lift > 0) & (steps.lift < 1.2 * steps.period))
+    assert steps.power[:, 1].mean() > steps.power[:, 3].mean() > 0

@@ -1,0 +1,346 @@
+"""Steps as the samples come in: those of the whole recording, whatever a phone does meanwhile."""
+
+from functools import cache, reduce
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pdr_graph.gait.signals import append_steps
+from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
+from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, detect_steps
+from pdr_graph.gait.walker import Profile, Walker
+from pdr_graph.geometry import interpolate
+from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
+from pdr_graph.inertial.attitude_stream import PERSISTS
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.storage import decode, encode
+from pdr_graph.types import Recording, Signal
+
+ROUTE = [[0, 0], {"stand": 3}, {"to": [[20, 0], [20, 15]]}, {"stand": 14}, {"to": [[0, 15], [0, 0]]}, {"stand": 2}]
+INERTIAL = ("accelerometer", "gyroscope")
+
+
+@cache
+def walk(hold="hand", rate=50, seed=3):
+    """Along a rectangle, with a stop of 14 s."""
+    signals = simulate(Scenario.of({"seed": seed, "route": ROUTE, "phone": {"hold": hold, "rate": rate}})).signals
+    return Recording("simulated", 0.0, None, **{sensor: signals[sensor] for sensor in INERTIAL})
+
+
+def sent(recording, packet=0.1, sensors=INERTIAL):
+    """Packets of (sensor, times, values) in the order of their last samples."""
+    packets = []
+    for sensor in sensors:
+        signal = recording.signals[sensor]
+        parts = np.split(np.arange(len(signal)), np.flatnonzero(np.diff(np.floor(signal.time / packet))) + 1)
+        packets += [(signal.time[rows[-1]], sensor, signal.time[rows], signal.values[rows]) for rows in parts]
+    return [one[1:] for one in sorted(packets, key=lambda one: one[0])]
+
+
+def live(packets, walker=None, gait=None):
+    """Certain chunks, tails and the gait after all packets."""
+    gait = gait or StepStream(walker)
+    chunks, tails = [], []
+    for packet in packets:
+        gait.push(*packet)
+        certain, tail = gait.advance()
+        chunks += [certain] if certain is not None else []
+        tails += [tail] if tail is not None else []
+    rest = gait.finish()
+    return chunks + ([rest] if rest is not None else []), tails, gait
+
+
+def whole(chunks):
+    return reduce(append_steps, chunks)
+
+
+def heading(steps, time):
+    """Heading since the start, linear between rows."""
+    turned = np.cumsum(np.concatenate([[0.0], steps.turn, [steps.final_turn]]))
+    return np.interp(time, np.concatenate([[steps.start], steps.time, [steps.end]]), turned)
+
+
+def same(one, other):
+    """Equal to the bit."""
+    names = ("start", "end", "time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in (*names, "final_turn", "unknown"))
+
+
+@pytest.mark.parametrize(("hold", "degrees"), [("hand", 4), ("trouser pocket", 4), ("swinging arm", 10)])
+def test_certain_steps_are_those_of_the_whole_recording(hold, degrees):
+    """Times to a sample, for the grid is another; turns to what a filter knows less of a bias than a smoother."""
+    steps, found = detect_steps(walk(hold)), whole(live(sent(walk(hold)))[0])
+    assert len(found) == len(steps)
+    assert found.time == pytest.approx(steps.time, abs=0.02)
+    assert found.length == pytest.approx(steps.length, abs=0.02)
+    assert np.ptp(heading(found, steps.time) - heading(steps, steps.time)) < np.radians(degrees)
+
+
+def test_with_the_walkers_own_stride_and_profile():
+    """All stride models of features work on the last seconds, and a profile corrects live steps as any."""
+    for stride in ("weinberg", "amplitude", "cadence", "height"):
+        profile = Profile(0.1, 0.002, -0.02, np.eye(3) * 1e-4, 1.0, 1.2)
+        walker = Walker(height=1.8, stride=stride, profile=profile)
+        steps, found = detect_steps(walk(), walker), whole(live(sent(walk()), walker)[0])
+        assert found.length == pytest.approx(steps.length, abs=0.03)
+        assert found.turn.sum() == pytest.approx(steps.turn.sum(), abs=0.07)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0.01, 20.0))
+def test_packets_of_any_size_give_the_same_steps(packet):
+    assert same(whole(live(sent(walk(), packet))[0]), whole(live(sent(walk()))[0]))
+
+
+def test_chunks_join_and_cover_the_walk():
+    """From the first sample to the last, none begins before the one before has ended; standing too becomes certain."""
+    chunks, _, _ = live(sent(walk()))
+    assert all(one.end == then.start for one, then in pairwise(chunks))
+    end = walk().signals["accelerometer"].time[-1]
+    assert (chunks[0].start, chunks[-1].end) == pytest.approx((0, end), abs=0.05)
+    assert sum(len(chunk) == 0 for chunk in chunks) >= 3  # while standing
+
+
+def test_a_step_is_certain_in_time():
+    """Five seconds after it, twelve more where the phone turned fast; standing, a few more for who sets out late."""
+    gait, end, delays = StepStream(), 0.0, []
+    for packet in sent(walk()):
+        gait.push(*packet)
+        certain, _ = gait.advance()
+        end = certain.end if certain is not None else end
+        delays.append(gait.latest - end)
+    assert np.median(delays) < 8
+    assert max(delays) < 18
+
+
+def test_the_tail_tells_what_becomes_certain():
+    """It begins where the certain ends, and has about as many steps as come true."""
+    chunks, tails, _ = live(sent(walk()))
+    ends = {chunk.end for chunk in chunks} | {chunks[0].start}
+    assert all(tail.start in ends for tail in tails)
+    time = whole(chunks).time
+    apart = [len(t) - np.sum((time > t.start) & (time <= t.end)) for t in tails]
+    assert np.max(np.abs(apart)) <= 5  # who sets out is believed after FEWEST steps
+    assert np.mean(np.abs(apart)) < 1
+
+
+@pytest.mark.parametrize("at", [0.4, 9.0, 22.0, 30.0])
+def test_a_restored_state_goes_on_to_the_bit(at):
+    """Encoded and decoded: walking, standing, and before anything is known."""
+    packets = sent(walk())
+    before = next(n for n, (_, time, _) in enumerate(packets) if time[-1] > at)
+    first = StepStream()
+    for packet in packets[:before]:
+        first.push(*packet)
+        first.advance()
+    second = StepStream()
+    second.restore(decode(encode(first.checkpoint()), StepStreamCheckpoint))
+    assert (first.advance()[1] is None) == (second.advance()[1] is None)
+    one, other = live(packets[before:], gait=first), live(packets[before:], gait=second)
+    assert len(one[0]) == len(other[0]) > 0
+    assert all(same(a, b) for a, b in zip(one[0], other[0], strict=True))
+    assert all(same(a, b) for a, b in zip(one[1], other[1], strict=True))
+
+
+def test_what_is_kept_does_not_grow():
+    """An hour's standing and walking fits where a minute's does."""
+    packets, gait, sizes = sent(walk(), 1.0), StepStream(), []
+    length = packets[-1][1][-1] + 0.02
+    for turn in range(12):
+        for sensor, time, values in packets:
+            gait.push(sensor, time + turn * length, values)
+            gait.advance()
+        sizes.append(len(encode(gait.checkpoint())))
+    assert max(sizes[2:]) < 1.3 * max(sizes[:2])
+
+
+# What a phone does
+
+
+def test_nothing_yet():
+    gait = StepStream()
+    assert gait.advance() == (None, None)
+    assert np.isnan(gait.latest)
+    gait.push("accelerometer", np.empty(0), np.empty((0, 3)))
+    gait.push("barometer", np.array([1.0]), np.array([[1013.0]]))
+    assert gait.advance() == (None, None)
+    assert gait.finish() is None
+    assert gait.health["accelerometer"].samples == 0
+
+
+def test_bad_samples_are_dropped_and_counted():
+    """NaN, infinite and absurd ones, repeated and late ones: the steps are those without them."""
+    packets = sent(walk())
+    bad = []
+    for n, (sensor, time, values) in enumerate(packets):
+        bad.append((sensor, time, values))
+        if n % 7 == 0:
+            bad.append((sensor, time, values))  # the same again
+        if n % 5 == 0:
+            wrong = [np.nan, np.inf, 1e300, -1e300][n // 5 % 4]
+            bad.append((sensor, time[-1:] + 1e-3, np.full((1, 3), wrong)))
+        if n % 11 == 0:
+            bad.append((sensor, np.array([[np.nan, np.inf, 1e300, time[0] + 4000][n // 11 % 4]]), values[:1]))
+    chunks, _, gait = live(bad)
+    assert same(whole(chunks), whole(live(packets)[0]))
+    assert all(health.dropped > 100 for health in gait.health.values())
+    assert all(health.gaps == health.clock_resets == 0 for health in gait.health.values())
+
+
+@pytest.mark.parametrize("jump", [-3600.0, -1e6])
+def test_a_clock_that_is_put_back(jump):
+    """The walk goes on: as many steps, and health says by how much the times are later now."""
+    packets = [(s, time + jump * (time[0] > 10.05), values) for s, time, values in sent(walk())]
+    chunks, _, gait = live(packets)
+    steps = detect_steps(walk())
+    assert len(whole(chunks)) == pytest.approx(len(steps), abs=1)
+    assert whole(chunks).end == pytest.approx(steps.end, abs=0.1)
+    assert heading(whole(chunks), steps.end) == pytest.approx(heading(steps, steps.end), abs=0.1)
+    offsets = [health.offset for health in gait.health.values()]
+    assert all(health.clock_resets == 1 for health in gait.health.values())
+    assert offsets == pytest.approx([-jump, -jump], abs=0.1)
+    assert offsets[0] == offsets[1]
+
+
+def test_a_few_late_packets_put_no_clock_back():
+    packets = sent(walk())
+    mixed = packets[:400] + packets[360:400] + packets[400:]
+    assert len(packets[360:400]) * 0.05 <= PERSISTS
+    assert same(whole(live(mixed)[0]), whole(live(packets)[0]))
+
+
+@pytest.mark.parametrize("silence", [3.0, 3600.0])
+def test_both_sensors_stop_and_return(silence):
+    """A row of length 0, over which the walker may have gone anywhere; steps before and after."""
+    packets = [(s, time + silence * (time[0] > 10.05), values) for s, time, values in sent(walk())]
+    found, steps = whole(live(packets)[0]), detect_steps(walk())
+    (row,) = np.flatnonzero(found.is_gap)
+    assert found.duration[row] == pytest.approx(silence, abs=0.1)
+    assert found.sigma_length[row] == pytest.approx(silence, abs=0.1)
+    assert len(found) == pytest.approx(len(steps) + 1, abs=3)  # a step or two at the edges
+
+
+def test_gaps_are_those_of_the_whole_recording():
+    """The row is the same as offline."""
+    keep = {sensor: (signal.time < 10) | (signal.time > 14) for sensor, signal in walk().signals.items()}
+    signals = {s: Signal(signal.time[keep[s]], signal.values[keep[s]]) for s, signal in walk().signals.items()}
+    recording = Recording("with a gap", 0.0, None, **signals)
+    steps, found = detect_steps(recording), whole(live(sent(recording))[0])
+    assert len(found) == pytest.approx(len(steps), abs=1)
+    rows = [int(np.flatnonzero(s.is_gap)[0]) for s in (steps, found)]
+    for name in ("time", "duration", "sigma_length", "sigma_turn"):
+        one, other = (getattr(s, name)[row] for s, row in zip((steps, found), rows, strict=True))
+        assert other == pytest.approx(one, abs=0.05)
+
+
+def test_the_gyroscope_stops_in_mid_walk_and_returns():
+    """Steps go on; turns are 0 and unsure meanwhile, as the result says; afterwards they are known again."""
+    lost = (6.0, 14.0)
+    packets = [p for p in sent(walk()) if p[0] == "accelerometer" or not lost[0] < p[1][0] < lost[1]]
+    found, steps = whole(live(packets)[0]), detect_steps(walk())
+    assert len(found) == len(steps)
+    blind = (found.time > lost[0] + 0.7) & (found.time < lost[1] - 0.1)
+    assert np.all(found.sigma_turn[blind] == SIGMA_UNMEASURED_TURN)
+    assert np.abs(found.turn[blind]).max() < 0.1
+    later = found.time > lost[1] + 0.7
+    assert np.all(found.sigma_turn[later] < 0.1)
+    assert found.turn[later].sum() == pytest.approx(steps.turn[later].sum(), abs=0.1)
+    assert found.unknown
+
+
+def test_without_a_gyroscope_from_the_start():
+    found = whole(live(sent(walk(), sensors=("accelerometer",)))[0])
+    steps = detect_steps(walk())
+    assert len(found) == len(steps)
+    assert np.abs(found.turn).max() < 0.05
+    assert np.all(found.sigma_turn == SIGMA_UNMEASURED_TURN)
+
+
+def test_a_recorder_that_removed_gravity():
+    """The axis that shook most stands for the vertical: as many steps, and the result says so."""
+    packets = sent(walk())
+    attitude = attitude_of(walk())
+    gravity = attitude.R_world_device.inv().apply([0, 0, 9.81])
+    linear = []
+    for sensor, time, values in packets:
+        if sensor == "accelerometer":
+            sensor, values = "linear_acceleration", values - interpolate(time, attitude.time, gravity)
+        linear.append((sensor, time, values))
+    chunks, _, _ = live(linear)
+    steps, found = detect_steps(walk()), whole(chunks)
+    assert len(found) == pytest.approx(len(steps), abs=2)
+    assert found.unknown == (NO_GRAVITY,)
+    assert np.sum(np.abs(found.turn) * (found.time > 10)) > 1  # they walked round
+    both = [one for pair in zip(packets, linear, strict=True) for one in pair]
+    assert same(whole(live(both)[0]), whole(live(packets)[0]))  # where there is an accelerometer it is not asked
+
+
+def test_without_an_accelerometer_nothing_is_known():
+    chunks, tails, gait = live(sent(walk(), sensors=("gyroscope",)))
+    assert (chunks, tails) == ([], [])
+    assert gait.health["gyroscope"].samples > 1000
+
+
+def test_a_flood_is_thinned_out():
+    """Ten thousand samples a second, from the start or in between: the same steps, and no more is kept."""
+    recording = walk()
+    for begin in (-1.0, 8.0):
+        flood = []
+        for sensor, time, values in sent(recording):
+            signal = recording.signals[sensor]
+            if begin < time[0] < begin + 8:
+                time = np.arange(time[0], time[-1] + 0.02, 1e-4)
+                values = np.stack([np.interp(time, signal.time, axis) for axis in signal.values.T], axis=1)
+            flood.append((sensor, time, values))
+        chunks, _, gait = live(flood)
+        assert len(whole(chunks)) == pytest.approx(len(detect_steps(recording)), abs=2)
+        assert len(encode(gait.checkpoint())) < 1.6e6
+
+
+@pytest.mark.parametrize("values", [(0.0, 0.0, 0.0), (0.0, 0.0, 9.81), (1e-300, 0.0, 0.0), (900.0, 900.0, 900.0)])
+def test_a_sensor_that_says_always_the_same(values):
+    time = np.arange(1500) / 50
+    chunks, _, _ = live([(sensor, time, np.tile(values, (len(time), 1))) for sensor in INERTIAL])
+    assert len(whole(chunks)) == 0
+    assert whole(chunks).end == pytest.approx(time[-1])
+
+
+@pytest.mark.parametrize("rate", [3.0, 0.5])
+def test_a_slow_sensor_is_no_obstacle(rate):
+    """Nothing can be said of steps; the walk goes on, or is one gap after the other."""
+    time = np.arange(0, 60, 1 / rate)
+    chunks, _, _ = live([(sensor, time, np.tile([0.0, 0.0, 9.81], (len(time), 1))) for sensor in INERTIAL])
+    assert not any(chunk.length.any() for chunk in chunks)
+
+
+def test_samples_of_another_shape_are_refused():
+    with pytest.raises(ValueError, match=r"found shape \(4, 2\) at 4 times, expected \(4, 3\)"):
+        StepStream().push("gyroscope", np.arange(4.0), np.zeros((4, 2)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_comes_the_chunks_are_a_walk(seed):
+    """Clocks that jump to and fro, lost, repeated and swapped packets, floods, wild values and times: all at random."""
+    random, shift, packets = np.random.default_rng(seed), 0.0, []
+    for sensor, time, values in sent(walk(), 10 ** random.uniform(-2, 1)):
+        time, values = time.copy(), values.copy()
+        fault, row = random.integers(100), random.integers(len(time))
+        if fault == 0:
+            shift += random.choice([-3600, 3600, -2.5, 2.5, -0.5, 1e5])
+        elif fault < 3:
+            values[row] = random.choice([np.nan, np.inf, 1e300, 900, 0])
+        elif fault < 5:
+            time[row] = random.choice([np.nan, -np.inf, 1e300, time[0] + 3, time[0] - 3])
+        elif fault < 7:
+            time, values = np.sort(random.uniform(time[0], time[-1] + 1e-3, 3000)), np.resize(values, (3000, 3))
+        packets += [(sensor, time + shift, values)] * random.choice([0, 1, 2], p=[0.03, 0.95, 0.02])
+        if fault == 7:
+            packets[-2:] = packets[:-3:-1]
+    chunks, tails, _ = live(packets)
+    assert all(one.end == then.start for one, then in pairwise(chunks))
+    assert {tail.start for tail in tails} <= {chunk.end for chunk in chunks} | {chunks[0].start}
+    assert len(whole(chunks)) > 20

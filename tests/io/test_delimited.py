@@ -1,0 +1,73 @@
+"""Delimited text: what was written is read, whatever its dialect."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pdr_graph import InputError
+from pdr_graph.io.delimited import table
+
+NUMBERS = st.one_of(st.just(float("nan")), st.floats(-1e12, 1e12, allow_subnormal=False))
+
+
+def is_row(numbers):
+    """A row of empty cells is none: spreadsheets leave them behind."""
+    return not all(map(np.isnan, numbers))
+
+
+TABLES = st.integers(2, 4).flatmap(
+    lambda k: st.lists(st.lists(NUMBERS, min_size=k, max_size=k).filter(is_row), min_size=1, max_size=8)
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    TABLES,
+    st.sampled_from([(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")]),
+    st.sampled_from(["", '"']),
+    st.sampled_from(["", "nan", "NaN"]),
+    st.sampled_from(["\n", "\r\n"]),
+    st.sampled_from(["{!r}", "{:.17e}"]),
+)
+def test_any_dialect_reads_back(rows, dialect, quote, nothing, end, form):
+    """Delimiters, decimal commas, quotes, empty cells, line ends and notations do not change a number."""
+    delimiter, decimal = dialect
+
+    def cell(value):
+        text = nothing if np.isnan(value) else form.format(value).replace(".", decimal)
+        return f"{quote}{text}{quote}"
+
+    names = [f"column {k}" for k in range(len(rows[0]))]
+    lines = [delimiter.join(f"{quote}{name}{quote}" for name in names)]
+    lines += [delimiter.join(map(cell, row)) for row in rows]
+    read = table("x.csv", end.join(lines) + end).floats(*names)
+    assert read == pytest.approx(np.array(rows), rel=1e-15, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "empty file"),
+        ("a,b\n1,2\n3,x\n4,5\n", "line 3: found 'x', expected a number"),
+        ("a,b\n1,2\n\n3\n4,5\n", "line 4: found 1 fields"),
+        ("a,c\n1,2\n", "expected a column b"),
+    ],
+)
+def test_complaints_name_the_line(text, complaint):
+    with pytest.raises(InputError, match=complaint):
+        table("x.csv", text).floats("a", "b")
+
+
+def test_a_row_that_was_cut_off_is_left_out_only_at_the_end():
+    assert table("x.csv", "a,b\n1,2\n3").floats("a", "b").tolist() == [[1, 2]]
+
+
+def test_a_missing_optional_column_is_unknown():
+    assert np.isnan(table("x.csv", "a,b\n1,2\n").floats("a", optional=("z",))).tolist() == [[False, True]]
+
+
+def test_an_open_quote_does_not_swallow_the_next_row():
+    read = table("t.csv", 'time,x,floor\n1,2,"F1\n3,4,F2\n')
+    assert read.floats("time", "x").tolist() == [[1, 2], [3, 4]]
+    assert read.rows.words(2) == ["F1", "F2"]

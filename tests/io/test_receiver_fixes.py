@@ -1,0 +1,111 @@
+"""Recordings of positions alone: GPX and GeoLife, as recordings and as fixes for another recording."""
+
+import numpy as np
+import pytest
+
+from pdr_graph import InputError, io
+from pdr_graph.io.tables import read_fixes
+from pdr_graph.io.validation import RADIUS_68, receiver_fixes
+from pdr_graph.types import LONLAT, Recording, Signal
+
+UNIX = 1_700_000_000.0  # 2023-11-14T22:13:20Z
+WALK = Recording("walk", 0.0, UNIX, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
+
+
+def gpx(points, version="1/1", head='<?xml version="1.0" encoding="UTF-8"?>'):
+    return (
+        f'{head}<gpx version="1.1" creator="test" xmlns="http://www.topografix.com/GPX/{version}"><trk><trkseg>'
+        + "".join(points)
+        + "</trkseg></trk></gpx>"
+    )
+
+
+def point(time="2023-11-14T22:13:20Z", lat=49.45, lon=11.1, more=""):
+    return f'<trkpt lat="{lat}" lon="{lon}"><ele>3</ele><time>{time}</time>{more}</trkpt>'
+
+
+def written(tmp_path, text, name="track.gpx"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    "time", ["2023-11-14T22:13:25Z", "2023-11-14T22:13:25.000Z", "2023-11-14T23:13:25+01:00", "2023-11-14T22:13:25"]
+)
+@pytest.mark.parametrize("version", ["1/0", "1/1"])
+def test_reader_gpx(tmp_path, time, version):
+    walk = io.load(written(tmp_path, gpx([point(), point(time, lon=11.2)], version)))
+    assert walk.epoch == walk.clock_origin == UNIX
+    assert walk.fixes.time == pytest.approx([0.0, 5.0])
+    assert walk.fixes.position == pytest.approx(np.array([[11.1, 49.45], [11.2, 49.45]]))
+    assert walk.fixes.epsg == LONLAT
+    assert walk.accelerometer is None
+
+
+def test_gpx_accuracy_is_an_extension_or_from_hdop(tmp_path):
+    extension = "<extensions><x:accuracy xmlns:x='urn:x'>9.06</x:accuracy></extensions>"
+    track = gpx([point(more=extension), point("2023-11-14T22:13:25Z", more="<hdop>2</hdop>")])
+    sigma = io.load(written(tmp_path, track)).fixes.sigma
+    assert sigma == pytest.approx([9.06 / RADIUS_68, 2 * 5.3 / RADIUS_68])
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        (gpx([point()])[:-30], "broken XML"),
+        (gpx([]), "0 track points"),
+        (gpx(['<trkpt lat="1" lon="2"/>']), "none with a time"),
+        (gpx([point(lat="north")]), "'north'"),
+        (gpx([point("yesterday")]), "yesterday"),
+        (gpx([point()], head='<!DOCTYPE gpx [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>'), "document type"),
+        (gpx([point("&b;")], head='<!DOCTYPE gpx [<!ENTITY b SYSTEM "file:///etc/passwd">]>'), "document type"),
+    ],
+)
+def test_broken_and_hostile_gpx_is_refused_in_one_line(tmp_path, text, complaint):
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=complaint) as refusal:
+        io.load(path)
+    assert "\n" not in str(refusal.value)
+    assert str(path) in str(refusal.value)
+
+
+PLT = "Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My Track,0,0,2,8421376\n0\n"
+
+
+def test_reader_geolife(tmp_path):
+    """Days since 1899-12-30: the row of the format's own description, and one five seconds later."""
+    rows = "39.9,116.3,0,492,39747.1124074074,2008-10-26,02:41:52\n"
+    rows += "39.9,116.4,0,-777,39747.1124652778,2008-10-26,02:41:57\n"
+    walk = io.load(written(tmp_path, PLT + rows, "20081026024152.plt"))
+    assert walk.epoch == 1_224_988_912.0
+    assert walk.fixes.time.tolist() == [0.0, 5.0]
+    assert walk.fixes.position.tolist() == [[116.3, 39.9], [116.4, 39.9]]
+
+
+def test_a_track_of_a_watch_can_be_the_fixes_of_a_phone(tmp_path):
+    fixes = read_fixes(written(tmp_path, gpx([point("2023-11-14T22:13:30Z")])), WALK)
+    assert fixes.time == pytest.approx([10.0])
+    clockless = Recording("walk", 0.0, None, accelerometer=WALK.accelerometer)
+    with pytest.raises(InputError, match="a recording with a clock"):
+        read_fixes(written(tmp_path, gpx([point()])), clockless)
+
+
+def test_simulated_fixes_of_ipin21_are_metres_with_the_error_in_their_name(tmp_path):
+    row = "1.700000010000000000e+12,5.665786341145318002e+05,5.932830475879570469e+06,2.027584508371089100e+01\n"
+    fixes = read_fixes(written(tmp_path, row, "freq10_s_err3m.csv"), WALK)
+    assert fixes.time == pytest.approx([10.0])
+    assert fixes.position == pytest.approx(np.array([[566578.634, 5932830.476]]), abs=1e-3)
+    assert fixes.sigma == pytest.approx([np.sqrt(3)])
+    assert fixes.epsg == 32632
+    with pytest.raises(InputError, match="its name"):
+        read_fixes(written(tmp_path, row, "fixes.csv"), WALK)
+
+
+def test_positions_that_are_none_are_left_out():
+    nowhere = [[0, 0, 0, 5], [1, 95, 11, 5], [2, np.nan, 11, 5], [3, 49, 11, -1]]
+    notes = []
+    fixes = receiver_fixes(np.array([*nowhere, [5, 49, 11, 0], [4, 49, 11, 1.51], [4, 49, 11, 1.51]], float), notes)
+    assert fixes.time.tolist() == [4.0, 5.0]
+    assert fixes.sigma[0] == pytest.approx(1.0)
+    assert [note.split()[1] for note in notes] == ["4", "1", "1"]

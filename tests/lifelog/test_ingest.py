@@ -1,0 +1,191 @@
+"""Recordings are added once, whatever they are called and however they lie about; what is none costs a line."""
+
+import shutil
+import zipfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+import days_standin as standin
+import pytest
+import recorders
+
+from pdr_graph import InputError
+from pdr_graph.lifelog.ingest import Added, add, found_in, time_of
+from pdr_graph.lifelog.observation import observe
+from pdr_graph.lifelog.store import Entry, Store
+
+
+def entries(path):
+    with Store(path) as log:
+        return {entry.path.rpartition("/")[2]: entry for entry in log.entries()}
+
+
+def phyphox(folder, **options):
+    """A recording that is a folder of tables and has no date."""
+    for name, text in recorders.phyphox(recorders.sample(), **options).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+def test_adding_twice_is_adding_once(tmp_path):
+    log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
+    assert add(log, [walk]) == Added(added=1)
+    assert add(log, [walk]) == Added(again=1)
+    other = shutil.copy(walk, tmp_path / "the same.plt")
+    assert add(log, [other, walk, other]) == Added(again=2), "a path that is given twice is one"
+    [entry] = entries(log).values()
+    assert entry == Entry(entry.hash, "me", str(walk))
+    standin.recording(walk, seed=1)
+    assert add(log, [walk]) == Added(added=1), "another content is another recording"
+
+
+def test_a_recording_that_was_moved_is_found_again_by_adding_it(tmp_path):
+    log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
+    add(log, [walk], person="Ada")
+    moved = walk.rename(tmp_path / "moved.plt")
+    assert add(log, [moved]) == Added(again=1)
+    assert entries(log)["moved.plt"].person == "Ada", "what is not said stays"
+
+
+def test_other_options_take_the_place_of_those_before(tmp_path):
+    log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
+    toml = tmp_path / "walker.toml"
+    toml.write_text("height = 1.6\n")
+    assert add(log, [walk], person="Ada") == Added(added=1)
+    assert add(log, [walk], walker=toml, floor="2") == Added(again=1, changed=1)
+    assert add(log, [walk], walker=toml) == Added(again=1)
+    assert add(log, [walk], person="Grace", begins=1.7e9) == Added(again=1, changed=1)
+    [entry] = entries(log).values()
+    assert entry == Entry(entry.hash, "Grace", str(walk), walker=str(toml), floor="2", begins=1.7e9)
+
+
+def test_a_folder_full_of_recordings_is_all_of_them(tmp_path):
+    folder = tmp_path / "days"
+    expected = [standin.recording(folder / "may" / f"{n}.plt", n) for n in range(3)]
+    expected += [standin.recording(folder / "june" / "1.plt", 30), phyphox(folder / "experiment")]
+    zipped = folder / "july.zip"
+    with zipfile.ZipFile(zipped, "w") as archive:
+        archive.write(standin.recording(tmp_path / "july.plt", 60), "july.plt")
+    (folder / "notes.txt").write_text("It rained.")
+    (folder / "loop").symlink_to(folder)
+    found, passed, refused = found_in([folder])
+    assert sorted(found) == sorted([*expected, zipped])
+    assert (passed, refused) == (1, [])
+    begin = standin.FIRST
+    assert add(tmp_path / "log", [folder / "may", folder / "june"]) == Added(added=4)
+    result = add(tmp_path / "log", [folder])
+    assert (result.added, result.again, result.skipped) == (1, 4, 1)
+    assert [line.partition(": ")[2] for line in result.refused] == [
+        "found no date, expected a start time: give --begins with a time such as 2024-05-01T09:30:00+02:00"
+    ]
+    assert add(tmp_path / "log", [folder / "experiment"], begins=begin) == Added(added=1)
+
+
+def test_a_folder_that_is_a_recording_is_one(tmp_path):
+    folder = phyphox(tmp_path / "experiment")
+    log = tmp_path / "log"
+    assert add(log, [folder], begins=1.7e9) == Added(added=1)
+    (folder / ".DS_Store").write_text("a window's place")
+    copied = shutil.copytree(folder, tmp_path / "elsewhere" / "experiment")
+    assert add(log, [copied.parent]) == Added(again=1), "its content is what a reader sees in it"
+
+
+def test_one_begin_is_of_one_recording(tmp_path):
+    for n in range(2):
+        standin.recording(tmp_path / "days" / f"{n}.plt", n)
+    with pytest.raises(InputError, match="--begins: found 2 recordings, expected a single recording"):
+        add(tmp_path / "log", [tmp_path / "days"], begins=1.7e9)
+
+
+def test_what_cannot_be_read_does_not_stop_the_others(tmp_path):
+    good, torn = standin.recording(tmp_path / "good.plt"), tmp_path / "torn.zip"
+    torn.write_bytes(b"PK\x03\x04 and no more")
+    other, empty = tmp_path / "letter.txt", tmp_path / "empty"
+    other.write_text("Dear Ada")
+    empty.mkdir()
+    result = add(tmp_path / "log", [torn, good, other, empty, tmp_path / "none"])
+    assert result.added == 1
+    said = sorted(line.partition(": ")[2].partition(",")[0] for line in result.refused)
+    assert said == [
+        "found 0 files",
+        "found a damaged zip (File is not a zip file)",
+        "found no such file",
+        "found the bytes b'Dear Ada'",
+    ]
+    assert all(line.isprintable() for line in result.refused)
+
+
+def test_what_tells_neither_steps_nor_a_way_is_refused_in_a_line(tmp_path):
+    """A gyroscope alone, and a single position: no outing could ever be made of them. Fixes beside them are a way."""
+    folder, log = phyphox(tmp_path / "experiment"), tmp_path / "log"
+    for file in folder.glob("*.csv"):
+        if file.name != "Gyroscope.csv":
+            file.unlink()
+    single = standin.recording(tmp_path / "single.plt")
+    single.write_text("".join(single.read_text().splitlines(keepends=True)[:7]))
+    said = [add(log, [one], begins=1.7e9).refused for one in (folder, single)]
+    assert [line.partition(": ")[2] for (line,) in said] == [
+        f"found no acceleration and {n} positions, expected an accelerometer, or at least 2 positions" for n in (0, 1)
+    ]
+    with pytest.raises(InputError, match="found no acceleration and 0 positions"):
+        observe(folder, begins=1.7e9)  # as of a lifelog that an older version made
+    fixes = tmp_path / "fixes.csv"
+    fixes.write_text("time,x,y,sigma\n1,0,0,3\n9,10,0,3\n")
+    assert add(log, [folder], begins=1.7e9, fixes=fixes).added == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"person": " "}, "--person: found ' ', expected a name"),
+        ({"plan": "none.geojson"}, "found no such file"),
+        ({"walker": "none.toml"}, "expected a TOML file"),
+    ],
+)
+def test_an_option_that_cannot_be_used_is_refused(tmp_path, options, said):
+    walk = standin.recording(tmp_path / "walk.plt")
+    given = {name: tmp_path / value if name != "person" else value for name, value in options.items()}
+    with pytest.raises(InputError, match=said):
+        add(tmp_path / "log", [walk], **given)
+    assert not (tmp_path / "log").exists(), "nothing is made of it"
+
+
+def test_a_floor_must_be_the_plans(tmp_path, pytestconfig):
+    walk, plan = standin.recording(tmp_path / "walk.plt"), pytestconfig.rootpath / "maps" / "arcade.geojson"
+    with pytest.raises(InputError, match="found the floors 1, expected a floor 'attic'"):
+        add(tmp_path / "log", [walk], plan=plan, floor="attic")
+    add(tmp_path / "log", [walk], plan=plan, floor="1")
+
+
+def test_a_copy_makes_the_original_dispensable(tmp_path):
+    log, folder = tmp_path / "log", phyphox(tmp_path / "experiment")
+    walk = standin.recording(tmp_path / "walk.plt")
+    (tmp_path / "BLE_Locations.csv").write_text("beacon,lat,lon\na,52.5,13.4\n")
+    add(log, [walk], copy=True)
+    add(log, [folder], begins=1.7e9, copy=True)
+    content, copied = walk.read_bytes(), Path(entries(log)["walk.plt"].path)
+    walk.unlink()
+    shutil.rmtree(folder)
+    assert copied.read_bytes() == content
+    assert copied.with_name("BLE_Locations.csv").exists(), "the list of beacons beside it is a part of it"
+    back = tmp_path / "back.plt"
+    back.write_bytes(content)
+    assert add(log, [back]) == Added(again=1)
+    assert entries(log)["walk.plt"].path == str(copied), "what is copied stays the copy"
+    assert add(log, [copied.parent.parent]) == Added(again=2, skipped=1), (
+        "the copies are the recordings that they are of"
+    )
+
+
+def test_a_name_that_is_no_text_is_refused(tmp_path):
+    walk = standin.recording(tmp_path / "walk.plt")
+    odd = walk.rename(tmp_path / "walk\udcff.plt")
+    assert [line.isprintable() for line in add(tmp_path / "log", [odd]).refused] == [True]
+
+
+def test_times_are_utc_unless_they_say():
+    assert time_of("2024-05-01T09:30:00") == datetime(2024, 5, 1, 9, 30, tzinfo=UTC).timestamp()
+    assert time_of("2024-05-01T09:30:00+02:00") == datetime(2024, 5, 1, 7, 30, tzinfo=UTC).timestamp()
+    with pytest.raises(InputError, match=r"--begins: found yesterday, expected a time such as"):
+        time_of("yesterday")

@@ -1,0 +1,195 @@
+"""What is looked at: by distance, side, direction and sight, with probabilities that are kept."""
+
+import numpy as np
+import pytest
+import shapely
+from plans import plan
+
+from pdr_graph.geometry import rotation, unit
+from pdr_graph.lifelog import stays
+from pdr_graph.lifelog.stays import VisiblePlaces
+
+NORTH, EAST, SOUTH = np.pi / 2, 0.0, -np.pi / 2
+AISLE = (  # of 4 m along x, shops of 8 m on either side
+    ("floor", "", shapely.box(0, -6, 24, 10)),
+    *(("shop", f"N{n}", shapely.box(8 * n, 4, 8 * n + 8, 10)) for n in range(3)),
+    *(("shop", f"S{n}", shapely.box(8 * n, -6, 8 * n + 8, 0)) for n in range(3)),
+)
+
+
+def fronts_of(*areas):
+    return VisiblePlaces.of(plan(*areas))
+
+
+def facing(plan, place, heading, sigma=0.3, sigma_heading=0.1):
+    """What is faced from a place, by name; "" is nothing."""
+    covariance = np.diag([sigma**2, sigma**2, sigma_heading**2])
+    told = dict(fronts_of(*plan).facing(np.array(place, float), heading, covariance))
+    assert all(0 < p <= 1 for p in told.values())
+    return {"": 1 - sum(told.values())} | told
+
+
+def test_who_stands_close_before_a_front_and_faces_it_looks_at_it():
+    told = facing(AISLE, (12, 3.3), NORTH)
+    assert told["N1"] > 0.8
+    assert told["N1"] > 10 * told[""]
+
+
+def test_who_turns_round_looks_at_the_other_side_and_is_less_sure_of_it():
+    told = facing(AISLE, (12, 3.3), SOUTH)
+    assert max(told, key=told.get) == "S1"
+    assert told["S1"] < facing(AISLE, (12, 3.3), NORTH)["N1"]
+
+
+def test_in_the_middle_of_the_aisle_the_side_is_as_the_heading_says():
+    """And nobody can tell the sides apart without one."""
+    assert facing(AISLE, (12, 2), NORTH)["N1"] > 5 * facing(AISLE, (12, 2), NORTH)["S1"]
+    unknown = facing(AISLE, (12, 2), np.nan)
+    assert unknown["N1"] == pytest.approx(unknown["S1"], rel=0.05)  # the fixed places are not the same on both sides
+
+
+def test_without_a_heading_the_nearer_front_is_likelier():
+    told = facing(AISLE, (12, 3.3), np.nan)
+    assert max(told, key=told.get) == "N1"
+
+
+def test_between_two_fronts_it_may_be_either():
+    told = facing(AISLE, (8, 3.3), NORTH)
+    assert told["N0"] == pytest.approx(told["N1"], rel=0.1)  # as above
+
+
+@pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0])
+def test_the_less_is_known_of_the_place_the_less_is_said(sigma):
+    assert facing(AISLE, (12, 3.3), NORTH, sigma)["N1"] > facing(AISLE, (12, 3.3), NORTH, 2 * sigma)["N1"]
+
+
+def test_far_from_everything_it_is_nothing():
+    hall = ("floor", "", shapely.box(0, 0, 60, 60)), ("shop", "far", shapely.box(0, 40, 60, 60))
+    assert facing(hall, (30, 15), NORTH) == {"": 1.0}
+
+
+def test_nobody_looks_through_a_wall():
+    """A line across the aisle hides what is behind it, and leaves what is before it."""
+    wall = ("wall", "", shapely.LineString([(15.5, 0), (15.5, 4)]))
+    kiosk = ("shop", "kiosk", shapely.box(16, 1, 17, 3))
+    assert facing((*AISLE, kiosk), (15, 2), EAST)["kiosk"] > 0.7
+    assert "kiosk" not in facing((*AISLE, kiosk, wall), (15, 2), EAST, sigma=0.1)
+
+
+def test_the_next_aisle_is_behind_the_shops():
+    """However badly the place is known: nobody walks through a shop of 1 m to the aisle behind it."""
+    plan = ("floor", "", shapely.box(0, 0, 40, 9)), ("shop", "between", shapely.box(0, 4, 40, 5))
+    told = facing((*plan, ("shop", "behind", shapely.box(0, 8.5, 40, 9))), (20, 3), NORTH, sigma=2.0)
+    assert "between" in told
+    assert "behind" not in told
+
+
+def test_a_place_that_was_estimated_within_a_shop_is_before_it():
+    assert facing(AISLE, (12, 4.6), NORTH)["N1"] > 0.8
+
+
+def test_a_stand_drawn_as_a_point_is_looked_at_from_all_sides():
+    plan = ("floor", "", shapely.box(0, 0, 20, 20)), ("place", "stand", shapely.Point(10, 10))
+    told = [facing(plan, 10 + 1.2 * unit(angle), angle + np.pi)["stand"] for angle in np.arange(0, 6, 0.7)]
+    assert min(told) > 0.75
+    assert np.ptp(told) < 0.05  # rays are 15° apart
+    away = facing(plan, (11.2, 10), EAST)["stand"]
+    assert away / (1 - away) < told[0] / (1 - told[0]) / 4
+
+
+def test_who_is_in_a_room_is_there_whichever_way_they_face():
+    plan = (
+        ("corridor", "", shapely.box(0, 0, 20, 2)),
+        ("room", "library", shapely.box(0, 2, 10, 8)),
+        ("room", "", shapely.box(10, 2, 20, 8)),
+        ("door", "", shapely.box(4, 1.9, 5, 2.1)),
+        ("door", "", shapely.box(14, 1.9, 15, 2.1)),
+    )
+    assert facing(plan, (5, 5), SOUTH)["library"] == pytest.approx(1.0)
+    assert "library" not in facing(plan, (15, 5), NORTH)
+    assert "library" not in facing(plan, (15, 1), NORTH, sigma=0.1)
+    at_the_door = facing(plan, (4.5, 2), NORTH, sigma=0.5)["library"]
+    assert 0.3 < at_the_door < 0.7  # half of the places lie on either side
+
+
+def test_a_shop_with_two_fronts_is_one_place():
+    plan = AISLE[0], *(("shop", "N", shape) for _, _, shape in AISLE[1:4]), *AISLE[4:]
+    assert facing(plan, (8, 3.3), NORTH)["N"] == pytest.approx(
+        facing(AISLE, (8, 3.3), NORTH)["N0"] + facing(AISLE, (8, 3.3), NORTH)["N1"], abs=1e-9
+    )
+
+
+def test_turning_the_world_changes_nothing():
+    """But for the rays, which are fixed: two hundredths."""
+    place, turn = np.array([9.0, 3.0]), 0.4
+    turned = [(kind, name, shapely.transform(shape, lambda xy: xy @ rotation(turn).T)) for kind, name, shape in AISLE]
+    one, other = facing(AISLE, place, NORTH + 0.3), facing(turned, rotation(turn) @ place, NORTH + 0.3 + turn)
+    for name in one | other:
+        assert one.get(name, 0.0) == pytest.approx(other.get(name, 0.0), abs=0.02)
+
+
+def test_where_one_stands_tells_where_one_faced():
+    """Of a walker who may have walked by 20° to the left: then they stand further left, before another shop."""
+    independent = np.diag([1.0, 1.0, 0.35**2])
+    together = independent.copy()
+    together[0, 2] = together[2, 0] = -0.9 * 0.35  # the more to the left they faced, the further west they stand
+    plan, place = fronts_of(*AISLE), np.array([9.5, 2.5])
+    told = [dict(plan.facing(place, NORTH, covariance))["N0"] for covariance in (independent, together)]
+    assert told[1] > told[0] + 0.01
+
+
+def test_an_unknown_place_tells_nothing():
+    assert facing(AISLE, (12, 2), NORTH, sigma=50.0) == {"": 1.0}
+
+
+def draws(random, count, sigma):
+    """People who stopped, drawn one after the other as the module says that they do, by shapely alone.
+
+    Anywhere in the aisle, turned anywhere: for nothing, or for the first thing that a look meets if it is near enough.
+    Returns measured poses ``(n, 3)`` and what they truly looked at.
+    """
+    solid = [(name, shape) for kind, name, shape in AISLE if kind == "shop"]
+    poses, names = [], []
+    while len(poses) < count:
+        pose = random.uniform([0, 0, -np.pi], [24, 4, np.pi])
+        name = ""
+        if random.random() > stays.NOTHING / (1 + stays.NOTHING):
+            askew = random.random() < stays.ASKEW
+            look = random.uniform(-np.pi, np.pi) if askew else pose[2] + random.normal(0, stays.BODY)
+            ray = shapely.LineString([pose[:2], pose[:2] + stays.SIGHT * unit(look)])
+            met = [(shapely.distance(shapely.Point(pose[:2]), shapely.intersection(ray, s)), n) for n, s in solid]
+            distance, name = min((d, n) for d, n in [*met, (np.inf, "")] if not np.isnan(d))
+            if random.random() > np.exp(-max(distance - stays.CLOSE, 0.0) / stays.FALL):
+                continue
+        poses.append(pose + random.normal(0, [sigma, sigma, 0.2]))
+        names.append(name)
+    return np.array(poses), names
+
+
+SIGMA = 2.5  # [m] per axis of a poor estimate, with which much can go wrong
+
+
+def excess(claimed):
+    """By how many standard deviations right answers are more or fewer than was stated, in the worst bin."""
+    random = np.random.default_rng(1)
+    poses, names = draws(random, 400, SIGMA)
+    plan = fronts_of(*AISLE)
+    # `VisiblePlaces` adds by itself that people shuffle, which these here do not
+    covariance = np.diag([claimed**2 - stays.STANDS**2, claimed**2 - stays.STANDS**2, 0.04])
+    stated = [dict(plan.facing(pose[:2], pose[2], covariance)) for pose in poses]
+    told = [one | {"": 1 - sum(one.values())} for one in stated]
+    answers = np.array(
+        [(p, answer == name) for one, name in zip(told, names, strict=True) for answer, p in one.items()]
+    )
+    which = np.digitize(answers[:, 0], [0.1, 0.3, 0.5, 0.7])
+    off = []
+    for n in range(5):
+        p, right = answers[which == n].T
+        off.append((right.sum() - p.sum()) / np.sqrt(np.sum(p * (1 - p))))
+    return np.abs(off).max()
+
+
+def test_what_is_stated_with_a_probability_is_right_so_often():
+    """Of people drawn from the model; and it is not where the place is claimed to be known twice as well."""
+    assert excess(SIGMA) < 3.3  # of five bins at 99.5 %
+    assert excess(SIGMA / 2) > 3.3

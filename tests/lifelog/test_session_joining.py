@@ -1,0 +1,104 @@
+"""Recordings that follow one another as one walk."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from observations import HERE, NOON, cut_in_two, observation, positions, walk
+
+from pdr_graph import WalkGraph, smooth
+from pdr_graph.frames import enu
+from pdr_graph.gait.signals import GAP_SIGMA_TURN
+from pdr_graph.lifelog.sessions import FIELD_SIGMA, RESTART, joined, turn_by_field
+
+
+def smoothed(parts, fixes=None):
+    one = joined(parts)
+    return smooth(WalkGraph(one.steps, one.fixes if fixes is None else fixes, closures=one.closures)).trajectory
+
+
+def errors_of_the_second(parts, track):
+    """Where the second piece is, against the truth. [m]"""
+    (one, _), (two, truth) = parts
+    begins = two.epoch - one.epoch
+    own = (track.time > begins) & (track.time < begins + truth.time[-1])
+    at = np.stack([np.interp(track.time[own] - begins, truth.time, axis) for axis in truth.position.T], axis=1)
+    return np.hypot(*(track.position[own] - at).T)
+
+
+def test_nothing_is_lost_and_all_times_are_of_one_clock():
+    (one, _), (two, _) = cut_in_two(100, 1, 8.0)
+    both = joined([one, two])
+    begins = two.epoch - one.epoch
+    assert len(both.steps) == len(one.steps) + 1 + len(two.steps)
+    assert both.steps.time[-len(two.steps) :] == pytest.approx(two.steps.time + begins)
+    assert both.steps.length.sum() == pytest.approx(one.steps.length.sum() + two.steps.length.sum())
+    assert len(both.fixes) == len(one.fixes) + len(two.fixes)
+    assert (np.diff(both.fixes.time) >= 0).all()
+    assert both.duration == pytest.approx(begins + two.duration)
+    assert len(both.looks) == len(both.steps) + 1
+
+
+@pytest.mark.parametrize("turned", [-2.0, 0.3, 2.8])
+def test_the_field_tells_how_far_somebody_turned_between_two_recordings(turned):
+    (one, _), (two, _) = cut_in_two(60, 1, 8.0, turned=turned)
+    assert turn_by_field(one, two) == pytest.approx(turned, abs=1e-6)
+    both = joined([one, two])
+    gap = np.flatnonzero(both.steps.is_gap)
+    assert both.steps.sigma_turn[gap] == pytest.approx([FIELD_SIGMA])
+
+
+def test_a_field_of_another_place_tells_nothing():
+    (one, _), (two, _) = cut_in_two(60, 1, 8.0)
+    stronger = replace(two, ends=replace(two.ends, field=2 * two.ends.field))
+    assert turn_by_field(one, stronger) is None
+    both = joined([one, stronger])
+    assert both.steps.sigma_turn[both.steps.is_gap] == pytest.approx([GAP_SIGMA_TURN])
+
+
+def test_a_piece_without_fixes_is_laid_on_by_the_pause_and_the_field():
+    """Half of the walk has no fix; it starts where the other ended, and turned as the field says."""
+    worse, better = [], []
+    for seed in range(8):
+        parts = cut_in_two(120, seed, 8.0, turned=1.2)
+        (one, _), (two, _) = parts
+        two = replace(two, fixes=two.fixes[:0])
+        better.append(np.median(errors_of_the_second(parts, smoothed([one, two]))))
+        blind = [replace(one, ends=None), replace(two, ends=None)]
+        worse.append(np.median(errors_of_the_second(parts, smoothed(blind))))
+    assert np.median(better) < 0.35 * np.median(worse)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_somebody_who_walked_on_is_not_held_where_they_were(seed):
+    """20 m on in 14 s, seen by the fixes of both pieces: the closure lets go, and harms by less than 10 cm."""
+    parts = cut_in_two(120, seed, 14.0, stood=False)
+    both = joined([one for one, _ in parts])
+    unbound = smooth(WalkGraph(both.steps, both.fixes)).trajectory
+    harm = errors_of_the_second(parts, smoothed([one for one, _ in parts])) - errors_of_the_second(parts, unbound)
+    assert np.max(harm) < 0.1
+
+
+def test_a_long_gap_binds_nothing():
+    (one, _), (two, _) = cut_in_two(60, 1, RESTART + 1)
+    both = joined([one, two])
+    assert len(both.closures) == 0
+    gap = both.steps.is_gap
+    assert both.steps.sigma_length[gap] == pytest.approx([RESTART + 1], rel=1e-3), "1 m/s: they stand or walk"
+
+
+def test_pieces_in_different_frames_meet_in_the_first_one():
+    one = walk(60)[0]
+    there = enu(48.101, 11.601)
+    lonlat = HERE.to_lonlat(one.fixes.position)
+    elsewhere = replace(one, frame=there, fixes=replace(one.fixes, position=there.from_lonlat(lonlat)))
+    both = joined([one, replace(elsewhere, epoch=NOON + one.duration + 5)])
+    assert both.frame == HERE
+    n = len(one.fixes)
+    assert both.fixes.position[n:] == pytest.approx(one.fixes.position, abs=1e-3)
+
+
+def test_a_watch_s_positions_are_fixes_of_the_walk():
+    one = observation(walk(120)[0].steps, positions(1.0).fixes[:0])
+    watch = positions(60.0, NOON + 10.0)
+    assert joined([one], [watch]).fixes.time == pytest.approx(watch.fixes.time + 10.0)

@@ -1,0 +1,61 @@
+"""Step detection as the papers have it, on signals whose steps are known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pdr_graph.gait.signals import gait_signals
+from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.papers import step_detectors
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+
+PERIOD, STEP = 0.02, 0.5
+TIME = np.arange(0.0, 20.0, PERIOD)
+
+
+def level(vertical, forward=None):
+    """A phone that lies level and feels these accelerations besides gravity."""
+    ahead = np.zeros(len(TIME)) if forward is None else forward
+    world = np.column_stack([ahead, np.zeros(len(TIME)), 9.81 + vertical])
+    return Attitude(TIME, PERIOD, Rotation.identity(len(TIME)), world, None)
+
+
+def bouncing(amplitude=3.0):
+    return amplitude * np.cos(2 * np.pi * TIME / STEP)
+
+
+@pytest.mark.parametrize("method", [step_detectors.peak_pairs, step_detectors.trough_to_peak])
+def test_every_bounce_is_a_step_and_weak_ones_are_not(method):
+    assert len(method(level(bouncing()))) == pytest.approx(40, abs=1)
+    assert len(method(level(bouncing(0.2)))) == 0
+
+
+def test_a_pair_has_a_forward_push_after_the_fall():
+    """[gps-dr] Sec. 2.2: vertical + then −, forward − then +, and the slope between these."""
+    pushed = 1.5 * np.sin(2 * np.pi * TIME / STEP - np.pi)
+    assert len(step_detectors.vertical_forward(level(bouncing()), pushed)) == pytest.approx(40, abs=2)
+    assert len(step_detectors.vertical_forward(level(bouncing()), 0.1 * pushed)) == 0
+    assert len(step_detectors.vertical_forward(level(0 * TIME), pushed)) == 0
+
+
+def test_the_templates_are_those_of_the_paper():
+    """[calibration-walk] Fig. 3: walking rises and falls strongly, since the other foot goes on; feet that close only
+    bring the body to rest: what brakes it rises to nothing.
+    """
+    walking, together = step_detectors.templates().T
+    low = int(np.argmin(together))
+    assert np.all(np.diff(together[low:]) > 0)
+    top = int(np.argmax(walking))
+    assert walking[top] - walking[top:].min() > 1.5
+
+
+def test_feet_that_only_close_are_no_step():
+    """The last landing of a walk is not counted, all others are: exactly in three walks of four, and on the whole."""
+    wrong = []
+    for seed in range(20):
+        walk = simulate(Scenario.of({"seed": seed, "route": [[0, 0], {"stand": 2}, {"to": [[14.5, 0]]}, {"stand": 2}]}))
+        gait = gait_signals(walk.recording("accelerometer", "gyroscope"))[0]
+        wrong.append(len(step_detectors.without_closing(gait.attitude, gait.forward)) - (len(walk.body.landings) - 1))
+    assert np.mean(np.equal(wrong, 0)) >= 0.7
+    assert abs(np.sum(wrong)) <= 2

@@ -1,0 +1,106 @@
+"""Smooth, replay and a lifelog walk say the same of the same degraded inputs: notes, warnings, what is missing.
+
+What only one of them can know: a replay also says what its stream lacked at the end (silent sensors, dropped samples,
+a clock reset) and where it was resumed; only a batch counts the different walks that explain the measurements.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import simulated
+
+from pdr_graph.inputs import Options, read
+from pdr_graph.lifelog.observation import observe
+from pdr_graph.lifelog.reconstruct import reconstruct
+from pdr_graph.online.interface import events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.online.replay import replay_recording
+from pdr_graph.pipeline import estimate, smooth_recording
+from pdr_graph.pipeline import observe as observe_walk
+from pdr_graph.types import Headings
+
+ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 10.0)])
+PLAN = Path(__file__).resolve().parents[1] / "maps" / "arcade.geojson"
+ONLY_BATCH = ("different walks explain", "fits the plan poorly")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A walk of half a minute, and files that degrade it."""
+    folder = simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+    rows = (folder / "walk.txt").read_text().splitlines()
+    for sensor in ("GYROSCOPE", "ACCELEROMETER", "MAGNETIC_FIELD"):
+        kept = [row for row in rows if f"TYPE_{sensor}" not in row]
+        (folder / f"{sensor}.txt").write_text("\n".join(kept) + "\n")
+    header, *fixes = (folder / "fixes.csv").read_text().splitlines()
+    late = [f"{float(time) + 1e5},{rest}" for time, rest in (row.split(",", 1) for row in fixes)]
+    (folder / "late.csv").write_text("\n".join([header, *fixes, *late]) + "\n")
+    far = [row.split(",") for row in fixes]
+    (folder / "far.csv").write_text("\n".join([header, *(",".join((t, f"{float(x) + 5e3}", *o)) for t, x, *o in far)]))
+    return folder
+
+
+CASES = {
+    "as it is": ("walk.txt", "fixes.csv", {}),
+    "no gyroscope": ("GYROSCOPE.txt", "fixes.csv", {}),
+    "no accelerometer": ("ACCELEROMETER.txt", "fixes.csv", {}),
+    "no magnetometer": ("MAGNETIC_FIELD.txt", "fixes.csv", {}),
+    "fixes outside the recording": ("walk.txt", "late.csv", {}),
+    "no fixes": ("walk.txt", None, {"recorded_fixes": False}),
+    "a plan elsewhere": ("walk.txt", "far.csv", {"plan": PLAN}),
+}
+
+
+def said(run, recording, out, options):
+    """Warnings without those of one verb alone, what is missing, and the kinds of measurements reported."""
+    missing = run(recording, out, options)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["missing"] == list(missing)
+    warnings = {line for line in summary["warnings"] if not any(text in line for text in ONLY_BATCH)}
+    return warnings, missing, len(summary["fixes"]), {"fixes", "beacons", "headings"} <= summary.keys()
+
+
+@pytest.mark.parametrize("lag", [None, 10.0])
+@pytest.mark.parametrize("case", CASES)
+def test_smooth_and_replay_say_the_same(folder, tmp_path, case, lag):
+    recording, fixes, more = CASES[case]
+    options = Options(fixes=fixes and folder / fixes, **more)
+    smoothed = said(smooth_recording, folder / recording, tmp_path / "smoothed", options)
+    replayed = said(replay_recording, folder / recording, tmp_path / "replayed", replace(options, lag=lag))
+    if lag is not None:  # a window of ten seconds determines other coefficients than the whole walk
+        smoothed, replayed = ((_without_calibration(one[0]), *one[1:]) for one in (smoothed, replayed))
+    assert replayed == smoothed
+
+
+def _without_calibration(warnings):
+    return {line for line in warnings if "not observable" not in line}
+
+
+@pytest.mark.parametrize("case", ["as it is", "no gyroscope", "no magnetometer", "fixes outside the recording"])
+def test_a_lifelog_walk_says_what_smooth_says(folder, tmp_path, case):
+    recording, fixes, _ = CASES[case]
+    warnings, missing, *_ = said(
+        smooth_recording, folder / recording, tmp_path / "smoothed", Options(fixes=folder / fixes)
+    )
+    day = reconstruct("me", "2023-11-14", {"hash": observe(folder / recording, fixes=folder / fixes)}, None)
+    [outing] = day.outings
+    assert set(outing.missing) == set(missing)
+    assert warnings == set(outing.notes)
+
+
+def test_measurements_of_any_kind_reach_both(folder):
+    """A recording carries tables of any registered kind: here walking directions that a user gave."""
+    inputs = read(folder / "walk.txt", Options(fixes=folder / "fixes.csv"))
+    headings = Headings(np.array([4.0, 9.0]), np.array([0.1, 0.1]), np.array([0.05, 0.05]))
+    inputs = replace(inputs, walk=replace(inputs.walk, measurements=(headings,)))
+    batch = estimate(observe_walk(inputs)).estimate
+    navigator = Navigator(frame=inputs.frame, lag=None)
+    for event in events_of(replace(inputs.walk, fixes=inputs.fixes)):
+        navigator.push(event)
+    live = navigator.finish()
+    assert [report.time for report in batch.reports["headings"]] == [4.0, 9.0]
+    assert [report.time for report in live.reports["headings"]] == [4.0, 9.0]
+    assert live.trajectory.position[-1] == pytest.approx(batch.trajectory.position[-1], abs=0.5)
