@@ -1,4 +1,4 @@
-"""Damaged inputs: one of every kind that we read, and ways to damage it."""
+"""Damaged inputs: one input of each kind that is read, and ways to damage it."""
 
 import io as memory
 import json

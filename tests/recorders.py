@@ -1,4 +1,4 @@
-"""One short walk, as the phone recorders that we read would have written it."""
+"""One short walk in the files of each supported phone recorder."""
 
 import zipfile
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ G = 9.80665
 
 @dataclass(frozen=True)
 class Sample:
-    """What was felt: time [s] from 0, acceleration with gravity, its gravity, angular rate, field, pressure, fixes."""
+    """True samples: time [s] from 0, acceleration with gravity, gravity, angular rate, field, pressure, fixes."""
 
     time: np.ndarray
     acceleration: np.ndarray
@@ -31,7 +31,7 @@ class Sample:
 
 
 def sample(seed=0, route=((0.0, 0.0), (14.0, 0.0), (14.0, 7.0))):
-    """A walk, by default twenty seconds round a corner, the phone's top raised by 0.6 rad."""
+    """Samples of a walk, by default twenty seconds around a corner, the top of the phone raised by 0.6 rad."""
     walk = walk_along(np.array(route), seed=seed)
     n = len(walk.time)
     every = slice(25, None, 50)
@@ -86,7 +86,7 @@ def nanoseconds(header, time, *columns):
 
 
 def sensor_logger(s, platform="android", standardised=False):
-    """The files of one export; on iOS accelerations have the other sign and the uncalibrated one is in g."""
+    """The files of one export; on iOS accelerations have the opposite sign and the uncalibrated one is in g."""
     flipped = -1.0 if platform == "ios" and not standardised else 1.0
     user, zyx = s.acceleration - s.gravity, "z,y,x"
     backwards = slice(None, None, -1)
@@ -113,7 +113,7 @@ def sensor_logger(s, platform="android", standardised=False):
 
 
 def get_sensor_data(s, unit=1.0, boot=65093.5):
-    """A log whose sensors have a clock of their own, since boot; every epoch of GNSS twice."""
+    """A log whose sensors have their own clock, since boot; each GNSS epoch is written twice."""
     rows = []
     for tag, values, factor in (("ACCE", s.acceleration, unit), ("GYRO", s.angular_rate, 1), ("MAGN", s.field, 1)):
         rows += [
@@ -132,7 +132,7 @@ def get_sensor_data(s, unit=1.0, boot=65093.5):
 
 
 def gnss_logger(s, fix="Fix,Provider,LatitudeDegrees,LongitudeDegrees,AltitudeMeters,SpeedMps,AccuracyMeters,Bearing"):
-    """A log with uncalibrated sensors and the bias beside them, and fixes of two providers."""
+    """A log with uncalibrated sensors and their bias, and fixes of two providers."""
     bias = 0.25
     lines = ["# ", "# Header Description:", f"# {fix},UnixTimeMillis,SpeedAccuracyMps", "# "]
     for kind in ("UncalAccel", "UncalGyro", "UncalMag"):

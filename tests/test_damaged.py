@@ -1,4 +1,4 @@
-"""Damaged inputs load or are refused in one line; ``scripts/fuzz.py`` does the same a hundred thousand times."""
+"""Damaged inputs load or raise InputError of one line; ``scripts/fuzz.py`` does the same a hundred thousand times."""
 
 import random
 import warnings
@@ -17,21 +17,21 @@ WALK = Recording("walk", 1.7e9, 1.7e9, accelerometer=Signal(np.arange(0.0, 60.0,
 COPIES = 100
 
 
-def survive(name, given, use, folder):
-    file, whole = given
-    loaded, refusals = 0, []
+def survive(name, undamaged, use, folder):
+    file, whole = undamaged
+    loaded, errors = 0, []
     for n in range(COPIES):
         (folder / file).write_bytes(mutated(whole, random.Random(f"{name}{n}")))
         try:
             with warnings.catch_warnings(action="error"):
                 use(folder / file)
             loaded += 1
-        except InputError as refusal:
-            refusals.append(str(refusal))
-    assert loaded, "a control: some damage does not matter"
-    assert refusals, "a control: some damage does"
-    assert all(text.isprintable() for text in refusals), "one line, and nothing that a terminal obeys"
-    assert max(map(len, refusals)) < 1000
+        except InputError as error:
+            errors.append(str(error))
+    assert loaded, "a control: some damage has no effect"
+    assert errors, "a control: some damage raises"
+    assert all(text.isprintable() for text in errors), "one line, without control characters"
+    assert max(map(len, errors)) < 1000
 
 
 @pytest.mark.parametrize("name", RECORDINGS)

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.delimited import LONGEST_LINE, TextRows
-from pdr_graph.io.get_sensor_data import LARGEST_WANDER, SENSORS, epochs, fixes_of, rows_by_tag, samples, sightings
-from pdr_graph.io.validation import ABSURD, unit_of
+from pdr_graph.io.delimited import MAXIMUM_LINE, TextRows
+from pdr_graph.io.get_sensor_data import MAXIMUM_CLOCK_DRIFT, SENSORS, epochs, fixes_of, rows_by_tag, samples, sightings
+from pdr_graph.io.validation import IMPLAUSIBLE, unit_of
 from pdr_graph.online.interface import Event, events_of
 from pdr_graph.types import Array, Fixes, Recording, Sightings, Signal
 
@@ -49,7 +49,7 @@ class RowStream:
         """The events of the rows of one slot, in order of arrival; times on the app's clock."""
         lines = [line for line in text.splitlines() if line.strip() and not line.startswith("%")]
         came = self._count(lines)
-        rows = rows_by_tag("the trial", [line for line in lines if len(line) <= LONGEST_LINE])
+        rows = rows_by_tag("the trial", [line for line in lines if len(line) <= MAXIMUM_LINE])
         tables = {tag: _readable(partial(samples, tag), rows[tag]) for tag in SENSORS if tag in rows}
         tables["GNSS"] = _readable(epochs, rows["GNSS"]) if "GNSS" in rows else np.empty((0, 6))
         radios = {tag: sightings(rows[tag]) for tag in RADIOS if tag in rows}
@@ -111,7 +111,7 @@ class _Sensor:
             self.held = None
         name, factor = self.unit
         time = self._on_app_clock(table[:, 0], table[:, 1])
-        was_set = len(time) > 0 and time.max() < self.latest - LARGEST_WANDER  # what comes is new all the same
+        was_set = len(time) > 0 and time.max() < self.latest - MAXIMUM_CLOCK_DRIFT  # what comes is new all the same
         latest = -np.inf if was_set else self.latest
         forward = time > np.maximum.accumulate(np.append(latest, time))[:-1]
         if not forward.all():
@@ -139,7 +139,7 @@ class _Sensor:
         usual = float(np.median(app - sensor))
         if not self.lags:
             self.lag, self.read = usual, float(sensor[0])
-        if abs(usual - self.lag) > LARGEST_WANDER:
+        if abs(usual - self.lag) > MAXIMUM_CLOCK_DRIFT:
             self.own_clock = False
             self.notes[f"{self.name}: its clock and the app's part; the app's is used"] += 1
             return app
@@ -157,7 +157,7 @@ def _readable(parse: Callable[[TextRows], Array], rows: TextRows) -> Array:
     except InputError:
         table = np.concatenate([_one(parse, rows, n) for n in range(len(rows))])
     with np.errstate(invalid="ignore"):
-        return table[(np.abs(table) < ABSURD)[:, : None if parse is not epochs else 2].all(axis=1)]
+        return table[(np.abs(table) < IMPLAUSIBLE)[:, : None if parse is not epochs else 2].all(axis=1)]
 
 
 def _one(parse: Callable[[TextRows], Array], rows: TextRows, n: int) -> Array:

@@ -20,6 +20,7 @@ from pdr_graph.io import (
 from pdr_graph.io.source import Source
 from pdr_graph.types import Recording
 
+# Modules with NAME, recognizes(source) and read(source); the first that recognises a recording reads it
 READERS = (
     indoor_location,
     get_sensor_data,
@@ -34,11 +35,11 @@ READERS = (
 
 
 def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
-    """The recording in a file, a folder or a zip of any supported recorder, recognised by its content.
+    """Read the recording in a file, a folder or a zip of any supported recorder, recognised by its content.
 
     gnss_latency: time by which receiver positions lag behind the other sensors [s]; 0–3 on phones.
 
-    Raises InputError, with the place and what was expected, if no reader recognises it or it is damaged.
+    Raises InputError, with the place and what was expected, if no reader recognises the recording or it is damaged.
     """
     expect("load, path", path, str, Path)
     source = Source(Path(path))

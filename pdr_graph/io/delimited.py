@@ -10,19 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
 from pdr_graph.types import Array
 
 DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-")  # texts that recorders write for a missing value
-LARGEST = 1e20  # a larger number counts as missing: Unix nanoseconds are about 1e18
-NO_CELLS = " \r\t;,"  # characters of a row without cells
-EMPTY_ROW = re.compile(rf"\n[{NO_CELLS}]*\n|\n[{NO_CELLS}]+\Z")
-LONGEST_LINE = 10_000  # characters; rows of recorders have some hundred
+MAXIMUM_NUMBER = 1e20  # a larger number is treated as missing; Unix times in nanoseconds are about 1e18
+MAXIMUM_LINE = 10_000  # characters; rows of recorders have some hundred
 
 
 @dataclass(frozen=True)
-class TextRows:
+class TextRows(OneLineRepr):
     """Rows of one delimited text file.
 
     where: name of the file in messages; lines: text of the rows; numbers: their line numbers, from 1.
@@ -36,10 +35,13 @@ class TextRows:
     def __len__(self) -> int:
         return len(self.lines)
 
-    def floats(self, columns: Sequence[int], cut_off_allowed: bool = True) -> Array:
-        """The columns as numbers ``(n, k)``, NaN where a cell is empty or its number too large.
+    def _summary(self) -> list[str]:
+        return [repr(self.where), count(len(self.lines), "row")]
 
-        cut_off_allowed: leave out a last row that is too short; False for formats that mark their end.
+    def floats(self, columns: Sequence[int], cut_off_allowed: bool = True) -> Array:
+        """The columns as numbers ``(n, k)``; NaN where a cell is empty or its number is too large.
+
+        cut_off_allowed: leave out a last row that is too short; False for formats with an end mark.
         Raises InputError, with the line, if a cell is neither empty nor a number.
         """
         if not self.lines:
@@ -51,9 +53,9 @@ class TextRows:
         except (ValueError, OverflowError):
             table = None
         if table is None or len(table) != len(self.lines):  # loadtxt joins a line with an open quote to the next
-            table = self._floats_one_by_one(columns, cut_off_allowed)
+            table = self._floats_by_cell(columns, cut_off_allowed)
         with np.errstate(invalid="ignore"):
-            table[~(np.abs(table) < LARGEST)] = np.nan
+            table[~(np.abs(table) < MAXIMUM_NUMBER)] = np.nan
         return table
 
     def words(self, column: int) -> list[str]:
@@ -61,22 +63,24 @@ class TextRows:
         return [row[column].strip() if column < len(row) else "" for row in self._cells()]
 
     def _cells(self) -> list[list[str]]:
-        if any(len(line) > LONGEST_LINE for line in self.lines):
+        """The cells of each row; raises InputError if a line is too long."""
+        if any(len(line) > MAXIMUM_LINE for line in self.lines):
             longest = int(np.argmax([len(line) for line in self.lines]))
             found = f"{len(self.lines[longest])} characters"
-            raise InputError(self.where, f"line {self.numbers[longest]}", found, f"a row of at most {LONGEST_LINE}")
+            raise InputError(self.where, f"line {self.numbers[longest]}", found, f"at most {MAXIMUM_LINE} characters")
         if any('"' in line for line in self.lines):
             return [split(line, self.delimiter) for line in self.lines]
         return [line.split(self.delimiter) for line in self.lines]
 
-    def _floats_one_by_one(self, columns: Sequence[int], cut_off_allowed: bool) -> Array:
+    def _floats_by_cell(self, columns: Sequence[int], cut_off_allowed: bool) -> Array:
+        """The columns as numbers, cell by cell: slow, but allows empty cells and names the line of an error."""
         table: list[list[float]] = []
         for number, line, row in zip(self.numbers, self.lines, self._cells(), strict=True):
             if len(row) <= max(columns):
                 if cut_off_allowed and number == self.numbers[-1]:
                     break  # the recorder stopped in mid-line
                 found = f"{len(row)} fields, {line[:40]!r}"
-                raise InputError(self.where, f"line {number}", found, f"at least {max(columns) + 1}")
+                raise InputError(self.where, f"line {number}", found, f"at least {max(columns) + 1} fields")
             table.append([self._number(number, row[c]) for c in columns])
         return np.array(table).reshape(-1, len(columns))
 
@@ -91,14 +95,17 @@ class TextRows:
 
 
 @dataclass(frozen=True)
-class Table:
+class Table(OneLineRepr):
     """A file with a header: column names as written, and rows."""
 
     header: tuple[str, ...]
     rows: TextRows
 
+    def _summary(self) -> list[str]:
+        return [repr(self.rows.where), count(len(self.header), "column"), count(len(self.rows), "row")]
+
     def find(self, wanted: Callable[[str], bool]) -> int | None:
-        """The first column for whose lower-case name `wanted` is true; None if there is none."""
+        """The number of the first column whose lower-case name is `wanted`; None if there is none."""
         return next((k for k, name in enumerate(self.header) if wanted(name.lower())), None)
 
     def floats(self, *names: str, optional: Sequence[str] = ()) -> Array:
@@ -110,28 +117,35 @@ class Table:
         if None in columns[: len(names)]:
             found = f"the columns {', '.join(self.header)[:80]}"
             raise InputError(self.rows.where, "the header", found, f"a column {names[columns.index(None)]}")
-        there = [n for n, column in enumerate(columns) if column is not None]
+        present = [n for n, column in enumerate(columns) if column is not None]
         values = self.rows.floats([column for column in columns if column is not None])
         wide = np.full((len(values), len(columns)), np.nan)
-        wide[:, there] = values
+        wide[:, present] = values
         return wide
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """The cells of one line; cells may be quoted."""
+    """Split one line into cells, which may be quoted."""
     try:
         return next(csv.reader([line.strip("\r\n")], delimiter=delimiter), [])
     except csv.Error:
         return line.split(delimiter)
 
 
+BLANKS = " \r\t;,"  # the only characters of a row with empty cells
+BLANK_ROW = re.compile(rf"\n[{BLANKS}]*\n|\n[{BLANKS}]+\Z")
+
+
 def table(where: str, text: str) -> Table:
-    """The table of a CSV with a header, with any of DELIMITERS and either decimal mark."""
+    """Split the text of a CSV with a header. Delimiters are tab, semicolon or comma; decimal marks point or comma.
+
+    where: name of the file in messages. Raises InputError if the text is empty or its header is too long.
+    """
     lines = text.split("\n")
     first = next((n for n, line in enumerate(lines) if line.strip()), None)
     if first is None:
         raise InputError(where, "", "an empty file", "a header and rows")
-    if len(lines[first]) > LONGEST_LINE:
+    if len(lines[first]) > MAXIMUM_LINE:
         raise InputError(where, "line 1", f"{len(lines[first])} characters", "a header")
     head = lines[first]
     delimiter = next((d for d in DELIMITERS if d in head), ",")
@@ -140,8 +154,8 @@ def table(where: str, text: str) -> Table:
         lines.pop()  # empty: the text ends with a line break
     numbers: Sequence[int] = range(first + 2, len(lines) + 1)
     rows = lines[first + 1 :]
-    if EMPTY_ROW.search(text):
-        numbers = [number for number in numbers if lines[number - 1].strip(NO_CELLS)]
+    if BLANK_ROW.search(text):
+        numbers = [number for number in numbers if lines[number - 1].strip(BLANKS)]
         rows = [lines[number - 1] for number in numbers]
     if delimiter != "," and any("," in line for line in rows[:10]):
         rows = [line.replace(",", ".") for line in rows]

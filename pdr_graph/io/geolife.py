@@ -11,12 +11,11 @@ from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "GeoLife"
 HEADER_LINES = 6
-EPOCH_1899 = -2_209_161_600.0  # [s] Unix time of 1899-12-30, from which days are counted
-DAY = 86_400.0  # [s]
+EPOCH_1899, DAY = -2_209_161_600.0, 86_400.0  # [s] Unix time of 1899-12-30, where days count from; one day
 
 
 def recognizes(source: Source) -> bool:
-    """True if the file begins as they do."""
+    """True if the first line is that of a GeoLife trajectory."""
     return source.single is not None and source.head(source.single).startswith(b"Geolife trajectory")
 
 
@@ -28,10 +27,10 @@ def read(source: Source) -> Recording:
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
-    """Positions at Unix times. The format has no accuracy."""
+    """Read positions as fixes at Unix times [s]. The format has no accuracy."""
     name = source.single or ""
     lines = source.text(name).rstrip().split("\n")[HEADER_LINES:]
     rows = TextRows(source.where(name), lines, range(HEADER_LINES + 1, HEADER_LINES + 1 + len(lines)))
     lat, lon, days = rows.floats((0, 1, 4)).T
-    time: Array = np.round(days * DAY + EPOCH_1899)  # written to the second; the days' digits are not
+    time: Array = np.round(days * DAY + EPOCH_1899)  # times are whole seconds; the decimals of a day are not exact
     return receiver_fixes(np.column_stack([time, lat, lon, np.full(len(time), np.nan)]), notes, "GeoLife")

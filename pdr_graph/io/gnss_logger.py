@@ -1,7 +1,7 @@
 """Logs of Google's GnssLogger for Android: comma-separated rows of many kinds in one text file.
 
-The header comment names the columns of each kind, ``# Fix,Provider,LatitudeDegrees,…``, and older versions have fewer.
-Sensors are timed by ``elapsedRealtimeNanos``, which never jumps, laid on ``utcTimeMillis`` as a whole.
+The header comment names the columns of each kind, ``# Fix,Provider,LatitudeDegrees,…``; older versions have fewer.
+Sensor times are ``elapsedRealtimeNanos``, which never jumps, shifted to ``utcTimeMillis`` by one offset per sensor.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SENSORS = {
     "magnetometer": ("Mag", "UncalMag"),
 }
 KINDS = ("Fix", *(kind for kinds in SENSORS.values() for kind in kinds))
-PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of the same position: the first that is there counts
+PROVIDERS = ("gps", "fused", "flp", "network", "nlp")  # of one receiver, the best first; one of them is used
 
 
 def recognizes(source: Source) -> bool:
@@ -35,21 +35,21 @@ def recognizes(source: Source) -> bool:
 
 
 def read(source: Source) -> Recording:
-    """Read one log. Raw GNSS measurements are left alone."""
+    """Read one log: sensors and fixes. Raw GNSS measurements are not used."""
     name = source.single or ""
     tables = _tables(source.where(name), source.text(name, errors="replace"))
     notes: list[str] = []
     sensors = {}
     for sensor, kinds in SENSORS.items():
-        there = next((kind for kind in kinds if kind in tables), None)
-        if there is not None:
-            sensors[sensor] = _sensor(tables[there])
+        kind = next((kind for kind in kinds if kind in tables), None)
+        if kind is not None:
+            sensors[sensor] = _sensor(tables[kind])
     fixes = _fixes(tables["Fix"], notes) if "Fix" in tables else None
     return build_recording(source.where(name), PurePosixPath(name).name, sensors, 0.0, fixes, notes=notes)
 
 
 def _tables(where: str, text: str) -> dict[str, Table]:
-    """The rows of each kind under the header's names for their columns."""
+    """A table of each kind of row, with the column names of the header comment."""
     headers: dict[str, tuple[str, ...]] = {}
     lines: dict[str, list[str]] = {kind: [] for kind in KINDS}
     numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
@@ -63,23 +63,23 @@ def _tables(where: str, text: str) -> dict[str, Table]:
             headers[names[0]] = names
     nameless = [kind for kind in KINDS if lines[kind] and kind not in headers]
     if nameless:
-        found = f"{nameless[0]} rows of which no header comment names the columns"
+        found = f"{nameless[0]} rows, without a comment that names their columns"
         raise InputError(where, f"line {numbers[nameless[0]][0]}", found, f"a comment '# {nameless[0]},…' above")
     return {k: Table(headers[k], TextRows(where, lines[k], numbers[k])) for k in KINDS if lines[k]}
 
 
 def _sensor(table: Table) -> Array:
-    """Unix time [s] and values; uncalibrated ones less the bias that Android estimates beside them."""
+    """Columns ``(n, 4)``: Unix time [s] and values, from which Android's estimated bias is subtracted."""
     biased = table.header[0].startswith("Uncal") and len(table.header) >= 9
     rows = table.rows.floats(range(1, 9 if biased else 6))
     utc, elapsed = rows[:, 0] * 1e-3, rows[:, 1] * 1e-9
     values = rows[:, 2:5] - (np.nan_to_num(rows[:, 5:]) if biased else 0.0)
-    ahead = float(np.nanmedian(utc - elapsed)) if np.isfinite(utc - elapsed).any() else 0.0
-    return np.column_stack([elapsed + ahead, values])
+    offset = float(np.nanmedian(utc - elapsed)) if np.isfinite(utc - elapsed).any() else 0.0
+    return np.column_stack([elapsed + offset, values])
 
 
 def _fixes(table: Table, notes: list[str]) -> Fixes:
-    """Fixes of the best provider at Unix times."""
+    """Fixes of the best provider, at Unix times [s]."""
     lat = table.find(lambda name: name.startswith("lat"))
     lon = table.find(lambda name: name.startswith("lon"))
     accuracy = table.find(lambda name: name.startswith("acc"))
@@ -92,7 +92,5 @@ def _fixes(table: Table, notes: list[str]) -> Fixes:
     best = next((p for p in PROVIDERS if p in providers), providers[0] if len(providers) else "")
     others = int((providers != best).sum())
     if others:
-        notes.append(
-            f"GNSS: {others} fixes of other providers than {best!r} were left out: they are of the same receiver"
-        )
+        notes.append(f"GNSS: {others} fixes of other providers than {best!r} left out: they repeat the same receiver")
     return receiver_fixes(rows[providers == best], notes)

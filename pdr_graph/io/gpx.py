@@ -1,6 +1,6 @@
-"""GPX tracks, 1.0 and 1.1: positions of a watch or a map app, as fixes; and a walk for any map app to show.
+"""GPX tracks, 1.0 and 1.1: positions of a watch or a map app are read as fixes; walks are written for map apps.
 
-lxml parses ten times as fast as gpxpy, and can be told to trust nothing: no document type, no entities, no network.
+lxml parses ten times as fast as gpxpy. Files are untrusted: document types, entities and network access are refused.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
+from pdr_graph.columns import OneLineRepr, count, time_span
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.io.source import Source
@@ -23,11 +24,7 @@ from pdr_graph.types import Array, Fixes, Recording, Trajectory
 
 NAME = "GPX"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"
-OWN = "urn:pdr_graph"  # of what GPX itself has not: the accuracy of a point
-ACCURACY_PER_HDOP = 5.3  # [m] 68 % radius: a phone's range error of 5 m, times HDOP, is the root mean square distance
-PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
-# an element of GPX, and extensions that hold a radius [m]
-ACCURACIES = frozenset(("hdop", "accuracy", "horizontalAccuracy", "horizontalaccuracy"))
+EXTENSION = "urn:pdr_graph"  # namespace of the accuracy of a point, for which GPX has no element
 
 
 def recognizes(source: Source) -> bool:
@@ -43,11 +40,15 @@ def read(source: Source) -> Recording:
 
 
 def read_fixes(source: Source, notes: list[str]) -> Fixes:
-    """Track points at Unix times. Accuracy is an ``accuracy`` extension's, else from HDOP. Segments are joined."""
+    """Read track points as fixes at Unix times [s].
+
+    The accuracy is that of an ``accuracy`` extension, else estimated from HDOP. Segments are joined. Raises InputError
+    if the XML is broken or no point has a time.
+    """
     name = source.single or ""
     where = source.where(name)
-    root = _root(where, source.text(name))
-    points = _points(root)
+    root = _parse(where, source.text(name))
+    points = _track_points(root)
     timed = np.array([bool(time) for time in points.time], bool)
     if not timed.any():
         raise InputError(where, "", f"{len(timed)} track points, none with a time", "<trkpt> with <time>")
@@ -55,40 +56,52 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
         notes.append(f"GPX: {np.sum(~timed)} of {len(timed)} track points have no time")
     lat, lon = (_degrees(where, root, texts, name) for texts, name in ((points.lat, "lat"), (points.lon, "lon")))
     accuracy = np.full(len(timed), np.nan)
-    for k, said in points.said.items():
-        accuracy[k] = _accuracy(said)
-    time = _unix(where, [time for time in points.time if time])
+    for row, values in points.accuracy.items():
+        accuracy[row] = _accuracy(values)
+    time = _unix_times(where, [time for time in points.time if time])
     return receiver_fixes(np.column_stack([time, lat[timed], lon[timed], accuracy[timed]]), notes, "GPX")
 
 
 @dataclass(frozen=True)
-class Points:
-    """Positions on earth: longitude and latitude ``(n, 2)`` [deg], Unix times ``(n,)`` [s], None without a clock, and
-    their 68 % radius ``(n,)`` [m], None where nothing is said of it.
+class Points(OneLineRepr):
+    """Positions on earth.
+
+    lonlat: ``(n, 2)`` longitude and latitude [deg]; time: ``(n,)`` Unix times [s], None without a clock;
+    accuracy: ``(n,)`` 68 % radius [m], None if unknown.
     """
 
     lonlat: Array
     time: Array | None = None
     accuracy: Array | None = None
 
+    def _summary(self) -> list[str]:
+        return [count(len(self.lonlat), "point"), *([] if self.time is None else time_span(self))]
+
 
 @dataclass(frozen=True)
-class Track:
+class Track(OneLineRepr):
     """A track and its uninterrupted segments."""
 
     name: str
     segments: tuple[Points, ...]
 
+    def _summary(self) -> list[str]:
+        points = sum(len(segment.lonlat) for segment in self.segments)
+        return [repr(self.name), count(len(self.segments), "segment"), count(points, "point")]
+
 
 def write(path: Path, trajectory: Trajectory, frame: Frame, epoch: float | None, name: str) -> None:
-    """A track for any map app, with UTC times where the log has a clock."""
+    """Write a walk as a GPX track, with UTC times if the recording has a clock.
+
+    epoch: Unix time of time 0 [s]; None without a clock.
+    """
     time = None if epoch is None else epoch + trajectory.time
     path.write_bytes(document([Track(name, (Points(frame.to_lonlat(trajectory.position), time),))]))
 
 
 def document(tracks: Sequence[Track], places: Sequence[tuple[str, Points]] = ()) -> bytes:
-    """A GPX 1.1 file of tracks, and of places by name, each one point with the time of arrival."""
-    gpx = etree.Element("gpx", {"version": "1.1", "creator": "pdr_graph"}, nsmap={None: NAMESPACE, "pdr": OWN})
+    """The content of a GPX 1.1 file. places: name and position of each waypoint, at the time of arrival."""
+    gpx = etree.Element("gpx", {"version": "1.1", "creator": "pdr_graph"}, nsmap={None: NAMESPACE, "pdr": EXTENSION})
     for name, point in places:
         _add_points(gpx, "wpt", point, name)
     for track in tracks:
@@ -100,7 +113,7 @@ def document(tracks: Sequence[Track], places: Sequence[tuple[str, Points]] = ())
 
 
 def _add_points(parent: etree._Element, tag: str, points: Points, name: str = "") -> None:
-    """An element for each point, its parts in the order that the format demands."""
+    """Add an element for each point, with its parts in the order that the format requires."""
     for n, (lon, lat) in enumerate(points.lonlat):
         element = etree.SubElement(parent, tag, {"lat": f"{lat:.8f}", "lon": f"{lon:.8f}"})
         if points.time is not None:
@@ -110,7 +123,7 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
             etree.SubElement(element, "name").text = _printable(name)
         if points.accuracy is not None:
             extensions = etree.SubElement(element, "extensions")
-            etree.SubElement(extensions, f"{{{OWN}}}accuracy").text = f"{points.accuracy[n]:.2f}"
+            etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"
 
 
 def _printable(text: str) -> str:
@@ -118,21 +131,29 @@ def _printable(text: str) -> str:
 
 
 @dataclass
-class _Points:
-    """The track points of a file as text: attributes, times ("" for none), and what few say of their accuracy."""
+class _TrackPoints:
+    """The track points of a file as text.
+
+    lat, lon: None where the attribute is missing; time: "" without one; accuracy: row -> tag -> text.
+    """
 
     lat: list[str | None] = field(default_factory=list)
     lon: list[str | None] = field(default_factory=list)
     time: list[str] = field(default_factory=list)
-    said: dict[int, dict[str, str]] = field(default_factory=dict)
+    accuracy: dict[int, dict[str, str]] = field(default_factory=dict)
 
 
-def _points(root: etree._Element) -> _Points:
+# DOP of the receiver, an element of GPX; and extensions with a radius [m]
+ACCURACY_TAGS = frozenset(("hdop", "accuracy", "horizontalAccuracy", "horizontalaccuracy"))
+
+
+def _track_points(root: etree._Element) -> _TrackPoints:
+    """Collect the track points in one pass over all elements, which is faster than selecting them in lxml."""
     prefix = root.tag[: root.tag.find("}") + 1]
     track_point, time = prefix + "trkpt", prefix + "time"
     others = (prefix + "wpt", prefix + "rtept")
-    points, inside = _Points(), False
-    for element in root.iter():  # all of them: lxml takes longer to choose
+    points, inside = _TrackPoints(), False
+    for element in root.iter():
         tag = element.tag
         if tag == track_point:
             points.lat.append(element.get("lat"))
@@ -140,16 +161,17 @@ def _points(root: etree._Element) -> _Points:
             points.time.append("")
             inside = True
         elif tag in others:
-            inside = False  # a waypoint's time is none of the track's
+            inside = False  # the time of a waypoint is not the time of a track point
         elif inside and tag == time:
             points.time[-1] = points.time[-1] or (element.text or "").strip()
-        elif inside and tag.rpartition("}")[2] in ACCURACIES:
-            said = points.said.setdefault(len(points.time) - 1, {})
-            said.setdefault(tag.rpartition("}")[2].lower(), element.text or "")
+        elif inside and tag.rpartition("}")[2] in ACCURACY_TAGS:
+            values = points.accuracy.setdefault(len(points.time) - 1, {})
+            values.setdefault(tag.rpartition("}")[2].lower(), element.text or "")
     return points
 
 
-def _root(where: str, text: str) -> etree._Element:
+def _parse(where: str, text: str) -> etree._Element:
+    """The root element; raises InputError if the XML is broken or has a document type definition."""
     parser = etree.XMLParser(
         resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False, remove_comments=True, remove_pis=True
     )
@@ -163,7 +185,7 @@ def _root(where: str, text: str) -> etree._Element:
 
 
 def _degrees(where: str, root: etree._Element, texts: list[str | None], name: str) -> Array:
-    """An attribute of every point as a number."""
+    """One attribute of all points as numbers ``(n,)`` [deg]."""
     try:
         return np.array([float(text) for text in texts])  # pyright: ignore[reportArgumentType] None is a TypeError
     except (TypeError, ValueError):
@@ -181,16 +203,24 @@ def _is_number(text: str | None) -> bool:
     return True
 
 
-def _accuracy(said: dict[str, str]) -> float:
-    """68 % radius of one point [m], NaN where the file does not say."""
+# [m] 68 % radius per HDOP: a phone's range error of 5 m times HDOP is the root mean square distance
+ACCURACY_PER_HDOP = 5.3
+
+
+def _accuracy(values: dict[str, str]) -> float:
+    """68 % radius of one point [m]; NaN if the file has none. values: lower-case tag -> text."""
     for name, factor in (("accuracy", 1.0), ("horizontalaccuracy", 1.0), ("hdop", ACCURACY_PER_HDOP)):
-        if _is_number(said.get(name)):
-            return factor * float(said[name])
+        if _is_number(values.get(name)):
+            return factor * float(values[name])
     return np.nan
 
 
-def _unix(where: str, times: list[str]) -> Array:
-    """Unix seconds of ISO 8601 times; without a zone they are UTC, as the format demands."""
+# UTC times as most apps write them, which numpy parses all at once
+PLAIN_TIMES = re.compile(r"(?:\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?Z )*", re.ASCII)
+
+
+def _unix_times(where: str, times: list[str]) -> Array:
+    """Unix times [s] of ISO 8601 texts; UTC if they have no zone, as the format requires."""
     try:
         if PLAIN_TIMES.fullmatch(" ".join([*times, ""])):
             return np.array([t[:-1] for t in times], dtype="datetime64[ms]").astype(float) / 1000

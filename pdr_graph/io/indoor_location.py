@@ -2,7 +2,7 @@
 
 One text file per walk: tab separated, ``#`` header lines first and an ``# endTime`` line last, Unix milliseconds in
 the first column and a ``TYPE_…`` name in the second. Sensors are in Android units and axes. Rows of *different*
-sensors are interleaved out of time order, rows of one sensor are in order; a file where they are not was damaged.
+sensors are interleaved out of time order; rows of one sensor are in order, else the file was damaged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ SENSORS = {
 }
 WAYPOINT = "TYPE_WAYPOINT"
 KINDS = (*SENSORS, WAYPOINT, "TYPE_BEACON", "TYPE_WIFI")
-OLDEST = 300.0  # [s] before its row that an access point may have been heard: farther off is of another clock
 
 
 def recognizes(source: Source) -> bool:
@@ -35,9 +34,9 @@ def recognizes(source: Source) -> bool:
 
 
 def read(source: Source) -> Recording:
-    """Read one walk. Waypoints become ``truth``: the surveyor's taps on the map, straight between them.
+    """Read one walk. Waypoints, the surveyor's taps on the map, become ``truth``, with straight lines between them.
 
-    Raises InputError naming the line if the file is cut off, shuffled, not text, or holds a value that is no number.
+    Raises InputError naming the line if the file is cut off, shuffled, not text, or a value is not a number.
     """
     name = source.single or ""
     where = source.where(name)
@@ -59,7 +58,7 @@ def read(source: Source) -> Recording:
 
 
 def _complete(where: str, lines: list[str]) -> list[str]:
-    """The lines of a file that was not cut off."""
+    """The lines unchanged; raises InputError if the closing line is missing."""
     last = next((n for n in range(len(lines) - 1, -1, -1) if lines[n].strip()), 0)
     if not lines[last].startswith("#\tendTime:"):
         found, expected = repr(lines[last][:40]), "a closing '# endTime' line: the file is cut off"
@@ -68,25 +67,25 @@ def _complete(where: str, lines: list[str]) -> list[str]:
 
 
 def _rows_by_kind(where: str, lines: list[str]) -> tuple[dict[str, TextRows], list[str]]:
-    """The rows that are used, with their line numbers; and a note on lines that are no rows."""
-    kept: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    """The rows of each kind of KINDS, with their line numbers; and a note on lines that are not rows."""
+    texts: dict[str, list[str]] = {kind: [] for kind in KINDS}
     numbers: dict[str, list[int]] = {kind: [] for kind in KINDS}
-    strangers: list[int] = []
+    unknown: list[int] = []
     for number, line in enumerate(lines, start=1):
         second = line.find("\t") + 1
         end = line.find("\t", second)
         kind = line[second:end] if end > 0 else line[second:]
-        if kind in kept:
-            kept[kind].append(line)
+        if kind in texts:
+            texts[kind].append(line)
             numbers[kind].append(number)
         elif line and line[0] != "#" and not kind.startswith("TYPE_"):
-            strangers.append(number)
-    notes = [f"{len(strangers)} lines are no rows (the first: line {strangers[0]})"] if strangers else []
-    return {kind: TextRows(where, kept[kind], numbers[kind], "\t") for kind in KINDS}, notes
+            unknown.append(number)
+    notes = [f"{len(unknown)} lines are not rows (the first: line {unknown[0]})"] if unknown else []
+    return {kind: TextRows(where, texts[kind], numbers[kind], "\t") for kind in KINDS}, notes
 
 
 def _table(kind: str, rows: TextRows) -> Array:
-    """Unix time [s] and values of one kind of row; finite and in time order, or the file was damaged."""
+    """Unix time [s] and values of one kind of row; raises InputError if they are not finite or not in time order."""
     table = rows.floats((0, *range(2, 4 if kind == WAYPOINT else 5)), cut_off_allowed=False)
     bad = ~np.isfinite(table).all(axis=1)
     if bad.any():
@@ -103,23 +102,27 @@ def _table(kind: str, rows: TextRows) -> Array:
     return table
 
 
-def _sightings(rows: TextRows, transmitter: int, rssi: int, heard: int | None = None) -> Sightings | None:
-    """Who was heard when and how loud; rows that do not say are left out.
+MAXIMUM_AGE = 300.0  # [s] of a reception when its row was written; an older time is from another clock
 
-    heard: the column of when that was [ms], where rows say again what was heard up to minutes before: once is enough.
+
+def _sightings(rows: TextRows, transmitter: int, rssi: int, heard: int | None = None) -> Sightings | None:
+    """Receptions with time, transmitter and level; rows without them are left out.
+
+    transmitter, rssi, heard: column numbers. heard: the time of the reception [ms], where rows repeat receptions for
+    minutes; each is returned once.
     """
     sightings: set[tuple[float, str, float]] = set()
     for line in rows.lines:
         fields = line.split("\t")
         try:
             written, level = float(fields[0]) / 1000, float(fields[rssi])
-            time = written if heard is None else float(fields[heard]) / 1000
-            when = time if 0 <= written - time <= OLDEST else written
-            sightings.add((when, fields[transmitter], level))
+            received = written if heard is None else float(fields[heard]) / 1000
+            time = received if 0 <= written - received <= MAXIMUM_AGE else written
+            sightings.add((time, fields[transmitter], level))
         except (ValueError, IndexError):
             continue
-    time, who, level = zip(*sorted(sightings), strict=True) if sightings else ((), (), ())
-    return Sightings(np.array(time), who, np.array(level))
+    times, transmitters, levels = zip(*sorted(sightings), strict=True) if sightings else ((), (), ())
+    return Sightings(np.array(times), transmitters, np.array(levels))
 
 
 def _truth(waypoints: Array) -> Trajectory | None:

@@ -18,27 +18,27 @@ from pdr_graph.types import Array, Fixes, Recording
 
 NAME = "IPIN21Data"
 SENSORS = {"acc.csv": "accelerometer", "gyr.csv": "gyroscope", "mag.csv": "magnetometer", "bar.csv": "barometer"}
-ROW = re.compile(rb"^\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)")
-EPSG = 32632
+FIRST_ROW = re.compile(rb"^\s*1[0-9.]+(?:e\+12)?[0-9]*[ \t]+-?[0-9.]+(?:e[+-][0-9]+)?(?:[ \t]|\r?\n)")
+EPSG = 32632  # UTM zone 32N
 FIX_NAME = re.compile(r"err(\d+(?:\.\d+)?)m?$")
 
 
 def recognizes(source: Source) -> bool:
-    """True if the folder has their file names and rows of Unix milliseconds."""
+    """True if the folder has the files of the data set, with rows of Unix milliseconds."""
     name = source.named("acc.csv", "gyr.csv")
-    return name is not None and bool(ROW.match(source.head(name)))
+    return name is not None and bool(FIRST_ROW.match(source.head(name)))
 
 
 def read(source: Source) -> Recording:
-    """Read one walk. The authors' track per step becomes ``truth``.
+    """Read one walk. The authors' track, a position per step, becomes ``truth``.
 
-    The simulated fixes beside it are alternatives and are left to the user, who gives one by ``--fixes``.
+    The simulated fixes in the folder are alternatives, which are not read: the user chooses one with ``--fixes``.
     """
     tables = {sensor: _sensor(source, name) for file, sensor in SENSORS.items() if (name := source.named(file))}
     track = next((n for n in source.names if PurePosixPath(n).name.lower().startswith("groundtruth")), None)
     alternatives = [n for n in source.names if FIX_NAME.search(PurePosixPath(n).stem)]
     notes = (
-        [f"{len(alternatives)} sets of simulated fixes lie beside it: give one with --fixes"] if alternatives else []
+        [f"{len(alternatives)} sets of simulated fixes in the folder: choose one with --fixes"] if alternatives else []
     )
     truth = None
     if track is not None:
@@ -48,21 +48,22 @@ def read(source: Source) -> Recording:
 
 
 def is_fixes(head: bytes) -> bool:
-    """True if a file's first bytes look like their simulated fixes: Unix milliseconds, east, north, height."""
+    """True if the first bytes of a file are those of simulated fixes: Unix milliseconds, east, north, height."""
     return bool(re.match(rb"\s*1\.?[0-9]+(?:e\+12)?,[0-9.]+(?:e\+05)?,[0-9.]+(?:e\+06)?,", head))
 
 
 def read_fixes(path: Path, text: str) -> Fixes:
-    """Simulated fixes, of which the file's name gives the 3-D error: a third of its square per axis."""
+    """Read simulated fixes. The name of the file states the 3-D error; its variance per axis is a third."""
     stated = FIX_NAME.search(path.stem)
     if stated is None:
-        raise InputError(path, "its name", repr(path.stem), "the error in it, as in 'freq10_s_err5m.csv'")
+        raise InputError(path, "its name", repr(path.stem), "a name that states the error, as 'freq10_s_err5m.csv'")
     rows = _numbers(str(path), text, 3)
     sigma = np.full(len(rows), float(stated[1]) / np.sqrt(3))
     return Fixes(rows[:, 0], rows[:, 1:3], sigma, ("",) * len(rows), EPSG)
 
 
 def _sensor(source: Source, name: str) -> Array:
+    """Times [s] and values of one sensor's file."""
     return _numbers(source.where(name), source.text(name), 1 if name.lower().endswith("bar.csv") else 3)
 
 

@@ -1,7 +1,7 @@
 """Recordings of the Oxford step counter data set: an accelerometer alone, without a header.
 
 Either a file ``t_ns,ax,ay,az,…`` of the validation set, or a folder with an ``accelerometer.csv`` of
-``t_ns,accuracy,ax,ay,az``. Times are nanoseconds since the phone was started.
+``t_ns,accuracy,ax,ay,az``. Times are nanoseconds since the phone booted.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ WITH_ACCURACY = re.compile(rb"^[0-9]{9,19},[0-3](?:," + NUMBER + rb"){3}\r?\n")
 
 
 def recognizes(source: Source) -> bool:
-    """True if the first row has one of the two shapes."""
+    """True if the first row is of one of the two forms."""
     name = _accelerometer(source)
     return name is not None and bool(re.match(VALIDATION.pattern + b"|" + WITH_ACCURACY.pattern, source.head(name)))
 
 
 def read(source: Source) -> Recording:
-    """Read one recording. The first rows may be zeros, while the phone's filter settles."""
+    """Read one recording. Leading rows of zeros, from before the phone's filter started, are left out."""
     name = _accelerometer(source) or ""
     first = 2 if WITH_ACCURACY.match(source.head(name)) else 1
     lines = source.text(name).rstrip().split("\n")
     rows = TextRows(source.where(name), lines, range(1, len(lines) + 1)).floats((0, first, first + 1, first + 2))
-    settled = np.cumsum(np.any(rows[:, 1:] != 0, axis=1)) > 0
-    rows = rows[settled] * (1e-9, 1, 1, 1)
-    notes = [f"accelerometer: {int((~settled).sum())} first rows of zeros were left out"] if not settled.all() else []
+    started = np.cumsum(np.any(rows[:, 1:] != 0, axis=1)) > 0
+    rows = rows[started] * (1e-9, 1, 1, 1)
+    notes = [f"accelerometer: {int((~started).sum())} first rows of zeros were left out"] if not started.all() else []
     return build_recording(source.where(name), source.path.stem, {"accelerometer": rows}, None, notes=notes)
 
 

@@ -1,8 +1,8 @@
 """CSV exports of phyphox (RWTH Aachen): a folder or a zip of one table per sensor, or one table alone.
 
-A column is told by its unit, since names follow the experiment and the phone's language: seconds, then m/s², rad/s, µT,
-hPa or degrees. Fields may be separated by comma, semicolon or tab and may have decimal commas. All tables count seconds
-from the experiment's start and *leave pauses out*; ``meta/time.csv`` says when they were.
+Columns are recognised by their unit, since names follow the experiment and the phone's language: seconds, then m/s²,
+rad/s, µT, hPa or degrees. Fields may be separated by comma, semicolon or tab and may have decimal commas. Tables count
+seconds from the start of the experiment, *without its pauses*; ``meta/time.csv`` has the times of the pauses.
 """
 
 from __future__ import annotations
@@ -28,11 +28,10 @@ WITHOUT_GRAVITY = ("linear", "without", "ohne", "sans ", "senza", "sin ")  # in 
 TIME_HEADER = re.compile(rb'^(?:\xef\xbb\xbf)?"?[^",;\t\r\n()]{1,20} \((?:s|ms)\)"?[,;\t]')
 UNIT = re.compile(r"\(([^()]*)\)\s*$")
 AXIS = re.compile(r"(?:^|[^a-z])([xyz])(?:[^a-z]|$)")
-UNIX_MS = 1e11  # a larger system time is in milliseconds
 
 
 def recognizes(source: Source) -> bool:
-    """True if one of the files is such a table."""
+    """True if one of the files is a phyphox table."""
     return any(True for _ in _tables_named(source))
 
 
@@ -46,11 +45,11 @@ def read(source: Source) -> Recording:
         table = delimited.table(source.where(name), source.text(name))
         for sensor, chosen in _sensors(name, table).items():
             if sensor in tables or (sensor == "location" and fixes is not None):
-                notes.append(f"{sensor}: {PurePosixPath(name).name} has it again and was left out")
+                notes.append(f"{sensor}: a second table, {PurePosixPath(name).name}, was left out")
                 continue
             accuracy = _accuracy(table) if sensor == "location" else []
             values = table.rows.floats([*chosen, *accuracy])
-            values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns are filled up with nothing
+            values = values[np.isfinite(values[:, 1:]).any(axis=1)]  # short columns end in empty cells
             values[:, 0] = clock(values[:, 0])
             if sensor == "location":
                 unknown = np.full((len(values), 1 - len(accuracy)), np.nan)
@@ -61,7 +60,7 @@ def read(source: Source) -> Recording:
 
 
 def _tables_named(source: Source) -> Iterator[str]:
-    """The files that look like tables of sensors, the plainest names first."""
+    """The names of the files that look like tables of sensors, the shortest first."""
     for name in sorted(source.names, key=lambda n: (len(n), n)):
         if name.lower().endswith((".csv", ".txt", ".tsv")) or source.single:
             head = source.head(name)
@@ -71,43 +70,46 @@ def _tables_named(source: Source) -> Iterator[str]:
 
 
 @dataclass(frozen=True)
-class Clock:
-    """From seconds of the experiment, which stands still in pauses, to the recorder's clock.
+class ExperimentClock:
+    """Converts experiment time, which stops in pauses, to the recorder's clock.
 
-    begins: ``(n,)`` experiment time at which each part begins [s]; ahead: ``(n,)`` clock minus experiment time [s].
+    begins: ``(n,)`` experiment time at which each part begins [s]; offset: ``(n,)`` clock minus experiment time [s].
     unix: True if the clock is Unix time.
     """
 
     begins: Array
-    ahead: Array
+    offset: Array
     unix: bool
 
     def __call__(self, time: Array) -> Array:
         """Times [s] on the recorder's clock."""
         part = np.searchsorted(self.begins, time, side="right") - 1
-        return time + self.ahead[np.maximum(part, 0)]
+        return time + self.offset[np.maximum(part, 0)]
 
 
-def _clock(source: Source) -> Clock:
-    """What ``meta/time.csv`` says; without it, the experiment's time is all there is."""
+UNIX_MILLISECONDS_FROM = 1e11  # a larger system time is in milliseconds
+
+
+def _clock(source: Source) -> ExperimentClock:
+    """The clock of ``meta/time.csv``; without that file, the experiment time itself."""
     name = source.named("time.csv")
     if name is None:
-        return Clock(np.zeros(1), np.zeros(1), unix=False)
+        return ExperimentClock(np.zeros(1), np.zeros(1), unix=False)
     events = delimited.table(source.where(name), source.text(name))
     table = events.rows.floats((1, 2))
     words = events.rows.words(0)[: len(table)]
     starts = table[[word.upper() == "START" for word in words]]
     starts = starts[np.isfinite(starts).all(axis=1)]
     if not len(starts):
-        raise InputError(source.where(name), "", "no START event", "event,experiment time,system time")
-    unit = 1000.0 if starts[0, 1] > UNIX_MS else 1.0
-    return Clock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
+        raise InputError(source.where(name), "", "no START event", "a row event,experiment time,system time with START")
+    unit = 1000.0 if starts[0, 1] > UNIX_MILLISECONDS_FROM else 1.0
+    return ExperimentClock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
 
 
 def _sensors(name: str, table: Table) -> dict[str, list[int]]:
-    """The sensors in a table, each with the numbers of its columns: the time to their left, then the values."""
+    """The column numbers of each sensor in a table: the time column to its left, then the values."""
     units = [_unit(cell) for cell in table.header]
-    found: dict[str, list[int]] = {}
+    columns: dict[str, list[int]] = {}
     time = 0
     for k, unit in enumerate(units):
         if unit in ("s", "ms"):
@@ -116,29 +118,29 @@ def _sensors(name: str, table: Table) -> dict[str, list[int]]:
         if sensor == "accelerometer" and any(w in f"{name} {table.header[k]}".lower() for w in WITHOUT_GRAVITY):
             sensor = "linear_acceleration"
         if sensor is not None:
-            found.setdefault(sensor, [time]).append(k)
-    sized = {"barometer": 1, "location": 2}
-    return {s: chosen for s, ks in found.items() if (chosen := _axes(table, ks, sized.get(s, 3)))}
+            columns.setdefault(sensor, [time]).append(k)
+    size = {"barometer": 1, "location": 2}
+    return {s: chosen for s, ks in columns.items() if (chosen := _axes(table, ks, size.get(s, 3)))}
 
 
-def _axes(table: Table, chosen: list[int], wanted: int) -> list[int]:
-    """Time and as many value columns as the sensor has: those called x, y and z, without the absolute value."""
-    time, values = chosen[0], chosen[1:]
-    if wanted == 3:
+def _axes(table: Table, columns: list[int], size: int) -> list[int]:
+    """The time column and ``size`` value columns, of three those named x, y and z; empty if there are too few."""
+    time, values = columns[0], columns[1:]
+    if size == 3:
         named = {axis[1]: k for k in values if (axis := AXIS.search(UNIT.sub("", table.header[k]).lower()))}
         values = [named[axis] for axis in "xyz" if axis in named] or values
-    return [time, *values[:wanted]] if len(values) >= wanted else []
+    return [time, *values[:size]] if len(values) >= size else []
 
 
 def _accuracy(table: Table) -> list[int]:
-    """The column of a position's horizontal accuracy: by its name, else the second in metres, after the height."""
+    """The column of the horizontal accuracy: by its name, else the second in metres, after the height."""
     metres = [k for k, cell in enumerate(table.header) if _unit(cell) == "m"]
     named = [k for k in metres if re.search("horiz|accuracy|genauigkeit", table.header[k].lower())]
     return (named or metres[1:])[:1]
 
 
 def _unit(cell: str) -> str:
-    """The unit in a column's name, in one spelling: ``m/s2``, ``t`` for any micro sign before it."""
+    """The unit in a column's name, in one spelling: ``m/s2``, and ``t`` for microtesla with any micro sign."""
     unit = UNIT.search(cell.strip().strip('"'))
     plain = unit[1].lower().replace("²", "2").replace("^", "").strip() if unit else ""
     return plain.removeprefix("µ").removeprefix("μ").removeprefix("u") if plain.endswith("t") else plain

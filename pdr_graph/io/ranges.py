@@ -8,27 +8,27 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.beacons import SURVEY_SIGMA as UNSTATED
+from pdr_graph.io.beacons import SURVEY_SIGMA as DEFAULT_BEACON_SIGMA
 from pdr_graph.io.tables import read_table
 from pdr_graph.measurements import Ranges
 from pdr_graph.types import Beacons, Recording
 
-SIGMA = 0.3  # [m] of a range with line of sight, where the table does not say
-SURVEY_SIGMA = 0.1  # [m] per axis of an anchor's place, where the list does not say
-LONGEST = 1000.0  # [m] beyond which a distance is in other units
+RANGE_SIGMA = 0.3  # [m] of a range with line of sight, if the table has no sigma; chosen by hand
+ANCHOR_SIGMA = 0.1  # [m] per axis of an anchor's position, if the list has no sigma; chosen by hand
+MAXIMUM_RANGE = 1000.0  # [m]; a larger distance is in other units
 
 
 def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
-    """Ranges of a table ``time,anchor,range[,sigma]``, in order of time.
+    """Read a table of ranges ``time,anchor,range[,sigma]``, sorted by time.
 
-    time: in the recorder's clock [s]; anchor: a name in the list of anchors; range, sigma: [m]. anchors: in the frame
-    of the walk. Raises InputError naming the line, also if no range lies within the recording.
+    time: on the recorder's clock [s]; anchor: a name in the list of anchors; range, sigma: [m]. anchors: in the frame
+    of the walk. Raises InputError naming the row, also if no range lies within the recording.
     """
     numbers, words = read_table(path, [("time", "range")], optional=("sigma",), words=("anchor",))
     time, distance = numbers["time"] - recording.clock_origin, numbers["range"]
-    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(time), np.nan)), nan=SIGMA)
+    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(time), np.nan)), nan=RANGE_SIGMA)
     for wrong, values, name, expected in (
-        ((distance < 0) | (distance > LONGEST), distance, "range", f"metres, from 0 to {LONGEST:.0f}"),
+        ((distance < 0) | (distance > MAXIMUM_RANGE), distance, "range", f"metres, from 0 to {MAXIMUM_RANGE:.0f}"),
         (sigma <= 0, sigma, "sigma", "a standard deviation above 0 m"),
     ):
         if wrong.any():
@@ -38,16 +38,17 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
     anchor = np.array([number.get(name.lower(), -1) for name in words["anchor"]], dtype=np.intp)
     if (anchor < 0).any():
         unknown = words["anchor"][int(np.argmax(anchor < 0))]
-        known = f"one of {', '.join(anchors.label)[:80]}"
-        raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", known)
+        expected = f"one of {', '.join(anchors.label)[:80]}"
+        raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", expected)
     order = np.argsort(time, kind="stable")
-    survey = np.where(anchors.sigma == UNSTATED, SURVEY_SIGMA, anchors.sigma)
+    survey = np.where(anchors.sigma == DEFAULT_BEACON_SIGMA, ANCHOR_SIGMA, anchors.sigma)
     found = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, survey)
     _check_clock(path, found, recording)
     return replace(found, time=time[order], anchor=anchor[order], range=distance[order], sigma=sigma[order])
 
 
 def _check_clock(path: Path, ranges: Ranges, recording: Recording) -> None:
+    """Raise InputError unless a range lies within the recording."""
     end = max((signal.time[-1] for signal in recording.signals.values()), default=np.inf)
     if not ((ranges.time >= 0) & (ranges.time <= end)).any():
         clock = recording.clock_origin

@@ -2,7 +2,7 @@
 
 Every table has ``time`` (Unix nanoseconds) and ``seconds_elapsed``; columns are found by name: their order varies.
 ``Accelerometer`` is without gravity. On iOS ``Accelerometer``, ``Gravity`` and ``AccelerometerUncalibrated`` have the
-opposite sign, unless the recording was made with "Standardise Units & Frames": ``Metadata.csv`` says so.
+opposite sign, unless "Standardise Units & Frames" was set; ``Metadata.csv`` has that setting.
 Source: UNITS.md, COORDINATES.md and CROSSPLATFORM.md of tszheichoi/awesome-sensor-logger.
 """
 
@@ -30,7 +30,7 @@ FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gra
 
 
 def recognizes(source: Source) -> bool:
-    """True if one of its files has their header."""
+    """True if one of the files has a header of Sensor Logger."""
     known = (*(f"{name}.csv" for name in FILES), *PLAIN["gyroscope"])
     names = {name for file in known for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
     names |= {source.single} if source.single else set()
@@ -59,29 +59,29 @@ def read(source: Source) -> Recording:
 
 
 def _accelerations(source: Source, notes: list[str]) -> dict[str, Array]:
-    """The acceleration with gravity, in Android's signs, from whatever was recorded; else the one without."""
+    """Acceleration with gravity [m/s²] in Android's signs, from the tables recorded; else the one without gravity."""
     total = _samples(source, "TotalAcceleration.csv")
-    if total is not None:  # Android's alone, so that the others need not be read
+    if total is not None:  # written on Android only; the other tables need not be read
         return {"accelerometer": total}
     linear, gravity = _samples(source, "Accelerometer.csv"), _samples(source, "Gravity.csv")
     raw = _samples(source, "AccelerometerUncalibrated.csv")
     if linear is None and raw is None and source.single:
-        total = _samples(source, PurePosixPath(source.single).name)  # one table, renamed by its owner
+        total = _samples(source, PurePosixPath(source.single).name)  # one table, renamed by its user
         return {} if total is None else {"accelerometer": total}
     sign = _sign(source, gravity if gravity is not None else raw, notes)
-    there = np.empty((0, 4)) if gravity is None else gravity[np.isfinite(gravity).all(axis=1)]
-    if linear is not None and len(linear) and len(there):
-        down = interpolate(linear[:, 0], there[:, 0], there[:, 1:])
-        return {"accelerometer": np.column_stack([linear[:, 0], sign * (linear[:, 1:] + down)])}
+    valid = np.empty((0, 4)) if gravity is None else gravity[np.isfinite(gravity).all(axis=1)]
+    if linear is not None and len(linear) and len(valid):
+        at_linear = interpolate(linear[:, 0], valid[:, 0], valid[:, 1:])
+        return {"accelerometer": np.column_stack([linear[:, 0], sign * (linear[:, 1:] + at_linear)])}
     if raw is not None:
         return {"accelerometer": raw * (1, sign, sign, sign)}
     return {} if linear is None else {"linear_acceleration": linear * (1, sign, sign, sign)}
 
 
 def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float:
-    """−1 where accelerations have iOS's signs.
+    """−1 if accelerations have the signs of iOS, else 1.
 
-    Without metadata: a phone that someone carries for a walk looks up more than down.
+    Without metadata the sign of gravity decides: the screen of a carried phone faces up more than down.
     """
     about = _metadata(source)
     if "platform" in about:
@@ -93,11 +93,12 @@ def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float
         return 1.0
     into_screen = bool(np.median(z) < 0)
     system = "iOS" if into_screen else "Android"
-    notes.append(f"accelerometer: no Metadata.csv says which phone it was; {system} was taken from gravity's sign")
+    notes.append(f"accelerometer: no Metadata.csv, so the phone is unknown; {system} assumed from gravity's sign")
     return -1.0 if into_screen else 1.0
 
 
 def _metadata(source: Source) -> dict[str, str]:
+    """Lower-case keys and values of ``Metadata.csv``; empty without it."""
     name = source.named("Metadata.csv")
     if name is None:
         return {}
@@ -106,7 +107,7 @@ def _metadata(source: Source) -> dict[str, str]:
 
 
 def _table(source: Source, *files: str) -> Table | None:
-    """The first of some files that is there and has rows."""
+    """The table of the first of some files that exists and has rows; None without one."""
     for file in files:
         name = source.named(file)
         if name is not None and source.head(name, 1):
@@ -117,12 +118,13 @@ def _table(source: Source, *files: str) -> Table | None:
 
 
 def _samples(source: Source, *files: str, values: tuple[str, ...] = XYZ) -> Array | None:
-    """Unix time [s] and values of a sensor, None where it was not recorded."""
+    """Unix time [s] and values of a sensor; None if it was not recorded."""
     table = _table(source, *files)
     return None if table is None else table.floats("time", *values) * ([NANOSECOND] + len(values) * [1.0])
 
 
 def _location(source: Source, notes: list[str]) -> Fixes | None:
+    """The phone's position fixes at Unix times [s]; None if there are none."""
     table = _table(source, "Location.csv", "LocationGps.csv")
     if table is None:
         return None
@@ -131,13 +133,12 @@ def _location(source: Source, notes: list[str]) -> Fixes | None:
 
 
 def _sightings(source: Source, file: str, identity: str, level: str) -> Sightings | None:
-    """Who was heard and how loud; rows without a level are left out."""
+    """Receptions of one radio; rows without a level are left out."""
     table = _table(source, file)
     column = table.find(identity.__eq__) if table else None
     if table is None or column is None:
         return None
     rows = table.floats("time", level)
-    heard = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    valid = np.flatnonzero(np.isfinite(rows).all(axis=1))
     names = table.rows.words(column)
-    who = [names[n] for n in heard]
-    return Sightings(rows[heard, 0] * NANOSECOND, tuple(who), rows[heard, 1])
+    return Sightings(rows[valid, 0] * NANOSECOND, tuple(names[n] for n in valid), rows[valid, 1])

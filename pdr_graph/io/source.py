@@ -1,7 +1,7 @@
 """The files of a recording: one file, a folder or a zip. Nothing is unpacked to disk.
 
-Files are untrusted. Archives are read member by member up to a limit on the unpacked bytes, whatever their directory
-claims; members whose names lead outside the archive are refused.
+Files are untrusted. Archives are read member by member up to a limit on the unpacked bytes, regardless of the sizes in
+their directory; members with names that lead outside the archive are refused.
 """
 
 from __future__ import annotations
@@ -13,17 +13,24 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
 
-MOST_FILES = 1000
-MOST_MEGABYTES = 1000  # of text in one recording: a day at 100 Hz of three sensors; PDR_GRAPH_MAX_MB raises it
-DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, RuntimeError, ValueError, OverflowError)
-DEEPEST = 3  # levels of folders that are searched
-CLUTTER = ("__MACOSX", ".DS_Store", "Thumbs.db")
+MAXIMUM_FILES = 1000
+ZIP_ERRORS = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    OSError,
+    RuntimeError,
+    ValueError,
+    OverflowError,
+)
 
 
-class Source:
-    """The named files of a recording.
+class Source(OneLineRepr):
+    """The files of a recording.
 
     path: the user's argument; names: of the files in it, with ``/`` between folders, without a common top folder.
     """
@@ -43,9 +50,12 @@ class Source:
             entries = {path.name: path.name}
         else:
             raise InputError(path, "", "neither a file nor a folder", "a recording")
-        if len(entries) > MOST_FILES:
-            raise InputError(path, "", f"more than {MOST_FILES} files", "the files of one recording")
+        if len(entries) > MAXIMUM_FILES:
+            raise InputError(path, "", f"more than {MAXIMUM_FILES} files", "the files of one recording")
         self._entries = _without_top_folder(entries)
+
+    def _summary(self) -> list[str]:
+        return [repr(str(self.path)), count(len(self._entries), "file")]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,14 +112,14 @@ class Source:
         try:
             with self._zip.open(entry) as stream:
                 return stream.read(size)
-        except DAMAGE as error:
+        except ZIP_ERRORS as error:
             found = f"an archive member that cannot be unpacked ({error})"
             raise InputError(self.where(name), "", found, "an undamaged zip without a password") from None
 
 
 def _limit() -> int:
-    """The largest size of one recording's text. [bytes]"""
-    limit = os.environ.get("PDR_GRAPH_MAX_MB", str(MOST_MEGABYTES))
+    """The maximum size of the text of one recording [bytes]: 1 GB by default, a day of three sensors at 100 Hz."""
+    limit = os.environ.get("PDR_GRAPH_MAX_MB", "1000")
     if not limit.isdecimal() or int(limit) == 0:
         raise InputError("PDR_GRAPH_MAX_MB", "", repr(limit), "a number of megabytes")
     return int(limit) * 10**6
@@ -124,11 +134,12 @@ def _open_zip(path: Path) -> zipfile.ZipFile | None:
             return None
     try:
         return zipfile.ZipFile(path)
-    except DAMAGE as error:
-        raise InputError(path, "", f"a damaged zip ({error})", "a whole zip: was the download cut off?") from None
+    except ZIP_ERRORS as error:
+        raise InputError(path, "", f"a damaged zip ({error})", "a complete zip: was the download cut off?") from None
 
 
 def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
+    """Member names by file name; raises InputError if a member is a link, leads elsewhere or occurs twice."""
     entries: dict[str, str] = {}
     for info in archive.infolist():
         parts = PurePosixPath(info.filename.replace("\\", "/")).parts
@@ -145,12 +156,15 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
     return entries
 
 
+DEEPEST = 3  # levels of folders that are searched
+
+
 def _folder_entries(folder: Path) -> dict[str, str]:
     """The regular files in a folder, down to DEEPEST levels; links to folders are not followed."""
     entries: dict[str, str] = {}
     for top, folders, files in os.walk(folder):
         inside = Path(top).relative_to(folder)
-        if len(inside.parts) >= DEEPEST or len(entries) > MOST_FILES:
+        if len(inside.parts) >= DEEPEST or len(entries) > MAXIMUM_FILES:
             folders.clear()
         for file in files:
             name = inside / file
@@ -159,11 +173,15 @@ def _folder_entries(folder: Path) -> dict[str, str]:
     return entries
 
 
+CLUTTER = ("__MACOSX", ".DS_Store", "Thumbs.db")  # what operating systems add to folders and zips
+
+
 def _is_clutter(parts: tuple[str, ...]) -> bool:
     return not parts or any(part in CLUTTER or part.startswith("._") for part in parts)
 
 
 def _without_top_folder(entries: dict[str, str]) -> dict[str, str]:
+    """The entries with the folder removed that is common to all names, if there is one."""
     tops = {name.split("/")[0] for name in entries}
     if len(tops) == 1 and all("/" in name for name in entries):
         return {name.split("/", 1)[1]: entry for name, entry in entries.items()}

@@ -1,4 +1,4 @@
-"""Comma-separated tables at the door: fixes, truth and trajectories, with complaints that name the line."""
+"""Readers of tables of fixes, truth and trajectories; errors name the line."""
 
 from __future__ import annotations
 
@@ -14,20 +14,18 @@ from pdr_graph.io.delimited import Table
 from pdr_graph.io.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
-ALIASES = {"timestamp": "time", "yaw": "heading"}  # what the PDR Benchmark's tools call them
-
 
 def read_fixes(
     path: str | Path, recording: Recording, frame: Frame | None = None, notes: list[str] | None = None
 ) -> Fixes:
-    """Position fixes from a table, a GPX track, a GeoLife ``.plt`` or a file of IPIN21's simulated fixes.
+    """Read position fixes from a table, a GPX track, a GeoLife ``.plt`` or a file of IPIN21's simulated fixes.
 
-    A table has ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``: time in the
-    recorder's clock; sigma one standard deviation *per axis* [m] (a phone's 68 % radius divided by 1.51). Rows may
-    stand in any order. The other formats have Unix times. Fixes are brought into ``frame`` where one is given;
-    what was left out or assumed is said in ``notes``.
+    A table has ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``: time on the
+    recorder's clock [s]; sigma one standard deviation *per axis* [m] (a phone's 68 % radius divided by 1.51). Rows may
+    be in any order. The other formats have Unix times. frame: into which the fixes are transformed, None to keep
+    theirs; notes: a list to which texts about omissions and assumptions are appended.
 
-    Raises InputError naming the line; also if no fix lies within the recording, as when the clock is another one.
+    Raises InputError naming the line; also if no fix lies within the recording, for example with another clock.
     """
     expect("read_fixes, path", path, str, Path)
     expect("read_fixes, recording", recording, Recording, instead="load(path)")
@@ -40,13 +38,13 @@ def read_fixes(
     elif recording.epoch is not None:
         fixes = replace(unix, time=unix.time - recording.epoch)
     else:
-        raise InputError(path, "time", "Unix times", f"a recording with a clock, which {recording.source} has not")
+        raise InputError(path, "time", "Unix times", f"a recording with a clock: {recording.source} has none")
     _check_clock(path, fixes, recording)
     return frame.place(fixes) if frame else fixes
 
 
 def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
-    """Fixes at Unix times of the formats that have them; None for a table."""
+    """Read fixes at Unix times [s] from GPX, GeoLife or IPIN21; None for a table."""
     source = _one_file(path)
     if gpx.recognizes(source):
         return gpx.read_fixes(source, notes)
@@ -58,13 +56,13 @@ def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
 
 
 def _tabular_fixes(path: Path) -> Fixes:
-    """Fixes of a table, in order of its own clock."""
+    """Read the fixes of a table, sorted by time on its own clock [s]."""
     numbers, words = read_table(path, [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
     geodetic = "lat" in numbers
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
     position = np.stack([numbers[n] for n in names], axis=1)
-    _each(path, numbers["sigma"] <= 0, numbers["sigma"], "sigma", "a standard deviation above 0 m")
+    _check_rows(path, numbers["sigma"] <= 0, numbers["sigma"], "sigma", "a standard deviation above 0 m")
     if geodetic:
         check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
@@ -72,23 +70,24 @@ def _tabular_fixes(path: Path) -> Fixes:
 
 
 def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
-    """Raise InputError unless the columns ``lat`` and ``lon`` are on the globe."""
-    _each(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
-    _each(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
+    """Raise InputError unless all latitudes are within ±90° and all longitudes within ±180°."""
+    _check_rows(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
+    _check_rows(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
 
 
 def read_trajectory(path: str | Path, recording: Recording | None = None) -> Trajectory:
-    """A trajectory or truth ``time,x,y[,heading][,floor]``, rows in time order.
+    """Read a trajectory or truth ``time,x,y[,heading][,floor]``, rows in time order.
 
-    recording: whose clock the file has: times then are from its start, as an estimate's are; else as in the file.
-    Covariance columns, as ``trajectory.csv`` has them, are read if they are there. Raises InputError naming the line.
+    recording: if given, times of the file are on its clock and the result counts from its start [s], as estimates do;
+    else times stay as in the file. Covariance columns, as in ``trajectory.csv``, are read if they are all there.
+    Raises InputError naming the line.
     """
     expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
     numbers, words = read_table(Path(path), [("time", "x", "y")], optional, words=("floor",))
     time = numbers["time"]
     back = np.diff(time, prepend=-np.inf) <= 0
-    _each(path, back, time, "time", "times that increase from row to row")
+    _check_rows(path, back, time, "time", "times that increase from row to row")
     return Trajectory(
         time=time if recording is None else time - recording.clock_origin,
         position=np.stack([numbers["x"], numbers["y"]], axis=1),
@@ -99,6 +98,7 @@ def read_trajectory(path: str | Path, recording: Recording | None = None) -> Tra
 
 
 def _covariance(numbers: dict[str, Array]) -> Array:
+    """Covariances ``(n, 3, 3)`` of x, y [m] and heading [rad] from the columns of ``trajectory.csv``."""
     covariance = np.zeros((len(numbers["time"]), 3, 3))
     for axis, name in enumerate(("sigma_x", "sigma_y", "sigma_heading")):
         covariance[:, axis, axis] = numbers[name] ** 2
@@ -106,33 +106,38 @@ def _covariance(numbers: dict[str, Array]) -> Array:
     return covariance
 
 
+ALIASES = {"timestamp": "time", "yaw": "heading"}  # names in the PDR Benchmark's tools: ours
+
+
 def read_table(
     path: Path, required: list[tuple[str, ...]], optional: tuple[str, ...] = (), words: tuple[str, ...] = ()
 ) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
-    """Columns of a table with a header. required: alternatives, the first that is there; words: columns of text.
+    """Read columns of numbers ``(n,)`` and of texts by name from a table with a header.
 
-    Empty cells are allowed in optional columns (NaN) and columns of text only.
+    required: alternative sets of columns, of which the first complete one is read; words: columns of text. Empty cells
+    are allowed in optional columns (NaN) and in columns of text only. Raises InputError naming the line.
     """
     source = _one_file(path)
     table = delimited.table(str(path), source.text(source.single or ""))
     header = [ALIASES.get(name.lower(), name.lower()) for name in table.header]
-    wanted = next((r for r in required if set(r) <= set(header)), None)
-    if wanted is None:
+    present = next((names for names in required if set(names) <= set(header)), None)
+    if present is None:
         found = ",".join(header)[:60]
         raise InputError(path, "line 1", found, "a header with " + " or ".join(",".join(r) for r in required))
     _check_widths(path, table)
-    names = [*wanted, *(name for name in optional if name in header)]
+    names = [*present, *(name for name in optional if name in header)]
     values = table.rows.floats([header.index(name) for name in names], cut_off_allowed=False)
     numbers = dict(zip(names, values.T, strict=True))
-    for name in wanted:
+    for name in present:
         for row in np.flatnonzero(np.isnan(numbers[name]))[:1]:
             cell = table.rows.words(header.index(name))[row]
             raise InputError(path, f"line {table.rows.numbers[row]}, {name}", repr(cell[:40]), "a finite number")
-    nothing = ("",) * len(values)
-    return numbers, {w: tuple(table.rows.words(header.index(w))) if w in header else nothing for w in words}
+    empty = ("",) * len(values)
+    return numbers, {w: tuple(table.rows.words(header.index(w))) if w in header else empty for w in words}
 
 
 def _one_file(path: Path) -> Source:
+    """The source of a path; raises InputError unless it is one file."""
     if not path.exists():
         raise InputError(path, "", "no such file", "a table, a GPX track or a GeoLife file")
     source = Source(path)
@@ -142,7 +147,7 @@ def _one_file(path: Path) -> Source:
 
 
 def _check_widths(path: Path, table: Table) -> None:
-    """As many fields in every row as in the header: one more is a decimal comma, one less a row cut off."""
+    """Raise InputError unless all rows have the fields of the header: more from decimal commas, fewer if cut off."""
     rows, width = table.rows, len(table.header)
     if not len(rows):
         raise InputError(path, "line 2", "the end of the file", "at least one row")
@@ -151,14 +156,15 @@ def _check_widths(path: Path, table: Table) -> None:
             raise InputError(path, f"line {number}", f"{found} fields", f"{width} as in the header")
 
 
-def _each(path: str | Path, wrong: Mask, values: Array, name: str, expected: str) -> None:
+def _check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expected: str) -> None:
+    """Raise InputError at the first row that is wrong."""
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", expected)
 
 
 def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
-    """At least one fix must lie within the recording, give or take a few seconds."""
+    """Raise InputError unless at least one fix lies within the recording or 5 s of it."""
     signals = list(recording.signals.values())
     if not signals:
         return

@@ -1,13 +1,13 @@
-"""Input validation: raw columns of any reader become a ``Recording``, receiver positions become fixes.
+"""Input validation: builds a ``Recording`` from the raw columns of any reader, and fixes from a receiver's rows.
 
-Damage that can be repaired with certainty is repaired and noted with numbers; other damage is refused. The notes are
-among the warnings of ``summary.json``. All recorders share these rules.
+Damage that can be repaired with certainty is repaired and noted with numbers; other damage raises InputError. The notes
+appear among the warnings of ``summary.json``. The same rules hold for all recorders.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -15,19 +15,25 @@ import numpy as np
 from pdr_graph.errors import InputError
 from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
 
-MOST_MISSING = 0.2  # share of a sensor's rows without a value; with more, the file is damaged
-MOST_UNORDERED, FARTHEST_BACK = 0.01, 1.0  # share of rows, and [s]: threads of a recorder, not a shuffled file
-ABSURD = 1e12  # least absurd time [s] or value in any unit; NaN and infinity fail the test too
-WINDOW = 2.0  # [s], a stride or two, over which the walker's own acceleration averages out
-GRAVITY = (8.0, 11.5)  # [m/s²] of window means: 9.5–10.2 on real walks
-GRAVITY_IN_G = (0.85, 1.15)
-FASTEST_TURN = 10.0  # [rad/s] median; a walk exceeds it only if its unit is deg/s
-SLOWEST_RATE = 15.0  # [Hz] below which peaks of steps are missed
-SHORTEST_GAP = 0.5  # [s]
-APART = 1.0  # [s] between the starts or ends of two sensors that is noted
-PASCAL, KILOPASCAL = 2000.0, 200.0  # above, a pressure is in Pa, below in kPa: people walk at 400–1050 hPa
-Timed = TypeVar("Timed", Signal, Fixes, Sightings, Trajectory)
+IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
 INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
+Timed = TypeVar("Timed", Signal, Fixes, Sightings, Trajectory)
+
+
+@dataclass(frozen=True)
+class DamageLimits:
+    """Limits between damage that is repaired and damage that raises InputError. Chosen by hand.
+
+    missing: share of a sensor's rows without a value; unordered: share of its rows out of time order, and
+    back: by how much [s]: the threads of a recorder write so, a shuffled file exceeds both.
+    """
+
+    missing: float = 0.2
+    unordered: float = 0.01
+    back: float = 1.0
+
+
+DAMAGE = DamageLimits()
 
 
 def build_recording(
@@ -41,7 +47,7 @@ def build_recording(
     truth: Trajectory | None = None,
     notes: Sequence[str] = (),
 ) -> Recording:
-    """The recording from a reader's raw columns, all times in the recorder's own clock.
+    """Build the recording from a reader's raw columns, all times on the recorder's own clock.
 
     path: name of the files in messages; source: name of the recording in titles.
     tables: per sensor ``(n, 1 + k)`` times [s] and values, rows of NaN where a value is missing.
@@ -88,16 +94,17 @@ def _since(origin: float, part: Timed | None) -> Timed | None:
 
 
 def _clean(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
-    """The rows with a value, sorted by time, without duplicates; repairs are noted."""
+    """The rows with a value, sorted by time, without duplicates; repairs are added to `notes`."""
     with np.errstate(invalid="ignore"):
-        plausible = np.abs(table) < ABSURD
+        plausible = np.abs(table) < IMPLAUSIBLE
     valid = np.ones(len(table), dtype=bool) if plausible.all() else plausible.all(axis=1)
     missing = int((~valid).sum())
-    if missing > MOST_MISSING * len(table):
+    if missing > DAMAGE.missing * len(table):
         raise InputError(path, sensor, f"{missing} of {len(table)} rows without a value", "rows of finite numbers")
     if missing:
         notes.append(f"{sensor}: {missing} rows without a value were left out")
-    return _spread(sensor, _without_repeats(sensor, _in_order(path, sensor, table[valid], notes), notes), notes)
+    ordered = _in_order(path, sensor, table[valid], notes)
+    return _spread(sensor, _without_repeats(sensor, ordered, notes), notes)
 
 
 def _in_order(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
@@ -106,16 +113,17 @@ def _in_order(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
     back = step < 0
     if not back.any():
         return table
-    if back.mean() > MOST_UNORDERED or -step.min() > FARTHEST_BACK:
+    if back.mean() > DAMAGE.unordered or -step.min() > DAMAGE.back:
         row = int(np.argmin(step)) + 1
         found = f"times that go back {int(back.sum())} times, by {-step.min():.3f} s at the sensor's row {row + 1}"
-        raise InputError(path, sensor, found, "rows in order of time: the file was shuffled, or its clock was set")
+        expected = "rows in order of time (a shuffled file, or a clock that was set while recording?)"
+        raise InputError(path, sensor, found, expected)
     notes.append(f"{sensor}: {int(back.sum())} rows out of order by up to {-step.min():.3f} s were sorted")
     return table[np.argsort(table[:, 0], kind="stable")]
 
 
 def _without_repeats(sensor: str, table: Array, notes: list[str]) -> Array:
-    """The rows without repeats: same time, same values."""
+    """The rows without repeats of the row before: same time and values."""
     repeated = np.zeros(len(table), dtype=bool)
     again = np.flatnonzero(table[1:, 0] == table[:-1, 0]) + 1
     repeated[again] = (table[again] == table[again - 1]).all(axis=1)
@@ -133,13 +141,13 @@ def _spread(sensor: str, table: Array, notes: list[str]) -> Array:
         return table[first]
     notes.append(f"{sensor}: {len(table) - len(ticks)} samples share their time with another and were spread evenly")
     interval = np.minimum(np.diff(ticks, append=2 * ticks[-1] - ticks[-2]), np.median(np.diff(ticks)))
-    place = np.arange(len(table)) - np.repeat(first, count)
-    time = np.repeat(ticks, count) + place * np.repeat(interval / count, count)
+    number = np.arange(len(table)) - np.repeat(first, count)
+    time = np.repeat(ticks, count) + number * np.repeat(interval / count, count)
     return np.column_stack([time, table[:, 1:]])
 
 
 def _units(path: str, signals: dict[str, Signal], notes: list[str]) -> dict[str, Signal]:
-    """All sensors in SI units, hPa and µT."""
+    """The signals converted to SI units, hPa and µT; an accelerometer without gravity gets its own name."""
     signals = dict(signals)
     if "accelerometer" in signals:
         signal = signals.pop("accelerometer")
@@ -151,27 +159,35 @@ def _units(path: str, signals: dict[str, Signal], notes: list[str]) -> dict[str,
     return signals
 
 
+FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
+PASCAL_FROM, KILOPASCAL_TO = 2000.0, 200.0  # a larger pressure is in Pa, a smaller in kPa: people walk at 400–1050 hPa
+
+
 def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
-    """The kind of a sensor, judged by its values, and the factor that converts them to SI units, hPa and µT.
+    """The kind of a sensor by its values, and the factor that converts them to SI units, hPa and µT.
 
     Raises InputError if an accelerometer's unit is not recognised.
     """
     if sensor == "accelerometer":
         return _acceleration(path, signal, notes)
     if sensor == "gyroscope":
-        usual = float(np.median(np.linalg.norm(signal.values, axis=1)))
-        if usual > FASTEST_TURN:
-            notes.append(f"gyroscope: a median of {usual:.1f} can only be degrees per second; converted to rad/s")
+        median = float(np.median(np.linalg.norm(signal.values, axis=1)))
+        if median > FASTEST_TURN:
+            notes.append(f"gyroscope: a median of {median:.1f} can only be degrees per second; converted to rad/s")
             return sensor, np.pi / 180
     if sensor == "barometer":
-        usual = float(np.median(signal.values))
-        factor = 0.01 if usual > PASCAL else 10.0 if usual < KILOPASCAL else 1.0
+        median = float(np.median(signal.values))
+        factor = 0.01 if median > PASCAL_FROM else 10.0 if median < KILOPASCAL_TO else 1.0
         if factor != 1.0:
-            notes.append(
-                f"barometer: a median of {usual:.5g} can only be in {'Pa' if factor < 1 else 'kPa'}; converted to hPa"
-            )
+            unit = "Pa" if factor < 1 else "kPa"
+            notes.append(f"barometer: a median of {median:.5g} can only be in {unit}; converted to hPa")
         return sensor, factor
     return sensor, 1.0
+
+
+GRAVITY = (8.0, 11.5)  # [m/s²] accepted means over GRAVITY_WINDOW; 9.5–10.2 on real walks
+GRAVITY_IN_G = (0.85, 1.15)  # [g] the same range for a recorder that writes g
+GRAVITY_WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration averages out
 
 
 def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
@@ -179,22 +195,24 @@ def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, flo
 
     Over a stride the walker's own acceleration averages out, and gravity remains.
     """
-    gravity, usual = _mean_of_windows(signal), float(np.median(np.linalg.norm(signal.values, axis=1)))
+    gravity, median = _mean_of_windows(signal), float(np.median(np.linalg.norm(signal.values, axis=1)))
     if GRAVITY[0] <= gravity <= GRAVITY[1]:
         return "accelerometer", 1.0
-    if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * usual:
+    if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * median:
         notes.append(f"accelerometer: gravity is {gravity:.3f}: the unit is g; converted to m/s²")
         return "accelerometer", STANDARD_GRAVITY
-    if gravity < 0.5 * usual and usual < GRAVITY[0]:
+    if gravity < 0.5 * median and median < GRAVITY[0]:
         notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
         return "linear_acceleration", 1.0
     expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
-    raise InputError(path, "accelerometer", f"gravity of {gravity:.3f} (mean over {WINDOW:.0f} s, median)", expected)
+    raise InputError(
+        path, "accelerometer", f"gravity of {gravity:.3f} (median of {GRAVITY_WINDOW:.0f} s means)", expected
+    )
 
 
 def _mean_of_windows(signal: Signal) -> float:
-    """Median magnitude of the means over windows of two seconds."""
-    samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
+    """Median magnitude of the means over windows of GRAVITY_WINDOW, in the unit of the signal."""
+    samples = min(max(1, round(GRAVITY_WINDOW * signal.rate)), len(signal))
     windows = len(signal) // samples
     means = signal.values[: windows * samples].reshape(windows, samples, -1).mean(axis=1)
     return float(np.median(np.linalg.norm(means, axis=1)))
@@ -204,7 +222,11 @@ def _scaled(signal: Signal, factor: float) -> Signal:
     return replace(signal, values=signal.values * factor)
 
 
+SLOWEST_RATE = 15.0  # [Hz] below which peaks of steps are missed
+
+
 def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
+    """Note inertial sensors that are slow or have gaps."""
     for sensor in (s for s in INERTIAL if s in signals and len(signals[s]) > 1):
         signal = signals[sensor]
         if signal.rate < SLOWEST_RATE:
@@ -217,8 +239,11 @@ def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
 
 
 def are_gaps(signal: Signal) -> Mask:
-    """True for intervals between samples ``(n - 1,)`` that are far longer than the median."""
-    return np.diff(signal.time) > max(SHORTEST_GAP, 5 / signal.rate if signal.rate else np.inf)
+    """True for intervals between samples ``(n - 1,)`` longer than 0.5 s and than five median intervals."""
+    return np.diff(signal.time) > max(0.5, 5 / signal.rate if signal.rate else np.inf)
+
+
+NOTED_DIFFERENCE = 1.0  # [s] between the starts or ends of two sensors from which it is noted
 
 
 def _check_clocks(path: str, signals: dict[str, Signal], notes: list[str]) -> None:
@@ -232,42 +257,56 @@ def _check_clocks(path: str, signals: dict[str, Signal], notes: list[str]) -> No
         raise InputError(
             path,
             "gyroscope",
-            f"a begin {begins:.1f} s after the accelerometer's, without overlap",
-            "sensors of one clock",
+            f"a start {begins:.1f} s after the accelerometer's, without overlap",
+            "sensors on one clock that overlap in time",
         )
-    if max(abs(begins), abs(ends)) > APART:
+    if max(abs(begins), abs(ends)) > NOTED_DIFFERENCE:
         notes.append(f"gyroscope: begins {begins:+.1f} s and ends {ends:+.1f} s after the accelerometer")
 
 
 def _check_fixes(signals: dict[str, Signal], fixes: Fixes | None, notes: list[str]) -> None:
+    """Note fixes that do not overlap the sensors in time."""
     inertial = [signals[s] for s in INERTIAL if s in signals]
     if fixes is None or not len(fixes) or not inertial:
         return
     start, end = min(s.time[0] for s in inertial), max(s.time[-1] for s in inertial)
     if fixes.time[0] > end or fixes.time[-1] < start:
         apart = fixes.time[0] - start
-        notes.append(
-            f"position fixes: they begin {apart:+.1f} s from the sensors' start: another clock or another day?"
-        )
+        notes.append(f"position fixes: they begin {apart:+.1f} s from the sensors' start (another clock or day?)")
 
 
 RADIUS_68 = 1.51  # [σ per axis] radius of 68 % of a circular normal distribution: a phone's "accuracy"
-EXTRAPOLATED, FEWEST = 1.5, 4  # true over stated error with fewer satellites than a position needs: real walks
-USUAL_ACCURACY = 7.5  # [m] 68 % radius of a phone outdoors, assumed if the log has none
+
+
+@dataclass(frozen=True)
+class ReceiverErrors:
+    """The errors of a phone's receiver where its rows do not state them.
+
+    accuracy: 68 % radius outdoors [m], if a row has none; satellites: fewest for a position; extrapolated: factor of
+    true over stated error with fewer, measured on real walks.
+    """
+
+    accuracy: float = 7.5
+    satellites: int = 4
+    extrapolated: float = 1.5
+
+
+RECEIVER = ReceiverErrors()
 
 
 def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS", satellites: Array | None = None) -> Fixes:
-    """Fixes from a receiver's rows: time [s], latitude [deg], longitude [deg], accuracy (68 % radius) [m].
+    """Fixes, sorted by time, from a receiver's rows.
 
-    table: ``(n, 4)`` in any order. satellites: ``(n,)`` number used for each position, NaN if unknown: on real walks it
-    adds nothing to a stated accuracy, unless there are too few.
+    table: ``(n, 4)`` time [s], latitude and longitude [deg], accuracy (68 % radius) [m], in any order. satellites:
+    ``(n,)`` number used for each position, NaN if unknown; it matters only where there are too few: on real walks it
+    adds nothing to a stated accuracy otherwise.
 
     Left out and noted: rows without a valid position, rows with a negative accuracy (iOS's mark of an invalid
-    position), and duplicate epochs. An accuracy of zero or NaN is unknown.
+    position), and duplicate epochs. An accuracy of zero or NaN counts as unknown.
     """
     if satellites is not None:
-        few = satellites < FEWEST
-        table = np.column_stack([table[:, :3], np.where(few, EXTRAPOLATED, 1.0) * table[:, 3]])
+        factor = np.where(satellites < RECEIVER.satellites, RECEIVER.extrapolated, 1.0)
+        table = np.column_stack([table[:, :3], factor * table[:, 3]])
     time, lat, lon, accuracy = table.T
     valid = np.isfinite(table[:, :3]).all(axis=1) & (np.abs(lat) <= 90) & (np.abs(lon) <= 180)
     valid &= ~(accuracy < 0) & ~((lat == 0) & (lon == 0))
@@ -281,11 +320,12 @@ def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS", satelli
     time, lat, lon, accuracy = table[~repeated].T
     unknown = ~(accuracy > 0) | np.isinf(accuracy)
     if unknown.any():
-        notes.append(f"{source}: {int(unknown.sum())} positions have no accuracy: {USUAL_ACCURACY} m (68 %) is assumed")
-    sigma = np.where(unknown, USUAL_ACCURACY, accuracy) / RADIUS_68
+        assumed = f"{RECEIVER.accuracy} m (68 %) is assumed"
+        notes.append(f"{source}: {int(unknown.sum())} positions have no accuracy: {assumed}")
+    sigma = np.where(unknown, RECEIVER.accuracy, accuracy) / RADIUS_68
     return Fixes(time, np.column_stack([lon, lat]), sigma, ("",) * len(time), LONLAT, (source,) * len(time))
 
 
 def surveyed(time: Array, position: Array, floor: tuple[str, ...] | None = None, epsg: int | None = None) -> Trajectory:
-    """Ground truth from surveyed positions; its headings are NaN."""
+    """Ground truth from surveyed positions ``(n, 2)`` at times ``(n,)`` [s]; its headings are NaN."""
     return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), epsg=epsg)

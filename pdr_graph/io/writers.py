@@ -1,4 +1,4 @@
-"""Trajectories out: CSV, TUM and GeoJSON, and the summary beside them. GPX has its own file."""
+"""Writers of trajectories as CSV, TUM and GeoJSON, and of the summary. `gpx` writes GPX."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn"
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
-    """``trajectory.csv``: time in the recorder's clock, metres, radians, covariance in the output axes."""
+    """Write ``trajectory.csv``: time on the recorder's clock [s], metres, radians, covariance in the output axes."""
     lines = [TRAJECTORY_HEADER, *trajectory_rows(trajectory, clock_origin)]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def trajectory_rows(trajectory: Trajectory, later: float) -> Iterator[str]:
-    """The rows of a trajectory's CSV, so much later [s]; nan where there is no covariance."""
+def trajectory_rows(trajectory: Trajectory, clock_origin: float) -> Iterator[str]:
+    """The rows of ``trajectory.csv``; nan where there is no covariance. clock_origin: is added to all times [s]."""
     covariance = trajectory.covariance
     if covariance is None:
         covariance = np.full((len(trajectory), 3, 3), np.nan)
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     table = np.column_stack(
-        [trajectory.time + later, trajectory.position, trajectory.heading, sigma, covariance[:, 0, 1]]
+        [trajectory.time + clock_origin, trajectory.position, trajectory.heading, sigma, covariance[:, 0, 1]]
     )
     for (t, x, y, heading, sx, sy, sh, xy), floor in zip(table.tolist(), trajectory.floor, strict=True):
         yield f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}"
 
 
 def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
-    """``trajectory.tum`` for evo and its kin: ``time x y z qx qy qz qw``, z = 0 and the heading about it.
+    """Write ``trajectory.tum`` for evo and similar tools: ``time x y z qx qy qz qw``, z = 0, heading about z.
 
-    Rows without a heading have none about them either: the identity.
+    Rows without a heading have the identity rotation.
     """
     half = np.nan_to_num(trajectory.heading) / 2
     zero = np.zeros(len(half))
@@ -48,7 +48,7 @@ def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
 
 
 def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
-    """One row per step, for other back ends: its end, length [m], heading change since the row before [rad], sigmas."""
+    """Write one row per step: its end [s], length [m], heading change since the row before [rad], and both sigmas."""
     lines = [STEPS_HEADER]
     table = np.stack(
         [steps.time + clock_origin, steps.length, steps.turn, steps.sigma_length, steps.sigma_turn], axis=1
@@ -58,7 +58,7 @@ def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
 
 
 def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: float) -> None:
-    """``trajectory.geojson`` (RFC 7946): the track as a LineString with a point per row, then the fixes."""
+    """Write ``trajectory.geojson`` (RFC 7946): the track as a LineString with a point per row, then the fixes."""
     track = frame.to_lonlat(estimate.trajectory.position)
     line = {"times": (estimate.trajectory.time + clock_origin).round(3).tolist(), "kind": "trajectory"}
     features = [_feature("LineString", track, line)]
@@ -72,12 +72,12 @@ def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: fl
 
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:
-    """``summary.json``."""
+    """Write ``summary.json``."""
     path.write_text(json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def cell(text: str) -> str:
-    """A text as a cell of a CSV."""
+    """A text as a cell of a CSV, quoted where necessary."""
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 

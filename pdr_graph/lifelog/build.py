@@ -21,7 +21,7 @@ from zoneinfo import ZoneInfo
 from pdr_graph.errors import InputError
 from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.gait.walker import Profile
-from pdr_graph.io.beacons import BESIDE
+from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
 from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observed
@@ -253,7 +253,7 @@ def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, Ob
 def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:
     """The task of a recording; its key covers the content of every file that is read."""
     given = {name: getattr(entry, name) for name in ("plan", "fixes", "walker")}
-    listed = Path(entry.path).with_name(BESIDE)
+    listed = Path(entry.path).with_name(BEACON_LIST)
     read = given | {"list of beacons": str(listed) if listed.is_file() else ""}
     content = [(name, _hash(hashes, name, said, entry)) for name, said in read.items() if said]
     key = cache.key_of(entry.hash, entry.floor, entry.begins, entry.plan, content)

@@ -1,4 +1,4 @@
-"""Delimited text: what was written is read, whatever its dialect."""
+"""Delimited text reads back as written, in every dialect."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ NUMBERS = st.one_of(st.just(float("nan")), st.floats(-1e12, 1e12, allow_subnorma
 
 
 def is_row(numbers):
-    """A row of empty cells is none: spreadsheets leave them behind."""
+    """False for a row of empty cells, as spreadsheets leave them: it is skipped."""
     return not all(map(np.isnan, numbers))
 
 
@@ -30,12 +30,12 @@ TABLES = st.integers(2, 4).flatmap(
     st.sampled_from(["\n", "\r\n"]),
     st.sampled_from(["{!r}", "{:.17e}"]),
 )
-def test_any_dialect_reads_back(rows, dialect, quote, nothing, end, form):
+def test_any_dialect_reads_back(rows, dialect, quote, empty, end, form):
     """Delimiters, decimal commas, quotes, empty cells, line ends and notations do not change a number."""
     delimiter, decimal = dialect
 
     def cell(value):
-        text = nothing if np.isnan(value) else form.format(value).replace(".", decimal)
+        text = empty if np.isnan(value) else form.format(value).replace(".", decimal)
         return f"{quote}{text}{quote}"
 
     names = [f"column {k}" for k in range(len(rows[0]))]
@@ -46,7 +46,7 @@ def test_any_dialect_reads_back(rows, dialect, quote, nothing, end, form):
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
         ("", "empty file"),
         ("a,b\n1,2\n3,x\n4,5\n", "line 3: found 'x', expected a number"),
@@ -54,8 +54,8 @@ def test_any_dialect_reads_back(rows, dialect, quote, nothing, end, form):
         ("a,c\n1,2\n", "expected a column b"),
     ],
 )
-def test_complaints_name_the_line(text, complaint):
-    with pytest.raises(InputError, match=complaint):
+def test_errors_name_the_line(text, message):
+    with pytest.raises(InputError, match=message):
         table("x.csv", text).floats("a", "b")
 
 
@@ -63,7 +63,7 @@ def test_a_row_that_was_cut_off_is_left_out_only_at_the_end():
     assert table("x.csv", "a,b\n1,2\n3").floats("a", "b").tolist() == [[1, 2]]
 
 
-def test_a_missing_optional_column_is_unknown():
+def test_a_missing_optional_column_is_nan():
     assert np.isnan(table("x.csv", "a,b\n1,2\n").floats("a", optional=("z",))).tolist() == [[False, True]]
 
 

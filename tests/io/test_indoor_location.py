@@ -1,4 +1,4 @@
-"""The reader of Indoor Location Competition recordings: what it reads, and how it refuses."""
+"""The reader of Indoor Location Competition recordings: what it reads, and what it rejects."""
 
 import numpy as np
 import pytest
@@ -42,15 +42,15 @@ def test_reader_indoor_location(tmp_path):
     assert walk.notes == ()
 
 
-def test_an_access_point_was_heard_when_it_was_last_seen_and_once(tmp_path):
-    """Scans repeat for minutes what they no longer hear; where the phone's clock is another one, the row's holds."""
+def test_an_access_point_is_received_once_at_its_last_seen_time(tmp_path):
+    """Scans repeat receptions for minutes; if the last-seen time is on another clock, the time of the row is used."""
     wifi = [f"{START + 1000 * n}\tTYPE_WIFI\tname\taa:00\t-50\t2412\t{START + 300}" for n in (1, 2, 3)]
     wifi.append(f"{START + 2000}\tTYPE_WIFI\tname\tbb:00\t-60\t2412\t7000000")
-    kept = [line for line in lines() if "WIFI" not in line]
-    heard = io.load(written(tmp_path, [*kept[:-1], *wifi, kept[-1]])).wifi
-    assert heard.time == pytest.approx([0.3, 2.0], abs=1e-6)
-    assert heard.transmitter == ("aa:00", "bb:00")
-    assert heard.rssi.tolist() == [-50.0, -60.0]
+    others = [line for line in lines() if "WIFI" not in line]
+    received = io.load(written(tmp_path, [*others[:-1], *wifi, others[-1]])).wifi
+    assert received.time == pytest.approx([0.3, 2.0], abs=1e-6)
+    assert received.transmitter == ("aa:00", "bb:00")
+    assert received.rssi.tolist() == [-50.0, -60.0]
 
 
 def replaced(old, new):
@@ -58,7 +58,7 @@ def replaced(old, new):
 
 
 @pytest.mark.parametrize(
-    ("content", "complaint"),
+    ("content", "message"),
     [
         (b"", "empty"),
         (bytes(range(256)) * 40, "bytes"),
@@ -74,20 +74,20 @@ def replaced(old, new):
         ([*lines()[:2], *reversed(lines()[2:-1]), lines()[-1]], "time order"),
     ],
 )
-def test_bad_recordings_are_refused_in_one_line(tmp_path, content, complaint):
+def test_bad_recordings_raise_one_line(tmp_path, content, message):
     path = written(tmp_path, content)
-    with pytest.raises(InputError, match=complaint) as refusal:
+    with pytest.raises(InputError, match=message) as error:
         io.load(path)
-    assert "\n" not in str(refusal.value)
-    assert str(path) in str(refusal.value)
+    assert "\n" not in str(error.value)
+    assert str(path) in str(error.value)
 
 
-def test_lines_that_are_no_rows_are_noted(tmp_path):
+def test_lines_that_are_not_rows_are_noted(tmp_path):
     walk = io.load(written(tmp_path, [*lines()[:5], "a name with a", "line break", *lines()[5:]]))
     assert len(walk.accelerometer) == 100
-    assert "2 lines are no rows (the first: line 6)" in walk.notes[0]
+    assert "2 lines are not rows (the first: line 6)" in walk.notes[0]
 
 
-def test_a_missing_file_is_said_to_be_missing(tmp_path):
+def test_a_missing_file_raises_no_such_file(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         io.load(tmp_path / "nothing.txt")

@@ -43,7 +43,7 @@ def test_reader_gpx(tmp_path, time, version):
     assert walk.accelerometer is None
 
 
-def test_gpx_accuracy_is_an_extension_or_from_hdop(tmp_path):
+def test_the_accuracy_of_gpx_is_that_of_an_extension_or_from_hdop(tmp_path):
     extension = "<extensions><x:accuracy xmlns:x='urn:x'>9.06</x:accuracy></extensions>"
     track = gpx([point(more=extension), point("2023-11-14T22:13:25Z", more="<hdop>2</hdop>")])
     sigma = io.load(written(tmp_path, track)).fixes.sigma
@@ -51,7 +51,7 @@ def test_gpx_accuracy_is_an_extension_or_from_hdop(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
         (gpx([point()])[:-30], "broken XML"),
         (gpx([]), "0 track points"),
@@ -62,19 +62,19 @@ def test_gpx_accuracy_is_an_extension_or_from_hdop(tmp_path):
         (gpx([point("&b;")], head='<!DOCTYPE gpx [<!ENTITY b SYSTEM "file:///etc/passwd">]>'), "document type"),
     ],
 )
-def test_broken_and_hostile_gpx_is_refused_in_one_line(tmp_path, text, complaint):
+def test_broken_and_hostile_gpx_raises_one_line(tmp_path, text, message):
     path = written(tmp_path, text)
-    with pytest.raises(InputError, match=complaint) as refusal:
+    with pytest.raises(InputError, match=message) as error:
         io.load(path)
-    assert "\n" not in str(refusal.value)
-    assert str(path) in str(refusal.value)
+    assert "\n" not in str(error.value)
+    assert str(path) in str(error.value)
 
 
 PLT = "Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My Track,0,0,2,8421376\n0\n"
 
 
 def test_reader_geolife(tmp_path):
-    """Days since 1899-12-30: the row of the format's own description, and one five seconds later."""
+    """Days since 1899-12-30: the row in the description of the format, and one five seconds later."""
     rows = "39.9,116.3,0,492,39747.1124074074,2008-10-26,02:41:52\n"
     rows += "39.9,116.4,0,-777,39747.1124652778,2008-10-26,02:41:57\n"
     walk = io.load(written(tmp_path, PLT + rows, "20081026024152.plt"))
@@ -91,7 +91,7 @@ def test_a_track_of_a_watch_can_be_the_fixes_of_a_phone(tmp_path):
         read_fixes(written(tmp_path, gpx([point()])), clockless)
 
 
-def test_simulated_fixes_of_ipin21_are_metres_with_the_error_in_their_name(tmp_path):
+def test_simulated_fixes_of_ipin21_are_metres_with_the_error_in_the_file_name(tmp_path):
     row = "1.700000010000000000e+12,5.665786341145318002e+05,5.932830475879570469e+06,2.027584508371089100e+01\n"
     fixes = read_fixes(written(tmp_path, row, "freq10_s_err3m.csv"), WALK)
     assert fixes.time == pytest.approx([10.0])
@@ -102,10 +102,10 @@ def test_simulated_fixes_of_ipin21_are_metres_with_the_error_in_their_name(tmp_p
         read_fixes(written(tmp_path, row, "fixes.csv"), WALK)
 
 
-def test_positions_that_are_none_are_left_out():
-    nowhere = [[0, 0, 0, 5], [1, 95, 11, 5], [2, np.nan, 11, 5], [3, 49, 11, -1]]
+def test_invalid_positions_are_left_out():
+    invalid = [[0, 0, 0, 5], [1, 95, 11, 5], [2, np.nan, 11, 5], [3, 49, 11, -1]]
     notes = []
-    fixes = receiver_fixes(np.array([*nowhere, [5, 49, 11, 0], [4, 49, 11, 1.51], [4, 49, 11, 1.51]], float), notes)
+    fixes = receiver_fixes(np.array([*invalid, [5, 49, 11, 0], [4, 49, 11, 1.51], [4, 49, 11, 1.51]], float), notes)
     assert fixes.time.tolist() == [4.0, 5.0]
     assert fixes.sigma[0] == pytest.approx(1.0)
     assert [note.split()[1] for note in notes] == ["4", "1", "1"]

@@ -1,4 +1,4 @@
-"""What each recorder wrote is what was felt: one walk in every format, compared with itself."""
+"""Each reader returns the samples that were written: one walk in every format, compared with itself."""
 
 import numpy as np
 import pytest
@@ -24,21 +24,21 @@ from pdr_graph.types import LONLAT
 
 
 @pytest.fixture(scope="module")
-def felt():
+def sampled():
     return sample()
 
 
-def assert_is_the_walk(walk, felt, start, clock_tolerance=1e-6):
-    """Signals to the digits written, times from the first sample, fixes where and when they were, with their sigma."""
-    assert walk.clock_origin == pytest.approx(start + felt.time[0], abs=1e-2)
-    for signal, values in ((walk.accelerometer, felt.acceleration), (walk.gyroscope, felt.angular_rate)):
-        assert signal.time == pytest.approx(felt.time - felt.time[0], abs=clock_tolerance)
+def assert_is_the_walk(walk, sampled, start, clock_tolerance=1e-6):
+    """Signals equal to the digits written, times from the first sample, fixes with place, time and sigma."""
+    assert walk.clock_origin == pytest.approx(start + sampled.time[0], abs=1e-2)
+    for signal, values in ((walk.accelerometer, sampled.acceleration), (walk.gyroscope, sampled.angular_rate)):
+        assert signal.time == pytest.approx(sampled.time - sampled.time[0], abs=clock_tolerance)
         assert signal.values == pytest.approx(values, abs=2e-5)
     at = walk.fixes.time + walk.clock_origin - start
-    assert at == pytest.approx(felt.fix_time, abs=1e-2)
+    assert at == pytest.approx(sampled.fix_time, abs=1e-2)
     assert walk.fixes.epsg == LONLAT
-    assert walk.fixes.position == pytest.approx(felt.lonlat, abs=1e-8)
-    assert walk.fixes.sigma == pytest.approx(felt.accuracy / RADIUS_68, rel=1e-6)
+    assert walk.fixes.position == pytest.approx(sampled.lonlat, abs=1e-8)
+    assert walk.fixes.sigma == pytest.approx(sampled.accuracy / RADIUS_68, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -46,48 +46,48 @@ def assert_is_the_walk(walk, felt, start, clock_tolerance=1e-6):
     [{}, {"delimiter": ";"}, {"delimiter": "\t", "decimal": ","}, {"delimiter": ";", "decimal": ",", "quote": ""}],
     ids=["comma", "semicolon", "tab, decimal comma", "semicolon, decimal comma, no quotes"],
 )
-def test_reader_phyphox(tmp_path, felt, style):
-    walk = io.load(in_folder(tmp_path / "walk", phyphox(felt, **style)))
-    assert_is_the_walk(walk, felt, 0.0)
+def test_reader_phyphox(tmp_path, sampled, style):
+    walk = io.load(in_folder(tmp_path / "walk", phyphox(sampled, **style)))
+    assert_is_the_walk(walk, sampled, 0.0)
     assert walk.epoch is None, "without meta/time.csv there is no clock"
     assert walk.magnetometer.values[3] == pytest.approx([5, 20, -40])
     assert walk.barometer.values[0] == pytest.approx(1013.25)
 
 
-def test_reader_phyphox_puts_pauses_back(tmp_path, felt):
-    """Paused after 8 s for 100 s: the export joins the parts, meta/time.csv tells them apart."""
+def test_reader_phyphox_restores_pauses(tmp_path, sampled):
+    """Paused after 8 s for 100 s: the export joins the parts, meta/time.csv has the times of both."""
     events = f'"START",0.0,{UNIX}\n"PAUSE",8.0,{UNIX + 8}\n"START",8.0,{UNIX + 108}\n"PAUSE",20.0,{UNIX + 120}\n'
-    files = phyphox(felt) | {"meta/time.csv": '"event","experiment time","system time"\n' + events}
+    files = phyphox(sampled) | {"meta/time.csv": '"event","experiment time","system time"\n' + events}
     walk = io.load(in_zip(tmp_path / "walk.zip", files, top="Walk 2023-11-14 22-13-20/"))
     assert walk.clock_origin == walk.epoch == pytest.approx(UNIX)
-    expected = np.where(felt.time >= 8.0, felt.time + 100.0, felt.time)
+    expected = np.where(sampled.time >= 8.0, sampled.time + 100.0, sampled.time)
     assert walk.accelerometer.time == pytest.approx(expected, abs=1e-6)
     assert np.diff(walk.fixes.time).max() == pytest.approx(101.0, abs=1e-6)
     assert any("1 gaps, the longest of 100.02 s" in note for note in walk.notes)
 
 
-def test_reader_phyphox_in_other_languages_and_one_table(tmp_path, felt):
-    """German names, everything in one table, the shorter column filled up with NaN."""
-    half = felt.angular_rate.copy()
+def test_reader_phyphox_in_other_languages_and_one_table(tmp_path, sampled):
+    """German names, all sensors in one table, the shorter columns end in NaN."""
+    half = sampled.angular_rate.copy()
     half[400:] = np.nan
     names = ["Zeit (s)", *(f"Beschleunigung {a} (m/s²)" for a in "xyz"), "Absolutbeschleunigung (m/s²)"]
     names += ["Zeit (s)", *(f"Drehrate {a} (rad/s)" for a in "xyz")]
-    absolute = np.linalg.norm(felt.acceleration, axis=1)
+    absolute = np.linalg.norm(sampled.acceleration, axis=1)
     path = tmp_path / "Rohdaten.csv"
-    path.write_text(table(names, felt.time, felt.acceleration, absolute, felt.time, half))
+    path.write_text(table(names, sampled.time, sampled.acceleration, absolute, sampled.time, half))
     walk = io.load(path)
-    assert walk.accelerometer.values == pytest.approx(felt.acceleration, abs=1e-6)
+    assert walk.accelerometer.values == pytest.approx(sampled.acceleration, abs=1e-6)
     assert len(walk.gyroscope) == 400
-    assert walk.gyroscope.values == pytest.approx(felt.angular_rate[:400], abs=1e-6)
+    assert walk.gyroscope.values == pytest.approx(sampled.angular_rate[:400], abs=1e-6)
 
 
-def test_reader_phyphox_without_gravity_says_so_and_still_counts_steps(tmp_path, felt):
-    user = felt.acceleration - felt.gravity
-    text = table(xyz("m/s^2", "Linear Acceleration {}"), felt.time, user)
+def test_reader_phyphox_without_gravity_still_gives_all_steps(tmp_path, sampled):
+    user = sampled.acceleration - sampled.gravity
+    text = table(xyz("m/s^2", "Linear Acceleration {}"), sampled.time, user)
     walk = io.load(in_folder(tmp_path / "a", {"Raw Data.csv": text}))
     assert walk.accelerometer is None
     assert walk.linear_acceleration.values == pytest.approx(user, abs=1e-6)
-    complete = io.load(in_folder(tmp_path / "b", phyphox(felt)))
+    complete = io.load(in_folder(tmp_path / "b", phyphox(sampled)))
     found = detect_steps(walk)
     assert len(found) == len(detect_steps(complete))
     assert len(found.unknown) == 2, "turns and the vertical"
@@ -95,54 +95,54 @@ def test_reader_phyphox_without_gravity_says_so_and_still_counts_steps(tmp_path,
 
 @pytest.mark.parametrize(("platform", "standardised"), [("android", False), ("ios", False), ("ios", True)])
 @pytest.mark.parametrize("without", [(), ("TotalAcceleration.csv",), ("TotalAcceleration.csv", "Gravity.csv")])
-def test_reader_sensor_logger(tmp_path, felt, platform, standardised, without):
-    """The same from either platform: from the total acceleration, from its two parts, from the uncalibrated one."""
-    files = {n: t for n, t in sensor_logger(felt, platform, standardised).items() if n not in without}
+def test_reader_sensor_logger(tmp_path, sampled, platform, standardised, without):
+    """Equal from both platforms: from the total acceleration, from its two parts, and from the uncalibrated one."""
+    files = {n: t for n, t in sensor_logger(sampled, platform, standardised).items() if n not in without}
     if "Gravity.csv" in without:
         del files["Accelerometer.csv"]
     walk = io.load(in_zip(tmp_path / "walk.zip", files))
-    assert_is_the_walk(walk, felt, UNIX)
+    assert_is_the_walk(walk, sampled, UNIX)
     assert walk.epoch == walk.clock_origin
     assert walk.barometer.values[0] == pytest.approx(1013.25)
 
 
 @pytest.mark.parametrize("platform", ["android", "ios"])
-def test_reader_sensor_logger_without_metadata_goes_by_gravity(tmp_path, felt, platform):
-    """A phone that is carried looks up: gravity into the screen is iOS's sign."""
+def test_reader_sensor_logger_without_metadata_infers_the_platform_from_gravity(tmp_path, sampled, platform):
+    """The screen of a carried phone faces up: gravity into the screen is the sign of iOS."""
     left_out = ("Metadata.csv", "TotalAcceleration.csv")
-    files = {n: t for n, t in sensor_logger(felt, platform).items() if n not in left_out}
+    files = {n: t for n, t in sensor_logger(sampled, platform).items() if n not in left_out}
     walk = io.load(in_folder(tmp_path / "walk", files))
-    assert_is_the_walk(walk, felt, UNIX)
+    assert_is_the_walk(walk, sampled, UNIX)
     assert any("no Metadata.csv" in note for note in walk.notes)
 
 
-def test_reader_sensor_logger_leaves_out_invalid_positions(tmp_path, felt):
-    """iOS marks them by a negative accuracy."""
-    accuracy = felt.accuracy.copy()
+def test_reader_sensor_logger_leaves_out_invalid_positions(tmp_path, sampled):
+    """iOS marks them with a negative accuracy."""
+    accuracy = sampled.accuracy.copy()
     accuracy[[2, 5]] = -1
-    location = nanoseconds("horizontalAccuracy,longitude,latitude", felt.fix_time, accuracy, felt.lonlat)
-    walk = io.load(in_folder(tmp_path / "walk", sensor_logger(felt, "ios") | {"Location.csv": location}))
-    assert len(walk.fixes) == len(felt.fix_time) - 2
-    assert any(f"2 of {len(felt.fix_time)} positions are invalid" in note for note in walk.notes)
+    location = nanoseconds("horizontalAccuracy,longitude,latitude", sampled.fix_time, accuracy, sampled.lonlat)
+    walk = io.load(in_folder(tmp_path / "walk", sensor_logger(sampled, "ios") | {"Location.csv": location}))
+    assert len(walk.fixes) == len(sampled.fix_time) - 2
+    assert any(f"2 of {len(sampled.fix_time)} positions are invalid" in note for note in walk.notes)
 
 
-def test_reader_sensor_logger_reads_one_table(tmp_path, felt):
+def test_reader_sensor_logger_reads_one_table(tmp_path, sampled):
     path = tmp_path / "walking3.csv"
-    path.write_text(nanoseconds("z,y,x", felt.time, felt.acceleration[:, ::-1]))
-    assert io.load(path).accelerometer.values == pytest.approx(felt.acceleration)
+    path.write_text(nanoseconds("z,y,x", sampled.time, sampled.acceleration[:, ::-1]))
+    assert io.load(path).accelerometer.values == pytest.approx(sampled.acceleration)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1 / G], ids=["IPIN", "xDR, in g"])
-def test_reader_get_sensor_data(tmp_path, felt, unit):
+def test_reader_get_sensor_data(tmp_path, sampled, unit):
     path = tmp_path / "logfile.txt"
-    path.write_text(get_sensor_data(felt, unit))
+    path.write_text(get_sensor_data(sampled, unit))
     walk = io.load(path)
-    # five digits of a g are worth ten times as many m/s²
-    assert walk.accelerometer.values == pytest.approx(felt.acceleration, abs=1e-4)
+    # five digits in g are ten times as coarse in m/s²
+    assert walk.accelerometer.values == pytest.approx(sampled.acceleration, abs=1e-4)
     assert walk.clock_origin == pytest.approx(0.004, abs=1e-4), "the app's clock, as a whole"
-    assert walk.accelerometer.time == pytest.approx(felt.time, abs=1e-4)
-    assert walk.gyroscope.values == pytest.approx(felt.angular_rate, abs=1e-5)
-    assert walk.fixes.time + walk.clock_origin == pytest.approx(felt.fix_time, abs=1e-4)
+    assert walk.accelerometer.time == pytest.approx(sampled.time, abs=1e-4)
+    assert walk.gyroscope.values == pytest.approx(sampled.angular_rate, abs=1e-5)
+    assert walk.fixes.time + walk.clock_origin == pytest.approx(sampled.fix_time, abs=1e-4)
     assert walk.epoch == pytest.approx(UNIX, abs=0.6), "GNSS seconds are whole here"
     assert any("duplicate epochs" in note for note in walk.notes)
     assert any("is g" in note for note in walk.notes) == (unit != 1.0)
@@ -152,10 +152,10 @@ def test_reader_get_sensor_data(tmp_path, felt, unit):
     assert walk.truth.position == pytest.approx(np.array([[11.1, 49.45]]))
 
 
-def test_reader_get_sensor_data_uses_the_apps_clock_where_the_sensors_is_broken(tmp_path, felt):
+def test_reader_get_sensor_data_uses_the_apps_clock_if_the_sensors_clock_stands_still(tmp_path, sampled):
     path = tmp_path / "logfile.txt"
-    stuck = [line for line in get_sensor_data(felt).splitlines() if "GYRO" not in line]
-    stuck += [f"GYRO;{t:.4f};0.0;0.1;0.2;0.3;3" for t in felt.time]
+    stuck = [line for line in get_sensor_data(sampled).splitlines() if "GYRO" not in line]
+    stuck += [f"GYRO;{t:.4f};0.0;0.1;0.2;0.3;3" for t in sampled.time]
     path.write_text("\n".join(stuck) + "\n")
     walk = io.load(path)
     assert np.diff(walk.gyroscope.time) == pytest.approx(0.02, abs=1e-3)
@@ -163,28 +163,27 @@ def test_reader_get_sensor_data_uses_the_apps_clock_where_the_sensors_is_broken(
 
 
 @pytest.mark.parametrize("header", [None, "Fix,Provider,Latitude,Longitude,Altitude,Speed,Accuracy,Bearing"])
-def test_reader_gnss_logger(tmp_path, felt, header):
-    """Uncalibrated sensors less their bias; the fixes of one provider, by the header's names."""
+def test_reader_gnss_logger(tmp_path, sampled, header):
+    """Uncalibrated sensors minus their bias; the fixes of one provider, with columns by the names in the header."""
     path = tmp_path / "gnss_log.txt"
-    path.write_text(gnss_logger(felt, header) if header else gnss_logger(felt))
+    path.write_text(gnss_logger(sampled, header) if header else gnss_logger(sampled))
     walk = io.load(path)
-    assert_is_the_walk(walk, felt, UNIX)
+    assert_is_the_walk(walk, sampled, UNIX)
     assert any("other providers" in note for note in walk.notes)
 
 
-def test_latency_of_the_receiver_is_a_setting(tmp_path, felt):
-    folder = in_folder(tmp_path / "walk", phyphox(felt))
+def test_the_latency_of_the_receiver_shifts_fixes_only(tmp_path, sampled):
+    folder = in_folder(tmp_path / "walk", phyphox(sampled))
     early, late = io.load(folder, gnss_latency=2.5), io.load(folder)
     assert early.fixes.time == pytest.approx(late.fixes.time - 2.5)
     assert early.accelerometer.time == pytest.approx(late.accelerometer.time)
 
 
-def test_a_walk_reads_the_same_from_every_recorder(tmp_path, felt):
-    """Down to the steps."""
-    (tmp_path / "a.txt").write_text(get_sensor_data(felt))
-    (tmp_path / "b.txt").write_text(gnss_logger(felt))
-    sources = [tmp_path / "a.txt", tmp_path / "b.txt", in_folder(tmp_path / "c", phyphox(felt))]
-    sources.append(in_zip(tmp_path / "d.zip", sensor_logger(felt, "ios")))
+def test_the_steps_of_a_walk_are_the_same_from_every_recorder(tmp_path, sampled):
+    (tmp_path / "a.txt").write_text(get_sensor_data(sampled))
+    (tmp_path / "b.txt").write_text(gnss_logger(sampled))
+    sources = [tmp_path / "a.txt", tmp_path / "b.txt", in_folder(tmp_path / "c", phyphox(sampled))]
+    sources.append(in_zip(tmp_path / "d.zip", sensor_logger(sampled, "ios")))
     steps = [detect_steps(io.load(source)) for source in sources]
     for other in steps[1:]:
         assert other.time == pytest.approx(steps[0].time, abs=1e-3)
@@ -192,11 +191,11 @@ def test_a_walk_reads_the_same_from_every_recorder(tmp_path, felt):
         assert other.turn == pytest.approx(steps[0].turn, abs=1e-3)
 
 
-def test_a_folder_of_several_recordings_is_refused(tmp_path, felt):
-    files = {f"{part}/{name}": text for part in "ab" for name, text in sensor_logger(felt).items()}
+def test_a_folder_of_several_recordings_raises(tmp_path, sampled):
+    files = {f"{part}/{name}": text for part in "ab" for name, text in sensor_logger(sampled).items()}
     with pytest.raises(InputError, match="one recording at a time"):
         io.load(in_folder(tmp_path / "walks", files))
 
 
-def test_places_are_where_they_were(felt):
-    assert FRAME.from_lonlat(felt.lonlat)[0] == pytest.approx([0, 0], abs=0.1)
+def test_the_walk_starts_at_the_origin_of_its_frame(sampled):
+    assert FRAME.from_lonlat(sampled.lonlat)[0] == pytest.approx([0, 0], abs=0.1)

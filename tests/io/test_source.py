@@ -1,4 +1,4 @@
-"""Files are untrusted: what an archive says of itself is not believed, and nothing leaves it."""
+"""Files are untrusted: sizes in a zip directory are ignored, and no member is read or written outside the archive."""
 
 import os
 import stat
@@ -8,7 +8,7 @@ import pytest
 from recorders import in_folder, in_zip, phyphox, sample
 
 from pdr_graph import InputError, io
-from pdr_graph.io.source import MOST_FILES
+from pdr_graph.io.source import MAXIMUM_FILES
 
 
 @pytest.fixture(scope="module")
@@ -16,15 +16,15 @@ def files():
     return phyphox(sample())
 
 
-def refused(path, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
+def refused(path, message):
+    with pytest.raises(InputError, match=message) as error:
         io.load(path)
-    assert "\n" not in str(refusal.value)
-    assert str(path) in str(refusal.value)
+    assert "\n" not in str(error.value)
+    assert str(path) in str(error.value)
 
 
-def test_a_bomb_is_refused_by_what_comes_out(tmp_path, files, monkeypatch):
-    """Three megabytes out of three kilobytes; the limit is the user's to raise."""
+def test_a_zip_bomb_raises_at_the_limit_of_unpacked_bytes(tmp_path, files, monkeypatch):
+    """Three megabytes from three kilobytes; the user can raise the limit."""
     big = files["Accelerometer.csv"] + 3_000_000 * "0"
     path = in_zip(tmp_path / "bomb.zip", files | {"Accelerometer.csv": big})
     monkeypatch.setenv("PDR_GRAPH_MAX_MB", "2")
@@ -37,11 +37,11 @@ def test_a_bomb_is_refused_by_what_comes_out(tmp_path, files, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["../Accelerometer.csv", "/etc/Accelerometer.csv", "a/../../b.csv", "C:\\b.csv"])
-def test_members_that_lead_elsewhere_are_refused(tmp_path, files, name):
+def test_members_that_lead_elsewhere_raise(tmp_path, files, name):
     refused(in_zip(tmp_path / "walk.zip", files | {name: "1"}), "leads elsewhere")
 
 
-def test_links_in_archives_are_refused(tmp_path, files):
+def test_links_in_archives_raise(tmp_path, files):
     path = in_zip(tmp_path / "walk.zip", files)
     link = zipfile.ZipInfo("Gravity.csv")
     link.external_attr = (stat.S_IFLNK | 0o777) << 16
@@ -50,11 +50,11 @@ def test_links_in_archives_are_refused(tmp_path, files):
     refused(path, "link that leads elsewhere")
 
 
-def test_archives_with_thousands_of_members_are_refused(tmp_path):
-    refused(in_zip(tmp_path / "many.zip", {f"{n}.csv": "" for n in range(MOST_FILES + 1)}), "more than 1000 files")
+def test_archives_with_thousands_of_members_raise(tmp_path):
+    refused(in_zip(tmp_path / "many.zip", {f"{n}.csv": "" for n in range(MAXIMUM_FILES + 1)}), "more than 1000 files")
 
 
-def test_a_name_twice_is_refused(tmp_path, files):
+def test_two_members_of_one_name_raise(tmp_path, files):
     path = in_zip(tmp_path / "walk.zip", files)
     with pytest.warns(UserWarning, match="Duplicate"), zipfile.ZipFile(path, "a") as archive:
         archive.writestr("Accelerometer.csv", "other")
@@ -62,13 +62,13 @@ def test_a_name_twice_is_refused(tmp_path, files):
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:40] + bytes(9) + b[49:], lambda b: b[:4]])
-def test_damaged_archives_are_refused(tmp_path, files, damage):
+def test_damaged_archives_raise(tmp_path, files, damage):
     path = in_zip(tmp_path / "walk.zip", files)
     path.write_bytes(damage(path.read_bytes()))
     refused(path, "zip|unpacked")
 
 
-def test_an_archive_with_a_password_is_refused(tmp_path, files):
+def test_an_archive_with_a_password_raises(tmp_path, files):
     path = in_zip(tmp_path / "walk.zip", files)
     data = bytearray(path.read_bytes())
     for mark, flag in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
@@ -80,14 +80,14 @@ def test_an_archive_with_a_password_is_refused(tmp_path, files):
     refused(path, "password")
 
 
-def test_clutter_of_other_systems_does_not_matter(tmp_path, files):
+def test_files_that_operating_systems_add_are_ignored(tmp_path, files):
     clutter = {"__MACOSX/._Accelerometer.csv": "\x00", ".DS_Store": "x", "Walk/._Gyroscope.csv": "y"}
     walk = io.load(in_zip(tmp_path / "walk.zip", {f"Walk/{n}": t for n, t in files.items()} | clutter))
     assert len(walk.accelerometer) == len(walk.gyroscope)
 
 
-def test_a_nameless_member_does_not_matter(tmp_path, files):
-    """A name ends at its first zero byte; here that is the first."""
+def test_a_member_without_a_name_is_ignored(tmp_path, files):
+    """A name ends at its first zero byte; here that is its first byte."""
     path = in_zip(tmp_path / "walk.zip", files | {"nameless": "x"})
     path.write_bytes(path.read_bytes().replace(b"nameless", b"\0ameless"))
     assert len(io.load(path).accelerometer) > 900

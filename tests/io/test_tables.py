@@ -1,4 +1,4 @@
-"""Tables at the door: fixes, truth, trajectories."""
+"""Tables of fixes, truth and trajectories: readers and writers."""
 
 import json
 
@@ -25,7 +25,7 @@ def table(tmp_path, text):
     return path
 
 
-def test_fixes_come_in_time_order_and_in_recording_time(tmp_path):
+def test_fixes_are_sorted_and_count_from_the_start_of_the_recording(tmp_path):
     path = table(tmp_path, f"time,x,y,sigma,floor\n{ORIGIN + 20},3,4,2,F2\n{ORIGIN + 10.5},1,2,0.5,F1\n")
     fixes = read_fixes(path, WALK)
     assert fixes.time == pytest.approx([10.5, 20.0])
@@ -34,7 +34,7 @@ def test_fixes_come_in_time_order_and_in_recording_time(tmp_path):
     assert fixes.floor == ("F1", "F2")
 
 
-def test_fixes_in_degrees_are_brought_into_the_frame(tmp_path):
+def test_fixes_in_degrees_are_transformed_into_the_frame(tmp_path):
     frame = enu(35.0, 135.0)
     lon, lat = frame.to_lonlat(np.array([[30.0, -12.0]]))[0]
     path = table(tmp_path, f"\ufefftime,lat,lon,sigma\n{ORIGIN},{lat:.9f},{lon:.9f},3\n")
@@ -43,7 +43,7 @@ def test_fixes_in_degrees_are_brought_into_the_frame(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("text", "message"),
     [
         ("", "an empty file"),
         ("time,x,y,sigma\n", "line 2"),
@@ -56,10 +56,10 @@ def test_fixes_in_degrees_are_brought_into_the_frame(tmp_path):
         ("\x00\x01\x02", "header"),
     ],
 )
-def test_bad_fixes_are_refused_with_their_line(tmp_path, text, complaint):
-    with pytest.raises(InputError, match=complaint) as refusal:
+def test_bad_fixes_raise_with_their_line(tmp_path, text, message):
+    with pytest.raises(InputError, match=message) as error:
         read_fixes(table(tmp_path, text), WALK)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(error.value)
 
 
 def test_a_trajectory_reads_back_as_written(tmp_path):
@@ -74,7 +74,7 @@ def test_a_trajectory_reads_back_as_written(tmp_path):
     assert again.covariance[:, :2, :2] == pytest.approx(estimate.trajectory.covariance[:, :2, :2], abs=1e-3)
 
 
-def test_truth_must_run_forward_in_time(tmp_path):
+def test_truth_with_times_that_go_back_raises(tmp_path):
     with pytest.raises(InputError, match="increase"):
         read_trajectory(table(tmp_path, "time,x,y\n1,0,0\n3,0,0\n2,0,0\n"))
 
@@ -96,5 +96,5 @@ def test_geojson_and_gpx_hold_the_same_track(tmp_path):
     assert len(track) == len(estimate.trajectory)
     assert track[0].time.timestamp() == pytest.approx(ORIGIN)
     assert track[-1].time.timestamp() == pytest.approx(ORIGIN + estimate.trajectory.time[-1], abs=1e-3)
-    said = [p["properties"]["time"] for p in points]
-    assert said == pytest.approx([ORIGIN + fix.time for fix in estimate.fixes], abs=1e-3)
+    times = [p["properties"]["time"] for p in points]
+    assert times == pytest.approx([ORIGIN + fix.time for fix in estimate.fixes], abs=1e-3)

@@ -1,4 +1,4 @@
-"""Checks at the door: what can be mended for certain is mended and noted with numbers, the rest is refused."""
+"""Input validation: damage that can be repaired with certainty is repaired and noted with numbers; the rest raises."""
 
 import numpy as np
 import pytest
@@ -9,100 +9,100 @@ from pdr_graph.io.validation import build_recording
 
 
 @pytest.fixture(scope="module")
-def felt():
+def sampled():
     return sample()
 
 
-def admitted(felt, acceleration=None, time=None, **more):
-    time = felt.time if time is None else time
-    values = felt.acceleration if acceleration is None else acceleration
+def validated(sampled, acceleration=None, time=None, **more):
+    time = sampled.time if time is None else time
+    values = sampled.acceleration if acceleration is None else acceleration
     tables = {"accelerometer": np.column_stack([time, values])} | more
     return build_recording("walk.csv", "walk", tables, None)
 
 
-def said(walk, words):
+def assert_noted(walk, words):
     assert sum(words in note for note in walk.notes) == 1, walk.notes
 
 
 @pytest.mark.parametrize(("factor", "words"), [(1 / G, "is g"), (1.0, None)])
-def test_units_of_acceleration_are_told_by_gravity(felt, factor, words):
-    walk = admitted(felt, felt.acceleration * factor)
-    assert walk.accelerometer.values == pytest.approx(felt.acceleration, rel=1e-6, abs=1e-9)
+def test_the_unit_of_acceleration_follows_from_gravity(sampled, factor, words):
+    walk = validated(sampled, sampled.acceleration * factor)
+    assert walk.accelerometer.values == pytest.approx(sampled.acceleration, rel=1e-6, abs=1e-9)
     assert bool(walk.notes) == bool(words)
     if words:
-        said(walk, words)
+        assert_noted(walk, words)
 
 
 @pytest.mark.parametrize("factor", [100.0, 1000 / G, 0.3])
-def test_other_units_are_refused_with_the_number(felt, factor):
+def test_an_unknown_unit_raises_with_the_measured_gravity(sampled, factor):
     with pytest.raises(InputError, match=r"gravity of \d+\.\d+ .*9\.81 m/s²"):
-        admitted(felt, felt.acceleration * factor)
+        validated(sampled, sampled.acceleration * factor)
 
 
-def test_removed_gravity_is_noticed(felt):
-    walk = admitted(felt, felt.acceleration - felt.gravity)
+def test_removed_gravity_is_recognised(sampled):
+    walk = validated(sampled, sampled.acceleration - sampled.gravity)
     assert walk.accelerometer is None
-    assert len(walk.linear_acceleration) == len(felt.time)
-    said(walk, "the recorder removed it")
+    assert len(walk.linear_acceleration) == len(sampled.time)
+    assert_noted(walk, "the recorder removed it")
 
 
-def test_degrees_per_second_are_noticed(felt):
-    rates = np.column_stack([felt.time, np.degrees(felt.angular_rate) + 30.0])
-    walk = admitted(felt, gyroscope=rates)
-    assert walk.gyroscope.values == pytest.approx(felt.angular_rate + np.radians(30.0))
-    said(walk, "degrees per second")
+def test_degrees_per_second_are_recognised(sampled):
+    rates = np.column_stack([sampled.time, np.degrees(sampled.angular_rate) + 30.0])
+    walk = validated(sampled, gyroscope=rates)
+    assert walk.gyroscope.values == pytest.approx(sampled.angular_rate + np.radians(30.0))
+    assert_noted(walk, "degrees per second")
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(100.0, "Pa"), (0.1, "kPa")])
-def test_units_of_pressure(felt, factor, unit):
-    walk = admitted(felt, barometer=np.column_stack([felt.time, felt.pressure * factor]))
+def test_pascal_and_kilopascal_are_recognised(sampled, factor, unit):
+    walk = validated(sampled, barometer=np.column_stack([sampled.time, sampled.pressure * factor]))
     assert walk.barometer.values[0] == pytest.approx(1013.25)
-    said(walk, unit)
+    assert_noted(walk, unit)
 
 
-def test_repeated_rows_count_once(felt):
-    again = np.sort(np.concatenate([np.arange(len(felt.time)), [7, 7, 300]]))
-    walk = admitted(felt, felt.acceleration[again], felt.time[again])
-    assert walk.accelerometer.time == pytest.approx(felt.time)
-    said(walk, "3 repeated rows")
+def test_repeated_rows_are_used_once(sampled):
+    again = np.sort(np.concatenate([np.arange(len(sampled.time)), [7, 7, 300]]))
+    walk = validated(sampled, sampled.acceleration[again], sampled.time[again])
+    assert walk.accelerometer.time == pytest.approx(sampled.time)
+    assert_noted(walk, "3 repeated rows")
 
 
-def test_a_clock_coarser_than_the_sensor_is_spread(felt):
-    """50 Hz stamped in tenths of a second: five samples share each, and are 20 ms apart again."""
-    whole = slice(0, 900)
-    walk = admitted(felt, felt.acceleration[whole], np.floor(felt.time[whole] * 10 + 1e-6) / 10)
-    assert walk.accelerometer.time == pytest.approx(felt.time[whole], abs=1e-6)
-    said(walk, "spread evenly")
+def test_samples_of_a_clock_coarser_than_the_sensor_are_spread_evenly(sampled):
+    """50 Hz with times in tenths of a second: five samples share a time, and are then 20 ms apart again."""
+    rows = slice(0, 900)
+    walk = validated(sampled, sampled.acceleration[rows], np.floor(sampled.time[rows] * 10 + 1e-6) / 10)
+    assert walk.accelerometer.time == pytest.approx(sampled.time[rows], abs=1e-6)
+    assert_noted(walk, "spread evenly")
 
 
-def test_a_few_late_rows_are_sorted_and_a_shuffled_file_is_refused(felt):
-    order = np.arange(len(felt.time))
+def test_a_few_late_rows_are_sorted_and_a_shuffled_file_raises(sampled):
+    order = np.arange(len(sampled.time))
     order[[100, 101]] = [101, 100]
-    walk = admitted(felt, felt.acceleration[order], felt.time[order])
-    assert walk.accelerometer.values == pytest.approx(felt.acceleration)
-    said(walk, "1 rows out of order")
+    walk = validated(sampled, sampled.acceleration[order], sampled.time[order])
+    assert walk.accelerometer.values == pytest.approx(sampled.acceleration)
+    assert_noted(walk, "1 rows out of order")
     with pytest.raises(InputError, match="shuffled"):
-        admitted(felt, felt.acceleration[::-1], felt.time[::-1])
+        validated(sampled, sampled.acceleration[::-1], sampled.time[::-1])
 
 
-def test_some_missing_values_are_left_out_and_many_refused(felt):
-    holes = felt.acceleration.copy()
-    holes[::10, 1] = np.nan
-    assert len(admitted(felt, holes).accelerometer) == len(felt.time) - len(holes[::10])
-    holes[::3] = np.nan
+def test_some_missing_values_are_left_out_and_many_raise(sampled):
+    values = sampled.acceleration.copy()
+    values[::10, 1] = np.nan
+    assert len(validated(sampled, values).accelerometer) == len(sampled.time) - len(values[::10])
+    values[::3] = np.nan
     with pytest.raises(InputError, match="without a value"):
-        admitted(felt, holes)
+        validated(sampled, values)
 
 
-def test_gaps_rates_and_clocks_are_noted(felt):
-    gap = felt.time + np.where(felt.time > 10, 4.0, 0.0)
-    said(admitted(felt, time=gap), "1 gaps, the longest of 4.02 s after 10.0 s")
+def test_gaps_rates_and_clocks_are_noted(sampled):
+    gap = sampled.time + np.where(sampled.time > 10, 4.0, 0.0)
+    assert_noted(validated(sampled, time=gap), "1 gaps, the longest of 4.02 s after 10.0 s")
     slow = slice(None, None, 5)
-    said(admitted(felt, felt.acceleration[slow], felt.time[slow]), "10.0 Hz is too slow")
-    late = np.column_stack([felt.time + 3.0, felt.angular_rate])
-    said(admitted(felt, gyroscope=late), "begins +3.0 s")
-    with pytest.raises(InputError, match=r"begin 1000\.0 s after"):
-        admitted(felt, gyroscope=np.column_stack([felt.time + 1000.0, felt.angular_rate]))
+    assert_noted(validated(sampled, sampled.acceleration[slow], sampled.time[slow]), "10.0 Hz is too slow")
+    late = np.column_stack([sampled.time + 3.0, sampled.angular_rate])
+    assert_noted(validated(sampled, gyroscope=late), "begins +3.0 s")
+    with pytest.raises(InputError, match=r"start 1000\.0 s after"):
+        validated(sampled, gyroscope=np.column_stack([sampled.time + 1000.0, sampled.angular_rate]))
 
 
 FAULTS = {
@@ -118,25 +118,25 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_of_a_table_are_mended_or_refused_in_one_line(tmp_path, felt, fault):
-    damage, complaint = FAULTS[fault]
-    text = damage(table(xyz("m/s^2", "Acceleration {}"), felt.time, felt.acceleration, form="{:.6f}"))
-    folder = in_folder(tmp_path / "walk", phyphox(felt) | {"Accelerometer.csv": text})
-    if complaint == "":
+def test_faults_of_a_table_are_repaired_or_raise_one_line(tmp_path, sampled, fault):
+    damage, message = FAULTS[fault]
+    text = damage(table(xyz("m/s^2", "Acceleration {}"), sampled.time, sampled.acceleration, form="{:.6f}"))
+    folder = in_folder(tmp_path / "walk", phyphox(sampled) | {"Accelerometer.csv": text})
+    if message == "":
         walk = io.load(folder)
         assert len(walk.accelerometer) > 400
         return
-    if complaint is None:
+    if message is None:
         assert io.load(folder).accelerometer is None, "an empty table is a sensor that was not recorded"
         return
-    with pytest.raises(InputError, match=complaint) as refusal:
+    with pytest.raises(InputError, match=message) as error:
         io.load(folder)
-    assert "Accelerometer.csv" in str(refusal.value)
-    assert len(str(refusal.value)) < 400
+    assert "Accelerometer.csv" in str(error.value)
+    assert len(str(error.value)) < 400
 
 
-def test_a_log_cut_in_mid_row_loses_that_row_only(tmp_path, felt):
-    text = get_sensor_data(felt)
+def test_a_log_cut_in_mid_row_loses_that_row_only(tmp_path, sampled):
+    text = get_sensor_data(sampled)
     path = tmp_path / "log.txt"
     path.write_text(text[: text.rindex("GYRO") + 25])
-    assert len(io.load(path).gyroscope) == len(felt.time) - 1
+    assert len(io.load(path).gyroscope) == len(sampled.time) - 1
