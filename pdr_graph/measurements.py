@@ -30,6 +30,7 @@ class Levels(OneLineRepr, row="level"):
     sigma: Array
 
     tables: ClassVar[tuple[str, ...]] = ("label", "position", "sigma")
+    reference: ClassVar[str] = "beacon"
 
     def __len__(self) -> int:
         return len(self.time)
@@ -85,6 +86,7 @@ class Ranges:
     position_sigma: Array
 
     tables: ClassVar[tuple[str, ...]] = ("label", "position", "position_sigma")
+    reference: ClassVar[str] = "anchor"
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
@@ -125,11 +127,40 @@ def take(data: Data, which: Index) -> Data:
 
 def appended(data: Data, more: Data) -> Data:
     """The rows of `data` and then of `more`, of the same type; tables that rows refer to are taken from `more`."""
-    joined = {}
-    for name in _row_fields(data):
-        first, second = getattr(data, name), getattr(more, name)
-        joined[name] = np.concatenate([first, second]) if isinstance(first, np.ndarray) else (*first, *second)
-    return replace(more, **joined)
+    return replace(more, **{name: _stacked([getattr(data, name), getattr(more, name)]) for name in _row_fields(data)})
+
+
+def with_offset(data: Data, seconds: float) -> Data:
+    """The table with `seconds` added to its times."""
+    return replace(data, time=data.time + seconds)
+
+
+def concatenate(parts: Sequence[Data]) -> Data:
+    """The rows of at least one table, all of one type, in the order of the parts.
+
+    Tables that rows refer to are merged: a label names one beacon or anchor, described by the first part that has it.
+    """
+    parts = [part for part in parts if len(part)] or list(parts[:1])
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    joined = {name: _stacked([getattr(part, name) for part in parts]) for name in _row_fields(first)}
+    tables = getattr(type(first), "tables", ())
+    if tables:
+        named: dict[tuple[str, int], tuple[Data, int]] = {}
+        rows = [np.array([_row_of(named, part, m) for m in range(len(part.label))], dtype=np.intp) for part in parts]
+        column = type(first).reference
+        joined[column] = np.concatenate([row[getattr(part, column)] for row, part in zip(rows, parts, strict=True)])
+        for name in tables:
+            values = [getattr(part, name)[m] for part, m in named.values()]
+            joined[name] = tuple(values) if isinstance(getattr(first, name), tuple) else np.array(values)
+    return replace(first, **joined)
+
+
+def by_type(tables: Sequence[Any]) -> tuple[Any, ...]:
+    """The tables with all of one type concatenated, in the order in which the types first appear."""
+    kinds = dict.fromkeys(type(table) for table in tables)
+    return tuple(concatenate([table for table in tables if type(table) is kind]) for kind in kinds)
 
 
 def last_time(data: Any) -> Array:
@@ -142,3 +173,20 @@ def _row_fields(data: Any) -> list[str]:
     tables = getattr(type(data), "tables", ())
     columns = [(field.name, getattr(data, field.name)) for field in fields(data) if field.name not in tables]
     return [name for name, column in columns if isinstance(column, (np.ndarray, tuple)) and len(column) == len(data)]
+
+
+def _stacked(columns: Sequence[Any]) -> Any:
+    """Columns of several tables below each other: arrays or tuples."""
+    if isinstance(columns[0], np.ndarray):
+        return np.concatenate(columns)
+    return tuple(value for column in columns for value in column)
+
+
+def _row_of(named: dict[tuple[str, int], tuple[Any, int]], part: Any, m: int) -> int:
+    """Row number of beacon or anchor `m` of a part in the merged tables `named`, to which a new label is added.
+
+    A label that stands several times in one list names several things, in the order of the list.
+    """
+    key = part.label[m], part.label[:m].count(part.label[m])
+    named.setdefault(key, (part, m))
+    return list(named).index(key)

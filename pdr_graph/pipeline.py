@@ -31,6 +31,7 @@ from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Inputs, Options, read
 from pdr_graph.io.tables import read_trajectory
+from pdr_graph.measurements import by_type
 from pdr_graph.outputs import Result, Stages, write
 from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Signal, Steps, Trajectory
 
@@ -102,17 +103,21 @@ def observe(inputs: Inputs, options: Options | None = None) -> Evidence:
         gaits = gait_signals(walk)
         steps = detect_steps(gaits, inputs.walker)
         headings = magnetic_headings(gaits, inputs.frame, inputs.near)
-    told = [table for table in walk.measurements if isinstance(table, Headings)]
-    evidence = Evidence(
-        steps,
-        inputs.fixes,
-        Headings.concatenate([headings, *told]) if told else headings,
-        inputs.building,
-        measurements=tuple(table for table in walk.measurements if not isinstance(table, Headings)),
-        profile=inputs.walker.profile,
-    )
+    evidence = Evidence(steps, inputs.fixes, headings, inputs.building, profile=inputs.walker.profile)
+    evidence = with_measurements(evidence, walk.measurements)
     evidence = with_floors(evidence, walk.barometer, options.floor, options.plan)
     return with_beacon_levels(evidence, walk.bluetooth, inputs.beacons)
+
+
+def with_measurements(evidence: Evidence, tables: Sequence[Any]) -> Evidence:
+    """Add tables of measurements of any kinds, those of one kind as one table; headings join the compass headings."""
+    headings = [table for table in tables if isinstance(table, Headings)]
+    others = [table for table in tables if not isinstance(table, Headings)]
+    return replace(
+        evidence,
+        headings=Headings.concatenate([evidence.headings, *headings]) if headings else evidence.headings,
+        measurements=by_type((*evidence.measurements, *others)),
+    )
 
 
 def with_floors(evidence: Evidence, barometer: Signal | None, start_floor: str | None, plan: Path | None) -> Evidence:

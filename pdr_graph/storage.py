@@ -5,7 +5,8 @@ One format serves events, snapshots and the blobs of a lifelog:
     CRC-32 of what follows (4 bytes) · format (1) · msgpack: [name of the type, fields by name in alphabetical order]
 
 A numeric array is an extension of msgpack: its dtype, its shape, its bytes. `decode` checks every field against its
-type hint, and that encoding again gives the same bytes: a field too many or too few is refused.
+type hint, and that encoding again gives the same bytes: a field too many or too few is refused. Only the fields that a
+type lists in its class variable ``added`` may be missing, in bytes of older versions: they get their default.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
@@ -96,11 +97,12 @@ def _decoded(blob: bytes, kinds: Mapping[str, type]) -> Any:
 def _check_complete(value: Any, path: str = "$") -> None:
     """Raise ValueError if a field was not in the bytes: msgspec leaves its default to the class."""
     if is_dataclass(value):
-        known = vars(value)
-        for field in fields(value):
-            if field.name not in known:
-                raise ValueError(f"missing field `{field.name}` - at `{path}`")
-            _check_complete(known[field.name], f"{path}.{field.name}")
+        known, added = vars(value), getattr(type(value), "added", ())
+        for name in (each.name for each in fields(value)):
+            if name in known:
+                _check_complete(known[name], f"{path}.{name}")
+            elif name not in added:
+                raise ValueError(f"missing field `{name}` - at `{path}`")
     elif isinstance(value, (list, tuple, dict)):
         for one in value.values() if isinstance(value, dict) else value:
             if isinstance(one, (str, int, float)):
@@ -185,12 +187,12 @@ def compress(value: object) -> bytes:
     return zlib.compress(encode(value), LEVEL)
 
 
-def decompress(blob: bytes, kind: type[Value]) -> Value:
-    """The dataclass of which `compress` made the bytes. Raises ValueError for other bytes."""
+def decompress(blob: bytes, *kinds: type) -> Any:
+    """The dataclass, one of these kinds, that `compress` made the bytes of. Raises ValueError for other bytes."""
     try:
-        return decode(zlib.decompress(blob), kind)
+        return decode(zlib.decompress(blob), *kinds)
     except zlib.error as error:
-        raise ValueError(f"bytes of no {kind.__name__}: {_on_one_line(error)}") from None
+        raise ValueError(f"bytes of no {kinds[0].__name__}: {_on_one_line(error)}") from None
 
 
 def encode_json(value: object) -> str:
@@ -208,13 +210,13 @@ def decode_json(text: str, kind: type[Value]) -> Value:
 
 def checkpoint(one: object, kind: type[Value]) -> Value:
     """The attributes of an object that a dataclass of this kind has, copied."""
-    return kind(**{field.name: deepcopy(getattr(one, field.name)) for field in fields(kind)})  # type: ignore[arg-type]
+    return kind(**{each.name: deepcopy(getattr(one, each.name)) for each in fields(kind)})  # type: ignore[arg-type]
 
 
 def restore(one: object, known: Any) -> None:
     """Set the attributes of an object to those of a checkpoint, copied."""
-    for field in fields(known):
-        setattr(one, field.name, deepcopy(getattr(known, field.name)))
+    for each in fields(known):
+        setattr(one, each.name, deepcopy(getattr(known, each.name)))
 
 
 def fingerprint(path: Path, files: Sequence[Path] = ()) -> str:
@@ -243,19 +245,21 @@ ERRORS = {
 class Kind:
     """A kind of file. name: in messages, as "journal"; application, version: numbers that its header has.
 
-    remedy: what to do with a file of an older version.
+    remedy: what to do with a file of an older version that has no upgrade; upgrades: by version, the statements that
+    make a file of the next version of it.
     """
 
     name: str
     application: int
     version: int
     remedy: str
+    upgrades: Mapping[int, Sequence[str]] = field(default_factory=dict)
 
 
 def create_or_open(
     path: Path, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
 ) -> sqlite3.Connection:
-    """The database, which nobody else can open any more, with a write-ahead log.
+    """The database, upgraded to this version, which nobody else can open any more, with a write-ahead log.
 
     schema: statements that make its tables, and rows: those with which it begins by the statement that puts them in,
     if it is new.
@@ -270,7 +274,10 @@ def create_or_open(
         with explained(path, kind):
             database.execute("PRAGMA locking_mode = EXCLUSIVE")
             database.execute("BEGIN EXCLUSIVE")
-            if not database.execute("PRAGMA user_version").fetchone()[0]:
+            version = database.execute("PRAGMA user_version").fetchone()[0]
+            if version:
+                _upgrade(database, kind, version)
+            else:
                 _make(database, kind, schema, rows)
             database.execute("COMMIT")
             database.execute("PRAGMA journal_mode = WAL")
@@ -308,7 +315,7 @@ def _recognise(path: Path, kind: Kind) -> None:
     version, application = (int.from_bytes(header[at : at + 4], "big") for at in (60, 68))
     if not header.startswith(b"SQLite format 3\0") or application != kind.application:
         raise InputError(path, "", "another kind of file", f"a {kind.name}, or a name that is not taken")
-    if version != kind.version:
+    if version != kind.version and version not in kind.upgrades:
         remedy = kind.remedy if version < kind.version else "use the newer pdr_graph that wrote it"
         raise InputError(path, "format", f"{version}", f"{kind.version}, which this version reads: {remedy}")
     size = int.from_bytes(header[16:18], "big") * int.from_bytes(header[28:32], "big")  # pages
@@ -325,3 +332,11 @@ def _make(
         database.executemany(statement, values)
     database.execute(f"PRAGMA application_id = {kind.application}")
     database.execute(f"PRAGMA user_version = {kind.version}")
+
+
+def _upgrade(database: sqlite3.Connection, kind: Kind, version: int) -> None:
+    """Upgrade a file to the present version, in the transaction that is open."""
+    for older in range(version, kind.version):
+        for statement in kind.upgrades[older]:
+            database.execute(statement)
+        database.execute(f"PRAGMA user_version = {older + 1}")

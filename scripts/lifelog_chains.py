@@ -12,6 +12,7 @@ from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import walked
 from pdr_graph.lifelog.sessions import Group
+from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = ("site1/B1", "site1/F1", "site2/F1")
@@ -20,7 +21,7 @@ NO_PIECE = "5dda0214"  # of site1/F1, an hour later: no piece of its chain
 
 def observed(folder):
     """Every walk of a floor, in order of time, with its waypoints."""
-    found = [(observe(path, folder), io.load(path)) for path in sorted(folder.glob("*.txt"))]
+    found = [(observe(path, RecordingOptions(plan=folder)), io.load(path)) for path in sorted(folder.glob("*.txt"))]
     return sorted(found, key=lambda pair: pair[0].epoch)
 
 

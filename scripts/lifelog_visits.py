@@ -22,6 +22,7 @@ from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import walked
 from pdr_graph.lifelog.sessions import Group
 from pdr_graph.lifelog.stays import stays_of
+from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.simulation.itinerary import FRONT
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
@@ -128,7 +129,7 @@ def estimated(walk, plan, seed):
         write(walk, Path(folder))
         entrance = Path(folder) / "entrance.csv"
         entrance.write_text(f"time,x,y,sigma\n{time:.3f},{place[0]:.3f},{place[1]:.3f},{SIGMA_ENTRANCE}\n")
-        seen = observe(Path(folder), plan, entrance)
+        seen = observe(Path(folder), RecordingOptions(plan=plan, fixes=entrance))
     found = walked(Group((("", seen),)), None, None)
     return found.graph.steps, found.estimate.trajectory, found.looks, seen.epoch
 

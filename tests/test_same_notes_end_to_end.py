@@ -15,6 +15,7 @@ import simulated
 from pdr_graph.inputs import Options, read
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import reconstruct
+from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.online.replay import replay_recording
@@ -85,7 +86,9 @@ def test_a_lifelog_walk_says_what_smooth_says(folder, tmp_path, case):
     warnings, missing, *_ = said(
         smooth_recording, folder / recording, tmp_path / "smoothed", Options(fixes=folder / fixes)
     )
-    day = reconstruct("me", "2023-11-14", {"hash": observe(folder / recording, fixes=folder / fixes)}, None)
+    day = reconstruct(
+        "me", "2023-11-14", {"hash": observe(folder / recording, RecordingOptions(fixes=folder / fixes))}, None
+    )
     [outing] = day.outings
     assert set(outing.missing) == set(missing)
     assert warnings == set(outing.notes)

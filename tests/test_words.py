@@ -106,7 +106,6 @@ PENDING_NAMES: set[str] = {
     "pdr_graph/gait/step_detection.py",
     "pdr_graph/lifelog/build.py",
     "pdr_graph/lifelog/export.py",
-    "pdr_graph/lifelog/ingest.py",
     "pdr_graph/lifelog/picture.py",
     "pdr_graph/lifelog/private_places.py",
     "pdr_graph/lifelog/store.py",

@@ -6,11 +6,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
 from pdr_graph.errors import DegradedExit, RefusedExit, first_look
 
 lifelog = typer.Typer(
@@ -44,8 +46,10 @@ def add(
     map_: Annotated[
         Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan of where they were.")
     ] = None,
-    fixes: Annotated[Path | None, typer.Option(metavar="CSV", help="Positions, as of smooth.")] = None,
-    walker: Annotated[Path | None, typer.Option(metavar="TOML", help="What is known of the walker.")] = None,
+    fixes: FixesPath = None,
+    beacons: BeaconsPath = None,
+    ranges: RangesPath = None,
+    walker: WalkerPath = None,
     floor: Annotated[str | None, typer.Option(metavar="LABEL", help="The floor where they begin.")] = None,
     begins: Annotated[
         str | None,
@@ -59,27 +63,30 @@ def add(
         bool, typer.Option("--copy", help="Keep a copy in STORE.d, so that the original may go; else it has to stay.")
     ] = False,
 ) -> None:
-    """Add recordings to a lifelog.
+    """Add recordings to a lifelog, which is created if it does not exist.
 
-    It is made if there is none. What is there already is added once. Options are of all the RECORDINGs; what is not
-    said of one that is there already stays as it was.
+    A recording is added once, whatever its name. Options hold for all the RECORDINGs; a recording that is in the
+    lifelog already keeps its present value of an option that is not given.
 
     \b
     pdr-graph lifelog add days.db walks/ --map maps/mall.geojson
     """
-    from pdr_graph.lifelog.ingest import add as added
-    from pdr_graph.lifelog.ingest import time_of
+    from pdr_graph.lifelog import ingest
+    from pdr_graph.lifelog.store import RecordingOptions
 
-    start = None if begins is None else time_of(begins)
+    start = None if begins is None else ingest.time_of(begins)
+    options = RecordingOptions(map_, fixes, beacons, ranges, walker, floor, start)
     with _bar() as advance:
-        result = added(
-            store, recordings, person, map_, fixes, walker, floor, start, phone, copy, lambda *n: advance("", *n)
+        result = ingest.add(
+            store, recordings, options, person=person, phone=phone, copy=copy, progress=partial(advance, "")
         )
-    said = [f"{result.added} added"]
-    said += [f"{result.again} there already, {result.changed} of them with other options now"] if result.again else []
-    said += [f"{result.skipped} files skipped"] if result.skipped else []
-    typer.echo(f"{', '.join(said)} -> {store}")
-    _end(result.refused, none=not result.added + result.again)
+    counts = [f"{result.added} added"]
+    counts += (
+        [f"{result.existing} there already, {result.changed} of them with other options now"] if result.existing else []
+    )
+    counts += [f"{result.skipped} files skipped"] if result.skipped else []
+    typer.echo(f"{', '.join(counts)} -> {store}")
+    _end(result.refused, none=not result.added + result.existing)
 
 
 @lifelog.command()

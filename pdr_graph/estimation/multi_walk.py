@@ -22,7 +22,7 @@ from pdr_graph.estimation.optimizer import Optimum, near_start
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.gait.signals import append_steps, gap, shifted
 from pdr_graph.geometry import interpolate, nearest, row_times, wrap_angle
-from pdr_graph.measurements import Closures, Levels
+from pdr_graph.measurements import Closures, by_type, with_offset
 from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, Headings, Trajectory
 
 BETWEEN = 3600.0  # [s] of the common time from one walk to the next
@@ -56,6 +56,12 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
     bound = [
         replace(own, walk=np.full_like(own.walk, n)) for n, graph in enumerate(graphs) for own in _of(graph, Closures)
     ]
+    tables = [
+        with_offset(table, by)
+        for graph, by in zip(graphs, begins, strict=True)
+        for table in graph.data
+        if not isinstance(table, (Fixes, Headings, Closures))
+    ]
     return WalkGraph(
         whole,
         Fixes.concatenate([_within(graph).shifted(by) for graph, by in zip(graphs, begins, strict=True)]),
@@ -64,8 +70,7 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
         ),
         floor=graphs[0].floor,
         floors=labels,
-        levels=_levels([next(_of(graph, Levels), None) for graph in graphs], begins),
-        closures=Closures.concatenate([closures, *bound]).shifted(begins),
+        measurements=(*by_type(tables), Closures.concatenate([closures, *bound]).shifted(begins)),
         prior=graphs[0].prior,
         others=[(own.start, graph.prior) for own, graph in zip(steps[1:], graphs[1:], strict=True)],
     )
@@ -133,23 +138,3 @@ def _calibration(joint: WalkGraph, graph: WalkGraph, by: float, c: Array, covari
     start = joint.keyframe_time[joint.chain.segment_first] - by
     own = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
     return Calibration(start[own], c[own], covariance[own], prior_sigma(graph.prior, np.arange(len(own))))
-
-
-def _levels(parts: Sequence[Levels | None], begins: Array) -> Levels | None:
-    """What all walks heard of beacons; one label is one beacon."""
-    heard = [(part, by) for part, by in zip(parts, begins, strict=True) if part is not None]
-    if not heard:
-        return None
-    first: dict[str, tuple[Levels, int]] = {}
-    for part, _ in heard:
-        for m, label in enumerate(part.label):
-            first.setdefault(label, (part, m))
-    number = {label: n for n, label in enumerate(first)}
-    return Levels(
-        np.concatenate([part.time + by for part, by in heard]),
-        np.concatenate([np.array([number[label] for label in part.label])[part.beacon] for part, _ in heard]),
-        np.concatenate([part.rssi for part, _ in heard]),
-        tuple(first),
-        np.array([part.position[m] for part, m in first.values()]),
-        np.array([part.sigma[m] for part, m in first.values()]),
-    )

@@ -252,22 +252,22 @@ def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, Ob
 
 def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:
     """The task of a recording; its key covers the content of every file that is read."""
-    given = {name: getattr(entry, name) for name in ("plan", "fixes", "walker")}
+    options, read = entry.options, dict(entry.options.files)
     listed = Path(entry.path).with_name(BEACON_LIST)
-    read = given | {"list of beacons": str(listed) if listed.is_file() else ""}
-    content = [(name, _hash(hashes, name, said, entry)) for name, said in read.items() if said]
-    key = cache.key_of(entry.hash, entry.floor, entry.begins, entry.plan, content)
+    if "beacons" not in read and listed.is_file():
+        read["list of beacons"] = listed
+    content = [(name, _hash(hashes, name, path, entry)) for name, path in read.items()]
+    key = cache.key_of(entry.hash, options.floor or "", options.begins, str(options.plan or ""), content)
     file = str(log.folder / cache.OBSERVATIONS / key)
-    given |= {"floor": entry.floor, "begins": entry.begins, "made_by": cache.MADE_BY}
-    return ObservationTask(entry.hash, key, file, entry.path, **given)
+    return ObservationTask(entry.hash, key, file, entry.path, options, cache.MADE_BY)
 
 
-def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, said: str, entry: Entry) -> str:
+def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, path: Path, entry: Entry) -> str:
     """Content hash of a file that belongs to a recording."""
     try:
-        return hashes.get(name, hashes[""])(Path(said))
+        return hashes.get(name, hashes[""])(path)
     except OSError as error:
-        raise InputError(said, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
+        raise InputError(path, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
 
 
 def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], told: Told) -> None:

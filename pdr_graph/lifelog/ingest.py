@@ -6,37 +6,36 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import MICROSOFT_INFO, MICROSOFT_MAP
 from pdr_graph.gait.walker import Walker
+from pdr_graph.inputs import Options, read
 from pdr_graph.io.beacons import beside
 from pdr_graph.io.source import Source
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import check_tells
-from pdr_graph.lifelog.store import Entry, Store
+from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.types import Fixes
 
 DEFAULT_PERSON = "me"
-OPTIONS = ("person", "plan", "fixes", "walker", "floor", "begins")
 TIME_FORM = "a time such as 2024-05-01T09:30:00+02:00"
 
 
 @dataclass(frozen=True)
-class Added:
+class AddResult:
     """Result of adding recordings: counts, and a line for each refusal.
 
-    added: new recordings; again: already in the lifelog; changed: of those, with other options now; skipped: files in
-    folders that are not recordings; refused: reasons, a line each.
+    added: new recordings; existing: recordings that were in the lifelog already; changed: those of them that have other
+    options now; skipped: files in folders that are no recordings; refused: reasons, a line each.
     """
 
     added: int = 0
-    again: int = 0
+    existing: int = 0
     changed: int = 0
     skipped: int = 0
     refused: tuple[str, ...] = ()
@@ -45,78 +44,76 @@ class Added:
 def add(
     store: Path,
     recordings: Sequence[Path],
+    options: RecordingOptions | None = None,
+    *,
     person: str | None = None,
-    plan: Path | None = None,
-    fixes: Path | None = None,
-    walker: Path | None = None,
-    floor: str | None = None,
-    begins: float | None = None,
     phone: str | None = None,
     copy: bool = False,
-    told: Callable[[int, int], None] = lambda done, of: None,
-) -> Added:
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> AddResult:
     """Add recordings, also those in folders, to a lifelog, which is created if it does not exist.
 
-    person: who made them, DEFAULT_PERSON by default; plan, fixes, walker, floor, begins: as of `observe`;
-    None keeps the present value of recordings that are in the lifelog already. phone: name of the person's phone or tag
-    in the Bluetooth logs of others. copy: keep a copy, so that the original may be deleted. told: progress callback
-    (done, total).
+    options, person: of all these recordings (the person is DEFAULT_PERSON by default); recordings that are in the
+    lifelog already keep their present value of an option that is None. phone: name of the person's phone or tag in the
+    Bluetooth logs of others. copy: keep a copy, so that the original may be deleted. progress: called with the numbers
+    of recordings done and in total.
 
     Raises InputError if an option or the lifelog cannot be used; OSError of the disk.
     """
-    said = {"person": person, "plan": _plan(plan), "fixes": _path(fixes), "walker": _path(walker)}
-    options = {name: value for name, value in (said | {"floor": floor, "begins": begins}).items() if value is not None}
-    _check_options(options)
+    options = _checked(person, options or RecordingOptions())
     found, skipped, refused = found_in(recordings)
-    if begins is not None and len(found) > 1:
+    if options.begins is not None and len(found) > 1:
         raise InputError("--begins", "", f"{len(found)} recordings", "a single recording: add them one by one")
     with Store(store, new=True) as log:
         if phone is not None:
             log.carries(person or DEFAULT_PERSON, phone)
         known = {entry.hash: entry for entry in log.entries()}
-        result = Added(skipped=skipped, refused=tuple(refused))
+        result = AddResult(skipped=skipped, refused=tuple(refused))
         for done, path in enumerate(found):
-            told(done, len(found))
+            progress(done, len(found))
             try:
-                entry = _entry(path.resolve(), options, known)
+                entry = _entry(path.resolve(), person, options, known)
             except InputError as error:
                 result = replace(result, refused=(*result.refused, str(error)))
                 continue
             result = _counted(result, known.get(entry.hash), entry)
-            known[entry.hash] = _kept(entry, known.get(entry.hash), log.folder / cache.COPIES, copy)
+            known[entry.hash] = _with_path(entry, known.get(entry.hash), log.folder / cache.COPIES, copy)
             log.put(known[entry.hash])
-        told(len(found), len(found))
+        progress(len(found), len(found))
     return result
 
 
-def _entry(path: Path, options: dict[str, Any], known: Mapping[str, Entry]) -> Entry:
+def _entry(path: Path, person: str | None, options: RecordingOptions, known: Mapping[str, Entry]) -> Entry:
     """The lifelog's entry for a recording. Raises InputError if it cannot be read."""
     if not str(path).isprintable():
         raise InputError(path, "", "a file name with unprintable characters", "a printable name: rename it")
     try:
         digest = content_hash(path)
         before = known.get(digest)
-        entry = replace(before or Entry(digest, DEFAULT_PERSON, ""), path=str(path), **options)
+        entry = before or Entry(digest, DEFAULT_PERSON, "")
+        options = entry.options.updated(options)
+        entry = replace(entry, person=person or entry.person, path=str(path), options=options)
         if before is None or _is_changed(before, entry):
-            _check(path, entry)
+            _check(path, entry.options)
     except OSError as error:
         raise InputError(path, "", error.strerror or str(error), "a readable recording") from None
     return entry
 
 
 def _is_changed(before: Entry, now: Entry) -> bool:
-    """True if an option has changed."""
-    return any(getattr(before, name) != getattr(now, name) for name in OPTIONS)
+    """True if the person or an option has changed."""
+    return (before.person, before.options) != (now.person, now.options)
 
 
-def _counted(result: Added, before: Entry | None, entry: Entry) -> Added:
+def _counted(result: AddResult, before: Entry | None, entry: Entry) -> AddResult:
+    """The counts after one more recording; before: its entry if it was in the lifelog already."""
     if before is None:
         return replace(result, added=result.added + 1)
-    return replace(result, again=result.again + 1, changed=result.changed + _is_changed(before, entry))
+    return replace(result, existing=result.existing + 1, changed=result.changed + _is_changed(before, entry))
 
 
-def _kept(entry: Entry, before: Entry | None, copies: Path, copy: bool) -> Entry:
-    """The entry with its final path: of the copy, if one is requested or exists."""
+def _with_path(entry: Entry, before: Entry | None, copies: Path, copy: bool) -> Entry:
+    """The entry with its final path: that of the copy, if one is requested or exists."""
     if before is not None and Path(before.path).is_relative_to(copies):
         return replace(entry, path=before.path)
     return replace(entry, path=str(_copied(Path(entry.path), copies / entry.hash))) if copy else entry
@@ -164,27 +161,32 @@ def _is_recording(path: Path) -> bool:
         return path.is_file()  # a damaged zip: to be refused by name; a folder of several recordings is none
 
 
-def _check(path: Path, entry: Entry) -> None:
+def _check(path: Path, options: RecordingOptions) -> None:
     """Raise InputError where a recording could not be observed."""
     walk = io.load(path)
-    if walk.epoch is None and entry.begins is None:
+    if walk.epoch is None and options.begins is None:
         raise InputError(path, "", "no date", f"a start time: give --begins with {TIME_FORM}")
-    given = read_fixes(Path(entry.fixes), walk) if entry.fixes else Fixes.none()
-    check_tells(path, walk, len(walk.fixes) + len(given))
+    if options.ranges is not None:
+        read(path, Options(**options.files))
+    fixes = read_fixes(options.fixes, walk) if options.fixes else Fixes.none()
+    check_tells(path, walk, len(walk.fixes) + len(fixes))
 
 
-def _check_options(options: Mapping[str, Any]) -> None:
-    """Raise InputError for an empty name, or an unreadable plan or walker file."""
-    for name in ("person", "floor"):
-        said = options.get(name, DEFAULT_PERSON)
-        if not said.strip() or not said.isprintable():
-            raise InputError(f"--{name}", "", repr(said), "a name")
-    if plan := options.get("plan"):
-        labels, floor = Building.load(plan).labels, options.get("floor")
-        if floor and floor not in labels:
-            raise InputError(plan, "", f"the floors {', '.join(labels)[:80]}", f"a floor {floor!r}")
-    if walker := options.get("walker"):
-        Walker.load(walker)
+def _checked(person: str | None, options: RecordingOptions) -> RecordingOptions:
+    """The options with absolute paths. Raises InputError for an empty name, or an unreadable plan or walker file."""
+    for name, value in (("person", person), ("floor", options.floor)):
+        if value is not None and not (value.strip() and value.isprintable()):
+            raise InputError(f"--{name}", "", repr(value), "a name")
+    if (plan := options.plan) is not None and plan.name in (MICROSOFT_MAP, MICROSOFT_INFO):
+        options = replace(options, plan=plan.parent)  # a file of a Microsoft floor stands for its folder
+    options = replace(options, **{name: path.resolve() for name, path in options.files.items()})
+    if options.plan is not None:
+        labels = Building.load(options.plan).labels
+        if options.floor is not None and options.floor not in labels:
+            raise InputError(options.plan, "", f"the floors {', '.join(labels)[:80]}", f"a floor {options.floor!r}")
+    if options.walker is not None:
+        Walker.load(options.walker)
+    return options
 
 
 def _copied(path: Path, folder: Path) -> Path:
@@ -199,19 +201,10 @@ def _copied(path: Path, folder: Path) -> Path:
     return folder / path.name
 
 
-def _path(path: Path | None) -> str | None:
-    return str(path.resolve()) if path else None
-
-
-def _plan(path: Path | None) -> str | None:
-    """Path of a plan; for a file of a Microsoft floor its folder."""
-    return _path(path.parent if path and path.name in (MICROSOFT_MAP, MICROSOFT_INFO) else path)
-
-
-def time_of(said: str) -> float:
+def time_of(text: str) -> float:
     """Parse an ISO 8601 time to Unix time [s]; without an offset it is UTC. Raises InputError."""
     try:
-        time = datetime.fromisoformat(said)
+        time = datetime.fromisoformat(text)
     except ValueError:
-        raise InputError("--begins", "", said, TIME_FORM) from None
+        raise InputError("--begins", "", text, TIME_FORM) from None
     return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

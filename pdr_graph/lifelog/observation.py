@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,7 +24,8 @@ from pdr_graph.inertial.magnetometer import measured_field
 from pdr_graph.inputs import Options, read
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
-from pdr_graph.storage import compress, decompress
+from pdr_graph.lifelog.store import RecordingOptions
+from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
 
 AT_ENDS = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
@@ -60,8 +62,9 @@ class Observation(OneLineRepr):
     "" if unknown.
     steps: None without an accelerometer; looks: ``(n + 1,)`` median turn of the walker during the pause before each
     step and after the last, relative to the step before [rad].
-    headings, fixes, barometer, bluetooth, wifi, beacons: as in ``Recording``, in the frame; ends: None if the field is
-    unknown; profile: from the walker file, the initial profile of a lifelog. notes: data skipped or assumptions made.
+    headings, fixes, barometer, bluetooth, wifi, beacons, measurements: as in ``Recording``, in the frame; ends: None if
+    the field is unknown; profile: from the walker file, the initial profile of a lifelog. notes: data skipped or
+    assumptions made.
     """
 
     source: str
@@ -81,57 +84,81 @@ class Observation(OneLineRepr):
     ends: Ends | None = None
     profile: Profile | None = None
     notes: tuple[str, ...] = ()
+    measurements: tuple[Any, ...] = ()
+
+    added: ClassVar[tuple[str, ...]] = ("measurements",)  # files of store format 2 have none
 
     def _summary(self) -> list[str]:
         steps = "no steps" if self.steps is None else repr(self.steps)
-        return [repr(self.source), f"{self.duration:.1f} s", steps, repr(self.fixes)]
+        others = [f"{len(table)} {type(table).__name__.lower()}" for table in self.measurements]
+        return [repr(self.source), f"{self.duration:.1f} s", steps, repr(self.fixes), *others]
 
 
-def observe(
-    recording: Path,
-    plan: Path | None = None,
-    fixes: Path | None = None,
-    walker: Path | None = None,
-    begins: float | None = None,
-    floor: str = "",
-) -> Observation:
-    """Read a recording and detect its steps and headings.
+@dataclass(frozen=True)
+class ObservationFile:
+    """An observation as its file has it. measurements: each table encoded by itself, since any type may occur."""
 
-    plan, fixes, walker: as for ``pdr-graph smooth``; steps are not corrected by the walker's profile, since a lifelog
-    estimates it. begins: Unix time of the start [s], for a recording without a date; floor: label at the start.
+    observation: Observation
+    measurements: tuple[bytes, ...]
+
+
+def to_bytes(observation: Observation) -> bytes:
+    """Encode and compress an observation."""
+    tables = tuple(encode(table) for table in observation.measurements)
+    return compress(ObservationFile(replace(observation, measurements=()), tables))
+
+
+def from_bytes(blob: bytes) -> Observation:
+    """The observation that `to_bytes` encoded, or one of store format 2. Raises ValueError for other bytes."""
+    found = decompress(blob, ObservationFile, Observation)
+    if isinstance(found, Observation):
+        return found
+    if not found.measurements:
+        return found.observation
+    from pdr_graph.estimation.factors import KINDS  # imports gtsam, which is slow
+
+    return replace(found.observation, measurements=tuple(decode(table, *KINDS) for table in found.measurements))
+
+
+def observe(recording: Path, options: RecordingOptions | None = None) -> Observation:
+    """Read a recording with its options, and detect its steps and headings.
+
+    Steps are not corrected by the profile of the walker file, since a lifelog estimates the profile.
 
     Raises InputError if the recording cannot be used or has no date.
     """
-    given = read(recording, Options(plan=plan, fixes=fixes, walker=walker))
-    walk, known = given.walk, replace(given.walker, profile=None)
-    epoch = walk.epoch if begins is None else begins
+    options = options or RecordingOptions()
+    inputs = read(recording, Options(**options.files))
+    walk, walker = inputs.walk, replace(inputs.walker, profile=None)
+    epoch = walk.epoch if options.begins is None else options.begins
     if epoch is None:
         raise InputError(recording, "", "no date", "a start time: give --begins")
-    check_tells(recording, walk, len(given.fixes))
+    check_tells(recording, walk, len(inputs.fixes))
     steps, looks, headings, ends = None, np.empty(0), Headings.none(), None
-    last = [s.time[-1] for s in walk.signals.values()] or [given.fixes.time[-1]]
+    last = [s.time[-1] for s in walk.signals.values()] or [inputs.fixes.time[-1]]
     if walk.has_acceleration:
         gaits = gait_signals(walk)
-        steps, headings = detect_steps(gaits, known), magnetic_headings(gaits, given.frame, given.near)
+        steps, headings = detect_steps(gaits, walker), magnetic_headings(gaits, inputs.frame, inputs.near)
         looks, ends = _looks(gaits, steps), _ends(gaits)
     return Observation(
         source=walk.source,
         epoch=epoch,
         duration=float(max(last)),
-        frame=given.frame,
-        plan="" if plan is None else str(plan),
-        floor=floor,
+        frame=inputs.frame,
+        plan="" if options.plan is None else str(options.plan),
+        floor=options.floor or "",
         steps=steps,
         looks=looks,
         headings=headings,
-        fixes=given.fixes,
+        fixes=inputs.fixes,
         barometer=_thinned(walk.barometer),
         bluetooth=walk.bluetooth,
         wifi=walk.wifi,
-        beacons=given.beacons,
+        beacons=inputs.beacons,
         ends=ends,
-        profile=given.walker.profile,
-        notes=given.notes,
+        profile=inputs.walker.profile,
+        notes=inputs.notes,
+        measurements=walk.measurements,
     )
 
 
@@ -195,24 +222,20 @@ def _thinned(barometer: Signal | None) -> Signal | None:
 
 
 LATEST = 7_258_118_400.0  # [s] Unix time of the year 2200: a clock beyond that, or before 1970, was not set
-Observe = Callable[..., "Observation"]  # as of `observe`
+Observe = Callable[[Path, RecordingOptions], Observation]  # as `observe`
 
 
 @dataclass(frozen=True)
 class ObservationTask:
-    """A recording to observe. hash: of its content; key, file: of the observation; made_by: version of this package;
-    others: as in `Entry`.
+    """A recording to observe. hash: of its content; key, file: of the observation; path, options: as in `Entry`;
+    made_by: version of this package.
     """
 
     hash: str
     key: str
     file: str
     path: str
-    plan: str
-    fixes: str
-    walker: str
-    floor: str
-    begins: float | None
+    options: RecordingOptions
     made_by: str
 
 
@@ -244,14 +267,14 @@ def observed(sought: Sequence[ObservationTask], observe: Observe | None = None) 
                 where = "" if isinstance(error, InputError) else f"{one.path}: "
                 yield ObservationResult(one.hash, one.key, refusal=f"{where}{error_text(error)}")
                 continue
-            cache.write(Path(one.file), compress(found))
+            cache.write(Path(one.file), to_bytes(found))
         steps = 0 if found.steps is None else int((~found.steps.is_gap).sum())
         yield ObservationResult(one.hash, one.key, found.epoch, found.duration, steps)
 
 
 def observation_in(file: Path) -> Observation | None:
     """Read an observation from its file; None if it is missing or damaged."""
-    return cache.read(file, lambda blob: decompress(blob, Observation))
+    return cache.read(file, from_bytes)
 
 
 def observations_in(folder: Path, recordings: Sequence[tuple[str, str]]) -> dict[str, Observation]:
@@ -285,8 +308,7 @@ def _observed(sought: ObservationTask, observer: Observe | None) -> Observation:
         raise InputError(path, "", "no such file", "the recording: add it again from its present place")
     if content_hash(path) != sought.hash:
         raise InputError(path, "", "changed content", "the content that was added: add it again")
-    plan, fixes, walker = (Path(said) if said else None for said in (sought.plan, sought.fixes, sought.walker))
-    found = (observer or observe)(path, plan, fixes, walker, sought.begins, sought.floor)
+    found = (observer or observe)(path, sought.options)
     if not 0 <= found.epoch < LATEST:
         raise InputError(path, "time", f"{found.epoch:g} s since 1970", "a time since 1970: give --begins")
     return found

@@ -19,9 +19,9 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog.activities import follow_positions, rides, segments_of, without_rides
 from pdr_graph.lifelog.day import Day, Outing
 from pdr_graph.lifelog.observation import Observation
-from pdr_graph.lifelog.sessions import LONGEST_GAP, Group, Joined, groups_of, joined, joined_fixes
+from pdr_graph.lifelog.sessions import LONGEST_GAP, Group, Joined, groups_of, is_located, joined, joined_fixes
 from pdr_graph.lifelog.stays import stays_of, stays_of_positions
-from pdr_graph.pipeline import Evidence, estimate, with_beacon_levels, with_floors
+from pdr_graph.pipeline import Evidence, estimate, with_beacon_levels, with_floors, with_measurements
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes
 
 
@@ -91,7 +91,7 @@ def walked(group: Group, before: Walked | Outing | None, profile: Profile | None
     steps = profile.corrected(walk.steps) if profile else walk.steps
     ridden = rides(steps, fixes)
     evidence = Evidence(without_rides(steps, ridden), fixes, walk.headings, building, profile=profile)
-    evidence = replace(evidence, measurements=(walk.closures,))
+    evidence = with_measurements(evidence, (walk.closures, *walk.measurements))
     evidence = with_floors(evidence, walk.barometer, first.floor or None, Path(first.plan))
     evidence = with_beacon_levels(evidence, walk.bluetooth, walk.beacons)
 
@@ -113,7 +113,7 @@ def _read(plan: str, content: str) -> Building:
 
 def _handed_over(last: Walked | Outing | None, walk: Joined) -> Joined:
     """A walk without any position, begun not far from where the outing just before it ended."""
-    if len(walk.fixes) or last is None:
+    if last is None or is_located(walk):
         return walk
     before = last.outing if isinstance(last, Walked) else last
     if before.trajectory.covariance is None:

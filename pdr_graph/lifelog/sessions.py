@@ -11,19 +11,22 @@ from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.frames import Frame
 from pdr_graph.gait.signals import GAP_SIGMA_TURN, append_steps, gap, shifted
 from pdr_graph.lifelog.observation import FEWEST, Observation
-from pdr_graph.measurements import Closures
+from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
 from pdr_graph.types import Array, Beacons, Fixes, Headings, Sightings, Signal, Steps
 
 LONGEST_GAP = 600.0  # [s] between recordings of one outing: after more, the walker may be anywhere
 OVERLAP = 1.0  # [s] by which consecutive recordings may overlap
 
 Named = tuple[str, Observation]
+Located = TypeVar("Located", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,7 @@ def _consecutive(parts: Sequence[Named]) -> Iterator[Group]:
 
 def _follows(group: Group, one: Observation) -> bool:
     last = group.parts[-1][1]
-    placed = [part for part in (*group.observations, one) if len(part.fixes)]
+    placed = [part for part in (*group.observations, one) if is_located(part)]
     one_frame = all(part.frame.georeferenced for part in placed) or all(part.frame == one.frame for part in placed)
     return one.epoch - group.end <= LONGEST_GAP and last.plan == one.plan and one_frame
 
@@ -140,10 +143,10 @@ LEAST_FIELD = 10.0  # [µT] horizontally, below which it points nowhere
 
 
 @dataclass(frozen=True)
-class Joined:
+class Joined(OneLineRepr):
     """Recordings as one walk, times from the first one's start; fields as of `Observation`.
 
-    closures: where they stood.
+    closures: between recordings of a recorder that was restarted on the spot.
     """
 
     epoch: float
@@ -158,6 +161,11 @@ class Joined:
     bluetooth: Sightings | None
     wifi: Sightings | None
     beacons: Beacons | None
+    measurements: tuple[Any, ...] = ()
+
+    def _summary(self) -> list[str]:
+        others = [f"{len(table)} {type(table).__name__.lower()}" for table in self.measurements]
+        return [f"{self.duration:.1f} s", repr(self.steps), repr(self.fixes), *others]
 
 
 def joined(parts: Sequence[Observation], fixes: Sequence[Observation] = (), in_frame: Frame | None = None) -> Joined:
@@ -179,32 +187,60 @@ def joined(parts: Sequence[Observation], fixes: Sequence[Observation] = (), in_f
         steps=steps,
         looks=np.concatenate([part.looks for part in parts]),  # what ends one is before its gap
         headings=_headings([(part.headings, by) for part, by in zip(parts, shift, strict=True)]),
-        fixes=Fixes.concatenate([fixes_in(frame, part).shifted(part.epoch - first.epoch) for part in (*parts, *fixes)]),
+        fixes=_fixes([*parts, *fixes], frame),
         closures=_stops(parts, shift),
         barometer=_signal([(part.barometer, by) for part, by in zip(parts, shift, strict=True)]),
         bluetooth=_sightings([(part.bluetooth, by) for part, by in zip(parts, shift, strict=True)]),
         wifi=_sightings([(part.wifi, by) for part, by in zip(parts, shift, strict=True)]),
-        beacons=next((part.beacons for part in parts if part.beacons is not None), None),
+        beacons=_beacons(parts, frame),
+        measurements=_measurements([*parts, *fixes], frame),
     )
 
 
+def is_located(part: Observation | Joined) -> bool:
+    """True if there are fixes, or measurements of positions in the frame, as ranges to anchors are."""
+    return len(part.fixes) > 0 or any(hasattr(table, "position") for table in part.measurements)
+
+
 def frame_of(parts: Sequence[Observation]) -> Frame:
-    """The first one's that has one on earth, else any that has positions."""
+    """The first georeferenced frame, else the first one with positions in it, else the first."""
     georeferenced = (part.frame for part in parts if part.frame.georeferenced)
-    return next(georeferenced, next((part.frame for part in parts if len(part.fixes)), parts[0].frame))
+    return next(georeferenced, next((part.frame for part in parts if is_located(part)), parts[0].frame))
 
 
-def fixes_in(frame: Frame, part: Observation) -> Fixes:
-    """The positions of a recording in another frame, which must be on earth if they are in one."""
-    if not len(part.fixes):
-        return part.fixes
-    return replace(part.fixes, position=frame.from_frame(part.frame, part.fixes.position))
+def converted(table: Located, source: Frame, target: Frame) -> Located:
+    """The table with its positions converted from one frame to another; both must be georeferenced unless equal."""
+    if not hasattr(table, "position") or not len(table.position):
+        return table
+    return replace(table, position=target.from_frame(source, table.position))
+
+
+def _fixes(parts: Sequence[Observation], frame: Frame) -> Fixes:
+    """The fixes of all recordings in one frame, times from the start of the first recording."""
+    begin = parts[0].epoch
+    return Fixes.concatenate([converted(part.fixes, part.frame, frame).shifted(part.epoch - begin) for part in parts])
+
+
+def _beacons(parts: Sequence[Observation], frame: Frame) -> Beacons | None:
+    """The beacons of the first recording that has some, in one frame."""
+    convertible = (part for part in parts if part.frame == frame or part.frame.georeferenced)
+    return next((converted(p.beacons, p.frame, frame) for p in convertible if p.beacons is not None), None)
+
+
+def _measurements(parts: Sequence[Observation], frame: Frame) -> tuple[Any, ...]:
+    """The tables of all recordings, one per type, in one frame, in order of time from the start of the first."""
+    tables = [
+        with_offset(converted(table, part.frame, frame), part.epoch - parts[0].epoch)
+        for part in parts
+        for table in part.measurements
+    ]
+    return tuple(take(table, np.argsort(last_time(table), kind="stable")) for table in by_type(tables))
 
 
 def joined_fixes(parts: Sequence[Observation]) -> tuple[Frame, Fixes]:
     """The positions of recordings one after the other, in one frame, times from the first one's start."""
     frame = frame_of(parts)
-    return frame, Fixes.concatenate([fixes_in(frame, part).shifted(part.epoch - parts[0].epoch) for part in parts])
+    return frame, _fixes(parts, frame)
 
 
 def _steps(part: Observation) -> Steps:

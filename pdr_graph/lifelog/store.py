@@ -11,7 +11,7 @@ import json
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -142,13 +142,20 @@ def _number(value: float | None) -> float:
 
 
 REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
-LIFELOG = Kind("lifelog", 0x5044524C, 2, REMEDY)  # "PDRL", and of this form of file
+LIFELOG = Kind(
+    "lifelog",
+    0x5044524C,  # "PDRL"
+    3,
+    REMEDY,
+    {2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''")},
+)
 SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, value TEXT)",
     "CREATE TABLE version (name TEXT PRIMARY KEY, value TEXT)",  # of the programs that built it last
-    # as of Entry
-    """CREATE TABLE recording (hash TEXT PRIMARY KEY, person TEXT, path TEXT, plan TEXT, fixes TEXT, walker TEXT,
-        floor TEXT, begins REAL, observation TEXT, epoch REAL, duration REAL, steps INTEGER, refusal TEXT)""",
+    # an Entry with its options; '' for one that is not given, but NULL for begins
+    """CREATE TABLE recording (hash TEXT PRIMARY KEY, person TEXT, path TEXT, plan TEXT, fixes TEXT, beacons TEXT,
+        ranges TEXT, walker TEXT, floor TEXT, begins REAL, observation TEXT, epoch REAL, duration REAL, steps INTEGER,
+        refusal TEXT)""",
     "CREATE TABLE phone (transmitter TEXT PRIMARY KEY, person TEXT)",  # who carries what others' logs hear
     *DAY_SCHEMA,
     # why a day could not be built, of the last build
@@ -161,11 +168,44 @@ Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
 
 @dataclass(frozen=True)
+class RecordingOptions:
+    """What is read or assumed with a recording; None: not given.
+
+    plan: floor plan; fixes, beacons, ranges, walker: files as of `inputs.Options`; floor: label of the floor at the
+    start; begins: Unix time of the start [s], for a recording without a date.
+    """
+
+    plan: Path | None = None
+    fixes: Path | None = None
+    beacons: Path | None = None
+    ranges: Path | None = None
+    walker: Path | None = None
+    floor: str | None = None
+    begins: float | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The options that are given, by name."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """The files that are given, by the name of the option."""
+        return {name: value for name, value in self.given.items() if isinstance(value, Path)}
+
+    def updated(self, other: RecordingOptions) -> RecordingOptions:
+        """These options with those that `other` gives in their place."""
+        return replace(self, **other.given)
+
+
+FILES = ("plan", "fixes", "beacons", "ranges", "walker")  # options that are paths
+
+
+@dataclass(frozen=True)
 class Entry:
     """The lifelog's entry for a recording.
 
-    hash: of its content; person; path: of the recording; plan, fixes, walker: paths of files, "" without one; floor:
-    label at the start, "" if unknown; begins: Unix time of its start [s], None if the recording has it.
+    hash: of its content; person; path: of the recording; options: what is read with it.
     observation: key of the observation, "" if there is none yet; epoch: Unix time of its start [s],
     duration [s] and number of steps. refusal: reason for which the last observation failed, "" if it
     succeeded.
@@ -174,16 +214,27 @@ class Entry:
     hash: str
     person: str
     path: str
-    plan: str = ""
-    fixes: str = ""
-    walker: str = ""
-    floor: str = ""
-    begins: float | None = None
+    options: RecordingOptions = RecordingOptions()
     observation: str = ""
     epoch: float | None = None
     duration: float | None = None
     steps: int | None = None
     refusal: str = ""
+
+    @property
+    def row(self) -> dict[str, Any]:
+        """The entry by columns of its table."""
+        options = {name: str(value) for name, value in self.options.given.items()}
+        options = dict.fromkeys((*FILES, "floor"), "") | options | {"begins": self.options.begins}
+        return {name: value for name, value in vars(self).items() if name != "options"} | options
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Entry:
+        """The entry with these columns."""
+        given = {name: Path(row[name]) for name in FILES if row[name]}
+        options = RecordingOptions(**given, floor=row["floor"] or None, begins=row["begins"])
+        names = [field.name for field in fields(cls) if field.name != "options"]
+        return cls(**{name: row[name] for name in names}, options=options)
 
 
 @dataclass(frozen=True)
@@ -212,7 +263,9 @@ class Store:
 
     def entries(self) -> tuple[Entry, ...]:
         """Entries of all recordings, ordered by hash."""
-        return tuple(Entry(*row) for row in self._all("SELECT * FROM recording ORDER BY hash"))
+        names = [name for _, name, *_ in self._all("PRAGMA table_info(recording)")]
+        rows = self._all(f"SELECT {', '.join(names)} FROM recording ORDER BY hash")
+        return tuple(Entry.of_row(dict(zip(names, row, strict=True))) for row in rows)
 
     def setting(self, name: str) -> str:
         """Value of a setting."""
@@ -248,7 +301,8 @@ class Store:
         """Insert or replace entries of recordings."""
         with self._transaction() as execute:
             for entry in entries:
-                execute(_insert("recording", len(fields(Entry))), astuple(entry))
+                row = entry.row
+                execute(_insert("recording", len(row), f" ({', '.join(row)})"), tuple(row.values()))
 
     def phones(self) -> dict[str, str]:
         """Map Bluetooth transmitter -> person who carries it."""
@@ -341,5 +395,5 @@ def _forget(execute: Execute, person: str, date: str) -> None:
         execute(f"DELETE FROM {table} WHERE person = ? AND date = ?", (person, date))
 
 
-def _insert(table: str, columns: int) -> str:
-    return f"INSERT OR REPLACE INTO {table} VALUES ({', '.join('?' * columns)})"
+def _insert(table: str, columns: int, names: str = "") -> str:
+    return f"INSERT OR REPLACE INTO {table}{names} VALUES ({', '.join('?' * columns)})"

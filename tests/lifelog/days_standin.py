@@ -146,7 +146,7 @@ class DyingOf:
     def __init__(self, name):
         self.name = name
 
-    def __call__(self, recording, *options):
+    def __call__(self, recording, options):
         if recording.name == self.name:
             os._exit(11)
-        return observe(recording, *options)
+        return observe(recording, options)

@@ -19,7 +19,7 @@ from pdr_graph import InputError
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.build import Chain, Outcome, Planned, build, reconstructed
 from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.store import Store
+from pdr_graph.lifelog.store import RecordingOptions, Store
 
 HERE = Path(__file__).parent
 
@@ -28,7 +28,7 @@ def added(folder, people=3, days=5):
     """A lifelog of some people, each with a recording on each day; and the recordings by person."""
     paths = standin.recordings(folder / "raw", people, days)
     for person, its in paths.items():
-        add(folder / "log", its, person)
+        add(folder / "log", its, person=person)
     return folder / "log", paths
 
 
@@ -60,7 +60,7 @@ def counted(tmp_path):
 def test_a_day_is_made_of_what_was_recorded_on_it(tmp_path):
     log, _ = added(tmp_path)
     standin.recording(tmp_path / "later.plt", 1.01, seed=7)
-    add(log, [tmp_path / "later.plt"], "person1")
+    add(log, [tmp_path / "later.plt"], person="person1")
     assert built(log) == Outcome(15, 0, (), ())
     with Store(log) as store:
         days = store.days()
@@ -93,7 +93,7 @@ def test_a_new_day_costs_a_day(tmp_path, counted):
     make = standin.counting(counted)
     assert built(log, make) == Outcome(12, 0, (), ())
     assert built(log, make) == Outcome(0, 12, (), ())
-    add(log, [standin.recording(tmp_path / "new.plt", 9)], "person2")
+    add(log, [standin.recording(tmp_path / "new.plt", 9)], person="person2")
     shutil.rmtree(tmp_path / "raw")
     assert built(log, make) == Outcome(1, 12, (), ()), "and needs nothing of the others"
     assert set(made(counted).values()) == {1}
@@ -103,15 +103,15 @@ def test_a_new_day_costs_a_day(tmp_path, counted):
 def test_a_recording_that_turns_up_late_changes_the_days_from_its_own_on(tmp_path, counted):
     log, _ = added(tmp_path, people=2)
     built(log, standin.counting(counted))
-    add(log, [standin.recording(tmp_path / "late.plt", 2.01, seed=8)], "person1")
+    add(log, [standin.recording(tmp_path / "late.plt", 2.01, seed=8)], person="person1")
     assert built(log, standin.counting(counted)) == Outcome(3, 7, (), ())
     again = [day for day, times in made(counted).items() if times == 2]
     assert again == ["person1 2024-05-03", "person1 2024-05-04", "person1 2024-05-05"]
     whole = tmp_path / "whole"
     shutil.copytree(tmp_path / "raw", whole / "raw")
     for person in range(2):
-        add(whole / "log", sorted((whole / "raw").glob(f"{person}-*.plt")), f"person{person}")
-    add(whole / "log", [tmp_path / "late.plt"], "person1")
+        add(whole / "log", sorted((whole / "raw").glob(f"{person}-*.plt")), person=f"person{person}")
+    add(whole / "log", [tmp_path / "late.plt"], person="person1")
     built(whole / "log")
     assert content(whole / "log") == content(log), "as if it had been there from the beginning"
 
@@ -127,13 +127,13 @@ def test_other_options_change_the_day(tmp_path, option, days, pytestconfig):
     walker.write_text("height = 1.6\n")
     fixes.write_text(f"time,lat,lon,sigma\n{standin.FIRST + 2 * 86400:.1f},52.5,13.4,3\n")
     if option == "content of the plan":
-        add(log, [paths["person0"][2]], plan=plan)
+        add(log, [paths["person0"][2]], RecordingOptions(plan=plan))
         built(log)
         plan.write_text(plan.read_text() + "\n")
     else:
         built(log)
         given = {"plan": plan, "walker": walker, "fixes": fixes, "floor": "1"}[option]
-        add(log, [paths["person0"][2]], **{option: given})
+        add(log, [paths["person0"][2]], RecordingOptions(**{option: given}))
     assert built(log) == Outcome(days, 5 - days, (), ())
     assert built(log) == Outcome(0, 5, (), ())
     with Store(log) as store:
@@ -158,7 +158,7 @@ def test_midnight_is_where_the_lifelog_is(tmp_path):
 def test_a_recording_of_somebody_else_is_in_one_day_only(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
     built(log)
-    add(log, [paths["person0"][0]], "Ada")
+    add(log, [paths["person0"][0]], person="Ada")
     assert built(log) == Outcome(2, 0, (), ())
     with Store(log) as store:
         assert list(store.days()) == [("Ada", "2024-05-01"), ("person0", "2024-05-02")]
@@ -187,7 +187,7 @@ def test_a_day_that_fails_now_stays_as_it_was(tmp_path):
     built(log)
     with Store(log) as store:
         before = store.days()["person0", "2024-05-02"]
-    add(log, [standin.recording(tmp_path / "late.plt", 1.01)], "person0")
+    add(log, [standin.recording(tmp_path / "late.plt", 1.01)], person="person0")
     assert built(log, standin.failing_on("2024-05-02")).failures
     with Store(log) as store:
         after = store.days()["person0", "2024-05-02"]
@@ -221,7 +221,7 @@ def test_a_plan_that_is_gone_costs_a_line_and_nothing_else(tmp_path, pytestconfi
     log, paths = added(tmp_path, people=1, days=3)
     plan = tmp_path / "plan.geojson"
     shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
-    add(log, paths["person0"], plan=plan)
+    add(log, paths["person0"], RecordingOptions(plan=plan))
     built(log)
     before = content(log)
     plan.unlink()
@@ -251,11 +251,11 @@ def test_an_observation_that_was_damaged_is_made_again(tmp_path):
     whole = file.read_bytes()
     file.unlink()
     late = standin.recording(tmp_path / "late.plt", 1.01)
-    add(log, [late], "person0")
+    add(log, [late], person="person0")
     assert built(log) == Outcome(1, 1, (), ())
     assert file.read_bytes() == whole
     file.write_bytes(whole[:-9])
-    add(log, [late], floor="1")
+    add(log, [late], RecordingOptions(floor="1"))
     assert "found no observation, or a damaged one" in built(log).failures[0]
     assert built(log) == Outcome(1, 1, (), ())
     assert file.read_bytes() == whole
@@ -263,7 +263,7 @@ def test_an_observation_that_was_damaged_is_made_again(tmp_path):
 
 def test_a_clock_that_was_never_set_is_refused(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
-    add(log, [paths["person0"][0]], begins=1e18)
+    add(log, [paths["person0"][0]], RecordingOptions(begins=1e18))
     result = built(log)
     assert (result.built, len(result.refusals)) == (1, 1)
     assert "time: found 1e+18 s since 1970, expected a time since 1970: give --begins" in result.refusals[0]
@@ -275,7 +275,7 @@ def test_nothing_is_left_on_its_way(tmp_path):
     (tmp_path / "log.d" / "days" / "tmp1.part").write_bytes(b"of a process that was killed")
     (tmp_path / "log.d" / "recordings" / "tmp2.part").mkdir(parents=True)
     built(log)
-    add(log, paths["person0"], floor="1")
+    add(log, paths["person0"], RecordingOptions(floor="1"))
     built(log)
     with Store(log) as store:
         names = {entry.observation for entry in store.entries()}

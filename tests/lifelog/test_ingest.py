@@ -10,9 +10,9 @@ import pytest
 import recorders
 
 from pdr_graph import InputError
-from pdr_graph.lifelog.ingest import Added, add, found_in, time_of
+from pdr_graph.lifelog.ingest import AddResult, add, found_in, time_of
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.store import Entry, Store
+from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 
 
 def entries(path):
@@ -30,21 +30,21 @@ def phyphox(folder, **options):
 
 def test_adding_twice_is_adding_once(tmp_path):
     log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
-    assert add(log, [walk]) == Added(added=1)
-    assert add(log, [walk]) == Added(again=1)
+    assert add(log, [walk]) == AddResult(added=1)
+    assert add(log, [walk]) == AddResult(existing=1)
     other = shutil.copy(walk, tmp_path / "the same.plt")
-    assert add(log, [other, walk, other]) == Added(again=2), "a path that is given twice is one"
+    assert add(log, [other, walk, other]) == AddResult(existing=2), "a path that is given twice is one"
     [entry] = entries(log).values()
     assert entry == Entry(entry.hash, "me", str(walk))
     standin.recording(walk, seed=1)
-    assert add(log, [walk]) == Added(added=1), "another content is another recording"
+    assert add(log, [walk]) == AddResult(added=1), "another content is another recording"
 
 
 def test_a_recording_that_was_moved_is_found_again_by_adding_it(tmp_path):
     log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
     add(log, [walk], person="Ada")
     moved = walk.rename(tmp_path / "moved.plt")
-    assert add(log, [moved]) == Added(again=1)
+    assert add(log, [moved]) == AddResult(existing=1)
     assert entries(log)["moved.plt"].person == "Ada", "what is not said stays"
 
 
@@ -52,12 +52,12 @@ def test_other_options_take_the_place_of_those_before(tmp_path):
     log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
     toml = tmp_path / "walker.toml"
     toml.write_text("height = 1.6\n")
-    assert add(log, [walk], person="Ada") == Added(added=1)
-    assert add(log, [walk], walker=toml, floor="2") == Added(again=1, changed=1)
-    assert add(log, [walk], walker=toml) == Added(again=1)
-    assert add(log, [walk], person="Grace", begins=1.7e9) == Added(again=1, changed=1)
+    assert add(log, [walk], person="Ada") == AddResult(added=1)
+    assert add(log, [walk], RecordingOptions(walker=toml, floor="2")) == AddResult(existing=1, changed=1)
+    assert add(log, [walk], RecordingOptions(walker=toml)) == AddResult(existing=1)
+    assert add(log, [walk], RecordingOptions(begins=1.7e9), person="Grace") == AddResult(existing=1, changed=1)
     [entry] = entries(log).values()
-    assert entry == Entry(entry.hash, "Grace", str(walk), walker=str(toml), floor="2", begins=1.7e9)
+    assert entry == Entry(entry.hash, "Grace", str(walk), RecordingOptions(walker=toml, floor="2", begins=1.7e9))
 
 
 def test_a_folder_full_of_recordings_is_all_of_them(tmp_path):
@@ -73,29 +73,29 @@ def test_a_folder_full_of_recordings_is_all_of_them(tmp_path):
     assert sorted(found) == sorted([*expected, zipped])
     assert (passed, refused) == (1, [])
     begin = standin.FIRST
-    assert add(tmp_path / "log", [folder / "may", folder / "june"]) == Added(added=4)
+    assert add(tmp_path / "log", [folder / "may", folder / "june"]) == AddResult(added=4)
     result = add(tmp_path / "log", [folder])
-    assert (result.added, result.again, result.skipped) == (1, 4, 1)
+    assert (result.added, result.existing, result.skipped) == (1, 4, 1)
     assert [line.partition(": ")[2] for line in result.refused] == [
         "found no date, expected a start time: give --begins with a time such as 2024-05-01T09:30:00+02:00"
     ]
-    assert add(tmp_path / "log", [folder / "experiment"], begins=begin) == Added(added=1)
+    assert add(tmp_path / "log", [folder / "experiment"], RecordingOptions(begins=begin)) == AddResult(added=1)
 
 
 def test_a_folder_that_is_a_recording_is_one(tmp_path):
     folder = phyphox(tmp_path / "experiment")
     log = tmp_path / "log"
-    assert add(log, [folder], begins=1.7e9) == Added(added=1)
+    assert add(log, [folder], RecordingOptions(begins=1.7e9)) == AddResult(added=1)
     (folder / ".DS_Store").write_text("a window's place")
     copied = shutil.copytree(folder, tmp_path / "elsewhere" / "experiment")
-    assert add(log, [copied.parent]) == Added(again=1), "its content is what a reader sees in it"
+    assert add(log, [copied.parent]) == AddResult(existing=1), "its content is what a reader sees in it"
 
 
 def test_one_begin_is_of_one_recording(tmp_path):
     for n in range(2):
         standin.recording(tmp_path / "days" / f"{n}.plt", n)
     with pytest.raises(InputError, match="--begins: found 2 recordings, expected a single recording"):
-        add(tmp_path / "log", [tmp_path / "days"], begins=1.7e9)
+        add(tmp_path / "log", [tmp_path / "days"], RecordingOptions(begins=1.7e9))
 
 
 def test_what_cannot_be_read_does_not_stop_the_others(tmp_path):
@@ -124,15 +124,15 @@ def test_what_tells_neither_steps_nor_a_way_is_refused_in_a_line(tmp_path):
             file.unlink()
     single = standin.recording(tmp_path / "single.plt")
     single.write_text("".join(single.read_text().splitlines(keepends=True)[:7]))
-    said = [add(log, [one], begins=1.7e9).refused for one in (folder, single)]
+    said = [add(log, [one], RecordingOptions(begins=1.7e9)).refused for one in (folder, single)]
     assert [line.partition(": ")[2] for (line,) in said] == [
         f"found no acceleration and {n} positions, expected an accelerometer, or at least 2 positions" for n in (0, 1)
     ]
     with pytest.raises(InputError, match="found no acceleration and 0 positions"):
-        observe(folder, begins=1.7e9)  # as of a lifelog that an older version made
+        observe(folder, RecordingOptions(begins=1.7e9))  # as of a lifelog that an older version made
     fixes = tmp_path / "fixes.csv"
     fixes.write_text("time,x,y,sigma\n1,0,0,3\n9,10,0,3\n")
-    assert add(log, [folder], begins=1.7e9, fixes=fixes).added == 1
+    assert add(log, [folder], RecordingOptions(begins=1.7e9, fixes=fixes)).added == 1
 
 
 @pytest.mark.parametrize(
@@ -145,17 +145,18 @@ def test_what_tells_neither_steps_nor_a_way_is_refused_in_a_line(tmp_path):
 )
 def test_an_option_that_cannot_be_used_is_refused(tmp_path, options, said):
     walk = standin.recording(tmp_path / "walk.plt")
-    given = {name: tmp_path / value if name != "person" else value for name, value in options.items()}
+    person = options.get("person")
+    files = {name: tmp_path / value for name, value in options.items() if name != "person"}
     with pytest.raises(InputError, match=said):
-        add(tmp_path / "log", [walk], **given)
+        add(tmp_path / "log", [walk], RecordingOptions(**files), person=person)
     assert not (tmp_path / "log").exists(), "nothing is made of it"
 
 
 def test_a_floor_must_be_the_plans(tmp_path, pytestconfig):
     walk, plan = standin.recording(tmp_path / "walk.plt"), pytestconfig.rootpath / "maps" / "arcade.geojson"
     with pytest.raises(InputError, match="found the floors 1, expected a floor 'attic'"):
-        add(tmp_path / "log", [walk], plan=plan, floor="attic")
-    add(tmp_path / "log", [walk], plan=plan, floor="1")
+        add(tmp_path / "log", [walk], RecordingOptions(plan=plan, floor="attic"))
+    add(tmp_path / "log", [walk], RecordingOptions(plan=plan, floor="1"))
 
 
 def test_a_copy_makes_the_original_dispensable(tmp_path):
@@ -163,7 +164,7 @@ def test_a_copy_makes_the_original_dispensable(tmp_path):
     walk = standin.recording(tmp_path / "walk.plt")
     (tmp_path / "BLE_Locations.csv").write_text("beacon,lat,lon\na,52.5,13.4\n")
     add(log, [walk], copy=True)
-    add(log, [folder], begins=1.7e9, copy=True)
+    add(log, [folder], RecordingOptions(begins=1.7e9), copy=True)
     content, copied = walk.read_bytes(), Path(entries(log)["walk.plt"].path)
     walk.unlink()
     shutil.rmtree(folder)
@@ -171,9 +172,9 @@ def test_a_copy_makes_the_original_dispensable(tmp_path):
     assert copied.with_name("BLE_Locations.csv").exists(), "the list of beacons beside it is a part of it"
     back = tmp_path / "back.plt"
     back.write_bytes(content)
-    assert add(log, [back]) == Added(again=1)
+    assert add(log, [back]) == AddResult(existing=1)
     assert entries(log)["walk.plt"].path == str(copied), "what is copied stays the copy"
-    assert add(log, [copied.parent.parent]) == Added(again=2, skipped=1), (
+    assert add(log, [copied.parent.parent]) == AddResult(existing=2, skipped=1), (
         "the copies are the recordings that they are of"
     )
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import zlib
 from contextlib import closing
-from dataclasses import astuple, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import days_standin as standin
@@ -19,9 +19,10 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.observation import Ends, Observation, observe
-from pdr_graph.lifelog.store import Entry, Store, rows_of
-from pdr_graph.storage import compress, decompress
+from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observation_in, observe, to_bytes
+from pdr_graph.lifelog.store import Entry, RecordingOptions, Store, rows_of
+from pdr_graph.measurements import Ranges
+from pdr_graph.storage import decompress
 from pdr_graph.types import Beacons, Headings, Sightings, Signal, Steps, Trajectory
 
 DATE = "2024-05-01"
@@ -46,7 +47,15 @@ def observation(tmp_path):
         ends=Ends(np.eye(2), np.array([0.1, np.nan])),
         profile=Profile(0.1, 0.01, 0.02, np.eye(3), 0.5, np.nan),
         notes=("", "a note"),
+        measurements=(ranges(), Headings(time, time, time)),
     )
+
+
+def ranges():
+    """Three ranges to two anchors."""
+    time = np.arange(1.0, 4.0)
+    places = np.array([[0.0, 1.0], [2.0, 3.0]])
+    return Ranges(time, np.array([0, 1, 0]), 2 * time, np.full(3, 0.3), ("a", "b"), places, np.full(2, 0.1))
 
 
 def a_day(tmp_path, **changes):
@@ -74,18 +83,18 @@ def test_an_observation_comes_back_bit_by_bit(tmp_path):
     missing = {field.name: None for field in fields(Observation) if str(field.type).endswith("| None")}
     assert len(missing) == 7, "a control"
     for one in (whole, replace(whole, **missing)):
-        assert told(decompress(compress(one), Observation)) == told(one)
+        assert told(from_bytes(to_bytes(one))) == told(one)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_damaged_bytes_are_no_noun(tmp_path, seed):
-    random, blob = np.random.default_rng(seed), bytearray(compress(observation(tmp_path)))
+    random, blob = np.random.default_rng(seed), bytearray(to_bytes(observation(tmp_path)))
     at = random.integers(2, len(blob))  # zlib's header has bits that say nothing
     blob[at] ^= 1 << random.integers(8)
     with pytest.raises(ValueError, match="bytes of no Observation"):
-        decompress(bytes(blob), Observation)
+        from_bytes(bytes(blob))
     with pytest.raises(ValueError, match="bytes of no Trajectory"):
-        decompress(compress(observation(tmp_path)), Trajectory)
+        decompress(to_bytes(observation(tmp_path)), Trajectory)
 
 
 def test_a_day_comes_back_bit_by_bit(tmp_path):
@@ -182,7 +191,7 @@ def test_a_newer_version_is_refused(tmp_path):
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
         database.execute("PRAGMA user_version = 99")
         database.execute("PRAGMA journal_mode = DELETE")
-    refused(tmp_path / "log", "format: found 99, expected 2, which this version reads: use the newer pdr_graph")
+    refused(tmp_path / "log", "format: found 99, expected 3, which this version reads: use the newer pdr_graph")
 
 
 def test_an_older_format_is_refused_and_left_as_it_is(tmp_path):
@@ -190,8 +199,29 @@ def test_an_older_format_is_refused_and_left_as_it_is(tmp_path):
     file = Path(__file__).with_name("store_format_1.z")
     (tmp_path / "log").write_bytes(zlib.decompress(file.read_bytes()))
     refused(
-        tmp_path / "log", "format: found 1, expected 2, which this version reads: add the recordings to a new store"
+        tmp_path / "log", "format: found 1, expected 3, which this version reads: add the recordings to a new store"
     )
+
+
+def test_a_store_of_format_2_is_upgraded_and_loses_nothing(tmp_path):
+    """Format 2 had no ranges and no lists of beacons; its recordings, days and observations are read as before."""
+    path = tmp_path / "log"
+    path.write_bytes(zlib.decompress(Path(__file__).with_name("store_format_2.z").read_bytes()))
+    for _ in range(2):
+        with Store(path) as log:
+            [entry] = log.entries()
+            assert (entry.person, entry.path, entry.options) == ("Ada", "walk.plt", RecordingOptions())
+            assert (entry.epoch, entry.duration) == (standin.FIRST, 30.0)
+            assert list(log.days()) == [("Ada", DATE)]
+            assert len(log.day("Ada", DATE).outings[0].trajectory) == 4
+    with Store(path) as log:
+        changed = replace(entry, options=RecordingOptions(ranges=Path("r.csv"), begins=2.5))
+        log.put(changed)
+        assert log.entries() == (changed,)
+    found = observation_in(Path(__file__).with_name("observation_format_2.z"))
+    assert found is not None
+    assert (found.source, len(found.fixes), found.measurements) == ("walk", 4, ())
+    assert told(from_bytes(to_bytes(found))) == told(replace(found)), "it can be written again, in the new format"
 
 
 def test_one_process_opens_it(tmp_path):
@@ -268,14 +298,16 @@ def test_a_file_that_finds_no_room_is_not_there(tmp_path):
 
 
 def test_an_entry_has_the_columns_of_its_table(tmp_path):
-    entry = Entry("c" * 64, "me", "p", "plan", "f", "w", "1", 1.5, "o", 2.5, 3.5, 4, "why")
+    options = RecordingOptions(*map(Path, ("plan", "fixes", "beacons", "ranges", "walker")), "1", 1.5)
+    entry = Entry("c" * 64, "me", "path", options, "key", 2.5, 3.5, 4, "why")
     with Store(tmp_path / "log", new=True) as log:
         log.put(entry)
         assert log.entries() == (entry,)
     with closing(sqlite3.connect(tmp_path / "log")) as database:
         database.row_factory = sqlite3.Row
         [row] = database.execute("SELECT * FROM recording").fetchall()
-    assert dict(row) == dict(zip([field.name for field in fields(Entry)], astuple(entry), strict=True))
+    expected = vars(options) | {name: str(path) for name, path in options.files.items()}
+    assert dict(row) == {name: value for name, value in vars(entry).items() if name != "options"} | expected
 
 
 def test_the_folder_beside_it_has_its_name(tmp_path):

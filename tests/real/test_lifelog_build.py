@@ -13,15 +13,16 @@ import pytest
 
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
+from pdr_graph.lifelog.store import RecordingOptions
 
 FLOOR = ("ms_indoor20", "site1", "B1")  # a walk in four pieces
 
 
 def added(log, data):
     """Days with positions alone, and two of walks: one on a plan, one with beacons."""
-    add(log, [data / "geolife_sample", data / "gpx_sample"], "Geo")
-    add(log, [data.joinpath(*FLOOR)], "Ms", plan=data.joinpath(*FLOOR))
-    add(log, [data / "ipin2023_track3"], "Ipin")
+    add(log, [data / "geolife_sample", data / "gpx_sample"], person="Geo")
+    add(log, [data.joinpath(*FLOOR)], RecordingOptions(plan=data.joinpath(*FLOOR)), person="Ms")
+    add(log, [data / "ipin2023_track3"], person="Ipin")
     return log
 
 

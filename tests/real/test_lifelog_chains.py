@@ -12,6 +12,7 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import walked
 from pdr_graph.lifelog.sessions import Group, groups_of, turn_by_field
+from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.types import Fixes, Trajectory
 
 CHAINS = {"site1/B1": 4, "site1/F1": 6, "site2/F1": 2}
@@ -25,7 +26,7 @@ def chains(data):
     for name in CHAINS:
         folder = data / "ms_indoor20" / name
         paths = [path for path in folder.glob("*.txt") if NO_PIECE not in path.name]
-        pieces = [(observe(path, folder), io.load(path).truth) for path in paths]
+        pieces = [(observe(path, RecordingOptions(plan=folder)), io.load(path).truth) for path in paths]
         found[name] = sorted(pieces, key=lambda piece: piece[0].epoch)
     return found
 

@@ -9,7 +9,7 @@ from pdr_graph import io
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.multi_day import bind
-from pdr_graph.lifelog.store import Store
+from pdr_graph.lifelog.store import RecordingOptions, Store
 
 
 @pytest.fixture
@@ -24,7 +24,9 @@ def store(tmp_path, data):
             for n in (0, -1)
         ]
         fixes.write_text("\n".join(["time,x,y,sigma", *rows]))
-        add(log, [path], person="anna" if "5dda0214" in path.name else "ben", plan=folder, fixes=fixes)
+        add(
+            log, [path], RecordingOptions(plan=folder, fixes=fixes), person="anna" if "5dda0214" in path.name else "ben"
+        )
     build(log)
     return log
 
