@@ -24,8 +24,8 @@ from pdr_graph.measurements import Ranges, concatenate
 from pdr_graph.pipeline import smooth_recording
 from pdr_graph.types import Fixes
 
-ROUTE = np.array([(0.0, 0.0), (25.0, 0.0), (25.0, 12.0), (0.0, 12.0), (0.0, 2.0)]) + (40.0, 30.0)
-ANCHORS = np.array([(-4.0, -4.0), (-4.0, 16.0), (29.0, 16.0), (29.0, -4.0)]) + (40.0, 30.0)
+ROUTE = np.array([(40.0, 30.0), (65.0, 30.0), (65.0, 42.0), (40.0, 42.0), (40.0, 32.0)])
+ANCHORS = np.array([(36.0, 26.0), (36.0, 46.0), (69.0, 46.0), (69.0, 26.0)])
 SIGMA, SURVEY_SIGMA = 0.3, 0.1  # [m]
 
 
