@@ -13,7 +13,7 @@ from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io import load
-from pdr_graph.simulation.carrying import turned_in_hand
+from pdr_graph.simulation.carrying import with_grip_change
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -129,7 +129,7 @@ def reheld(paths):
             for angle in (TURN, -TURN):
                 begin = float(landed[int(len(landed) * share)])
                 up = attitude.R_world_device[int(np.searchsorted(attitude.time, begin))].inv().apply([0.0, 0.0, 1.0])
-                turned = turned_in_hand(recording, up, begin, angle)
+                turned = with_grip_change(recording, up, begin, angle)
                 direction = walking_direction(attitude_of(turned), step)
                 gained = (direction.heading[-1] - direction.heading[0]) - (heading[-1] - heading[0])
                 error = np.degrees(abs(gained))

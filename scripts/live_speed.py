@@ -170,6 +170,6 @@ def sampled_hour():
     given = {"plan": str(LOOP), "route": [OF_A_LAP[0], {"stand": 5}, *laps], "fixes": {"period": 15.0, "sigma": 3.0}}
     scenario = Scenario.of(given)
     simulated = simulate(scenario)
-    recording = replace(simulated.recording(), fixes=simulated.given, epoch=scenario.start)
+    recording = replace(simulated.recording(), fixes=simulated.user_fixes, epoch=scenario.start)
     nav = Navigator(FloorPlan.load(LOOP), lag=LAG, epoch=recording.epoch)
     return pushed(nav, events_of(recording), len(simulated.body.landings))

@@ -1,4 +1,4 @@
-"""A short walk with a phone in the hand whose samples are on a grid, for tests that build recordings of their own."""
+"""A short walk with a phone in the hand and uniform samples, for tests that build their own recordings."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ GYRO_BIAS = np.array([0.003, -0.002, 0.002])  # [rad/s]
 
 @dataclass(frozen=True)
 class Walk:
-    """What the phone felt, and the truth: time [s], device axes, the vertical, position [m], heading, landings [s]."""
+    """Measurements of the phone in device axes, and the truth: vertical, position [m], heading [rad], landings [s]."""
 
     time: np.ndarray
     acceleration: np.ndarray
@@ -27,7 +27,7 @@ class Walk:
 
 
 def scenario(route, seed=0, **more):
-    """Two seconds of standing before and after a route."""
+    """A scenario with two seconds of standing before and after a route."""
     corners = [[float(x), float(y)] for x, y in route]
     given = {"seed": seed, "start": START, "route": [corners[0], {"stand": 2}, {"to": corners[1:]}, {"stand": 2}]}
     return Scenario.of(given | more)
@@ -49,7 +49,7 @@ def walk_along(route, seed=0):
 
 
 def indoor_location(folder, route, seed=0):
-    """A walk as the Indoor Location Competition's recorder has it, with fixes and truth beside it."""
-    more = {"recorder": "indoor_location", "fixes": {"period": 10.0, "wild": 0.2}, "phone": {"rate": RATE}}
+    """Write a walk as the Indoor Location Competition's recorder does, with fixes and truth."""
+    more = {"recorder": "indoor_location", "fixes": {"period": 10.0, "outliers": 0.2}, "phone": {"rate": RATE}}
     write(simulate(scenario(route, seed, **more)), folder)
     return folder

@@ -92,9 +92,6 @@ PENDING_PHRASES: set[str] = {
     "pdr_graph/online/navigator.py",
     "pdr_graph/online/replay.py",
     "pdr_graph/papers/map_matching.py",
-    "pdr_graph/simulation/scenario.py",
-    "pdr_graph/simulation/sensors.py",
-    "pdr_graph/simulation/simulate.py",
 }
 PENDING_NAMES: set[str] = {
     "pdr_graph/cli/__init__.py",
@@ -112,8 +109,6 @@ PENDING_NAMES: set[str] = {
     "pdr_graph/online/journal.py",
     "pdr_graph/online/navigator.py",
     "pdr_graph/papers/map_matching.py",
-    "pdr_graph/simulation/itinerary.py",
-    "pdr_graph/simulation/scenario.py",
 }
 
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -1,4 +1,4 @@
-"""The body in motion: an itinerary becomes a continuous movement of the walker's middle."""
+"""The body in motion: a sequence of activities becomes a continuous movement of the walker's centre."""
 
 from __future__ import annotations
 
@@ -9,38 +9,33 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.geometry import interpolate, wrap_angle
-from pdr_graph.simulation.pedestrian import MANNERS, Clearance, Manner, Walker, Way, footfalls, way_along
+from pdr_graph.simulation.pedestrian import MANNERS, Clearance, Manner, Pedestrian, WalkPath, footfalls, walk_path
 from pdr_graph.types import Array, Index
 
-TURNING = 1.8  # [rad/s] on the spot
-FACING = 0.02  # [rad] that one need not turn before setting off
-REHOLD = 1.4  # [s] to take the phone from one place to another
-SMOOTHING = 0.10  # [s] by which no body changes its speed
-LIFT_SPEED, LIFT_ACCELERATION = 1.6, 0.9  # [m/s], [m/s²]
-CART_ACCELERATION = 0.5  # [m/s²]
-QUANTITIES = ("position", "height", "heading", "phase", "step_length", "rolling", "floor")  # of a piece of the movement
+HOLD_CHANGE_TIME = 1.4  # [s] to move the phone from one hold to another; chosen by hand
 
 
 @dataclass(frozen=True)
 class Walk:
-    """Go along corners ``(k, 2)`` [m], the first of which is where one stands.
+    """Walk along corners ``(k, 2)`` [m] from the first, which is the current position.
 
-    heights: ``(k,)`` above there [m]; manners: how, on each of the k − 1 legs; zigzag: ``(k - 1,)`` [m];
-    rehold: the phone is taken otherwise half-way; floor: where it ends, "" for where it began.
+    heights: ``(k,)`` above the first [m]; manners: of each of the k − 1 legs; zigzag: ``(k - 1,)`` amplitude [m];
+    new_hold: of the phone from half-way on, "" for no change; floor: at the end, "" for the same.
     """
 
     corners: Array
     heights: Array
     manners: tuple[str, ...]
     zigzag: Array
-    rehold: str = ""
+    new_hold: str = ""
     floor: str = ""
 
 
 @dataclass(frozen=True)
 class Stand:
-    """Stay for some seconds, and turn [rad] by so much on the spot, to the left. event: what it is, for the record."""
+    """Stand for some seconds [s] and turn on the spot to the left [rad]. event: kind and name, for `Body.events`."""
 
     seconds: float
     turn: float = 0.0
@@ -49,7 +44,7 @@ class Stand:
 
 @dataclass(frozen=True)
 class Ride:
-    """Be carried in a lift by ``climb`` [m] to another floor."""
+    """Ride a lift up by ``climb`` [m] to another floor."""
 
     climb: float
     floor: str
@@ -57,32 +52,32 @@ class Ride:
 
 @dataclass(frozen=True)
 class Roll:
-    """Push a cart straight to a place ``(2,)`` [m] at a constant speed [m/s]; it does not turn."""
+    """Push a cart straight to ``end (2,)`` [m] at a constant speed [m/s]; it does not turn."""
 
     end: Array
     speed: float
 
 
 @dataclass(frozen=True)
-class Take:
-    """Hold the phone otherwise."""
+class ChangeHold:
+    """Change the hold of the phone."""
 
     hold: str
 
 
 @dataclass(frozen=True)
 class Shake:
-    """Wave the phone about, as some apps want for their calibration."""
+    """Wave the phone for some seconds [s], as some apps ask for their calibration."""
 
     seconds: float
 
 
-Stretch = Walk | Stand | Ride | Roll | Take | Shake
+Activity = Walk | Stand | Ride | Roll | ChangeHold | Shake
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened from ``start`` to ``end`` [s]: a visit, a shaking, a hold of the phone."""
+    """An event from ``start`` to ``end`` [s]. kind: visit, stand, shake or hold; what: the shop or the hold."""
 
     start: float
     end: float
@@ -91,14 +86,14 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Body:
-    """The walker's middle at a steady rate, and where the feet landed.
+class Body(OneLineRepr):
+    """The movement of the walker's centre, sampled uniformly, and the landings of the feet.
 
-    time: ``(n,)`` [s]; position: ``(n, 2)``, height: ``(n,)`` of the floor under it [m]; heading: ``(n,)`` the
+    rate [Hz]; time: ``(n,)`` [s]; position: ``(n, 2)`` [m]; height: ``(n,)`` of the floor below [m]; heading: ``(n,)``
     walking direction, unwrapped [rad]; phase: ``(n,)`` strides so far, half a stride per step; step_length: ``(n,)``
-    of the step under way, 0 at rest [m]; rolling: ``(n,)`` speed of a cart [m/s]; floors: labels;
-    floor: ``(n,)`` which.
-    landings: ``(s,)`` [s]; lengths: ``(s,)`` [m], of the step that ends there; events: in order of time.
+    of the current step, 0 at rest [m]; rolling: ``(n,)`` speed of a cart [m/s]; floors: labels in order of visit;
+    floor: ``(n,)`` index into them.
+    landings: ``(s,)`` times [s]; lengths: ``(s,)`` of the step that ends there [m]; events: sorted by time.
     """
 
     rate: float
@@ -115,14 +110,17 @@ class Body:
     lengths: Array
     events: tuple[Event, ...]
 
-    def during(self, kind: str) -> tuple[Event, ...]:
-        """The events of a kind."""
+    def _summary(self) -> list[str]:
+        return [*time_span(self), f"{self.rate:g} Hz", f"{len(self.landings)} steps", f"{self.lengths.sum():.0f} m"]
+
+    def events_of(self, kind: str) -> tuple[Event, ...]:
+        """The events of one kind."""
         return tuple(event for event in self.events if event.kind == kind)
 
 
 def move(
-    walker: Walker,
-    stretches: Sequence[Stretch],
+    walker: Pedestrian,
+    activities: Sequence[Activity],
     start: Array,
     heading: float,
     floor: str,
@@ -131,36 +129,60 @@ def move(
     random: np.random.Generator,
     clearances: Mapping[str, Clearance] | None = None,
 ) -> Body:
-    """The movement of a walker who does one thing after the other.
+    """The movement of a walker who does one activity after the other.
 
-    start: ``(2,)`` [m]; heading [rad], floor and hold of the phone there; rate [Hz]; clearances: by floor.
+    start: ``(2,)`` [m]; heading [rad], floor and hold of the phone there; rate [Hz]; clearances: by floor label.
     """
-    held = [Event(0.0, 0.0, "hold", hold)]
-    mover = _Mover(walker, np.asarray(start, dtype=float), heading, [floor], held, rate, random, clearances or {})
-    for stretch in stretches:
-        match stretch:
+    events = [Event(0.0, 0.0, "hold", hold)]
+    mover = _Mover(walker, np.asarray(start, dtype=float), heading, [floor], events, rate, random, clearances or {})
+    for activity in activities:
+        match activity:
             case Walk():
-                mover.walk(stretch)
+                mover.walk(activity)
             case Stand():
-                mover.stand(stretch)
+                mover.stand(activity)
             case Ride():
-                mover.ride(stretch)
+                mover.ride(activity)
             case Roll():
-                mover.roll(stretch)
-            case Take():
-                mover.take(stretch.hold)
-                mover.stand(Stand(REHOLD))
+                mover.roll(activity)
+            case ChangeHold():
+                mover.change_hold(activity.hold)
+                mover.stand(Stand(HOLD_CHANGE_TIME))
             case Shake():
-                mover.stand(Stand(stretch.seconds, event="shake"))
+                mover.stand(Stand(activity.seconds, event="shake"))
     return mover.body()
+
+
+# Arrays of each piece of the movement
+QUANTITIES = ("position", "height", "heading", "phase", "step_length", "rolling", "floor")
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Speeds and accelerations of bodies, lifts and carts. Chosen by hand.
+
+    turning: rate of turning on the spot [rad/s]; aligned: angle below which nobody turns before walking [rad];
+    smoothing: standard deviation of the filter that rounds all movement [s]; lift_speed [m/s]; lift_acceleration,
+    cart_acceleration [m/s²].
+    """
+
+    turning: float = 1.8
+    aligned: float = 0.02
+    smoothing: float = 0.10
+    lift_speed: float = 1.6
+    lift_acceleration: float = 0.9
+    cart_acceleration: float = 0.5
+
+
+DYNAMICS = Dynamics()
 
 
 @dataclass
 class _Mover:
-    """Where the walker is, and the pieces of the movement so far: one array per quantity and piece."""
+    """State of the walker, and the pieces of the movement so far: one array per quantity and piece."""
 
-    walker: Walker
-    where: Array
+    walker: Pedestrian
+    place: Array
     heading: float
     floors: list[str]
     events: list[Event]
@@ -174,79 +196,80 @@ class _Mover:
     landings: list[Array] = field(default_factory=list)
     lengths: list[Array] = field(default_factory=list)
 
-    def walk(self, stretch: Walk) -> None:
-        """From standing to standing along the corners."""
+    def walk(self, walk: Walk) -> None:
+        """Walk along the corners, from standing to standing."""
         clearance = self.clearances.get(self.floors[-1])
-        way = way_along(stretch.corners, stretch.heights + self.height, stretch.zigzag, self.random, clearance)
-        self.face(way.heading[0])
-        begun_on = len(self.floors) - 1
-        if stretch.floor and stretch.floor != self.floors[-1]:
-            self.floors.append(stretch.floor)
-        falls = footfalls(self.walker, way, _manners(stretch, way), self.random)
-        begun, t = self.now, self._times(falls.time[-1])
+        path = walk_path(walk.corners, walk.heights + self.height, walk.zigzag, self.random, clearance)
+        self.face(path.heading[0])
+        first_floor = len(self.floors) - 1
+        if walk.floor and walk.floor != self.floors[-1]:
+            self.floors.append(walk.floor)
+        falls = footfalls(self.walker, path, _manners(walk, path), self.random)
+        begin, t = self.now, self._times(falls.time[-1])
         knots = np.concatenate([[0.0], falls.time])
-        still = np.concatenate([[-1.0], knots, [knots[-1] + 1.0]])  # they stand before and after: speed begins at 0
-        along = PchipInterpolator(still, np.concatenate([[0.0, 0.0], falls.along, falls.along[-1:]]))(t)
+        padded = np.concatenate([[-1.0], knots, [knots[-1] + 1.0]])  # rest before and after: the speed starts at 0
+        along = PchipInterpolator(padded, np.concatenate([[0.0, 0.0], falls.along, falls.along[-1:]]))(t)
         lengths = np.diff(falls.along, prepend=0.0)
-        under_way = np.minimum(np.searchsorted(falls.time, t, side="right"), len(falls.time) - 1)
+        current = np.minimum(np.searchsorted(falls.time, t, side="right"), len(falls.time) - 1)
         self._add(
             len(t),
-            position=interpolate(along, way.along, way.position),
-            height=np.interp(along, way.along, way.height),
-            heading=np.interp(along, way.along, way.heading) + self.heading - way.heading[0],
+            position=interpolate(along, path.along, path.position),
+            height=np.interp(along, path.along, path.height),
+            heading=np.interp(along, path.along, path.heading) + self.heading - path.heading[0],
             phase=self.strides + np.interp(t, knots, np.arange(len(knots)) / 2),
-            step_length=lengths[under_way],
-            floor=np.where(along < way.length / 2, begun_on, len(self.floors) - 1),  # half-way up, as in a lift
+            step_length=lengths[current],
+            floor=np.where(along < path.length / 2, first_floor, len(self.floors) - 1),  # half-way, as in a lift
         )
-        self.landings.append(begun + falls.time)
+        self.landings.append(begin + falls.time)
         self.lengths.append(lengths)
         self.strides += len(falls.time) / 2
-        self.where, self.height = way.position[-1], float(way.height[-1])
-        self.heading += float(way.heading[-1] - way.heading[0])
-        if stretch.rehold:
-            self.take(stretch.rehold, begun + t[-1] / 2)
+        self.place, self.height = path.position[-1], float(path.height[-1])
+        self.heading += float(path.heading[-1] - path.heading[0])
+        if walk.new_hold:
+            self.change_hold(walk.new_hold, begin + t[-1] / 2)
 
-    def stand(self, stretch: Stand) -> None:
-        """Stay, and turn on the spot."""
-        begun, t = self.now, self._times(max(stretch.seconds, abs(stretch.turn) / TURNING))
-        self._add(len(t), heading=self.heading + stretch.turn * _eased(t / max(t[-1], 1e-9)))
-        self.heading += stretch.turn
-        if stretch.event:
-            kind, _, what = stretch.event.partition(" ")
-            self.events.append(Event(begun, self.now, kind, what))
+    def stand(self, stand: Stand) -> None:
+        """Stand, and turn on the spot."""
+        begin, t = self.now, self._times(max(stand.seconds, abs(stand.turn) / DYNAMICS.turning))
+        self._add(len(t), heading=self.heading + stand.turn * _smooth_step(t / max(t[-1], 1e-9)))
+        self.heading += stand.turn
+        if stand.event:
+            kind, _, what = stand.event.partition(" ")
+            self.events.append(Event(begin, self.now, kind, what))
 
     def face(self, heading: float) -> None:
-        """Turn on the spot towards a direction, the shorter way round."""
+        """Turn on the spot to a heading [rad], in the direction of the smaller angle."""
         turn = float(wrap_angle(heading - self.heading))
-        if abs(turn) > FACING:
+        if abs(turn) > DYNAMICS.aligned:
             self.stand(Stand(0.0, turn))
 
-    def take(self, hold: str, time: float | None = None) -> None:
-        """Hold the phone otherwise."""
-        begun = self.now if time is None else time
-        self.events.append(Event(begun, begun + REHOLD, "hold", hold))
+    def change_hold(self, hold: str, time: float | None = None) -> None:
+        """Change the hold of the phone, from `time` [s] or from now on."""
+        begin = self.now if time is None else time
+        self.events.append(Event(begin, begin + HOLD_CHANGE_TIME, "hold", hold))
 
-    def ride(self, stretch: Ride) -> None:
-        """Up or down in a lift."""
-        climb = _trapezoid(abs(stretch.climb), LIFT_SPEED, LIFT_ACCELERATION, self.rate) * np.sign(stretch.climb)
-        self.floors.append(stretch.floor)
+    def ride(self, ride: Ride) -> None:
+        """Ride a lift up or down."""
+        speed, acceleration = DYNAMICS.lift_speed, DYNAMICS.lift_acceleration
+        climb = _trapezoid(abs(ride.climb), speed, acceleration, self.rate) * np.sign(ride.climb)
+        self.floors.append(ride.floor)
         arrived = np.arange(len(climb)) >= len(climb) // 2
         self._add(len(climb), height=self.height + climb, floor=len(self.floors) - 2 + arrived)
-        self.height += stretch.climb
+        self.height += ride.climb
 
-    def roll(self, stretch: Roll) -> None:
-        """Push a cart; its phone looks ahead, whichever way it goes."""
-        move = stretch.end - self.where
+    def roll(self, roll: Roll) -> None:
+        """Push a cart, which keeps its heading whichever way it moves."""
+        move = roll.end - self.place
         distance = float(np.hypot(*move))
-        along = _trapezoid(distance, abs(stretch.speed), CART_ACCELERATION, self.rate)
+        along = _trapezoid(distance, abs(roll.speed), DYNAMICS.cart_acceleration, self.rate)
         speed = np.gradient(along) * self.rate
-        self._add(len(along), position=self.where + along[:, None] * move / distance, rolling=speed)
-        self.where = stretch.end
+        self._add(len(along), position=self.place + along[:, None] * move / distance, rolling=speed)
+        self.place = roll.end
 
     def body(self) -> Body:
-        """The whole movement."""
+        """Join all pieces to the whole movement, smoothed."""
         whole = {name: np.concatenate([piece[name] for piece in self.pieces]) for name in QUANTITIES}
-        smooth = SMOOTHING * self.rate
+        smooth = DYNAMICS.smoothing * self.rate
         for name in ("position", "height", "heading", "step_length"):
             whole[name] = gaussian_filter1d(whole[name], smooth, axis=0, mode="nearest")
         return Body(
@@ -266,44 +289,44 @@ class _Mover:
         )
 
     def _add(self, count: int, **values: Array | Index | float) -> None:
-        """A piece of ``count`` samples; what is not given stays as it is."""
-        still: dict[str, Array | Index | float] = {
-            "position": self.where,
+        """Add a piece of ``count`` samples; quantities that are not in `values` stay constant."""
+        constant: dict[str, Array | Index | float] = {
+            "position": self.place,
             "height": self.height,
             "heading": self.heading,
             "phase": self.strides,
             "floor": len(self.floors) - 1,
         }
         shapes = {name: (count, 2) if name == "position" else (count,) for name in QUANTITIES}
-        given = still | values
-        self.pieces.append({name: np.broadcast_to(given.get(name, 0.0), shape) for name, shape in shapes.items()})
+        piece = constant | values
+        self.pieces.append({name: np.broadcast_to(piece.get(name, 0.0), shape) for name, shape in shapes.items()})
         self.samples += count
 
     def _times(self, seconds: float) -> Array:
-        """Times within a piece that is so long."""
+        """Sample times within a piece of this length, from 0 [s]."""
         return np.arange(max(2, round(seconds * self.rate) + 1)) / self.rate
 
     @property
     def now(self) -> float:
-        """[s]"""
+        """The end of the movement so far [s]."""
         return self.samples / self.rate
 
 
-def _manners(stretch: Walk, way: Way) -> Callable[[float], Manner]:
-    """How one goes at each place of a way: its legs in the proportions of the corners'."""
-    legs = np.cumsum(np.hypot(*np.diff(stretch.corners, axis=0).T))
-    ends = legs * way.length / legs[-1]
-    manners = [MANNERS[name] for name in stretch.manners]
+def _manners(walk: Walk, path: WalkPath) -> Callable[[float], Manner]:
+    """The manner of walking at each length along a path [m], whose legs have the proportions of the corners."""
+    legs = np.cumsum(np.hypot(*np.diff(walk.corners, axis=0).T))
+    ends = legs * path.length / legs[-1]
+    manners = [MANNERS[name] for name in walk.manners]
     return lambda s: manners[min(int(np.searchsorted(ends, s, side="right")), len(manners) - 1)]
 
 
-def _eased(share: Array) -> Array:
-    """From 0 to 1 without a jerk."""
+def _smooth_step(share: Array) -> Array:
+    """From 0 to 1 with zero velocity and acceleration at both ends."""
     return share**3 * (10 - 15 * share + 6 * share**2)
 
 
 def _trapezoid(distance: float, speed: float, acceleration: float, rate: float) -> Array:
-    """Distance covered from rest to rest at a speed that is reached and left evenly. [m]"""
+    """Distance covered from rest to rest [m], with constant acceleration to `speed` [m/s] and back."""
     if distance == 0:
         return np.zeros(2)
     speed = min(speed, np.sqrt(acceleration * distance))

@@ -1,9 +1,9 @@
-"""The phone on the body: held in five ways, re-held, on a cart, shaken; what it feels without any sensor's faults.
+"""The motion of the phone on the body, in one of six holds: acceleration and angular rate without sensor errors.
 
-The phone hangs by a lever from a hinge on the body: the wrist, the hip under a trouser pocket, the strap of a bag. The
-gait bobs the body and swings the lever, as harmonics of the stride; every landing sends a shock. Acceleration and
-angular rate are the derivatives of that one movement, so that they agree with each other and with the truth. The
-amplitudes are set so that simulated and real recordings have like spectra (docs/simulation.md).
+The phone hangs by a lever from a hinge on the body: the wrist, the hip above a trouser pocket, the strap of a bag. The
+gait moves the body and swings the lever, as harmonics of the stride; each landing causes a shock. Acceleration and
+angular rate are the derivatives of that one movement, so that they agree with each other and with the truth. All
+amplitudes in this file are fitted so that simulated and real recordings have similar spectra (docs/simulation.md).
 """
 
 from __future__ import annotations
@@ -15,42 +15,27 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
+from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.geometry import compose
-from pdr_graph.simulation.body import REHOLD, Body
-from pdr_graph.simulation.pedestrian import Walker, slow
+from pdr_graph.simulation.body import HOLD_CHANGE_TIME, Body
+from pdr_graph.simulation.pedestrian import Pedestrian, smooth_noise
 from pdr_graph.types import STANDARD_GRAVITY, Array, Recording, Signal
 
-USUAL_STEP = 0.72  # [m] at which the amplitudes below hold
-HIP = 0.53  # of the stature: the height of the body's middle
-# of the body's middle, [m]: harmonics of the stride (2, 4, … are of the step), axis, amplitude, phase [rad]
-BOUNCE = (
-    (2, "up", 0.0242, np.pi),
-    (4, "up", 0.0013, 2.6),
-    (6, "up", 0.0004, 1.0),
-    (8, "up", 0.0002, 0.0),
-    (1, "up", 0.0035, 1.2),  # nobody's legs are quite alike
-    (2, "forward", 0.0055, -2.1),  # braked from the landing on, pushed before the next
-    (4, "forward", 0.0012, 0.5),
-    (1, "right", 0.0200, 0.0),
-    (3, "right", 0.0015, 0.6),
-)
-AXES = {"right": 0, "forward": 1, "up": 2}
-VARIATION = 0.12  # of the amplitudes from stride to stride
-RECOIL = 0.12  # [s] within which a shock's impulse is taken back
-OWN = 0.45  # log-normal spread of the higher harmonics' and the shocks' sizes between people and shoes
+USUAL_STEP = 0.72  # [m] at which the amplitudes in this file hold
+HIP = 0.53  # height of the body's centre as a share of the stature
 
 
 @dataclass(frozen=True)
 class Hold:
     """A way to carry a phone. Body axes are right, forward, up.
 
-    axes: where the device's x, y and z point; spread: of that between people and walks [rad].
-    hinge: from the body's middle, as a share of the stature; lever: from there to the phone [m].
-    swings: harmonic of the stride, axis, amplitude [rad], phase [rad].
-    bounce: factor of the body's; shock: of a landing [m/s²], its frequency [Hz] and decay [s]; one_sided: share by
-    which the other leg's shock is weaker, and by how much it is later [s].
-    tremor: fast [rad]; wander: slow, about the vertical and the horizontal axes [rad]; roughness: of the acceleration
-    between 1 and 8 Hz [m/s²].
+    axes: directions of the device's x, y and z in body axes; spread: of these between people and walks [rad].
+    hinge: position relative to the body's centre, as a share of the stature; lever: from the hinge to the phone [m].
+    swings: harmonics of the stride: number, axis, amplitude [rad], phase [rad].
+    bounce: factor of the body's vertical movement; shock: of a landing [m/s²], its frequency [Hz] and decay [s];
+    one_sided: share by which the shock of the other leg is weaker, and its delay [s].
+    tremor: fast rotation [rad]; wander: slow rotation about the vertical and the horizontal axes [rad]; roughness: of
+    the acceleration between 1 and 8 Hz [m/s²].
     """
 
     axes: tuple[tuple[float, float, float], ...]
@@ -115,7 +100,7 @@ HOLDS = {
     ),
     "bag": Hold(
         axes=(FORWARD, UP, RIGHT),
-        spread=1.5,  # anyhow
+        spread=1.5,  # any orientation
         hinge=(0.10, -0.03, 0.25),
         lever=(0.08, 0.0, -0.55),
         swings=((1, "right", 0.05, 0.9), (2, "right", 0.02, -2.2), (1, "forward", 0.05, 0.3), (1, "up", 0.06, 1.5)),
@@ -137,16 +122,14 @@ HOLDS = {
         roughness=0.0,
     ),
 }
-RATTLE = 8.0  # [Hz]
-CART_SHAKES, CART_ROCKS = 0.6, 0.05  # [m/s²], [rad/s] at 0.5 m/s: castors on a floor
 
 
 @dataclass(frozen=True)
-class Motion:
-    """What a phone without faults feels.
+class Motion(OneLineRepr):
+    """The measurements of a phone with perfect sensors.
 
-    time: ``(n,)`` [s]; R_world_device: n rotations; acceleration: ``(n, 3)`` specific force, gravity in, device axes
-    [m/s²]; angular_rate: ``(n, 3)`` device axes [rad/s]; height: ``(n,)`` [m].
+    rate [Hz]; time: ``(n,)`` [s]; R_world_device: n rotations; acceleration: ``(n, 3)`` specific force with gravity,
+    device axes [m/s²]; angular_rate: ``(n, 3)`` device axes [rad/s]; height: ``(n,)`` [m].
     """
 
     rate: float
@@ -156,17 +139,23 @@ class Motion:
     angular_rate: Array
     height: Array
 
+    def _summary(self) -> list[str]:
+        return [*time_span(self), f"{self.rate:g} Hz"]
 
-def carry(body: Body, walker: Walker, random: np.random.Generator) -> Motion:
-    """The phone's motion on a body that moves so."""
+
+CART_VIBRATION, CART_ROCKING = 0.6, 0.05  # [m/s²], [rad/s] at 0.5 m/s: castors on a floor
+
+
+def carry(body: Body, walker: Pedestrian, random: np.random.Generator) -> Motion:
+    """The motion of the phone that a walker carries."""
     n, rate = len(body.time), body.rate
     stride = _Stride.of(body, walker, random)
-    taken = body.during("hold")
-    holds = [HOLDS[event.what] for event in taken]
-    starts = [event.start for event in taken]
+    changes = body.events_of("hold")
+    holds = [HOLDS[event.what] for event in changes]
+    starts = [event.start for event in changes]
     weights = _weights(body.time, starts)
 
-    # Where it is, and how it is turned, in body axes
+    # Position and rotation in body axes
     swing = sum((w[:, None] * stride.rotation(h.swings) for h, w in zip(holds, weights, strict=True)), np.zeros((n, 3)))
     swing += _unsteadiness(body, holds, weights, stride.vigour, random)
     swing += _shaking(body, random)
@@ -181,87 +170,114 @@ def carry(body: Body, walker: Walker, random: np.random.Generator) -> Motion:
     position = np.column_stack([body.position, body.height + HIP * walker.height]) + to_world.apply(place)
     R_world_device = to_world * swinging * _bases(body.time, starts, holds, random)
 
-    # What it feels
+    # Specific force and angular rate
     force = _second_derivative(position, rate)
     force[:, 2] += STANDARD_GRAVITY
     force += to_world.apply(
         _shocks(body, holds, weights, random) + _roughness(body, holds, weights, stride.vigour, random)
     )
-    turned = compose(R_world_device[:-1].inv(), R_world_device[1:]).as_rotvec() * rate
-    angular_rate = np.concatenate([turned[:1], (turned[:-1] + turned[1:]) / 2, turned[-1:]])
-    rolling = (np.abs(body.rolling)[:, None] / 0.5) ** 0.3  # it rattles as soon as it rolls
-    angular_rate += CART_ROCKS * rolling * _rattle(random, n, rate)
-    acceleration = R_world_device.inv().apply(force) + CART_SHAKES * rolling * _rattle(random, n, rate)
+    between = compose(R_world_device[:-1].inv(), R_world_device[1:]).as_rotvec() * rate
+    angular_rate = np.concatenate([between[:1], (between[:-1] + between[1:]) / 2, between[-1:]])
+    rolling = (np.abs(body.rolling)[:, None] / 0.5) ** 0.3  # vibration sets in at low speeds
+    angular_rate += CART_ROCKING * rolling * _vibration(random, n, rate)
+    acceleration = R_world_device.inv().apply(force) + CART_VIBRATION * rolling * _vibration(random, n, rate)
     return Motion(rate, body.time, R_world_device, acceleration, angular_rate, position[:, 2])
+
+
+Harmonics = tuple[tuple[int, str, float, float], ...]  # number, axis, amplitude, phase [rad]
+# Of the body's centre, amplitudes in m. Harmonics of the stride; 2, 4, … are harmonics of the step
+BOUNCE: Harmonics = (
+    (2, "up", 0.0242, np.pi),
+    (4, "up", 0.0013, 2.6),
+    (6, "up", 0.0004, 1.0),
+    (8, "up", 0.0002, 0.0),
+    (1, "up", 0.0035, 1.2),  # the legs differ
+    (2, "forward", 0.0055, -2.1),  # braking after a landing, pushing before the next
+    (4, "forward", 0.0012, 0.5),
+    (1, "right", 0.0200, 0.0),
+    (3, "right", 0.0015, 0.6),
+)
+AXES = {"right": 0, "forward": 1, "up": 2}
+STRIDE_VARIATION = 0.12  # relative standard deviation of the amplitudes from stride to stride
+PERSONAL_SPREAD = 0.45  # log-normal spread of higher harmonics and shocks between people and shoes
 
 
 @dataclass(frozen=True)
 class _Stride:
-    """The gait's harmonics as somebody has them. vigour: ``(n,)`` 0 at rest, 1 at a usual step."""
+    """The harmonics of one person's gait.
+
+    phase: ``(n,)`` strides so far; vigour: ``(n,)`` step length over USUAL_STEP, 0 at rest; bounce_factor: of the
+    walker; variation: ``(n,)`` factor of all amplitudes; shift, personal: ``(12,)`` phase shift [rad] and amplitude
+    factor of each harmonic.
+    """
 
     phase: Array
     vigour: Array
-    bob: float
+    bounce_factor: float
     variation: Array
     shift: Array
-    own: Array
+    personal: Array
 
     @classmethod
-    def of(cls, body: Body, walker: Walker, random: np.random.Generator) -> _Stride:
+    def of(cls, body: Body, walker: Pedestrian, random: np.random.Generator) -> _Stride:
         vigour = body.step_length / USUAL_STEP
-        variation = 1 + slow(random, len(vigour), 1.1 * body.rate, VARIATION)[:, 0]
-        own = np.exp(random.normal(0, OWN, 12))
-        own[0] = 1.0  # how much they bob at all is the walker's bounce
-        return cls(body.phase, vigour, walker.bounce, variation, random.normal(0, 0.35, 12), own)
+        variation = 1 + smooth_noise(random, len(vigour), 1.1 * body.rate, STRIDE_VARIATION)[:, 0]
+        personal = np.exp(random.normal(0, PERSONAL_SPREAD, 12))
+        personal[0] = 1.0  # the first harmonic is scaled by the walker's bounce
+        return cls(body.phase, vigour, walker.bounce, variation, random.normal(0, 0.35, 12), personal)
 
     @property
     def bounce(self) -> Array:
-        """Of the body's middle ``(n, 3)``, right, forward, up [m]. An inverted pendulum's goes with the step squared;
-        who takes short steps shuffles, and bobs more than that.
+        """Movement of the body's centre ``(n, 3)``: right, forward, up [m].
+
+        That of an inverted pendulum grows with the square of the step length; in short, shuffling steps it is larger.
         """
-        return self.bob * (self.vigour**1.5)[:, None] * self._sum(BOUNCE, self.own)
+        return self.bounce_factor * (self.vigour**1.5)[:, None] * self._sum(BOUNCE, self.personal)
 
-    def rotation(self, swings: tuple[tuple[int, str, float, float], ...]) -> Array:
-        """Rotation vectors ``(n, 3)`` of a lever. [rad]"""
-        return self.vigour[:, None] * self._sum(swings, self.own**0.5)
+    def rotation(self, swings: Harmonics) -> Array:
+        """Rotation vectors ``(n, 3)`` of a lever [rad]."""
+        return self.vigour[:, None] * self._sum(swings, self.personal**0.5)
 
-    def _sum(self, harmonics: tuple[tuple[int, str, float, float], ...], own: Array) -> Array:
+    def _sum(self, harmonics: Harmonics, personal: Array) -> Array:
+        """The sum of harmonics ``(n, 3)``, in the unit of their amplitudes."""
         total = np.zeros((len(self.phase), 3))
         for n, (harmonic, axis, amplitude, phase) in enumerate(harmonics):
             angle = 2 * np.pi * harmonic * self.phase + phase + (self.shift[n] if n else 0.0)
-            total[:, AXES[axis]] += own[n] * amplitude * self.variation * np.cos(angle)
+            total[:, AXES[axis]] += personal[n] * amplitude * self.variation * np.cos(angle)
         return total
 
 
 def _weights(time: Array, starts: Sequence[float]) -> list[Array]:
-    """How far each hold is in force ``(n,)``: they follow each other over REHOLD."""
-    begun = [np.clip((time - start) / REHOLD, 0, 1) if k else np.ones(len(time)) for k, start in enumerate(starts)]
-    begun = [b * b * (3 - 2 * b) for b in begun]
-    after = [*begun[1:], np.zeros(len(time))]
-    return [b - a for b, a in zip(begun, after, strict=True)]
+    """The weight of each hold ``(n,)``, 0–1: one blends into the next over HOLD_CHANGE_TIME."""
+    ramps = [
+        np.clip((time - start) / HOLD_CHANGE_TIME, 0, 1) if k else np.ones(len(time)) for k, start in enumerate(starts)
+    ]
+    ramps = [r * r * (3 - 2 * r) for r in ramps]
+    following = [*ramps[1:], np.zeros(len(time))]
+    return [ramp - after for ramp, after in zip(ramps, following, strict=True)]
 
 
 def _bases(time: Array, starts: Sequence[float], holds: Sequence[Hold], random: np.random.Generator) -> Rotation:
-    """How the device lies in the hand, pocket or bag: as it was taken, until it is taken otherwise."""
+    """Rotations from device to body axes ``(n,)``: constant in each hold, interpolated while it changes."""
     bases = [
         Rotation.from_rotvec(random.normal(0, hold.spread, 3)) * Rotation.from_matrix(np.array(hold.axes).T)
         for hold in holds
     ]
-    changes = [t for start in starts[1:] for t in (start, start + REHOLD)]
-    times = np.maximum.accumulate([-1.0, *changes, time[-1] + REHOLD + 1])
+    changes = [t for start in starts[1:] for t in (start, start + HOLD_CHANGE_TIME)]
+    times = np.maximum.accumulate([-1.0, *changes, time[-1] + HOLD_CHANGE_TIME + 1])
     keys = [base for base in bases for _ in range(2)]
     later = np.diff(times, prepend=-2.0) > 1e-6
-    kept = Rotation.concatenate([key for key, keep in zip(keys, later, strict=True) if keep])
-    return Slerp(times[later], kept)(time)
+    rotations = Rotation.concatenate([key for key, keep in zip(keys, later, strict=True) if keep])
+    return Slerp(times[later], rotations)(time)
 
 
 def _unsteadiness(
     body: Body, holds: Sequence[Hold], weights: Sequence[Array], vigour: Array, random: np.random.Generator
 ) -> Array:
-    """Rotation vectors ``(n, 3)`` of a hand's tremor and of how it wanders off. [rad]"""
+    """Rotation vectors ``(n, 3)`` of a hand's tremor and slow wander [rad]."""
     n, rate = len(body.time), body.rate
-    tremor = slow(random, n, 0.12 * rate, 1.0, 3) * (0.25 + 0.75 * vigour)[:, None]
-    wander = slow(random, n, 9.0 * rate, 1.0, 3)
+    tremor = smooth_noise(random, n, 0.12 * rate, 1.0, 3) * (0.25 + 0.75 * vigour)[:, None]
+    wander = smooth_noise(random, n, 9.0 * rate, 1.0, 3)
     total = np.zeros((n, 3))
     for hold, weight in zip(holds, weights, strict=True):
         about = np.array([hold.wander[1], hold.wander[1], hold.wander[0]])
@@ -270,21 +286,24 @@ def _unsteadiness(
 
 
 def _shaking(body: Body, random: np.random.Generator) -> Array:
-    """Rotation vectors ``(n, 3)`` of being waved about. [rad]"""
+    """Rotation vectors ``(n, 3)`` while the phone is waved [rad]."""
     on = np.zeros(len(body.time))
-    for event in body.during("shake"):
+    for event in body.events_of("shake"):
         on[(body.time >= event.start) & (body.time < event.end)] = 1.0
     if not on.any():
         return np.zeros((len(on), 3))
     on = gaussian_filter1d(on, 0.3 * body.rate)
-    return on[:, None] * slow(random, len(on), 0.5 * body.rate, 0.9, 3)
+    return on[:, None] * smooth_noise(random, len(on), 0.5 * body.rate, 0.9, 3)
+
+
+RECOIL = 0.12  # [s] standard deviation of the filter that removes the mean force of a shock
 
 
 def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random: np.random.Generator) -> Array:
-    """Acceleration ``(n, 3)`` in body axes that landings send through the body. [m/s²]"""
+    """Acceleration ``(n, 3)`` in body axes from the landings [m/s²]."""
     n, total = len(body.time), np.zeros((len(body.time), 3))
     strength = np.minimum(body.lengths / USUAL_STEP, 1.5) ** 1.5 * np.exp(random.normal(0, 0.3, len(body.lengths)))
-    strength = strength * np.exp(random.normal(0, OWN))
+    strength = strength * np.exp(random.normal(0, PERSONAL_SPREAD))
     other = np.arange(len(body.landings)) % 2
     for hold, weight in zip(holds, weights, strict=True):
         size, frequency, decay = hold.shock
@@ -298,48 +317,49 @@ def _shocks(body: Body, holds: Sequence[Hold], weights: Sequence[Array], random:
         ring = np.exp(-t / decay) * np.sin(2 * np.pi * frequency * t + 0.3)
         along = np.array([0.25, -0.5, 1.0]) + random.normal(0, 0.15, 3)
         total += (weight * np.convolve(train, ring)[:n])[:, None] * along
-    return total - gaussian_filter1d(total, RECOIL * body.rate, axis=0)  # what is hit springs back: no shock lifts it
+    return total - gaussian_filter1d(total, RECOIL * body.rate, axis=0)  # recoil: a shock does not lift the phone
 
 
 def _roughness(
     body: Body, holds: Sequence[Hold], weights: Sequence[Array], vigour: Array, random: np.random.Generator
 ) -> Array:
-    """What no harmonic explains ``(n, 3)``. [m/s²]"""
+    """Acceleration noise ``(n, 3)`` beside the harmonics [m/s²]."""
     size = sum((h.roughness * w for h, w in zip(holds, weights, strict=True)), np.zeros(len(body.time)))
-    rough = slow(random, len(body.time), 0.05 * body.rate, 1.0, 3)
+    rough = smooth_noise(random, len(body.time), 0.05 * body.rate, 1.0, 3)
     rough -= gaussian_filter1d(rough, 0.08 * body.rate, axis=0)
     return (size * vigour)[:, None] * rough
 
 
-def _rattle(random: np.random.Generator, count: int, rate: float) -> Array:
-    """Noise ``(count, 3)`` of unit variance about RATTLE [Hz] that takes a cart nowhere: its integral stays small."""
-    place = gaussian_filter1d(random.normal(size=(count, 3)), rate / (2 * np.pi * RATTLE), axis=0)
+def _vibration(random: np.random.Generator, count: int, rate: float) -> Array:
+    """Noise ``(count, 3)`` of unit variance around 8 Hz, whose integral stays small: it does not move a cart."""
+    place = gaussian_filter1d(random.normal(size=(count, 3)), rate / (2 * np.pi * 8.0), axis=0)
     speed = np.gradient(place, axis=0)
     return speed / speed.std()
 
 
 def _second_derivative(position: Array, rate: float) -> Array:
+    """Acceleration ``(n, 3)`` of positions ``(n, 3)`` [m] at a rate [Hz], in m/s²."""
     inside = (position[2:] - 2 * position[1:-1] + position[:-2]) * rate**2
     return np.concatenate([inside[:1], inside, inside[-1:]])
 
 
-WITHIN = 0.7  # [s]
+GRIP_CHANGE_TIME = 0.7  # [s] of a turn by the wrist; chosen by hand
 
 
-def turned_in_hand(recording: Recording, up: Array, begin: float, angle: float) -> Recording:
-    """What the phone would have logged, had a hand turned it by ``angle`` [rad] from ``begin`` [s] on.
+def with_grip_change(recording: Recording, up: Array, begin: float, angle: float) -> Recording:
+    """The recording as if a hand had turned the phone by ``angle`` [rad], starting at ``begin`` [s].
 
-    up: ``(3,)`` the vertical in the device then. Only accelerometer and gyroscope are turned.
+    up: ``(3,)`` the vertical in device axes at that time. Only accelerometer and gyroscope are changed.
     """
 
-    def felt(signal: Signal | None, own_rate: float) -> Signal | None:
+    def turned(signal: Signal | None, rate_factor: float) -> Signal | None:
         if signal is None:
             return None
-        share = (signal.time - begin) / WITHIN
+        share = (signal.time - begin) / GRIP_CHANGE_TIME
         values = Rotation.from_rotvec(-angle * np.clip(share, 0, 1)[:, None] * up).apply(signal.values)
-        turning = own_rate * angle / WITHIN * ((share > 0) & (share < 1))
+        turning = rate_factor * angle / GRIP_CHANGE_TIME * ((share > 0) & (share < 1))
         return Signal(signal.time, values + turning[:, None] * up)
 
     return replace(
-        recording, accelerometer=felt(recording.accelerometer, 0.0), gyroscope=felt(recording.gyroscope, 1.0)
+        recording, accelerometer=turned(recording.accelerometer, 0.0), gyroscope=turned(recording.gyroscope, 1.0)
     )

@@ -1,4 +1,4 @@
-"""A simulated walk as a recorder's own export, with the truth beside it."""
+"""Writers of a simulated walk in the file format of a recorder, with the truth."""
 
 from __future__ import annotations
 
@@ -16,13 +16,12 @@ if TYPE_CHECKING:
     from pdr_graph.simulation.simulate import Simulation
 
 TRUTH_RATE = 10.0  # [Hz]
-ROWS_AT_ONCE = 50_000
 
 
 def write(walk: Simulation, folder: Path) -> None:
     """Write the recording, ``truth.csv``, ``steps.csv``, ``events.csv``, and ``gnss.csv``, ``fixes.csv`` if any.
 
-    Times in all of them are the recorder's own. A plan of one file is laid beside them, as ``plan.geojson``.
+    Times in all of them are on the recorder's clock. A plan of one file is copied there as ``plan.geojson``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if walk.scenario.plan is not None and walk.scenario.plan.is_file():
@@ -42,14 +41,15 @@ def write(walk: Simulation, folder: Path) -> None:
         fixes = zip(walk.gnss.fixes.time, walk.gnss.fixes.position, walk.gnss.accuracy, walk.gnss.hdop, strict=True)
         lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{accuracy:.2f},{hdop:.2f}" for t, (x, y), accuracy, hdop in fixes]
         _save(folder / "gnss.csv", "time,x,y,accuracy,hdop", lines)
-    if walk.given is not None:
-        fixes = zip(walk.given.time, walk.given.position, walk.given.sigma, walk.given.floor, strict=True)
+    if walk.user_fixes is not None:
+        known = walk.user_fixes
+        fixes = zip(known.time, known.position, known.sigma, known.floor, strict=True)
         lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{sigma:.3f},{cell(floor)}" for t, (x, y), sigma, floor in fixes]
         _save(folder / "fixes.csv", "time,x,y,sigma,floor", lines)
 
 
 def sensor_logger(walk: Simulation, folder: Path) -> None:
-    """A folder as Sensor Logger exports it: one table per sensor, columns z, y, x, signs of the platform."""
+    """Write a folder as exported by Sensor Logger: a table per sensor, columns z, y, x, signs of the platform."""
     ios = walk.scenario.platform == "ios"
     sign, signals = -1.0 if ios else 1.0, walk.signals
     if "accelerometer" in signals:
@@ -69,16 +69,16 @@ def sensor_logger(walk: Simulation, folder: Path) -> None:
         columns = np.column_stack([relative, pressure.values])
         _sensor_table(walk, folder / "Barometer.csv", "relativeAltitude,pressure", pressure.time, columns)
     _location(walk, folder)
-    _heard(walk, folder)
+    _radios(walk, folder)
     rates = "|".join([str(round(1000 / walk.scenario.phone.rate))] * len(signals))
-    about = "version,device name,recording epoch time,recording time,recording timezone,platform,appVersion,device id,"
-    about += "sensors,sampleRateMs,standardisation,platform version"
+    header = "version,device name,recording epoch time,recording time,recording timezone,platform,appVersion,device id,"
+    header += "sensors,sampleRateMs,standardisation,platform version"
     row = f"3,Simulated,{walk.scenario.start * 1000:.0f},,UTC,{walk.scenario.platform},1.47.1,simulated,"
-    _save(folder / "Metadata.csv", about, [row + f"{'|'.join(signals)},{rates},false,0"])
+    _save(folder / "Metadata.csv", header, [row + f"{'|'.join(signals)},{rates},false,0"])
 
 
 def phyphox(walk: Simulation, folder: Path) -> None:
-    """A folder as phyphox exports it: one table per sensor, times from the start, ``meta/time.csv``."""
+    """Write a folder as exported by phyphox: a table per sensor, times from the start, ``meta/time.csv``."""
     names = {"accelerometer": ("Accelerometer", "m/s^2"), "gyroscope": ("Gyroscope", "rad/s")}
     names |= {"magnetometer": ("Magnetometer", "µT"), "barometer": ("Pressure", "hPa")}
     for sensor, signal in walk.signals.items():
@@ -101,7 +101,7 @@ def phyphox(walk: Simulation, folder: Path) -> None:
 
 
 def indoor_location(walk: Simulation, folder: Path) -> None:
-    """One file as the Indoor Location Competition 2.0 has it, a waypoint of the truth every eight seconds."""
+    """Write one file as in the Indoor Location Competition 2.0, with a waypoint of the truth every eight seconds."""
     start, rows = walk.scenario.start, []
     kinds = {"accelerometer": "ACCELEROMETER", "gyroscope": "GYROSCOPE", "magnetometer": "MAGNETIC_FIELD"}
     for sensor, kind in kinds.items():
@@ -127,12 +127,13 @@ RECORDERS: dict[str, Callable[[Simulation, Path], None]] = {
 
 
 def _gravity(walk: Simulation, time: Array) -> Array:
-    """Gravity ``(n, 3)`` in device axes, as a perfect fusion would have it. [m/s²]"""
+    """Gravity ``(n, 3)`` in device axes [m/s²], without errors."""
     up = walk.motion.R_world_device.inv().apply([0.0, 0.0, STANDARD_GRAVITY])
     return interpolate(time, walk.motion.time, up)
 
 
 def _location(walk: Simulation, folder: Path) -> None:
+    """Write the GNSS fixes as Sensor Logger does."""
     if walk.gnss is None:
         return
     names = (
@@ -143,8 +144,8 @@ def _location(walk: Simulation, folder: Path) -> None:
     _sensor_table(walk, folder / "Location.csv", names, walk.gnss.fixes.time, columns, "%.9f")
 
 
-def _heard(walk: Simulation, folder: Path) -> None:
-    """Bluetooth and Wi-Fi tables."""
+def _radios(walk: Simulation, folder: Path) -> None:
+    """Write the Bluetooth and Wi-Fi tables of Sensor Logger."""
     for sightings, file, header in (
         (walk.bluetooth, "Bluetooth.csv", "id,rssi"),
         (walk.wifi, "WiFi.csv", "bssid,level"),
@@ -157,14 +158,17 @@ def _heard(walk: Simulation, folder: Path) -> None:
 
 
 def _sensor_table(walk: Simulation, path: Path, names: str, time: Array, values: Array, form: str = "%.7f") -> None:
-    """A table of Sensor Logger: Unix nanoseconds, seconds since the start, values."""
+    """Write a table of Sensor Logger: Unix nanoseconds, seconds since the start, values."""
     nanoseconds = np.round((walk.scenario.start + time) * 1e9)
     rows = np.column_stack([nanoseconds, time, values])
     _table(path, f"time,seconds_elapsed,{names}", rows, ["%.0f", "%.9f", *[form] * values.shape[1]])
 
 
+ROWS_AT_ONCE = 50_000  # formatted by one string, which is five times as fast as a string for each row
+
+
 def _table(path: Path, header: str, rows: Array, forms: list[str]) -> None:
-    """A CSV of numbers; one format string for many rows is five times as fast as one for each."""
+    """Write a CSV of numbers. forms: the format of each column."""
     line = ",".join(forms) + "\n"
     with path.open("w", encoding="utf-8") as file:
         file.write(header + "\n")
@@ -174,4 +178,5 @@ def _table(path: Path, header: str, rows: Array, forms: list[str]) -> None:
 
 
 def _save(path: Path, header: str, lines: list[str]) -> None:
+    """Write a text file of a header and lines."""
     path.write_text("\n".join([header, *lines]) + "\n", encoding="utf-8")

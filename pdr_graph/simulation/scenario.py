@@ -1,6 +1,6 @@
-"""Scenarios: short TOML files that say who walks where, with what phone (docs/simulation.md).
+"""Scenarios: short TOML files with a walker, a route and a phone (docs/simulation.md).
 
-Those that come with the package are known by name.
+Scenarios that are part of the package can be loaded by name.
 """
 
 from __future__ import annotations
@@ -14,37 +14,193 @@ from typing import Any, TypeVar
 import numpy as np
 import shapely
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, read_toml
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.simulation.carrying import HOLDS
-from pdr_graph.simulation.itinerary import Route, known, number, one_of, pair, route_of, typed
+from pdr_graph.simulation.itinerary import Route, check_keys, number, one_of, pair, route_of, typed
 from pdr_graph.simulation.recorders import RECORDERS
-from pdr_graph.simulation.sensors import Clock, Receiver, Transmitter
+from pdr_graph.simulation.sensors import Receiver, SampleClock, Transmitter
 
 PACKAGE = Path(__file__).parents[1]
-HOMES = (PACKAGE / "scenarios", PACKAGE.parent / "scenarios")  # of what was installed; of a checkout
+FOLDERS = (PACKAGE / "scenarios", PACKAGE.parent / "scenarios")  # of an installation; of a checkout
 
 
 def names() -> tuple[str, ...]:
-    """Of all of them, in order."""
-    return tuple(sorted({file.stem for home in HOMES for file in home.glob("*.toml")}))
+    """The names of all scenarios of the package, sorted."""
+    return tuple(sorted({file.stem for folder in FOLDERS for file in folder.glob("*.toml")}))
 
 
-def scenario_file(given: str | Path) -> Path:
-    """The file of a scenario: a path as it is, or the one that comes along under that name.
+def scenario_file(name: str | Path) -> Path:
+    """The path of a scenario's file. name: a path, or the name of a scenario of the package.
 
     Raises InputError if it is neither.
     """
-    path = Path(given)
+    path = Path(name)
     if path.is_file():
         return path
-    for home in HOMES:
-        if (home / f"{given}.toml").is_file():
-            return home / f"{given}.toml"
+    for folder in FOLDERS:
+        if (folder / f"{name}.toml").is_file():
+            return folder / f"{name}.toml"
     found = "a folder" if path.is_dir() else "no such file"
     raise InputError(path, "", found, f"a scenario's TOML file, or one of {', '.join(names())}")
 
 
+SENSORS = ("accelerometer", "gyroscope", "magnetometer", "barometer")
+PLACE = (135.0, 35.0)  # [deg] longitude and latitude of (0, 0) without a plan
+Section = TypeVar("Section")
+
+
+@dataclass(frozen=True)
+class Person:
+    """The walker: height [m], 0 to draw it at random; sex "f" or "m", "" to draw it at random."""
+
+    height: float = 0.0
+    sex: str = ""
+
+
+@dataclass(frozen=True)
+class Phone:
+    """The phone: how it is carried and how it samples.
+
+    hold: of HOLDS; rate [Hz], jitter [s], lost and repeated shares of samples; sensors: of SENSORS; disturbance: of
+    the magnetic field [µT]; altitude: of the floor where the walk begins [m]; barometer_rate [Hz].
+    """
+
+    hold: str = "hand"
+    rate: float = 100.0
+    jitter: float = 0.0004
+    lost: float = 0.0005
+    repeated: float = 0.0002
+    sensors: tuple[str, ...] = SENSORS
+    disturbance: float = 5.0
+    altitude: float = 30.0
+    barometer_rate: float = 5.0
+
+    @property
+    def clock(self) -> SampleClock:
+        """The sample clock of the inertial sensors and the magnetometer."""
+        return SampleClock(self.rate, self.jitter, self.lost, self.repeated)
+
+
+@dataclass(frozen=True)
+class UserFixes:
+    """Positions that the user knows: one every ``period`` [s], ``sigma`` per axis [m], a share of ``outliers``."""
+
+    period: float = 10.0
+    sigma: float = 1.5
+    outliers: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scenario(OneLineRepr):
+    """The description of one simulated walk (docs/simulation.md).
+
+    name: of its file; seed: of all random numbers; recorder: of RECORDERS; platform: "android" or "ios"; start: Unix
+    time [s]; place: longitude and latitude of (0, 0) [deg]; plan: its file, None without one; plans: its floors by
+    label; gnss, user_fixes: None for none; beacons, access_points: the transmitters within reach.
+    """
+
+    name: str
+    route: Route
+    seed: int = 0
+    start: float = 1_777_629_600.0
+    recorder: str = "sensor_logger"
+    platform: str = "android"
+    place: tuple[float, float] = PLACE
+    plan: Path | None = None
+    plans: Mapping[str, FloorPlan] = field(default_factory=dict)
+    walker: Person = field(default_factory=Person)
+    phone: Phone = field(default_factory=Phone)
+    gnss: Receiver | None = None
+    user_fixes: UserFixes | None = None
+    beacons: tuple[Transmitter, ...] = ()
+    access_points: tuple[Transmitter, ...] = ()
+
+    @classmethod
+    def load(cls, path: str | Path) -> Scenario:
+        """Read a scenario. path: of its file, or the name of a scenario of the package such as "arcade".
+
+        Raises InputError naming the place in the file.
+        """
+        path = scenario_file(path)
+        return cls.of(read_toml(path), path)
+
+    @classmethod
+    def of(cls, content: dict[str, Any], path: Path = Path("scenario")) -> Scenario:
+        """A scenario from the content of its file. path: for messages, and relative to which its plan is found."""
+        return _scenario(path, content)
+
+    def _summary(self) -> list[str]:
+        return [repr(self.name), f"seed {self.seed}", *self.route._summary(), f"hold {self.phone.hold!r}"]
+
+
+MAXIMUM_SAMPLES = 5e6  # fourteen hours at 100 Hz; more would be a typing error, and fill the memory
+
+
+def _scenario(path: Path, content: dict[str, Any]) -> Scenario:
+    """Check the content of a scenario's file, value by value, and build the scenario."""
+    allowed = "seed start recorder platform place plan floor heading route walker phone gnss fixes beacons wifi"
+    check_keys(path, "", content, allowed.split())
+    seed = typed(path, "seed", content.get("seed", 0), int)
+    _check_range(path, "seed", seed)
+    plan = path.parent / typed(path, "plan", content["plan"], str) if "plan" in content else None
+    plans = {floor.label: floor for floor in FloorPlan.load_all(plan)} if plan else {}
+    phone = _section(path, "phone", content, Phone)
+    one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
+    for sensor in phone.sensors:
+        one_of(path, "phone.sensors", sensor, SENSORS)
+    person = _section(path, "walker", content, Person)
+    one_of(path, "walker.sex", person.sex, ("", "f", "m"))
+    route = route_of(
+        path, content.get("route"), plans, str(content.get("floor", next(iter(plans), ""))), content.get("heading")
+    )
+    samples = route.duration * phone.rate
+    if samples > MAXIMUM_SAMPLES:
+        raise InputError(
+            path, "route", f"about {samples:.0f} samples", f"at most {MAXIMUM_SAMPLES:.0f}: a shorter walk"
+        )
+    return Scenario(
+        name=path.stem,
+        route=route,
+        seed=seed,
+        start=_unix_time(path, content.get("start", Scenario.start)),
+        recorder=one_of(path, "recorder", content.get("recorder", Scenario.recorder), tuple(RECORDERS)),
+        platform=one_of(path, "platform", content.get("platform", Scenario.platform), ("android", "ios")),
+        place=_place(path, content.get("place", PLACE)),
+        plan=plan,
+        plans=plans,
+        walker=person,
+        phone=phone,
+        gnss=_receiver(path, content),
+        user_fixes=_user_fixes(path, content),
+        beacons=_beacons(path, content.get("beacons", {}), plans),
+        access_points=_access_points(path, content, plans, route),
+    )
+
+
+def _section(path: Path, name: str, content: dict[str, Any], kind: type[Section]) -> Section:
+    """A table of the file as a dataclass, whose fields are the keys and whose defaults give the types."""
+    table = typed(path, name, content.get(name, {}), dict)
+    defaults = {f.name: f.default for f in fields(kind)}  # type: ignore[arg-type]
+    check_keys(path, name, table, list(defaults))
+    values = {}
+    for key, value in table.items():
+        default = defaults[key]
+        if isinstance(default, tuple):
+            values[key] = _tuple(typed(path, f"{name}.{key}", value, list))
+        else:
+            values[key] = typed(path, f"{name}.{key}", value, type(default))
+            _check_range(path, f"{name}.{key}", values[key])
+    return kind(**values)
+
+
+def _tuple(value: list[Any]) -> tuple[Any, ...]:
+    """A list and the lists in it as tuples."""
+    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
+
+
+# Accepted values: minimum, maximum, unit
 RANGES = {
     "seed": (0, 1e15, ""),
     "walker.height": (0.5, 2.5, "m"),
@@ -63,158 +219,18 @@ RANGES = {
     "wifi.access_points": (0, 1000, ""),
     "fixes.period": (0.01, 86_400, "s"),
     "fixes.sigma": (0.001, 10_000, "m"),
-    "fixes.wild": (0, 1, "of all fixes"),
+    "fixes.outliers": (0, 1, "of all fixes"),
 }
-MOST_SAMPLES = 5e6  # fourteen hours at 100 Hz; more is a slip of the pen, and would fill the memory
-SENSORS = ("accelerometer", "gyroscope", "magnetometer", "barometer")
-PLACE = (135.0, 35.0)  # [deg] longitude and latitude of (0, 0) where no plan says
-Section = TypeVar("Section")
 
 
-@dataclass(frozen=True)
-class Person:
-    """What is said of the walker: height [m] and sex "f" or "m"; what is not is drawn."""
-
-    height: float = 0.0
-    sex: str = ""
-
-
-@dataclass(frozen=True)
-class Phone:
-    """hold: of HOLDS; rate [Hz], jitter [s], lost and repeated shares of samples; sensors: of SENSORS; disturbance: of
-    the magnetic field [µT]; altitude: of the floor where the walk begins [m]; barometer_rate [Hz].
-    """
-
-    hold: str = "hand"
-    rate: float = 100.0
-    jitter: float = 0.0004
-    lost: float = 0.0005
-    repeated: float = 0.0002
-    sensors: tuple[str, ...] = SENSORS
-    disturbance: float = 5.0
-    altitude: float = 30.0
-    barometer_rate: float = 5.0
-
-    @property
-    def clock(self) -> Clock:
-        """Of the inertial sensors and the magnetometer."""
-        return Clock(self.rate, self.jitter, self.lost, self.repeated)
-
-
-@dataclass(frozen=True)
-class GivenFixes:
-    """Positions that somebody knows: one every ``period`` [s], off by ``sigma`` per axis [m], some ``wild``."""
-
-    period: float = 10.0
-    sigma: float = 1.5
-    wild: float = 0.0
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """One simulated walk (docs/simulation.md).
-
-    name: of its file; route: where to; walker: who walks; phone: that is carried; seed: of all chance; recorder: of
-    RECORDERS; platform: "android" or "ios"; start: Unix time [s]; place: longitude and latitude of (0, 0) [deg];
-    plan: its file, None without one; plans: its floors by label; gnss, given: None for none; beacons, access_points:
-    who is heard.
-    """
-
-    name: str
-    route: Route
-    seed: int = 0
-    start: float = 1_777_629_600.0
-    recorder: str = "sensor_logger"
-    platform: str = "android"
-    place: tuple[float, float] = PLACE
-    plan: Path | None = None
-    plans: Mapping[str, FloorPlan] = field(default_factory=dict)
-    walker: Person = field(default_factory=Person)
-    phone: Phone = field(default_factory=Phone)
-    gnss: Receiver | None = None
-    given: GivenFixes | None = None
-    beacons: tuple[Transmitter, ...] = ()
-    access_points: tuple[Transmitter, ...] = ()
-
-    @classmethod
-    def load(cls, path: str | Path) -> Scenario:
-        """Read a scenario; path: of its file, or the name of one that comes with the package, as "arcade".
-
-        Raises InputError naming the place in the file.
-        """
-        path = scenario_file(path)
-        return cls.of(read_toml(path), path)
-
-    @classmethod
-    def of(cls, given: dict[str, Any], path: Path = Path("scenario")) -> Scenario:
-        """A scenario from what its file would say. path: for messages, and where its plan is looked for."""
-        return _scenario(path, given)
-
-
-def _scenario(path: Path, given: dict[str, Any]) -> Scenario:
-    allowed = "seed start recorder platform place plan floor heading route walker phone gnss fixes beacons wifi"
-    known(path, "", given, allowed.split())
-    seed = typed(path, "seed", given.get("seed", 0), int)
-    _within(path, "seed", seed)
-    plan = path.parent / typed(path, "plan", given["plan"], str) if "plan" in given else None
-    plans = {floor.label: floor for floor in FloorPlan.load_all(plan)} if plan else {}
-    phone = _section(path, "phone", given, Phone)
-    one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
-    for sensor in phone.sensors:
-        one_of(path, "phone.sensors", sensor, SENSORS)
-    person = _section(path, "walker", given, Person)
-    one_of(path, "walker.sex", person.sex, ("", "f", "m"))
-    route = route_of(
-        path, given.get("route"), plans, str(given.get("floor", next(iter(plans), ""))), given.get("heading")
-    )
-    samples = route.duration * phone.rate
-    if samples > MOST_SAMPLES:
-        raise InputError(path, "route", f"about {samples:.0f} samples", f"at most {MOST_SAMPLES:.0f}: a shorter walk")
-    return Scenario(
-        name=path.stem,
-        route=route,
-        seed=seed,
-        start=_unix(path, given.get("start", Scenario.start)),
-        recorder=one_of(path, "recorder", given.get("recorder", Scenario.recorder), tuple(RECORDERS)),
-        platform=one_of(path, "platform", given.get("platform", Scenario.platform), ("android", "ios")),
-        place=_place(path, given.get("place", PLACE)),
-        plan=plan,
-        plans=plans,
-        walker=person,
-        phone=phone,
-        gnss=_receiver(path, given),
-        given=_section(path, "fixes", given, GivenFixes) if "fixes" in given else None,
-        beacons=_beacons(path, given.get("beacons", {}), plans),
-        access_points=_access_points(path, given, plans, route),
-    )
-
-
-def _section(path: Path, name: str, given: dict[str, Any], kind: type[Section]) -> Section:
-    """A table as a dataclass of numbers, words and tuples of them."""
-    table = typed(path, name, given.get(name, {}), dict)
-    defaults = {f.name: f.default for f in fields(kind)}  # type: ignore[arg-type]
-    known(path, name, table, list(defaults))
-    values = {}
-    for key, value in table.items():
-        default = defaults[key]
-        if isinstance(default, tuple):
-            values[key] = _tuple(typed(path, f"{name}.{key}", value, list))
-        else:
-            values[key] = typed(path, f"{name}.{key}", value, type(default))
-            _within(path, f"{name}.{key}", values[key])
-    return kind(**values)
-
-
-def _tuple(value: list[Any]) -> tuple[Any, ...]:
-    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
-
-
-def _within(path: Path, place: str, value: Any) -> None:
+def _check_range(path: Path, place: str, value: Any) -> None:
+    """Raise InputError if the key `place` has a range and the value is outside."""
     if place in RANGES:
         number(path, place, value, *RANGES[place])
 
 
-def _unix(path: Path, value: Any) -> float:
+def _unix_time(path: Path, value: Any) -> float:
+    """A TOML date, time or number as Unix time [s]; UTC without a zone."""
     if isinstance(value, datetime):
         return (value if value.tzinfo else value.replace(tzinfo=UTC)).timestamp()
     if isinstance(value, date):
@@ -223,42 +239,53 @@ def _unix(path: Path, value: Any) -> float:
 
 
 def _place(path: Path, value: Any) -> tuple[float, float]:
+    """Longitude and latitude [deg]."""
     lon, lat = pair(path, "place", value, "[longitude, latitude] in degrees", 180).tolist()
     return lon, number(path, "place", lat, -85, 85, "degrees of latitude")
 
 
-def _receiver(path: Path, given: dict[str, Any]) -> Receiver | None:
-    if "gnss" not in given:
+def _user_fixes(path: Path, content: dict[str, Any]) -> UserFixes | None:
+    """The ``[fixes]`` of a scenario; None without them. The key ``wild`` is the former name of ``outliers``."""
+    if "fixes" not in content:
         return None
-    receiver = _section(path, "gnss", given, Receiver)
+    table = typed(path, "fixes", content["fixes"], dict)
+    renamed = {"outliers" if key == "wild" else key: value for key, value in table.items()}
+    return _section(path, "fixes", {"fixes": renamed}, UserFixes)
+
+
+def _receiver(path: Path, content: dict[str, Any]) -> Receiver | None:
+    """The ``[gnss]`` of a scenario; None without it."""
+    if "gnss" not in content:
+        return None
+    receiver = _section(path, "gnss", content, Receiver)
     for outage in receiver.outages:
         pair(path, "gnss.outages", outage, "[from, to] in seconds from the start", 1e9)
     return receiver
 
 
 def _beacons(path: Path, table: Any, plans: Mapping[str, FloorPlan]) -> tuple[Transmitter, ...]:
-    """The plan's beacons and the scenario's own; the latter's place wins, as when somebody has moved one."""
+    """The beacons of the plan and of the scenario; a position in the scenario replaces that in the plan."""
     typed(path, "beacons", table, dict)
-    found: dict[str, Transmitter] = {}
+    beacons: dict[str, Transmitter] = {}
     for label, plan in plans.items():
         for area in plan.of_kind("beacon"):
             name = str(next((area.properties[k] for k in ("mac", "id", "uuid") if area.properties.get(k)), area.name))
-            found[name] = Transmitter(name, shapely.get_coordinates(shapely.centroid(area.shape))[0], label)
+            beacons[name] = Transmitter(name, shapely.get_coordinates(shapely.centroid(area.shape))[0], label)
     for name, place in table.items():
-        floor = found[name].floor if name in found else next(iter(plans), "")
-        found[name] = Transmitter(name, pair(path, f"beacons.{name}", place), floor)
-    return tuple(found.values())
+        floor = beacons[name].floor if name in beacons else next(iter(plans), "")
+        beacons[name] = Transmitter(name, pair(path, f"beacons.{name}", place), floor)
+    return tuple(beacons.values())
 
 
 def _access_points(
-    path: Path, given: dict[str, Any], plans: Mapping[str, FloorPlan], route: Route
+    path: Path, content: dict[str, Any], plans: Mapping[str, FloorPlan], route: Route
 ) -> tuple[Transmitter, ...]:
-    """Access points somewhere about the way: ``[wifi] access_points = 12``."""
-    table = typed(path, "wifi", given.get("wifi", {}), dict)
-    known(path, "wifi", table, ["access_points"])
+    """Access points at random positions around the route: ``[wifi] access_points = 12``."""
+    table = typed(path, "wifi", content.get("wifi", {}), dict)
+    check_keys(path, "wifi", table, ["access_points"])
     count = typed(path, "wifi.access_points", table.get("access_points", 0), int)
-    _within(path, "wifi.access_points", count)
-    random = np.random.default_rng(given.get("seed", 0))
+    _check_range(path, "wifi.access_points", count)
+    random = np.random.default_rng(content.get("seed", 0))
     low, high = route.corners.min(axis=0) - 10, route.corners.max(axis=0) + 10
     floors = list(plans) or [""]
     places = random.uniform(low, high, (count, 2))

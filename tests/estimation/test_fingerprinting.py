@@ -12,7 +12,7 @@ from pdr_graph.estimation.fingerprinting import SHARED, RadioMap, scans_of
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate
 from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, Transmitter, heard
+from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, Transmitter, receptions
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Recording, Sightings, Trajectory
 
@@ -32,7 +32,7 @@ def walked(route, seed, floor="1", points=(*POINTS, *FAR_POINTS)):
     body = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 25}})).body
     random = np.random.default_rng(seed)
     radio = [
-        heard(body, transmitters, air, random, np.random.default_rng(7))
+        receptions(body, transmitters, air, random, np.random.default_rng(7))
         for transmitters, air in ((BEACONS, BLUETOOTH), (points, WIFI))
     ]
     every = slice(None, None, 10)

@@ -5,7 +5,7 @@ import pytest
 
 from pdr_graph.gait.heading import GRIP_CHANGE_SIGMA, walking_direction
 from pdr_graph.inertial.attitude import attitude_of
-from pdr_graph.simulation.carrying import turned_in_hand
+from pdr_graph.simulation.carrying import with_grip_change
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -25,7 +25,7 @@ def test_a_phone_turned_in_the_hand_is_no_turn_of_the_walker(angle):
         recording = walk.recording("accelerometer", "gyroscope")
         attitude, step = attitude_of(recording), 1 / walk.walker.cadence
         up = attitude.R_world_device[int(np.searchsorted(attitude.time, 14.0))].inv().apply([0.0, 0.0, 1.0])
-        direction = walking_direction(attitude_of(turned_in_hand(recording, up, 14.0, angle)), step)
+        direction = walking_direction(attitude_of(with_grip_change(recording, up, 14.0, angle)), step)
         plain = walking_direction(attitude, step)
         assert plain.variance[-1] == 0
         assert direction.variance[-1] == pytest.approx(GRIP_CHANGE_SIGMA**2)

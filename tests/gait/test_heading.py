@@ -85,7 +85,7 @@ def test_steps_carry_the_doubt_of_a_rehold():
     route = [[0, 0], {"stand": 3}, {"to": [[30, 0]], "hold": "trouser pocket"}, {"to": [[60, 0]]}, {"stand": 3}]
     walk = simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}}))
     steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
-    begun = walk.body.during("hold")[1].start
+    begun = walk.body.events_of("hold")[1].start
     near = np.abs(steps.time - begun) < 4
     assert np.sqrt(np.sum(steps.sigma_turn[near] ** 2 - 0.02**2)) == pytest.approx(GRIP_CHANGE_SIGMA, rel=0.05)
     assert np.all(steps.sigma_turn[~near] == 0.02)

@@ -1,4 +1,4 @@
-"""The body's movement: continuous, where the route leads, with what happened on the way."""
+"""The movement of the body is continuous, follows the route and has its events."""
 
 from pathlib import Path
 
@@ -27,22 +27,22 @@ def mall():
 def test_nobody_walks_through_a_wall(path):
     walk = simulate(Scenario.load(path))
     for label, plan in walk.scenario.plans.items():
-        there = np.array(walk.truth.floor) == label
-        stays, at = there[:-1] & there[1:], walk.body.position
+        on_floor = np.array(walk.truth.floor) == label
+        stays, at = on_floor[:-1] & on_floor[1:], walk.body.position
         assert not plan.crosses_wall(at[:-1][stays], at[1:][stays]).any()
     assert np.all(np.isfinite(walk.motion.acceleration))
 
 
 @pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_nobody_jumps(path):
+def test_speed_and_acceleration_are_those_of_a_walker(path):
     body = simulate(Scenario.load(path)).body
     speed = np.hypot(*np.diff(body.position, axis=0).T) * body.rate
     assert speed.max() < 2.6
     assert np.abs(np.diff(speed) * body.rate).max() < 12
 
 
-def test_steps_end_where_the_truth_is():
-    """Between two landings lies a step's length, along the way."""
+def test_steps_have_the_length_of_the_true_movement():
+    """The distance between two landings is the length of the step."""
     body = walked([0, 0], {"stand": 2}, {"to": [[30, 0], [30, 20]]}, {"stand": 2})
     at = interpolate(body.landings, body.time, body.position)
     chord = np.hypot(*np.diff(at, axis=0).T)
@@ -51,7 +51,7 @@ def test_steps_end_where_the_truth_is():
     assert body.position[-1] == pytest.approx([30, 20], abs=0.02)
 
 
-def test_headings_are_those_of_the_movement():
+def test_headings_are_the_directions_of_the_movement():
     body = walked([0, 0], {"to": [[30, 0], [30, 20]]})
     moving = np.gradient(body.position, axis=0) * body.rate
     fast = np.hypot(*moving.T) > 0.8
@@ -66,14 +66,14 @@ def test_zigzags_swing_from_side_to_side():
     assert 12 < np.sum(np.diff(np.sign(swinging.position[:, 1] - 0.001)) != 0) < 40
 
 
-def test_who_visits_a_shop_stands_before_its_front(mall):
+def test_a_visitor_of_a_shop_stands_before_its_front(mall):
     plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
-    visits = mall.body.during("visit")
+    visits = mall.body.events_of("visit")
     assert [v.what for v in visits] == ["Books", "Coffee", "E0", "Music"]
     for visit, stay in zip(visits, (20, 30, 15, 10), strict=True):
         assert visit.end - visit.start == pytest.approx(stay, abs=0.1)
-        there = (mall.body.time > visit.start + 0.5) & (mall.body.time < visit.end - 0.5)
-        place = mall.body.position[there]
+        inside = (mall.body.time > visit.start + 0.5) & (mall.body.time < visit.end - 0.5)
+        place = mall.body.position[inside]
         assert np.ptp(place, axis=0).max() < 0.05
         shop = next(a for a in plan.areas if a.name == visit.what)
         import shapely
@@ -81,13 +81,13 @@ def test_who_visits_a_shop_stands_before_its_front(mall):
         assert shapely.distance(shop.shape, shapely.Point(place[0])) < 1.0
 
 
-def test_the_phone_is_held_as_the_route_says(mall):
-    holds = mall.body.during("hold")
+def test_the_holds_are_those_of_the_route(mall):
+    holds = mall.body.events_of("hold")
     assert [h.what for h in holds] == ["hand", "trouser pocket", "hand", "swinging arm"]
     assert all(h.end - h.start == pytest.approx(1.4) for h in holds[1:])
 
 
-def test_a_lift_rides_at_a_lifts_speed():
+def test_a_lift_has_its_speed_and_acceleration():
     body = walked([0, 0], {"to": [5, 0]}, {"lift": "2", "climb": 11.4}, {"to": [10, 0]})
     speed = np.gradient(body.height) * body.rate
     assert speed.max() == pytest.approx(1.6, abs=0.05)
@@ -96,8 +96,8 @@ def test_a_lift_rides_at_a_lifts_speed():
     assert body.floors[body.floor[-1]] == "2"
 
 
-def test_a_building_tells_how_high_its_stairs_and_lifts_go():
-    """4 m, as the plan says; the floor is another one from half-way on, and the air 12 Pa per metre thinner."""
+def test_stairs_and_lifts_climb_to_the_floors_of_the_building():
+    """4 m by the plan; the floor changes half-way, and the pressure falls by 12 Pa per metre."""
     walk = simulate(Scenario.load(ROOT / "scenarios" / "two_floors.toml"))
     truth, height = walk.truth, walk.body.height
     changes = [n for n in range(1, len(truth)) if truth.floor[n] != truth.floor[n - 1]]
@@ -105,8 +105,8 @@ def test_a_building_tells_how_high_its_stairs_and_lifts_go():
     assert height[changes] == pytest.approx([2, 2], abs=0.1)
     assert np.ptp(height) == pytest.approx(4.0, abs=0.01)
     air = walk.signals["barometer"]
-    felt, climbed = air.values[:, 0], np.interp(air.time, walk.body.time, height)
-    levels = [np.median(felt[np.abs(climbed - level) < 0.1]) for level in (0, 4)]
+    pressure, climbed = air.values[:, 0], np.interp(air.time, walk.body.time, height)
+    levels = [np.median(pressure[np.abs(climbed - level) < 0.1]) for level in (0, 4)]
     assert levels[0] - levels[1] == pytest.approx(4 * 0.12, abs=0.04), "[hPa], and a little weather"
 
 
@@ -118,8 +118,8 @@ def test_stairs_are_climbed_step_by_step():
     assert np.median(body.lengths[climbing]) < 0.45, "treads are short"
 
 
-def test_a_cart_goes_where_it_is_pushed_and_looks_ahead():
-    """[stationary-switch]: forth 0.95 m, back 1.05 m, without a turn or a step."""
+def test_a_cart_moves_as_pushed_and_keeps_its_heading():
+    """[stationary-switch]: forward 0.95 m, back 1.05 m, without a turn or a step."""
     body = simulate(Scenario.load(ROOT / "scenarios" / "cart.toml")).body
     assert len(body.landings) == 0
     assert np.ptp(body.heading) == 0

@@ -1,4 +1,4 @@
-"""What the phone feels agrees with its movement, and what it logs has the faults that were asked for."""
+"""Motion of the phone agrees with the movement of the body; measurements have the requested errors."""
 
 from dataclasses import replace
 
@@ -25,8 +25,8 @@ def walk(request):
     return walked(hold=request.param)
 
 
-def test_integrated_rates_are_the_attitude(walk):
-    """Exponentials of the angular rate, one after the other, end at the true attitude."""
+def test_integrated_angular_rates_give_the_attitude(walk):
+    """The product of the exponentials of the angular rate is the true attitude."""
     motion = walk.motion
     mean = (motion.angular_rate[:-1] + motion.angular_rate[1:]) / 2 / motion.rate
     turned = Rotation.identity()
@@ -36,20 +36,20 @@ def test_integrated_rates_are_the_attitude(walk):
     assert np.degrees((turned.inv() * truth).magnitude()) < 1.0
 
 
-def test_forces_from_rest_to_rest_add_up_to_gravity_alone(walk):
-    """Newton: who stands before and after has been pushed by nothing on average."""
+def test_the_mean_force_from_rest_to_rest_is_gravity(walk):
+    """Newton: a body at rest before and after was subject to no other force on average."""
     force = walk.motion.R_world_device.apply(walk.motion.acceleration)
     assert force.mean(axis=0) == pytest.approx([0, 0, 9.80665], abs=0.03)
 
 
-def test_a_phone_at_rest_feels_gravity(walk):
+def test_a_phone_at_rest_measures_gravity(walk):
     rest = (walk.motion.time > 0.5) & (walk.motion.time < 3.0)
     assert np.linalg.norm(walk.motion.acceleration[rest], axis=1) == pytest.approx(9.80665, abs=0.3)
 
 
 @pytest.mark.parametrize("hold", CARRIED)
-def test_a_step_detector_finds_the_steps(hold):
-    """Of most people: in a pocket one's every heel strike may count twice, a swinging arm's every stride once."""
+def test_the_step_detector_finds_the_steps(hold):
+    """For most people: in some pockets heel strikes count twice, on some swinging arms strides count once."""
     ratios = []
     for seed in range(5):
         walk = walked(hold=hold, seed=seed)
@@ -73,19 +73,19 @@ def test_an_elliptical_swing_drifts_the_rate_about_the_vertical():
     assert drift("swinging arm") > 3 * drift("hand")
 
 
-def test_holds_differ_as_real_ones_do():
-    """docs/simulation.md: a pocket shocks, an arm and a leg swing, a breast is quiet."""
-    felt = {hold: walked(hold=hold).motion for hold in CARRIED}
-    turning = {hold: np.median(np.linalg.norm(m.angular_rate, axis=1)) for hold, m in felt.items()}
-    shaken = {hold: np.linalg.norm(m.acceleration, axis=1).std() for hold, m in felt.items()}
+def test_holds_differ_as_on_real_recordings():
+    """docs/simulation.md: strong shocks in a trouser pocket, large rotations of arm and leg."""
+    motions = {hold: walked(hold=hold).motion for hold in CARRIED}
+    turning = {hold: np.median(np.linalg.norm(m.angular_rate, axis=1)) for hold, m in motions.items()}
+    shaken = {hold: np.linalg.norm(m.acceleration, axis=1).std() for hold, m in motions.items()}
     assert min(turning["swinging arm"], turning["trouser pocket"]) > 1.5 * turning["hand"]
     assert max(shaken, key=shaken.get) == "trouser pocket"
     assert min(shaken, key=shaken.get) == "swinging arm"
 
 
-def test_taking_the_phone_otherwise_turns_it_and_then_leaves_it():
+def test_a_change_of_hold_turns_the_phone_within_its_time_only():
     walk = walked([[0, 0], {"stand": 5}, {"hold": "trouser pocket"}, {"stand": 5}])
-    begun = walk.body.during("hold")[1].start
+    begun = walk.body.events_of("hold")[1].start
     attitude, time = walk.motion.R_world_device, walk.motion.time
 
     def turned(start, end):
@@ -96,16 +96,15 @@ def test_taking_the_phone_otherwise_turns_it_and_then_leaves_it():
     assert max(turned(1, begun - 0.1), turned(begun + 1.5, begun + 5)) < 12
 
 
-def test_shaking_shakes():
+def test_shaking_turns_the_phone_fast():
     walk = walked([[0, 0], {"stand": 5}, {"shake": 5}, {"stand": 5}])
-    (event,) = walk.body.during("shake")
+    (event,) = walk.body.events_of("shake")
     on = (walk.motion.time > event.start + 1) & (walk.motion.time < event.end - 1)
     rate = np.linalg.norm(walk.motion.angular_rate, axis=1)
     assert rate[on].mean() > 20 * rate[walk.motion.time < event.start - 1].mean()
 
 
-def test_a_cart_feels_its_own_acceleration():
-    """The accelerometer along x, integrated, is the cart's speed."""
+def test_the_accelerometer_on_a_cart_integrates_to_its_speed():
     route = [[0, 0], {"stand": 3}, {"roll": [2, 0], "speed": 0.5}, {"stand": 3}]
     walk = simulate(Scenario.of({"route": route, "heading": 0, "phone": {"hold": "cart"}}))
     force = walk.motion.R_world_device.apply(walk.motion.acceleration)
@@ -115,31 +114,31 @@ def test_a_cart_feels_its_own_acceleration():
 
 
 @pytest.mark.parametrize("rate", [25, 50, 100, 200, 400])
-def test_any_rate(rate):
+def test_samples_have_the_requested_rate(rate):
     walk = walked([[0, 0], {"to": [10, 0]}], rate=rate, lost=0, repeated=0, jitter=0.0001)
     signal = walk.signals["accelerometer"]
     assert np.median(np.diff(signal.time)) == pytest.approx(1 / rate, rel=0.02)
     assert len(signal) == pytest.approx(rate * walk.body.time[-1], abs=2)
 
 
-def test_samples_are_lost_and_repeated_as_often_as_asked():
+def test_samples_are_lost_and_repeated_at_the_requested_shares():
     time = walked(lost=0.05, repeated=0.03).signals["gyroscope"].time
     steps = np.diff(time)
     assert np.mean(steps == 0) == pytest.approx(0.03, abs=0.008)
     assert np.mean(steps > 0.017) == pytest.approx(0.05, abs=0.012)
 
 
-def test_a_sensor_ends_at_its_range_and_speaks_in_its_steps():
+def test_a_sensor_has_its_range_and_resolution():
     still = walked([[0, 0], {"stand": 60}]).motion
     hit = replace(still, acceleration=still.acceleration * 50)
-    signal = sensors.imu(hit, sensors.Clock(), np.random.default_rng(0))["accelerometer"]
+    signal = sensors.imu(hit, sensors.SampleClock(), np.random.default_rng(0))["accelerometer"]
     assert np.abs(signal.values).max() == 78.4
     inside = signal.values[np.abs(signal.values) < 78]
     assert np.abs(inside / 0.0024 - np.round(inside / 0.0024)).max() < 1e-6
 
 
-def test_a_phone_that_warms_up_drifts():
-    """Over a quarter of an hour the mean of a resting gyroscope moves by more than its noise explains."""
+def test_the_gyroscope_drifts_while_the_phone_warms_up():
+    """Over a quarter of an hour the mean of a gyroscope at rest changes by more than its noise explains."""
     moved = []
     for seed in range(8):
         values = walked([[0, 0], {"stand": 900}], seed=seed, hold="cart", rate=25).signals["gyroscope"].values
@@ -147,28 +146,28 @@ def test_a_phone_that_warms_up_drifts():
     assert 0.0003 < np.std(moved) < 0.003  # [rad/s]; 0.0022 of noise leaves 0.00005
 
 
-def test_the_magnetic_field_is_the_places():
-    """As the World Magnetic Model has it, but for the sensor and a little steel."""
-    given = {"route": [[0, 0], [5, 0]], "place": [11.08, 49.45], "phone": {"disturbance": 0.5}}
-    walk = simulate(Scenario.of(given))
+def test_the_magnetic_field_is_that_of_the_place():
+    """World Magnetic Model, with errors of the sensor and a small disturbance."""
+    content = {"route": [[0, 0], [5, 0]], "place": [11.08, 49.45], "phone": {"disturbance": 0.5}}
+    walk = simulate(Scenario.of(content))
     field = walk.signals["magnetometer"].values
     assert np.linalg.norm(field, axis=1).mean() == pytest.approx(48.9, abs=8.0)
 
 
-def test_a_place_disturbs_the_field_for_everyone_alike():
-    """Two walkers on the same cart track feel the same steel, but for their own sensors' bias."""
+def test_the_disturbance_of_the_field_is_the_same_for_all_walks_at_a_place():
+    """Two carts on one track measure the same disturbance, except for the bias of their sensors."""
     route = [[0, 0], {"roll": [30, 0], "speed": 1.0}]
 
-    def felt(seed, disturbance):
+    def measured(seed, disturbance):
         phone = {"hold": "cart", "disturbance": disturbance}
         walk = simulate(Scenario.of({"seed": seed, "heading": 0, "route": route, "phone": phone}))
         signal = walk.signals["magnetometer"]
         level = np.stack([np.interp(np.arange(2, 28, 0.2), signal.time, axis) for axis in signal.values.T])
         return level - level.mean(axis=1, keepdims=True)
 
-    one, other, quiet = felt(1, 8.0), felt(2, 8.0), felt(1, 0.0)
-    assert np.corrcoef(one.ravel(), other.ravel())[0, 1] > 0.95
-    assert one.std() > 5 > 1 > quiet.std()
+    first, second, quiet = measured(1, 8.0), measured(2, 8.0), measured(1, 0.0)
+    assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.95
+    assert first.std() > 5 > 1 > quiet.std()
 
 
 def test_a_storey_is_half_a_hectopascal():

@@ -1,4 +1,4 @@
-"""Satellites, beacons and access points."""
+"""GNSS, beacons and access points."""
 
 import numpy as np
 import pytest
@@ -21,54 +21,54 @@ def error(walk, late=0.0):
     return fixes.position - interpolate(fixes.time - late, walk.body.time, walk.body.position)
 
 
-def test_two_thirds_of_satellite_fixes_are_within_their_accuracy():
+def test_68_percent_of_gnss_fixes_are_within_their_accuracy():
     walks = [walked(seed, gnss={"outliers": 0}) for seed in range(25)]
     inside = np.concatenate([np.hypot(*error(w).T) < w.gnss.accuracy for w in walks])
     assert inside.mean() == pytest.approx(0.68, abs=0.06)
 
 
-def test_a_satellite_error_stays_for_a_while():
+def test_gnss_errors_are_correlated_for_tens_of_seconds():
     walks = [walked(seed, gnss={"outliers": 0}) for seed in range(10)]
     kept = [np.corrcoef(e[:-10].ravel(), e[10:].ravel())[0, 1] for e in map(error, walks)]
     gone = [np.corrcoef(e[:-200].ravel(), e[200:].ravel())[0, 1] for e in map(error, walks)]
     assert np.mean(kept) > 0.5 > 0.3 > np.mean(gone)
 
 
-def test_a_late_receiver_says_where_one_was():
+def test_latency_delays_the_fixes():
     walk = walked(gnss={"latency": 3.0, "accuracy": 0.2, "outliers": 0})
     spread = [error(walk, late).std() for late in (0.0, 3.0)]
     assert spread[1] < 0.2 < 1.0 < spread[0]
 
 
-def test_outages_and_wild_fixes():
+def test_outages_and_outliers_occur_as_requested():
     walk = walked(gnss={"outages": [[50, 90]], "outliers": 0.1})
     time = walk.gnss.fixes.time
     assert not np.any((time >= 50) & (time < 90))
     assert np.any(time < 50)
     assert np.any(time > 90)
-    wild = np.hypot(*error(walk).T) > 4 * walk.gnss.accuracy
-    assert 0.02 < wild.mean() < 0.12
+    outlier = np.hypot(*error(walk).T) > 4 * walk.gnss.accuracy
+    assert 0.02 < outlier.mean() < 0.12
 
 
-def test_hdop_goes_with_the_accuracy():
+def test_hdop_is_proportional_to_the_accuracy():
     walk = walked(gnss={})
     assert np.corrcoef(walk.gnss.hdop, walk.gnss.accuracy)[0, 1] > 0.8
     assert np.median(walk.gnss.hdop) == pytest.approx(0.9, rel=0.4)
 
 
-def loudness(walk, name):
-    heard = walk.bluetooth
-    mine = np.array(heard.transmitter) == name
-    return interpolate(heard.time[mine], walk.body.time, walk.body.position), heard.rssi[mine]
+def levels_of(walk, name):
+    received = walk.bluetooth
+    rows = np.array(received.transmitter) == name
+    return interpolate(received.time[rows], walk.body.time, walk.body.position), received.rssi[rows]
 
 
-def test_a_beacon_fades_with_distance_and_behind_the_body():
-    """Towards it and then away from it, over many places: 22 dB per decade, 7 dB behind."""
+def test_the_level_of_a_beacon_falls_with_distance_and_behind_the_body():
+    """Towards and away from it at many places: 22 dB per decade, 7 dB behind the body."""
     distance, level, facing = [], [], []
     for n in range(60):
-        x = 1000.0 * n  # the walls' pattern is another at each
+        x = 1000.0 * n  # with a different pattern of walls at each
         walk = walked(n, [[x - 15, 1], [x + 15, 1]], beacons={"a": [x, 0.0]})
-        place, rssi = loudness(walk, "a")
+        place, rssi = levels_of(walk, "a")
         distance.append(np.log10(np.maximum(np.hypot(*(place - [x, 0]).T), 0.5)))
         facing.append((place[:, 0] < x).astype(float))
         level.append(rssi)
@@ -80,16 +80,16 @@ def test_a_beacon_fades_with_distance_and_behind_the_body():
     assert gain == pytest.approx(7, abs=1.5)
 
 
-def test_a_moved_beacon_is_heard_where_it_is():
-    """The plan has one at (42, 12.5); somebody has carried it ten metres on."""
+def test_a_relocated_beacon_is_strongest_at_its_true_position():
+    """At (42, 12.5) on the plan, and ten metres away in the scenario."""
     name, route = "02:00:00:00:00:02", [[20, 11.5], [65, 11.5]]
     for beacons, where in (({}, 42.0), ({name: [52.0, 12.5]}, 52.0)):
-        place, level = loudness(walked(1, route, plan=str(MALL), beacons=beacons), name)
-        loudest = np.average(place[:, 0], weights=10 ** (level / 10))
-        assert loudest == pytest.approx(where, abs=2.5)
+        place, level = levels_of(walked(1, route, plan=str(MALL), beacons=beacons), name)
+        strongest = np.average(place[:, 0], weights=10 ** (level / 10))
+        assert strongest == pytest.approx(where, abs=2.5)
 
 
-def test_access_points_are_heard_in_scans_and_fainter_through_a_ceiling():
+def test_access_points_are_received_in_scans():
     walk = walked(wifi={"access_points": 8})
     scans, counts = np.unique(walk.wifi.time, return_counts=True)
     assert np.median(np.diff(scans)) == pytest.approx(3.0)

@@ -1,4 +1,4 @@
-"""Scenarios: reproducible, refused with their place where they are wrong, and read back as they were simulated."""
+"""Scenarios are reproducible, raise errors that name the place, and their recordings read back as simulated."""
 
 from pathlib import Path
 
@@ -16,14 +16,14 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"seed": 5, "route": [[0, 0], {"stand": 2}, {"to": [[12, 0], [12, 6]]}], "phone": {"rate": 50}}
 
 
-def test_the_same_seed_is_the_same_walk_and_another_is_not():
+def test_equal_seeds_give_equal_walks_and_different_seeds_different_walks():
     one, again, other = (simulate(Scenario.of(SHORT | {"seed": seed})) for seed in (5, 5, 6))
     assert np.array_equal(one.signals["accelerometer"].values, again.signals["accelerometer"].values)
     assert one.walker == again.walker != other.walker
 
 
-def test_what_is_added_leaves_the_rest_alone():
-    """Beacons and satellites draw from streams of their own: experiments differ in what they say they differ in."""
+def test_added_fixes_and_radios_leave_the_sensors_unchanged():
+    """Each part has its own random generator, so that experiments differ in the stated part only."""
     plain = simulate(Scenario.of(SHORT))
     added = {"gnss": {}, "beacons": {"a": [1, 2]}, "fixes": {}, "wifi": {"access_points": 3}}
     more = simulate(Scenario.of(SHORT | added))
@@ -40,21 +40,21 @@ def test_what_is_added_leaves_the_rest_alone():
         ("indoor_location", "android", ("accelerometer", "gyroscope", "magnetometer")),
     ],
 )
-def test_an_export_is_read_back_as_it_was_felt(tmp_path, recorder, platform, sensors):
+def test_an_export_reads_back_as_simulated(tmp_path, recorder, platform, sensors):
     phone = {"rate": 50, "lost": 0, "repeated": 0}
     walk = simulate(Scenario.of(SHORT | {"recorder": recorder, "platform": platform, "phone": phone}))
     write(walk, tmp_path)
     recording = io.load(tmp_path / "walk.txt" if recorder == "indoor_location" else tmp_path)
     assert recording.epoch == pytest.approx(walk.scenario.start, abs=0.05)
     for name in sensors:
-        felt, read = walk.signals[name], recording.signals[name]
+        simulated, read = walk.signals[name], recording.signals[name]
         offset = recording.epoch - walk.scenario.start
-        there = interpolate(read.time + offset, felt.time, felt.values)
-        assert read.values[3:-3] == pytest.approx(there[3:-3], abs=0.25 if name == "accelerometer" else 0.2)
-        assert np.median(np.abs(read.values - there)) < 0.01
+        expected = interpolate(read.time + offset, simulated.time, simulated.values)
+        assert read.values[3:-3] == pytest.approx(expected[3:-3], abs=0.25 if name == "accelerometer" else 0.2)
+        assert np.median(np.abs(read.values - expected)) < 0.01
 
 
-def test_satellites_beacons_and_access_points_are_read_back(tmp_path):
+def test_gnss_beacons_and_access_points_read_back(tmp_path):
     more = {"gnss": {"accuracy": 3}, "beacons": {"a": [6, 2]}, "wifi": {"access_points": 4}}
     walk = simulate(Scenario.of(SHORT | more))
     write(walk, tmp_path)
@@ -62,18 +62,18 @@ def test_satellites_beacons_and_access_points_are_read_back(tmp_path):
     assert len(recording.fixes) == len(walk.gnss.fixes)
     assert len(recording.bluetooth.time) == len(walk.bluetooth.time)
     assert len(recording.wifi.time) == len(walk.wifi.time)
-    said = np.loadtxt(tmp_path / "gnss.csv", delimiter=",", skiprows=1)
-    assert said[:, 3:] == pytest.approx(np.column_stack([walk.gnss.accuracy, walk.gnss.hdop]), abs=0.006)
+    table = np.loadtxt(tmp_path / "gnss.csv", delimiter=",", skiprows=1)
+    assert table[:, 3:] == pytest.approx(np.column_stack([walk.gnss.accuracy, walk.gnss.hdop]), abs=0.006)
 
 
-def test_what_is_written_beside_the_recording_is_the_truth(tmp_path):
+def test_the_files_beside_the_recording_have_the_truth(tmp_path):
     walk = simulate(Scenario.of(SHORT | {"fixes": {"period": 3, "sigma": 0.5}}))
     write(walk, tmp_path)
     recording = io.load(tmp_path)
     truth = read_trajectory(tmp_path / "truth.csv")
     assert truth.position[-1] == pytest.approx(walk.body.position[-1], abs=0.1)
     fixes = read_fixes(tmp_path / "fixes.csv", recording)
-    assert fixes.position == pytest.approx(walk.given.position, abs=0.001)
+    assert fixes.position == pytest.approx(walk.user_fixes.position, abs=0.001)
     steps = np.loadtxt(tmp_path / "steps.csv", delimiter=",", skiprows=1)
     assert steps == pytest.approx(
         np.column_stack([walk.scenario.start + walk.body.landings, walk.body.lengths]), abs=0.001
@@ -84,8 +84,7 @@ def test_what_is_written_beside_the_recording_is_the_truth(tmp_path):
     ]
 
 
-def test_from_a_scenario_to_a_score(tmp_path):
-    """Every part through the front door: simulated, smoothed and scored by the command line."""
+def test_a_scenario_is_simulated_smoothed_and_scored_by_the_command_line(tmp_path):
     code, output, _ = run("simulate", ROOT / "scenarios" / "arcade.toml", "--out", tmp_path / "walk", "--seed", 7)
     assert code == 0
     assert "steps" in output
@@ -99,7 +98,7 @@ def test_from_a_scenario_to_a_score(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("route = [[0, 0], [9, 0]]\nspeed = 3", "speed: found an unknown name"),
         ("route = 3", "route: found 3"),
@@ -123,25 +122,31 @@ def test_from_a_scenario_to_a_score(tmp_path):
         ("plan = 'none.geojson'\nroute = [[0, 0], [9, 0]]", "none.geojson"),
     ],
 )
-def test_a_wrong_scenario_is_refused_in_one_line(tmp_path, text, said):
+def test_a_wrong_scenario_raises_one_line(tmp_path, text, message):
     path = tmp_path / "walk.toml"
     path.write_text(text)
-    with pytest.raises(InputError) as refusal:
+    with pytest.raises(InputError) as error:
         Scenario.load(path)
-    assert said in str(refusal.value)
-    assert str(refusal.value).isprintable()
+    assert message in str(error.value)
+    assert str(error.value).isprintable()
 
 
-def test_a_wrong_scenario_makes_nothing(tmp_path):
+def test_the_former_key_wild_of_outliers_is_read():
+    fixes = [Scenario.of(SHORT | {"fixes": {key: 0.25}}).user_fixes for key in ("wild", "outliers")]
+    assert fixes[0] == fixes[1]
+    assert fixes[0].outliers == 0.25
+
+
+def test_a_wrong_scenario_writes_no_folder(tmp_path):
     path = tmp_path / "walk.toml"
     path.write_text("route = 3")
     code, _, errors = run("simulate", path, "--out", tmp_path / "out")
     assert code == 2
-    assert [line.endswith("expected a list: where it starts, and what is done then") for line in errors] == [True]
+    assert [line.endswith("expected a list: the start, then what the walker does") for line in errors] == [True]
     assert not (tmp_path / "out").exists()
 
 
-def test_a_way_through_a_wall_is_refused():
-    given = {"plan": str(ROOT / "maps" / "arcade.geojson"), "route": [[2.5, 18.0], [2.5, 60.0]]}
-    with pytest.raises(InputError, match=r"route, item 2: found a way from \(2.5, 18\) to \(2.5, 60\) through a wall"):
-        Scenario.of(given)
+def test_a_route_through_a_wall_raises():
+    content = {"plan": str(ROOT / "maps" / "arcade.geojson"), "route": [[2.5, 18.0], [2.5, 60.0]]}
+    with pytest.raises(InputError, match=r"route, item 2: found a leg from \(2.5, 18\) to \(2.5, 60\) through a wall"):
+        Scenario.of(content)

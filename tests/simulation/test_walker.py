@@ -1,21 +1,21 @@
-"""Walkers: what is known of people's strides holds of those that are drawn."""
+"""Simulated pedestrians have the published statistics of strides."""
 
 import numpy as np
 import pytest
 
-from pdr_graph.simulation.pedestrian import MANNERS, Walker, footfalls, way_along
+from pdr_graph.simulation.pedestrian import MANNERS, Pedestrian, footfalls, walk_path
 
-CROWD = [Walker.drawn(np.random.default_rng(seed)) for seed in range(400)]
+CROWD = [Pedestrian.sample(np.random.default_rng(seed)) for seed in range(400)]
 
 
-def correlation(one, other):
-    return np.corrcoef([one(w) for w in CROWD], [other(w) for w in CROWD])[0, 1]
+def correlation(first, second):
+    return np.corrcoef([first(w) for w in CROWD], [second(w) for w in CROWD])[0, 1]
 
 
 def on_a_straight(manner="normal", seed=0, length=200.0):
     random = np.random.default_rng(seed)
-    way = way_along(np.array([[0, 0], [length, 0]]), np.zeros(2), np.zeros(1), random)
-    return footfalls(CROWD[seed], way, lambda s: MANNERS[manner], random), way
+    path = walk_path(np.array([[0, 0], [length, 0]]), np.zeros(2), np.zeros(1), random)
+    return footfalls(CROWD[seed], path, lambda s: MANNERS[manner], random), path
 
 
 def test_tall_people_take_longer_and_fewer_steps():
@@ -24,8 +24,8 @@ def test_tall_people_take_longer_and_fewer_steps():
     assert correlation(lambda w: w.cadence, lambda w: w.step_length) > 0.3
 
 
-def test_what_is_known_of_a_walker_is_not_drawn():
-    walker = Walker.drawn(np.random.default_rng(0), height=1.5, sex="f")
+def test_a_stated_height_and_sex_are_used():
+    walker = Pedestrian.sample(np.random.default_rng(0), height=1.5, sex="f")
     assert (walker.height, walker.sex) == (1.5, "f")
 
 
@@ -46,11 +46,11 @@ def test_steps_vary_as_published():
     assert 0.03 < np.mean(change[1]) < 0.06
 
 
-def test_steps_add_up_to_the_way_and_the_feet_close():
-    falls, way = on_a_straight()
-    assert falls.along[-1] == pytest.approx(way.length)
+def test_steps_add_up_to_the_path_and_the_feet_close():
+    falls, path = on_a_straight()
+    assert falls.along[-1] == pytest.approx(path.length)
     lengths = np.diff(falls.along)
-    assert lengths[-1] < 1.5 * np.median(lengths), "nobody leaps to the end"
+    assert lengths[-1] < 1.5 * np.median(lengths), "the last step is no leap"
     assert np.all(np.diff(falls.time) > 0.3)
 
 
@@ -58,16 +58,16 @@ def test_steps_shorten_in_turns_by_the_papers_rate():
     """[map-matching] Eq. (2): 1.124 % per degree of a step's turn; a circle of 3 m turns by 13° per step."""
     angle = np.linspace(0, 40 * np.pi, 4000)
     circle = 3 * np.column_stack([np.cos(angle), np.sin(angle)])
-    way = way_along(circle, np.zeros(4000), np.zeros(3999), np.random.default_rng(0))
+    path = walk_path(circle, np.zeros(4000), np.zeros(3999), np.random.default_rng(0))
     for seed in range(3):
-        turning = footfalls(CROWD[seed], way, lambda s: MANNERS["normal"], np.random.default_rng(seed))
+        turning = footfalls(CROWD[seed], path, lambda s: MANNERS["normal"], np.random.default_rng(seed))
         shortened = np.median(np.diff(turning.along)) / CROWD[seed].step_length
         turned = np.degrees(CROWD[seed].step_length / 3)
         assert shortened == pytest.approx(1 - 0.01124 * turned, abs=0.03)
 
 
-def test_who_browses_takes_steps_shorter_than_their_cadence_lets_one_expect():
-    """[lifelog]: by a factor of 1.2 to 1.4, which a stride model that knows the cadence only is off by."""
+def test_browsing_steps_are_shorter_than_the_cadence_suggests():
+    """[lifelog]: by a factor of 1.2 to 1.4, which is the error of a stride model that uses the cadence only."""
     walking, browsing = on_a_straight()[0], on_a_straight("browse")[0]
     ratio = [np.median(np.diff(f.along)) * np.median(np.diff(f.time)) for f in (walking, browsing)]
     assert 1.2 < ratio[0] / ratio[1] < 1.45
