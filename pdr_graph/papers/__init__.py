@@ -1,1 +1,1 @@
-"""Published methods that only experiments use: the product imports nothing from here."""
+"""Published methods for comparison; only experiments use them, the rest of the package does not import them."""

@@ -1,8 +1,8 @@
-"""Attitude filters and strapdown navigation with zero-velocity updates as published, for comparison.
+"""Published attitude filters, and strapdown navigation with zero-velocity updates, for comparison.
 
-Each is a function from a recording to an `Attitude`. They are causal: behind each function stands a filter that takes
-the samples as they come, one by one or all at once, with the same result. Those with a magnetometer give attitudes
-whose world x axis is magnetic east; without one it points anywhere level. The product uses `attitude.vqf_offline`.
+Each is a function from a recording to an `Attitude`. They are causal: each function runs a filter that takes samples
+one by one or all at once, with the same result. With a magnetometer the world x axis is magnetic east; without one it
+is any horizontal direction. The rest of the package uses `attitude.vqf_offline`.
 """
 
 from __future__ import annotations
@@ -16,18 +16,15 @@ import vqf
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude, on_one_grid, running_mean, runs, upright
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Recording
 
-GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0  # [m/s²] per root second; of one walking sample: GravityFilter's sigmas
-CONVERGED = 1e-6  # relative: a gain that changes by less has converged
-ONLY_GYROSCOPE = {"motionBiasEstEnabled": False, "restBiasEstEnabled": False, "magDistRejectionEnabled": False}
-
 
 @dataclass(frozen=True)
-class Samples:
+class Samples(OneLineRepr, row="sample"):
     """Sensors on one uniform grid, in device axes: acceleration with gravity [m/s²], angular_rate [rad/s] and
     magnetic_field [µT], arrays ``(n, 3)``.
     """
@@ -36,9 +33,12 @@ class Samples:
     angular_rate: Array
     magnetic_field: Array
 
+    def _summary(self) -> list[str]:
+        return [f"{len(self.acceleration)} samples"]
+
 
 class AttitudeFilter(Protocol):
-    """An attitude method as it runs on a phone."""
+    """A causal attitude filter, as it runs on a phone."""
 
     def update(self, samples: Samples) -> Rotation:
         """R_world_device of the next samples, one or many."""
@@ -48,7 +48,7 @@ class AttitudeFilter(Protocol):
 class AccelerometerMagnetometer:
     """[heading] Sec. 3.1: z along the acceleration, x = m × a, y = z × x, sample by sample.
 
-    A walker's own acceleration is taken for gravity.
+    The acceleration of the walker is treated as gravity.
     """
 
     def update(self, samples: Samples) -> Rotation:
@@ -56,9 +56,14 @@ class AccelerometerMagnetometer:
         return _level_north(samples.acceleration, samples.magnetic_field)
 
 
+ONLY_GYROSCOPE = {"motionBiasEstEnabled": False, "restBiasEstEnabled": False, "magDistRejectionEnabled": False}
+
+
 class GyroIntegration:
-    """[heading] Sec. 3.2: the angular rate integrated from a start attitude, [stationary-switch] Sec. 2.3 with
-    ΔR = Exp(+[ω]× ΔT) (the print has its transpose), ω the mean of two samples. By VQF's strapdown integration.
+    """[heading] Sec. 3.2: the angular rate integrated from a start attitude.
+
+    [stationary-switch] Sec. 2.3 with ΔR = Exp(+[ω]× ΔT) (printed there as its transpose), ω the mean of two samples;
+    computed by VQF's strapdown integration.
 
     start: R_world_device of the first sample; by default level by its acceleration.
     """
@@ -76,16 +81,21 @@ class GyroIntegration:
         before = np.concatenate([-rate[:1] if self._last is None else self._last, rate[:-1]])
         self._last = rate[-1:]
         mean = np.ascontiguousarray((before + rate) / 2)
-        turned = self._vqf.updateBatch(mean, np.zeros_like(mean))["quat6D"]  # it leaves out accelerations of 0
-        return compose(self._start, Rotation.from_quat(turned, scalar_first=True))
+        integrated = self._vqf.updateBatch(mean, np.zeros_like(mean))["quat6D"]  # VQF ignores accelerations of 0
+        return compose(self._start, Rotation.from_quat(integrated, scalar_first=True))
+
+
+# Standard deviations of GravityFilter, chosen by hand: [m/s²] of gravity per root second; of one walking sample
+GRAVITY_PROCESS, GRAVITY_NOISE = 0.02, 2.0
+CONVERGED = 1e-6  # relative change of the gain below which it is constant
 
 
 class GravityFilter:
-    """[gps-dr] Sec. 2.1: gravity by a Kalman filter that the gyroscope drives and the accelerometer corrects.
+    """[gps-dr] Sec. 2.1: gravity by a Kalman filter with the gyroscope as input and the accelerometer as measurement.
 
-    In the frame that the integrated gyroscope spans gravity stands still but for the gyroscope's drift, so that the
-    filter is one of a constant vector with the same gain on all axes, from 1 at the first sample to that of a first-
-    order low pass once it has converged. The turn about gravity is the gyroscope's.
+    In the frame of the integrated gyroscope, gravity is constant except for the gyroscope's drift. The filter therefore
+    estimates a constant vector, with the same gain on all axes: 1 at the first sample, that of a first-order low pass
+    after convergence. Rotation about gravity is that of the gyroscope.
     """
 
     def __init__(self, period: float):
@@ -113,7 +123,7 @@ class GravityFilter:
         return compose(upright(gravity), drifting)
 
     def _next_gain(self) -> float | None:
-        """Of the next sample; None once it has converged."""
+        """The gain for the next sample; None after convergence."""
         gain = 1.0 if np.isinf(self._variance) else self._variance / (self._variance + 1)
         if gain - self._gain < CONVERGED * self._gain:
             return None
@@ -122,9 +132,9 @@ class GravityFilter:
 
 
 class Madgwick:
-    """[heading] Sec. 3.3, the IMU filter, and 3.4, the MARG filter: Madgwick's, by imufusion (extra ``attitude``).
+    """Madgwick's IMU filter ([heading] Sec. 3.3) and MARG filter (Sec. 3.4), by imufusion (extra ``attitude``).
 
-    gain: how fast the accelerometer levels. Raises InputError where imufusion is not installed.
+    gain: of the accelerometer's correction. Raises InputError if imufusion is not installed.
     """
 
     def __init__(self, period: float, magnetometer: bool, gain: float = 0.05):
@@ -143,18 +153,18 @@ class Madgwick:
         ahrs, rate, force = self._ahrs, np.degrees(samples.angular_rate), samples.acceleration / STANDARD_GRAVITY
         quaternion = np.empty((len(rate), 4))
         if self._magnetometer:
-            for now, *sensors in zip(quaternion, rate, force, samples.magnetic_field, strict=True):
+            for row, *sensors in zip(quaternion, rate, force, samples.magnetic_field, strict=True):
                 ahrs.update(*sensors)
-                now[:] = ahrs.get_quaternion()
+                row[:] = ahrs.get_quaternion()
         else:
-            for now, *sensors in zip(quaternion, rate, force, strict=True):
+            for row, *sensors in zip(quaternion, rate, force, strict=True):
                 ahrs.update_no_magnetometer(*sensors)
-                now[:] = ahrs.get_quaternion()
+                row[:] = ahrs.get_quaternion()
         return Rotation.from_quat(quaternion, scalar_first=True)
 
 
 class Vqf:
-    """Laidig and Seel 2023, causal. magnetometer: 9-D, which rejects disturbances of the field, or else 6-D."""
+    """VQF (Laidig and Seel 2023), causal. magnetometer: True for 9-D with rejection of disturbances, False for 6-D."""
 
     def __init__(self, period: float, magnetometer: bool):
         self._vqf, self._magnetometer = vqf.VQF(period), magnetometer
@@ -170,10 +180,10 @@ class Vqf:
 
 
 class Switching:
-    """[stationary-switch] Sec. 2.5: accelerometer and magnetometer where |ω| ≤ λ, else the gyroscope from there on.
+    """[stationary-switch] Sec. 2.5: accelerometer and magnetometer while |ω| ≤ λ, else the gyroscope from there on.
 
-    threshold: λ [rad/s], from `attitude.learnt_threshold`; 0 never switches. shortest: rest in samples, over which
-    the two sensors are then averaged; the paper's is 1.
+    threshold: λ [rad/s], from `attitude.learnt_threshold`; 0 never switches. shortest: samples at rest before a switch,
+    over which both sensors are averaged; 1 in the paper.
     """
 
     def __init__(self, period: float, threshold: float, shortest: int = 1):
@@ -187,18 +197,18 @@ class Switching:
         """R_world_device of the next samples."""
         drifting = self._gyroscope.update(samples)
         if self._correction is None:
-            begun = _level_north(samples.acceleration[:1], samples.magnetic_field[:1])[0]
-            self._correction = begun * drifting[0].inv()
-        rest, up, field = self._calm(samples)
-        seen = np.flatnonzero(rest)
-        begun = Rotation.from_quat(drifting.as_quat()[seen].reshape(-1, 4))
-        absolute = compose(_level_north(up[seen], field[seen]), begun.inv())
+            start = _level_north(samples.acceleration[:1], samples.magnetic_field[:1])[0]
+            self._correction = start * drifting[0].inv()
+        rest, up, field = self._at_rest(samples)
+        rows = np.flatnonzero(rest)
+        at_rest = Rotation.from_quat(drifting.as_quat()[rows].reshape(-1, 4))
+        absolute = compose(_level_north(up[rows], field[rows]), at_rest.inv())
         corrections = np.concatenate([self._correction.as_quat()[None], absolute.as_quat().reshape(-1, 4)])
         self._correction = Rotation.from_quat(corrections[-1])
         return compose(Rotation.from_quat(corrections[np.cumsum(rest)]), drifting)
 
-    def _calm(self, samples: Samples) -> tuple[Mask, Array, Array]:
-        """Whether the last samples up to each were all at rest, and their means of acceleration and field."""
+    def _at_rest(self, samples: Samples) -> tuple[Mask, Array, Array]:
+        """True where the last `shortest` samples were all at rest, and their means of acceleration and field."""
         pairs = zip(_fields(self._recent), _fields(samples), strict=True)
         window = Samples(*(np.concatenate(pair) for pair in pairs))
         self._recent = Samples(*(values[len(samples.acceleration) :] for values in _fields(window)))
@@ -260,7 +270,7 @@ METHODS: dict[str, Callable[[Recording], Attitude]] = {
 
 
 def _run(recording: Recording, make: Callable[[float], AttitudeFilter], magnetometer: bool = False) -> Attitude:
-    """A whole recording through a filter. make: the filter, of the period between samples."""
+    """The attitude of a whole recording. make: builds the filter for a period between samples [s]."""
     names = ["accelerometer", "gyroscope", *(["magnetometer"] if magnetometer else [])]
     time, period, values = on_one_grid(recording, *names)
     samples = Samples(values[0], values[1], values[2] if magnetometer else np.empty((0, 3)))
@@ -268,7 +278,7 @@ def _run(recording: Recording, make: Callable[[float], AttitudeFilter], magnetom
 
 
 def _level_north(acceleration: Array, field: Array) -> Rotation:
-    """R_world_device from what points up and what points north and down, both ``(n, 3)``."""
+    """R_world_device from acceleration (up) and magnetic field (north and down), both ``(n, 3)`` in device axes."""
     z = acceleration / np.maximum(np.linalg.norm(acceleration, axis=1, keepdims=True), 1e-9)
     x = np.cross(field, z)
     x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-9)
@@ -280,35 +290,35 @@ def _fields(samples: Samples) -> tuple[Array, Array, Array]:
 
 
 @dataclass(frozen=True)
-class Navigation:
-    """velocity ``(n, 3)`` [m/s] and position ``(n, 3)`` [m] in the attitude's world, from rest at the origin."""
+class Navigation(OneLineRepr, row="sample"):
+    """Velocity ``(n, 3)`` [m/s] and position ``(n, 3)`` [m] in the world of the attitude, from rest at the origin."""
 
     velocity: Array
     position: Array
 
 
 def strapdown(attitude: Attitude, rest: Mask, look_ahead: bool = False) -> Navigation:
-    """Twice integrated acceleration, [stationary-switch] Sec. 2.2: l += v ΔT + a ΔT²/2, v += a ΔT; v = 0 at rest.
+    """Integrate the acceleration twice, [stationary-switch] Sec. 2.2: l += v ΔT + a ΔT²/2, v += a ΔT; v = 0 at rest.
 
-    Gravity is what the accelerometer says upwards at rest, on average; without any rest the standard's.
+    Gravity is the mean vertical acceleration at rest; standard gravity if there is no rest.
 
-    rest: ``(n,)`` when the phone is known to stand still, as of `at_rest`. look_ahead: the velocity with which the
-    phone comes to rest is an error that grew all the way from the rest before (an attitude that is off by 1 mrad
-    lets 1 cm/s² of gravity into it): it is taken back evenly. The paper is live and forgets it.
+    rest: ``(n,)`` True where the phone is at rest, as of `at_rest`. look_ahead: the velocity at the end of a movement
+    is an error that grew since the rest before (an attitude error of 1 mrad adds 1 cm/s² of gravity); it is removed
+    linearly. The paper's method is causal and does not.
     """
     acceleration = attitude.R_world_device.apply(attitude.acceleration)
     acceleration[:, 2] -= acceleration[rest, 2].mean() if rest.any() else STANDARD_GRAVITY
     if look_ahead:
-        acceleration = _coming_to_rest(acceleration, rest)
-    gained = np.cumsum(acceleration, axis=0) * attitude.period
-    stood = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))  # the sample at rest that each starts from
-    velocity = gained - gained[stood]
+        acceleration = _without_mean(acceleration, rest)
+    integral = np.cumsum(acceleration, axis=0) * attitude.period
+    last_rest = np.maximum.accumulate(np.where(rest, np.arange(len(rest)), 0))  # sample from which each movement starts
+    velocity = integral - integral[last_rest]
     moved = velocity * attitude.period - acceleration * attitude.period**2 / 2
     return Navigation(velocity, np.cumsum(np.where(rest[:, None], 0.0, moved), axis=0))
 
 
-def _coming_to_rest(acceleration: Array, rest: Mask) -> Array:
-    """Acceleration ``(n, 3)`` whose mean over every movement between two rests is 0."""
+def _without_mean(acceleration: Array, rest: Mask) -> Array:
+    """Acceleration ``(n, 3)`` minus its mean over each movement between two rests."""
     corrected = acceleration.copy()
     for first, after in zip(*runs(~rest), strict=True):
         if first > 0 and after < len(rest):

@@ -1,7 +1,7 @@
-"""Step detectors as published, for comparison; the product uses `step_detection.walking_steps`.
+"""Published step detectors, for comparison; the rest of the package uses `step_detection.walking_steps`.
 
-Each takes an `Attitude` and returns `Landings`. Those that look at the forward acceleration take it too, ``(n,)``
-[m/s²], from `heading.forward_acceleration`.
+Each takes an `Attitude` and returns `Landings`. Some also take the forward acceleration ``(n,)`` [m/s²] of
+`heading.forward_acceleration`.
 """
 
 from __future__ import annotations
@@ -18,21 +18,15 @@ from pdr_graph.gait.step_detection import LONGEST_STEP, SHORTEST_STEP, Landings
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array, Index
 
-SMOOTHING = (
-    0.07  # [s] of the Gaussian over |a|: half power at 1.9 Hz, where people walk; the heel strike rings at 10 Hz
-)
-PEAK_PAIR = 1.0  # [m/s²] from trough to peak of |a|: [map-matching] gives no figure
-FALL, RISE = 0.3, 0.7  # [m/s²] of |a| below its median, and from there up: [calibration-walk] gives no figures
-VERTICAL_PAIR, FORWARD_SLOPE = 0.5, 1.0  # [m/s²], [m/s³]: [gps-dr] gives no figures
-FOLLOWS = 0.4  # [s] within which the second peak of a pair follows
-REACH, POINTS = 0.5, 21  # of a step to either side of a candidate's peak: what is compared, and at how many points
-WARP = 2  # points by which one shape may run ahead of the other
+# [s] standard deviation of the Gaussian over |a|: half power at 1.9 Hz, where people walk; heel strikes ring at 10 Hz
+SMOOTHING = 0.07
+PEAK_PAIR = 1.0  # [m/s²] from trough to peak of |a|; [map-matching] states no value, chosen by hand
 
 
 def peak_pairs(attitude: Attitude, threshold: float = PEAK_PAIR) -> Landings:
-    """[map-matching] Sec. 3.2: a step is a maximum of smoothed |a| with the minimum beside it, over a threshold.
+    """[map-matching] Sec. 3.2: steps are maxima of smoothed |a| whose height over the minima beside them is large.
 
-    threshold [m/s²].
+    threshold: of the height [m/s²].
     """
     smooth, peaks = _peaks_of_magnitude(attitude)
     before, after = _lowest_beside(smooth, peaks)
@@ -40,8 +34,11 @@ def peak_pairs(attitude: Attitude, threshold: float = PEAK_PAIR) -> Landings:
     return _landings(attitude, peaks[height > threshold], height[height > threshold])
 
 
+FALL, RISE = 0.3, 0.7  # [m/s²] of |a|: below its median, and up from there; [calibration-walk] states no values
+
+
 def trough_to_peak(attitude: Attitude, threshold: float = RISE) -> Landings:
-    """The candidates of [calibration-walk] Sec. 3.1: |a| falls, and then rises by more than a threshold [m/s²]."""
+    """Candidates of [calibration-walk] Sec. 3.1: |a| falls, then rises by more than a threshold [m/s²]."""
     smooth, peaks = _peaks_of_magnitude(attitude)
     trough = smooth[_lowest_beside(smooth, peaks)[0]]
     height = smooth[peaks] - trough
@@ -50,24 +47,28 @@ def trough_to_peak(attitude: Attitude, threshold: float = RISE) -> Landings:
 
 
 def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE) -> Landings:
-    """[calibration-walk] Sec. 3.1, Eqs. (2) to (5): candidates but those that only bring the feet together.
+    """[calibration-walk] Sec. 3.1, Eqs. (2) to (5): candidates except those that only bring the feet together.
 
-    A candidate's forward acceleration is compared by dynamic time warping with two templates: of walking, where it
-    falls strongly after it rose, since the other foot goes on; and of feet that close, where it only rises. Unlike the
-    paper only candidates that no other follows are asked. Needs the extra ``gait``; raises InputError without it.
+    The forward acceleration of a candidate is compared by dynamic time warping with two templates: of walking, where
+    it falls strongly after its rise, since the other foot moves on; and of closing feet, where it only rises. Unlike
+    in the paper, only candidates that no other follows are compared. Requires the extra ``gait``, else InputError.
     """
     found = trough_to_peak(attitude, threshold)
     shapes = forward_shapes(attitude, forward, found)
     walking, together = templates().T
     on = np.diff(found.time, append=np.inf) < LONGEST_STEP
     for n in np.flatnonzero(~on):
-        on[n] = _warped(shapes[n], walking) <= _warped(shapes[n], together)
+        on[n] = _warped_distance(shapes[n], walking) <= _warped_distance(shapes[n], together)
     return Landings.at(found.time[on], found.amplitude[on], float(attitude.time[0]))
 
 
+VERTICAL_PAIR, FORWARD_SLOPE = 0.5, 1.0  # [m/s²], [m/s³]; [gps-dr] states no values, chosen by hand
+FOLLOWS = 0.4  # [s] within which the second peak of a pair follows
+
+
 def vertical_forward(attitude: Attitude, forward: Array) -> Landings:
-    """[gps-dr] Sec. 2.2: a + peak of the vertical acceleration, then a − peak; a − peak of the forward one, then a +
-    peak; the slope between the last two over a threshold.
+    """[gps-dr] Sec. 2.2: a positive, then a negative peak of the vertical acceleration; in the forward acceleration a
+    negative, then a positive peak, with a slope between these above a threshold.
     """
     sigma = SMOOTHING / attitude.period
     vertical = gaussian_filter1d(attitude.R_world_device.apply(attitude.acceleration)[:, 2], sigma)
@@ -85,8 +86,11 @@ def vertical_forward(attitude: Attitude, forward: Array) -> Landings:
     return _landings(attitude, np.array(landed, dtype=int), np.array(height))
 
 
+REACH, POINTS = 0.5, 21  # steps to either side of a peak that are compared; number of points
+
+
 def forward_shapes(attitude: Attitude, forward: Array, landings: Landings) -> Array:
-    """The forward acceleration about each landing ``(n, POINTS)``, without its mean and size."""
+    """The forward acceleration around each landing ``(n, POINTS)``, normalised to zero mean and unit variance."""
     smooth = gaussian_filter1d(forward, SMOOTHING / 2 / attitude.period)
     at = landings.time[:, None] + np.linspace(-REACH, REACH, POINTS) * landings.usual_step
     shapes = np.interp(at, attitude.time, smooth)
@@ -96,12 +100,15 @@ def forward_shapes(attitude: Attitude, forward: Array, landings: Landings) -> Ar
 
 @cache
 def templates() -> Array:
-    """Walking and feet together ``(POINTS, 2)``, made by ``scripts/templates``."""
+    """The templates of walking and of closing feet ``(POINTS, 2)``, made by ``scripts/templates``."""
     with resources.files("pdr_graph.papers").joinpath("templates.csv").open() as file:
         return np.loadtxt(file, delimiter=",", skiprows=1)
 
 
-def _warped(shape: Array, template: Array) -> float:
+WARP = 2  # points by which one shape may be ahead of the other
+
+
+def _warped_distance(shape: Array, template: Array) -> float:
     """The distance of two shapes by dynamic time warping."""
     try:
         from dtaidistance import dtw
@@ -111,6 +118,7 @@ def _warped(shape: Array, template: Array) -> float:
 
 
 def _peaks_of_magnitude(attitude: Attitude) -> tuple[Array, Index]:
+    """The smoothed magnitude of the acceleration ``(n,)`` [m/s²] and the samples of its peaks."""
     smooth = gaussian_filter1d(np.linalg.norm(attitude.acceleration, axis=1), SMOOTHING / attitude.period)
     return smooth, _peaks(smooth, attitude.period)
 
@@ -129,4 +137,5 @@ def _lowest_beside(smooth: Array, peaks: Index) -> tuple[Index, Index]:
 
 
 def _landings(attitude: Attitude, peaks: Index, height: Array) -> Landings:
+    """Landings at the samples `peaks`, with their amplitudes [m/s²]."""
     return Landings.at(attitude.time[peaks], height, float(attitude.time[0]))

@@ -1,4 +1,4 @@
-"""The papers' attitudes, against the simulator's truth and against each other."""
+"""Published attitude filters, compared with the simulator's truth and with each other."""
 
 import time
 
@@ -16,7 +16,7 @@ from pdr_graph.types import Recording, Signal
 NAMES = ("accelerometer", "gyroscope", "magnetometer")
 ALL = {**attitude_filters.METHODS, "VQF offline": vqf_offline}
 MAGNETIC = ("accelerometer + magnetometer", "MARG filter", "VQF, 9-D")
-# [deg] median tilt error of a phone in the hand, 95 % of which what each method can be expected to do
+# [deg] median tilt error of a phone in the hand, 95 % quantile of each method
 TILT = {"accelerometer + magnetometer": 12.0, "gyro integration": 9.0, "IMU filter": 4.0, "MARG filter": 4.0}
 
 
@@ -32,7 +32,7 @@ def recording(walk):
 
 
 def against_truth(walk, attitude):
-    """Tilt error ``(n,)`` and how the attitude's world is turned against the true one ``(n,)``, both [deg]."""
+    """Tilt error ``(n,)`` and rotation of the attitude's world against the true one ``(n,)``, both [deg]."""
     world = walk.world_of(attitude)
     up, east = world.apply([0.0, 0.0, 1.0]), world.apply([1.0, 0.0, 0.0])
     tilt = np.degrees(np.arccos(np.clip(up[:, 2], -1, 1)))
@@ -40,27 +40,27 @@ def against_truth(walk, attitude):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_every_method_knows_what_is_up(walk, recording, name):
+def test_every_method_estimates_the_vertical(walk, recording, name):
     tilt, _ = against_truth(walk, ALL[name](recording))
     assert np.median(tilt[300:]) < TILT.get(name, 3.0)
 
 
 @pytest.mark.parametrize("name", MAGNETIC)
-def test_a_magnetometer_knows_north_but_for_the_declination(walk, recording, name):
+def test_methods_with_a_magnetometer_find_magnetic_north(walk, recording, name):
     """At 35° N, 135° E a compass points 8° to the west, so that true east is 8° to the right of its x axis."""
     _, turned = against_truth(walk, ALL[name](recording))
     assert np.median(turned[300:]) == pytest.approx(-8.0, abs=12.0)
 
 
 @pytest.mark.parametrize("name", [n for n in ALL if n not in MAGNETIC])
-def test_without_one_the_world_stays_where_it_began(walk, recording, name):
+def test_without_a_magnetometer_the_world_keeps_its_initial_heading(walk, recording, name):
     _, turned = against_truth(walk, ALL[name](recording))
     assert np.ptp(turned[300:]) < 25.0
     assert np.abs(np.diff(turned)).max() < 2.0
 
 
-def test_integration_is_the_product_of_all_turns(recording):
-    """One after the other, from any start attitude."""
+def test_integration_is_the_product_of_all_rotations(recording):
+    """From any start attitude."""
     start = Rotation.from_euler("xyz", [2.0, 1.0, 0.5])
     attitude = attitude_filters.gyro_integration(recording, start)
     rate, turned = attitude.angular_rate, start
@@ -84,8 +84,8 @@ FILTERS = {
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_sample_by_sample_is_all_at_once(recording, name):
-    """The first 20 s, in ones, and in pieces of any size."""
+def test_samples_one_by_one_give_the_same_as_all_at_once(recording, name):
+    """The first 20 s, one by one and in parts of different sizes."""
     _, period, values = on_one_grid(recording, *NAMES)
     values = [v[:2000] for v in values]
     whole = FILTERS[name](period).update(attitude_filters.Samples(*values))
@@ -96,8 +96,8 @@ def test_sample_by_sample_is_all_at_once(recording, name):
         assert (pieces.inv() * whole).magnitude().max() < 1e-6
 
 
-def test_a_gravity_filter_is_a_kalman_filter(recording):
-    """Against the textbook's, sample by sample: a constant vector of unknown beginning."""
+def test_the_gravity_filter_equals_a_kalman_filter(recording):
+    """Compared with the textbook filter of a constant vector with an unknown initial value."""
     _, period, values = on_one_grid(recording, *NAMES)
     samples = attitude_filters.Samples(*(v[:1500] for v in values))
     drifting = attitude_filters.GyroIntegration(period).update(samples)
@@ -113,8 +113,8 @@ def test_a_gravity_filter_is_a_kalman_filter(recording):
 @pytest.mark.parametrize(
     "name", ["gyro integration", "gravity filter", "IMU filter", "MARG filter", "VQF, 6-D", "VQF, 9-D"]
 )
-def test_they_know_nothing_of_the_walk_to_come(recording, name):
-    """Causal: the first half of a recording gives the first half of the attitudes."""
+def test_causal_methods_do_not_depend_on_later_samples(recording, name):
+    """The first half of a recording gives the first half of the attitudes."""
     half = recording.accelerometer.time[-1] / 2
     first = {n: Signal(s.time[s.time <= half], s.values[s.time <= half]) for n, s in recording.signals.items()}
     whole, part = ALL[name](recording), ALL[name](Recording("half", 0.0, None, **first))
@@ -123,8 +123,8 @@ def test_they_know_nothing_of_the_walk_to_come(recording, name):
     assert np.degrees(apart.max()) < 1.0  # the two grids differ by a share of a sample
 
 
-def test_a_switch_at_rest_takes_out_the_drift(walk, recording):
-    """A phone that lies, is turned by hand and lies again: the gyroscope has drifted, the switch has not."""
+def test_a_switch_at_rest_removes_the_drift(walk, recording):
+    """A phone at rest, turned by hand, at rest again: the gyroscope drifts, the switch does not."""
     n, rate = 3000, 50.0
     time_ = np.arange(n) / rate
     angle = np.clip((time_ - 20) / 4, 0, 1) * 1.5

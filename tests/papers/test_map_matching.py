@@ -1,4 +1,4 @@
-"""[map-matching]: links, turns, ranges, regions, and the track that keeps its shape."""
+"""[map-matching]: links, turns, ranges, feasible regions, and the correction that keeps the shape of the track."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ from pdr_graph.floor.corridor_turns import (
 )
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.papers.map_matching import Laid, correct, match, tried_pairs
+from pdr_graph.papers.map_matching import CalibratedTrack, correct, feasible_pairs, match
 
 LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
 START = np.array([14.85, 1.25])
@@ -37,13 +37,13 @@ LEFT_TURN = Turn(0, 1, 0, 0, 1, EAST, NORTH)
 
 
 def along(*corners, sway=0.0, stride=0.7):
-    """Steps of somebody who walks from corner to corner, swaying by ``sway`` [m], and where each ended."""
+    """Steps of a walk from corner to corner, swaying by ``sway`` [m], and the position at the end of each."""
     line = shapely.LineString([START, *corners])
     at = np.arange(0, line.length, stride / 20)
-    way = shapely.get_coordinates(shapely.line_interpolate_point(line, at))
-    ahead = np.gradient(way, axis=0)
+    points = shapely.get_coordinates(shapely.line_interpolate_point(line, at))
+    ahead = np.gradient(points, axis=0)
     left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.hypot(*ahead.T)[:, None]
-    places = (way + sway * np.sin(2 * np.pi * at / 6.3)[:, None] * left)[::20]
+    places = (points + sway * np.sin(2 * np.pi * at / 6.3)[:, None] * left)[::20]
     moves = np.diff(places, axis=0)
     course = np.unwrap(np.arctan2(*moves.T[::-1]))
     turn = np.zeros(len(moves))  # half-way through a step its course is the chord's
@@ -56,13 +56,13 @@ def along(*corners, sway=0.0, stride=0.7):
 LAP = ([43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 1.25], [14.0, 1.25])
 
 
-def walker_of(steps, R_d, R_s):
-    """The steps as somebody would measure them whom this pair corrects."""
+def mismeasured(steps, R_d, R_s):
+    """The steps with errors that the calibration (R_d, R_s) corrects."""
     return replace(steps, length=steps.length / R_s, turn=steps.turn / R_d, pause_turn=steps.pause_turn / R_d)
 
 
-def tried(steps, R_d, R_s):
-    """The region of two ranges in the loop."""
+def region_of(steps, R_d, R_s):
+    """The feasible region of ranges of R_d and R_s in the loop."""
     d = lattice(R_d, 0)
     return feasible_region(steps, START, 0.0, d, np.tile(R_s, (len(d), 1)), LOOP.network.walls())
 
@@ -74,19 +74,19 @@ def errors(corrected, places):
 # Links and turns
 
 
-def test_a_step_fits_the_link_that_it_is_near_and_along():
+def test_a_step_fits_the_nearest_parallel_link():
     fit = costs(Segments.of(LOOP.network), np.array([[20.0, 1.0], [43.0, 5.0]]), np.array([[20.7, 1.1], [43.0, 5.7]]))
     middles = [LOOP.network.lines[n].mean(axis=0) for n in fit.argmin(axis=1)]
     assert middles == [pytest.approx([22.5, 1.25], abs=0.01), pytest.approx([43.75, 14.0], abs=0.01)]
 
 
-def test_a_link_is_walked_either_way():
+def test_a_link_costs_the_same_in_both_directions():
     a, b = np.array([[20.0, 1.0]]), np.array([[20.7, 1.0]])
     segments = Segments.of(LOOP.network)
     assert costs(segments, a, b).min() == pytest.approx(costs(segments, b, a).min(), abs=0.01)
 
 
-def test_a_turning_period_is_a_run_to_one_side():
+def test_a_turning_period_is_a_run_of_turns_to_one_side():
     degrees = np.array([0, 5, -6, 20, 30, 5, 25, -4, -3, -15, 15, 0])
     steps = steps_of(np.full(12, 0.7), np.radians(degrees))
     assert turning_periods(steps).tolist() == [[3, 7], [9, 10], [10, 11]]
@@ -94,14 +94,14 @@ def test_a_turning_period_is_a_run_to_one_side():
     assert turning_periods(steps_of(np.empty(0), np.empty(0))).tolist() == []
 
 
-def test_between_turns_one_walks_straight_on():
+def test_headings_between_turns_are_straightened():
     degrees = np.array([1, 2, 1, 2, 1, 5, 30, 40, 20, -5, 2, 1, 2, 1, 2])
     straight = straightened(steps_of(np.full(15, 0.7), np.radians(degrees)))
     assert np.degrees(straight.turn) == pytest.approx([0, 0, 0, 2, 1, 5, 30, 40, 20, -5, 2, 1, 0, 0, 0])
     assert len(straightened(steps_of(np.empty(0), np.empty(0)))) == 0
 
 
-def test_each_corner_is_a_turn_and_a_zigzag_is_none():
+def test_each_corner_is_a_turn_and_a_zigzag_is_not():
     steps, places = along(*LAP, sway=0.6)
     matched = match(steps, LOOP.network, START, 0.0)
     assert len(matched.turns) == 4
@@ -110,7 +110,7 @@ def test_each_corner_is_a_turn_and_a_zigzag_is_none():
         assert np.hypot(*(places[(turn.first + turn.last) // 2] - corner)) < 2.1, "within three steps"
 
 
-def test_turning_round_in_a_corridor_is_no_turn():
+def test_turning_round_in_a_corridor_is_not_a_turn():
     steps, _ = along([30.0, 1.25], [18.0, 1.25])
     assert match(steps, LOOP.network, START, 0.0).turns == ()
 
@@ -126,7 +126,7 @@ def test_the_projection_lies_on_its_link():
 # Ranges, Eqs. (6) and (7)
 
 
-def test_the_range_of_R_d_is_what_straight_lines_through_the_corner_can_turn():
+def test_the_range_of_R_d_is_that_of_straight_lines_through_the_corner():
     """Ten thousand walks of two straight lines inside the walls: none turns less than α or more than β."""
     random = np.random.default_rng(0)
     before, after = 9.0, 14.0
@@ -141,7 +141,7 @@ def test_the_range_of_R_d_is_what_straight_lines_through_the_corner_can_turn():
     assert turned.max() <= high
 
 
-def test_the_range_of_R_d_is_the_same_to_the_right():
+def test_the_range_of_R_d_is_the_same_for_a_right_turn():
     left = range_of_R_d(LEFT_TURN, CORNER, np.pi / 2, 9.0, 14.0)
     right = Turn(0, 1, 0, 0, 1, EAST, -NORTH)
     assert range_of_R_d(right, CORNER, -np.pi / 2, 9.0, 14.0) == pytest.approx(left)
@@ -149,9 +149,9 @@ def test_the_range_of_R_d_is_the_same_to_the_right():
 
 def test_the_range_of_R_s_reaches_from_the_nearest_to_the_farthest_corner():
     start, walked = np.array([-21.0, 0.5]), np.array([25.0, -0.2])
-    there, away = range_of_R_s(LEFT_TURN, CORNER, start, np.stack([walked, -walked]))
-    assert there == pytest.approx((20 / 25, 22 / 25))
-    assert np.isnan(away).all(), "nobody gets there backwards"
+    forward, backward = range_of_R_s(LEFT_TURN, CORNER, start, np.stack([walked, -walked]))
+    assert forward == pytest.approx((20 / 25, 22 / 25))
+    assert np.isnan(backward).all()
 
 
 # Regions
@@ -166,11 +166,11 @@ def test_the_wall_test_agrees_with_shapely():
     assert keeps_within(tracks, walls).tolist() == expected
 
 
-def test_a_region_is_every_pair_that_keeps_within_the_walls():
-    """Against shapely, pair by pair; the true pair is one of them."""
+def test_a_region_has_every_pair_that_stays_within_the_walls():
+    """Compared with shapely for each pair; the true pair is in the region."""
     steps, _ = along([43.75, 1.25], [43.75, 12.0])
-    measured = walker_of(steps, 1.04, 1.1)
-    found = tried(measured, (0.9, 1.2), (1.0, 1.2))
+    measured = mismeasured(steps, 1.04, 1.1)
+    found = region_of(measured, (0.9, 1.2), (1.0, 1.2))
     tracks = transformed(measured, START, 0.0, found.R_d, found.R_s)
     for (d, s), feasible in np.ndenumerate(found.feasible):
         assert feasible == shapely.covers(LOOP.network.ways, shapely.LineString(tracks[d, s]))
@@ -184,9 +184,9 @@ def test_the_centroid_of_a_bent_region_is_one_of_its_pairs():
     assert centroid(set()) is None
 
 
-def test_method_2_takes_what_regions_have_in_common_and_starts_anew_without():
+def test_method_2_uses_the_intersection_of_regions_and_restarts_if_it_is_empty():
     steps, _ = along([43.75, 1.25], [43.75, 12.0])
-    newest = tried(steps, (0.9, 1.1), (0.9, 1.1))
+    newest = region_of(steps, (0.9, 1.1), (0.9, 1.1))
     some = set(sorted(newest.pairs)[:5])
     assert method_2(newest, some)[1] == some
     assert method_2(newest, {(1, 1)}) == (centroid(newest.pairs), newest.pairs)
@@ -198,10 +198,10 @@ def test_method_2_takes_what_regions_have_in_common_and_starts_anew_without():
 
 @pytest.mark.parametrize("method", [1, 2])
 @pytest.mark.parametrize(("R_d", "R_s"), [(1.0, 1.0), (0.94, 1.12), (1.07, 0.88), (1.05, 1.1)])
-def test_a_walk_measured_wrongly_is_put_right(R_d, R_s, method):
-    """A lap with zigzags: on average nearer than a third of the corridor's width."""
+def test_a_mismeasured_walk_is_corrected(R_d, R_s, method):
+    """A lap with zigzags: the mean error is less than a third of the width of the corridor."""
     steps, places = along(*LAP, sway=0.5)
-    measured = walker_of(steps, R_d, R_s)
+    measured = mismeasured(steps, R_d, R_s)
     corrected = correct(measured, LOOP, START, 0.0, method)
     assert len(corrected.stretches) == 4
     assert errors(corrected, places).mean() < 0.8
@@ -209,9 +209,9 @@ def test_a_walk_measured_wrongly_is_put_right(R_d, R_s, method):
     assert corrected.notes or not LOOP.crosses_wall(inside[:-1], inside[1:]).any()
 
 
-def test_the_track_keeps_its_zigzag_where_the_projection_loses_it():
+def test_the_corrected_track_keeps_its_zigzag_and_the_projection_does_not():
     steps, places = along(*LAP, sway=0.6)
-    measured = walker_of(steps, 1.05, 1.1)
+    measured = mismeasured(steps, 1.05, 1.1)
     top = np.flatnonzero((places[:, 1] > 25) & (np.abs(places[:, 0] - 22) < 15))
     side = places[top, 1] - 26.75
     corrected = correct(measured, LOOP, START, 0.0).trajectory.position[top, 1]
@@ -220,38 +220,38 @@ def test_the_track_keeps_its_zigzag_where_the_projection_loses_it():
     assert projected.std() < 0.01
 
 
-def test_what_was_chosen_at_a_turn_holds_until_the_next():
-    """A walk that ends before its second turn: the rest is dead reckoning with the pair of the first."""
+def test_the_calibration_of_a_turn_holds_until_the_next():
+    """A walk that ends before its second turn: the rest is dead reckoning with the calibration of the first."""
     steps, _ = along([43.75, 1.25], [43.75, 20.0])
-    corrected = correct(walker_of(steps, 1.03, 1.15), LOOP, START, 0.0)
+    corrected = correct(mismeasured(steps, 1.03, 1.15), LOOP, START, 0.0)
     (stretch,) = corrected.stretches
     R_d, R_s = stretch.pair
-    measured = walker_of(steps, 1.03 / R_d, 1.15 / R_s)
+    measured = mismeasured(steps, 1.03 / R_d, 1.15 / R_s)
     expected = dead_reckon(measured, fixes_at([0.0], START))
     assert corrected.trajectory.position == pytest.approx(expected.position)
 
 
-def test_without_a_turn_the_steps_are_believed():
+def test_without_a_turn_the_track_is_dead_reckoning():
     steps, _ = along([40.0, 1.25])
     corrected = correct(steps, LOOP, START, 0.0)
     assert corrected.stretches == ()
     assert corrected.trajectory.position == pytest.approx(dead_reckon(steps, fixes_at([0.0], START)).position)
-    nothing = steps_of(np.empty(0), np.empty(0))
-    assert correct(nothing, LOOP, START, 0.0).trajectory.position == pytest.approx(np.tile(START, (2, 1)))
-    assert match(nothing, LOOP.network, START, 0.0).turns == ()
+    empty = steps_of(np.empty(0), np.empty(0))
+    assert correct(empty, LOOP, START, 0.0).trajectory.position == pytest.approx(np.tile(START, (2, 1)))
+    assert match(empty, LOOP.network, START, 0.0).turns == ()
 
 
-def test_walls_that_no_pair_respects_give_way_and_it_is_said():
-    """The start is 4° off: no stride or turn mends that, and the track still stays within a metre of the corridor."""
+def test_walls_are_moved_outwards_where_no_pair_is_feasible_and_that_is_noted():
+    """The start heading is 4° off, which no pair corrects; the track still stays within a metre of the corridor."""
     steps, places = along(*LAP)
     corrected = correct(steps, LOOP, START, np.radians(4))
     assert corrected.stretches[0].slack > 0
-    assert "had to give" in corrected.notes[0]
+    assert "moved outwards" in corrected.notes[0]
     assert errors(corrected, places).mean() < 1.2
 
 
-def test_a_pair_is_kept_where_no_other_can_be_found():
-    """Begun 6 m beside the corridor, in a room: no pair stays out of the walls, and it is said."""
+def test_the_calibration_before_is_kept_where_no_pair_is_feasible():
+    """The start is 6 m beside the corridor, in a room: no pair is feasible, and that is noted."""
     steps, _ = along([43.75, 1.25], [43.75, 20.0])
     corrected = correct(steps, LOOP, START + 6.0 * NORTH, 0.0)
     assert not corrected.stretches[0].region.feasible.any()
@@ -259,29 +259,29 @@ def test_a_pair_is_kept_where_no_other_can_be_found():
     assert "was kept" in corrected.notes[1]
 
 
-def test_ranges_beyond_any_calibration_hold_no_pair():
-    """A turn estimated to the wrong side, or as next to nothing: Eq. (6) gives what no walker's R_d can be."""
+def test_impossible_ranges_have_no_pair():
+    """For a turn estimated to the wrong side or near 0, Eq. (6) gives an impossible R_d."""
     steps, _ = along([43.0, 1.25])
     for R_d in ((-1.1, -0.9), (15.0, 20.0), (np.nan, np.nan), (np.inf, np.inf)):
-        assert not tried(steps, R_d, (0.9, 1.1)).pairs
+        assert not region_of(steps, R_d, (0.9, 1.1)).pairs
 
 
-def test_a_corner_that_the_steps_do_not_turn_teaches_nothing():
-    """The links turn by 90°; steps that turn by 8° say nothing of R_d, and the pair before is kept."""
+def test_a_corner_without_a_turn_in_the_steps_determines_nothing():
+    """The links turn by 90°; steps that turn by 8° do not determine R_d, and the pair before is kept."""
     steps, _ = along([43.75, 1.25], [43.75, 12.0])
-    laid = Laid(START[None], np.zeros(1)).again(steps, 0, (1.0, 1.0))
+    track = CalibratedTrack(START[None], np.zeros(1)).recalibrated(steps, 0, (1.0, 1.0))
     (turn,) = match(steps, LOOP.network, START, 0.0).turns
     straight = replace(steps, turn=0.09 * steps.turn, pause_turn=0.09 * steps.pause_turn)
-    found, _ = tried_pairs(straight, laid, None, turn, LOOP.network)
+    found, _ = feasible_pairs(straight, track, None, turn, LOOP.network)
     assert not found.pairs
 
 
-def test_a_start_off_the_network_is_said():
+def test_a_start_off_the_network_is_noted():
     steps, _ = along([30.0, 1.25])
     assert "nearest link" in correct(steps, LOOP, np.array([22.0, 14.0]), 0.0).notes[0]
 
 
-def test_a_plan_without_a_corridor_is_refused():
+def test_a_plan_without_a_corridor_raises():
     cupboard = FloorPlan("1", (Area("floor", "", shapely.box(0, 0, 0.5, 0.5)),), Frame())
     steps, _ = along([30.0, 1.25])
     with pytest.raises(ValueError, match="found no link"):
@@ -289,7 +289,6 @@ def test_a_plan_without_a_corridor_is_refused():
 
 
 def test_rows_are_those_of_dead_reckoning():
-    """So that all can be drawn and scored alike."""
     steps, _ = along(*LAP)
     reckoned = dead_reckon(steps, fixes_at([0.0], START))
     for track in (correct(steps, LOOP, START, 0.0).trajectory, match(steps, LOOP.network, START, 0.0).trajectory):

@@ -1,4 +1,4 @@
-"""Step detection as the papers have it, on signals whose steps are known."""
+"""Published step detectors on signals with known steps."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ TIME = np.arange(0.0, 20.0, PERIOD)
 
 
 def level(vertical, forward=None):
-    """A phone that lies level and feels these accelerations besides gravity."""
+    """The attitude of a level phone with these accelerations [m/s²] beside gravity."""
     ahead = np.zeros(len(TIME)) if forward is None else forward
     world = np.column_stack([ahead, np.zeros(len(TIME)), 9.81 + vertical])
     return Attitude(TIME, PERIOD, Rotation.identity(len(TIME)), world, None)
@@ -26,12 +26,12 @@ def bouncing(amplitude=3.0):
 
 
 @pytest.mark.parametrize("method", [step_detectors.peak_pairs, step_detectors.trough_to_peak])
-def test_every_bounce_is_a_step_and_weak_ones_are_not(method):
+def test_strong_bounces_are_steps_and_weak_ones_are_not(method):
     assert len(method(level(bouncing()))) == pytest.approx(40, abs=1)
     assert len(method(level(bouncing(0.2)))) == 0
 
 
-def test_a_pair_has_a_forward_push_after_the_fall():
+def test_a_step_has_a_forward_push_after_the_vertical_peak():
     """[gps-dr] Sec. 2.2: vertical + then −, forward − then +, and the slope between these."""
     pushed = 1.5 * np.sin(2 * np.pi * TIME / STEP - np.pi)
     assert len(step_detectors.vertical_forward(level(bouncing()), pushed)) == pytest.approx(40, abs=2)
@@ -40,8 +40,8 @@ def test_a_pair_has_a_forward_push_after_the_fall():
 
 
 def test_the_templates_are_those_of_the_paper():
-    """[calibration-walk] Fig. 3: walking rises and falls strongly, since the other foot goes on; feet that close only
-    bring the body to rest: what brakes it rises to nothing.
+    """[calibration-walk] Fig. 3: in walking the acceleration rises and falls strongly, since the other foot moves on;
+    with closing feet it only rises, while the body comes to rest.
     """
     walking, together = step_detectors.templates().T
     low = int(np.argmin(together))
@@ -50,8 +50,8 @@ def test_the_templates_are_those_of_the_paper():
     assert walking[top] - walking[top:].min() > 1.5
 
 
-def test_feet_that_only_close_are_no_step():
-    """The last landing of a walk is not counted, all others are: exactly in three walks of four, and on the whole."""
+def test_the_closing_step_is_not_counted():
+    """All landings except the last are counted: exactly in 70 % of the walks, and in total within 2."""
     wrong = []
     for seed in range(20):
         walk = simulate(Scenario.of({"seed": seed, "route": [[0, 0], {"stand": 2}, {"to": [[14.5, 0]]}, {"stand": 2}]}))

@@ -1,4 +1,4 @@
-"""Strapdown navigation against kinematics."""
+"""Strapdown navigation compared with kinematics."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ TIME = np.arange(0.0, 8.0, PERIOD)
 
 
 def pushed(bias=0.0):
-    """At rest for 2 s, half a metre per second squared for one second and back, at rest again."""
+    """At rest for 2 s, 0.5 m/s² for one second, −0.5 m/s² for another, at rest again."""
     along = np.where((TIME >= 2) & (TIME < 3), 0.5, np.where((TIME >= 3) & (TIME < 4), -0.5, 0.0))
     turned = Rotation.from_euler("xyz", [0.3, -0.2, 1.0])
     force = turned.inv().apply(np.column_stack([along + bias, np.zeros_like(along), np.full_like(along, 9.79)]))
@@ -20,7 +20,7 @@ def pushed(bias=0.0):
     return Attitude(TIME, PERIOD, Rotation.concatenate([turned] * len(TIME)), force, np.zeros_like(force)), rest
 
 
-def test_twice_integrated_acceleration_is_the_way():
+def test_the_second_integral_of_the_acceleration_is_the_displacement():
     attitude, rest = pushed()
     found = strapdown(attitude, rest)
     assert found.position[-1] == pytest.approx([0.5, 0.0, 0.0], abs=0.01)
@@ -28,7 +28,7 @@ def test_twice_integrated_acceleration_is_the_way():
     assert not found.velocity[rest][1:199].any()
 
 
-def test_a_bias_runs_away_without_rests():
+def test_a_bias_grows_quadratically_without_rests():
     """[stationary-switch] Fig.: λ = 0 drifts with half the bias times the time squared."""
     attitude, rest = pushed(bias=0.05)
     free, held = strapdown(attitude, np.zeros_like(rest)), strapdown(attitude, rest)
@@ -36,14 +36,14 @@ def test_a_bias_runs_away_without_rests():
     assert held.position[-1, 0] == pytest.approx(0.5 + 0.05 * 2**2 / 2, abs=0.02)
 
 
-def test_looking_ahead_takes_a_constant_error_back():
-    """A bias is what a tilt makes of gravity: the way is exact, for every movement between two rests."""
+def test_look_ahead_removes_a_constant_error():
+    """A tilt adds a constant part of gravity; the displacement between two rests is exact."""
     attitude, rest = pushed(bias=0.05)
     assert strapdown(attitude, rest, look_ahead=True).position[-1, 0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_looking_ahead_needs_a_rest_on_both_sides():
-    """Before the first and after the last there is nothing to look at: as without."""
+def test_look_ahead_requires_a_rest_on_both_sides():
+    """Before the first and after the last rest it has no effect."""
     attitude, _ = pushed(bias=0.05)
     for rest in (TIME < 2, TIME >= 4, TIME < 0):
         here, ahead = strapdown(attitude, rest), strapdown(attitude, rest, look_ahead=True)
