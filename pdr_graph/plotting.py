@@ -14,8 +14,8 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
 from pdr_graph.errors import expect
-from pdr_graph.floor.areas import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory

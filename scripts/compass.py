@@ -106,7 +106,7 @@ def true_ahead(walk, attitude, heading, walking):
 
 def difference(forward, wanted):
     """[deg], NaN where nothing was said."""
-    return np.degrees(np.abs(wrap_angle(forward.angle - wanted))) if forward.known else np.nan
+    return np.degrees(np.abs(wrap_angle(forward.angle - wanted))) if forward.determined else np.nan
 
 
 def cell(errors):

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from pdr_graph.evaluation import circular_accuracy, evaluate, pair, table
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import rotation

@@ -21,9 +21,8 @@ from typing import Protocol
 import numpy as np
 
 from pdr_graph import storage
-from pdr_graph.gait.stairs import DRAUGHT, RAMP, kinds
 from pdr_graph.geometry import row_times, viterbi
-from pdr_graph.inertial.barometer import GRID, GUST, LEVEL, Climbs, climbs, done
+from pdr_graph.inertial.barometer import CLIMB, DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
 STOREY_HEIGHT, SPREAD = 3.5, 0.2  # [m] and of its logarithm: flats 2.7, offices 3.3–4.2, shops 5
@@ -160,7 +159,7 @@ def floors_along(
     """The floors of a walk, and how they were found."""
     # When the walker went up or down, and on what
     seen = _where_fixes_change(fixes) if barometer is None else climbs(barometer)
-    kind = kinds(steps, seen) if barometer is not None else ("",) * len(seen)
+    kind = climb_kinds(steps, seen) if barometer is not None else ("",) * len(seen)
     none = {DRAUGHT} if building is not None else {DRAUGHT, RAMP}  # without a plan a ramp is a hill
     used = seen[np.array([k not in none for k in kind], dtype=bool)]
 
@@ -175,11 +174,11 @@ def floors_along(
     # Which on every row
     rows = row_times(steps)
     rising = np.diff(way)
-    level = _nearest(storeys.heights, way[0] + rising @ done(barometer, used, rows))
+    level = _nearest(storeys.heights, way[0] + rising @ climbed_share(barometer, used, rows))
     told = storeys.begin is not None or len(_stated_floors(storeys, fixes)[0]) or len(storeys.labels) == 1
     labels = tuple(storeys.labels[n] if told else "" for n in level)
     real = seen[np.array([k != DRAUGHT for k in kind], dtype=bool)]
-    share = done(barometer, real, rows)
+    share = climbed_share(barometer, real, rows)
     sigma = np.sqrt(real.sigma**2 @ share**2)
     return Floors(labels, level, real.height @ share, sigma, storeys, seen, kind)
 
@@ -296,7 +295,7 @@ class LiveFloors:
         self.begin, self.end = np.nan, np.nan  # of what is looked at, and of the certain steps [s]
         self.looked = -np.inf  # [s] when
         self.time, self.duration = np.empty(0), np.empty(0)  # of the certain steps
-        self.pressure = np.empty((0, 2))  # means over GRID: time [s] and pressure [hPa]
+        self.pressure = np.empty((0, 2))  # means over CLIMB.grid: time [s] and pressure [hPa]
         self.open = np.empty((0, 2))  # samples of the cell that is not full
         self.fix_time, self.fix_label = np.empty(0), np.empty(0, dtype=object)
         self.row_time, self.row_label = np.empty(0), np.empty(0, dtype=object)
@@ -373,9 +372,9 @@ class LiveFloors:
         last = self.open[-1, 0] if len(self.open) else self.pressure[-1, 0] if len(self.pressure) else -np.inf
         if one[0] <= last:
             return  # repeated sample, or clock reset
-        if len(self.open) and one[0] // GRID > self.open[0, 0] // GRID:
+        if len(self.open) and one[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
             self.pressure = np.concatenate([self.pressure, self.open.mean(axis=0)[None]])
-            self.pressure = self.pressure[-round(TOO_LONG * LONGEST / GRID) :]
+            self.pressure = self.pressure[-round(TOO_LONG * LONGEST / CLIMB.grid) :]
             self.open = self.open[:0]
         if len(self.open) < MOST_IN_CELL:
             self.open = np.concatenate([self.open, one[None]])
@@ -389,11 +388,11 @@ class LiveFloors:
         found = floors_along(steps, barometer, self.start, fixes, self.building)
         self._remember(steps, found, now)
         last = found.climbs.end[-1:]
-        self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - GUST))
+        self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - CLIMB.gust))
         self.heard = False
         if now - self.begin > LONGEST or len(found.climbs) > MOST_CLIMBS:
             level = _level_before(now - SHORTEST, found.climbs)
-            if level > self.begin + LEVEL:
+            if level > self.begin + CLIMB.level:
                 self._cut(level)
             elif now - self.begin > TOO_LONG * LONGEST:
                 self._cut(now - SHORTEST)
@@ -432,6 +431,6 @@ class LiveFloors:
 def _level_before(time: float, climbs: Climbs) -> float:
     """The last moment before a time at which nobody had climbed for a while, nor would. [s]"""
     for start, end in zip(climbs.start[::-1].tolist(), climbs.end[::-1].tolist(), strict=True):
-        if start - LEVEL < time < end + LEVEL:
-            time = start - LEVEL
+        if start - CLIMB.level < time < end + CLIMB.level:
+            time = start - CLIMB.level
     return time

@@ -59,7 +59,7 @@ def stepped(
         after, way = _moved(state, length, turn, time, sigma, random)
         places = looks * way[:, None]
         places += state[:2, None]
-        clear = field.about(places, tiles)
+        clear = field.approximate(places, tiles)
         return after, clear.min(axis=0) < BODY, clear[-1]
 
     after, blocked, clear = tried(state)
@@ -68,7 +68,7 @@ def stepped(
         return after, price
     price[clear < BODY] = OUTSIDE_PRICE
     stopped = np.flatnonzero(blocked)
-    stopped = stopped[field.about(state[:2, stopped], tiles) >= BODY]
+    stopped = stopped[field.approximate(state[:2, stopped], tiles) >= BODY]
     if len(stopped):
         others, blocked, _ = tried(np.repeat(state[:, stopped], TRIES, axis=1))
         free = np.logical_not(blocked).reshape(-1, TRIES)
@@ -88,7 +88,7 @@ def changed_floor(state: Array, ways: Sequence[DistanceField]) -> Array:
     """Cost ``(n,)`` of a change of floor at each particle's place, by stairs or lifts with these fields."""
     if not ways:
         return np.zeros(state.shape[1])
-    outside = -np.max([way.about(state[:2]) for way in ways], axis=0)
+    outside = -np.max([way.approximate(state[:2]) for way in ways], axis=0)
     return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / STAIRS_SIGMA), WALL_COST)
 
 

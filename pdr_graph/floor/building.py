@@ -14,8 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import expect
-from pdr_graph.floor.areas import CONNECTING
-from pdr_graph.floor.cells import NOWHERE, STRAY
+from pdr_graph.floor.cells import CONNECTING, NOWHERE, STRAY
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index, Mask
@@ -67,7 +66,7 @@ class Building(OneLineRepr):
 
     @classmethod
     def of(cls, *floors: FloorPlan) -> Building:
-        """A building of some floors in one frame, or of a single floor."""
+        """A building with these floors, which are in one frame."""
         return cls(tuple(sorted(floors, key=lambda floor: floor.height)))
 
     @classmethod
@@ -146,7 +145,7 @@ class Building(OneLineRepr):
 
 @dataclass(frozen=True, eq=False)
 class FloorSequence(OneLineRepr):
-    """The floor of each piece of a walk: its index ``level (m,)`` into the floors of a building."""
+    """The floor of each piece of a walk: ``level (m,)`` is its index in the floors of a building."""
 
     building: Building
     level: Index
@@ -212,10 +211,10 @@ class FloorSequence(OneLineRepr):
             numbers = np.array([*(number.setdefault(field, len(number)) for field in fields), NOWHERE])
             of_piece[begin:end] = numbers[which]
             total += price
-        for piece, ways in self.changes.items():
+        for piece, connections in self.changes.items():
             before = np.flatnonzero(moved[:piece])
-            if len(before) and ways:
-                nearest = min(ways, key=lambda way: way.distance(track[before[-1:]])[0])
+            if len(before) and connections:
+                nearest = min(connections, key=lambda c: c.distance(track[before[-1:]])[0])
                 of_piece[before[-1]] = number.setdefault(nearest.field, len(number))
         return tuple(number), of_piece, total
 
@@ -242,8 +241,8 @@ class FloorSequence(OneLineRepr):
         return [(self.building.floors[self.level[b]], b, e) for b, e in zip(begins, ends, strict=True)]
 
 
-def _nearest(places: Array, way: Array) -> Array:
-    """Nearest point ``(m, 2)`` [m] on the line through ``way (n, 2)`` to each of ``places (m, 2)``."""
-    line = shapely.linestrings(way) if len(way) > 1 else shapely.points(way[0])
-    between = shapely.shortest_line(shapely.points(places), line)
+def _nearest(points: Array, path: Array) -> Array:
+    """Nearest point ``(m, 2)`` [m] on the line through ``path (n, 2)`` to each of ``points (m, 2)``."""
+    line = shapely.linestrings(path) if len(path) > 1 else shapely.points(path[0])
+    between = shapely.shortest_line(shapely.points(points), line)
     return shapely.get_coordinates(between).reshape(-1, 2, 2)[:, 1]

@@ -1,4 +1,4 @@
-"""Cells of a floor (rooms, corridors, doors), the regions that doors separate, and the region of each piece of a walk.
+"""Areas of a plan, cells of a floor (rooms, corridors, doors), the regions that doors separate, and a walk's regions.
 
 Walls are implied by cells. A room is enclosed except at its doors; corridors, intersections and stairs are open to each
 other; a line of kind ``wall`` is a wall without thickness. Thin walls therefore block a walk whatever the grid of the
@@ -11,8 +11,9 @@ All connected corridors form one region, every room is one. A wall of 12 cm does
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import shapely
@@ -20,24 +21,65 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.floor.areas import CLOSED, CONNECTING, DOOR, OUTLINE, SOLID, WALKABLE, WALL, Area
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import viterbi
 from pdr_graph.types import Array, Index
 
-CRACK = 0.1  # [m] between neighbours that were meant to touch
-DOOR_REACH = 0.15  # [m] by which a door drawn as a line opens the walls on either side
-DOOR_WIDTH = 0.9  # [m] of a door drawn as a point
-NARROWEST_PASSAGE = 0.3  # [m] of open border required for a passage
+OUTLINE = "floor"
+OPEN = ("corridor", "intersection", "stairs")  # open to each other
+CLOSED = ("room", "lift")  # enclosed by walls, except at doors
+CONNECTING = ("stairs", "lift")  # join floors
+DOOR = "door"
+WALKABLE = (*OPEN, *CLOSED, DOOR)
+WALL = "wall"
+SOLID = (WALL, "shop", "place")
+LINK, BEACON = "link", "beacon"
+KINDS = (OUTLINE, *WALKABLE, *SOLID, LINK, BEACON)
 
 
 @dataclass(frozen=True)
-class Cell:
+class Area(OneLineRepr):
+    """One feature of a plan.
+
+    kind: one of KINDS; shape: a polygon; a wall or door may be a line; a door, place or beacon may be a point; a link
+    is a line that people walk along [m]; properties: all other properties in the file; floors: labels of its floors,
+    empty if it is on all.
+    """
+
+    kind: str
+    name: str
+    shape: shapely.Geometry
+    properties: dict[str, Any] = field(default_factory=dict)
+    floors: tuple[str, ...] = ()
+
+    def _summary(self) -> list[str]:
+        on = f"floors {', '.join(self.floors)}" if self.floors else "all floors"
+        return [self.kind, *([repr(self.name)] if self.name else []), on]
+
+    @property
+    def is_polygon(self) -> bool:
+        """True if the shape is two-dimensional."""
+        return shapely.get_dimensions(self.shape) == 2
+
+
+# Tolerances of a drawing, chosen by hand
+CRACK = 0.1  # [m] widest gap between neighbours that were meant to touch
+DOOR_REACH = 0.15  # [m] by which a door drawn as a line opens the walls on either side
+DOOR_WIDTH = 0.9  # [m] of a door drawn as a point
+NARROWEST_PASSAGE = 0.3  # [m] of open border that is a passage
+
+
+@dataclass(frozen=True)
+class Cell(OneLineRepr):
     """One room, corridor, intersection, stairs, lift or door, or an outline. polygon: its free area [m]."""
 
     kind: str
     name: str
     polygon: shapely.Geometry
+
+    def _summary(self) -> list[str]:
+        return [self.kind, *([repr(self.name)] if self.name else []), f"{shapely.area(self.polygon):.1f} m²"]
 
     @property
     def is_closed(self) -> bool:
@@ -46,11 +88,8 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Cells:
-    """All cells of a floor.
-
-    cells: in the order of the plan; barriers: walls without thickness, lines [m].
-    """
+class Cells(OneLineRepr):
+    """All cells of a floor, in the order of the plan; barriers: walls without thickness, lines [m]."""
 
     cells: tuple[Cell, ...]
     barriers: shapely.Geometry
@@ -79,6 +118,10 @@ class Cells:
     def __len__(self) -> int:
         return len(self.cells)
 
+    def _summary(self) -> list[str]:
+        area = sum(float(shapely.area(cell.polygon)) for cell in self.cells)
+        return [count(len(self), "cell"), f"{area:.0f} m²", f"{shapely.length(self.barriers):.0f} m of barriers"]
+
     @cached_property
     def _tree(self) -> shapely.STRtree:
         return shapely.STRtree([c.polygon for c in self.cells])
@@ -100,10 +143,11 @@ class Cells:
             return np.empty((0, 2), dtype=np.intp)
         polygons = [c.polygon for c in self.cells]
         one, other = self._tree.query(polygons, predicate="dwithin", distance=CRACK)
-        pairs = [(i, j) for i, j in zip(one.tolist(), other.tolist(), strict=True) if i < j and self._joined(i, j)]
+        pairs = [(i, j) for i, j in zip(one.tolist(), other.tolist(), strict=True) if i < j and self._has_passage(i, j)]
         return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
-    def _joined(self, i: int, j: int) -> bool:
+    def _has_passage(self, i: int, j: int) -> bool:
+        """True if a door or a sufficiently wide open border joins two touching cells."""
         one, other = self.cells[i], self.cells[j]
         if DOOR in (one.kind, other.kind):
             return True
@@ -157,17 +201,18 @@ def _opening(door: Area) -> shapely.Geometry:
     return shapely.buffer(door.shape, DOOR_WIDTH / 2)
 
 
+# Association of a walk with regions; chosen by hand
 STRAY = 0.5  # [m] standard deviation of a track
 OUTSIDE_COST = 4.0  # of a point in no region: within 1.4 m of a region it is assigned to that region
 OUTSIDE_PRICE = 0.15  # log-odds of a point in no region: shops are entered, plans end
 AT_DOOR = 1.5  # [m] from a door within which it may be used
 WALL_COST = 12.0  # log-odds of passing a wall: plans have errors, and fixes may prove them
 DOOR_COST, LEAVE_COST = 1.0, 6.0  # log-odds of changing region at a door, and of entering or leaving all regions
-NOWHERE = -1
+NOWHERE = -1  # index of no region
 
 
 @dataclass(frozen=True)
-class Regions:
+class Regions(OneLineRepr):
     """The regions of a floor.
 
     polygons: ``(r,)`` [m]; doors: ``(d,)`` [m]; joins: ``(d, r)`` which regions a door opens; barriers: lines [m].
@@ -193,11 +238,11 @@ class Regions:
         part = connected_components(links, directed=False)[1]
         region = np.full(n, NOWHERE)
         region[~is_door] = np.unique(part[~is_door], return_inverse=True)[1]
-        count = int(region.max(initial=NOWHERE)) + 1
-        polygons = np.empty(count, dtype=object)
-        for r in range(count):
+        regions = int(region.max(initial=NOWHERE)) + 1
+        polygons = np.empty(regions, dtype=object)
+        for r in range(regions):
             polygons[r] = _joined(shapes[region == r])
-        joins = np.zeros((n, count), dtype=bool)
+        joins = np.zeros((n, regions), dtype=bool)
         for a, b in ((one, other), (other, one)):
             leads = is_door[a] & ~is_door[b]
             joins[a[leads], region[b[leads]]] = True
@@ -205,6 +250,10 @@ class Regions:
 
     def __len__(self) -> int:
         return len(self.polygons)
+
+    def _summary(self) -> list[str]:
+        area = float(np.sum(shapely.area(self.polygons)))
+        return [count(len(self), "region"), f"{area:.0f} m²", count(len(self.doors), "door")]
 
     def along(self, track: Array, stray: Array | float = STRAY, alike: float = 1.0) -> tuple[Index, float]:
         """Most probable sequence of regions (Viterbi) along points ``(n, 2)`` [m], and its cost.
@@ -277,4 +326,5 @@ class Regions:
 
 
 def _joined(polygons: NDArray[np.object_]) -> shapely.Geometry:
+    """The union of at least one polygon."""
     return polygons[0] if len(polygons) == 1 else without_cracks(polygons)

@@ -8,19 +8,18 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from pdr_graph.floor.areas import BEACON, CLOSED, CONNECTING, DOOR, LINK, OPEN, OUTLINE, Area
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import Cell
+from pdr_graph.floor.cells import BEACON, CLOSED, CONNECTING, DOOR, LINK, OPEN, OUTLINE, Area, Cell
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index
 
-SMALL = 0.5  # [m²] smaller overlaps and overhangs are drawing inaccuracy
+SMALL = 0.5  # [m²] smaller overlaps and overhangs are inaccurate drawing; chosen by hand
 MOST_EXAMPLES = 3  # places named per kind of problem
 
 
 def problems(building: Building) -> tuple[str, ...]:
-    """Problems of a plan, a line each; empty if there are none."""
-    found = list(building.floors[0].mended)
+    """Problems of a plan, one line each; empty if there are none."""
+    found = list(building.floors[0].repairs)
     for n, floor in enumerate(building.floors):
         reach = [*_doors(floor), *_sealed(building, n), *_stairs(building, n)]
         drawing = [*_overlaps(floor), *_overhang(floor), *_flat(floor), *_links(floor), *_beacons(floor)]
@@ -30,6 +29,7 @@ def problems(building: Building) -> tuple[str, ...]:
 
 
 def _doors(floor: FloorPlan) -> Iterator[str]:
+    """Rooms without doors, and doors that join nothing."""
     cells = floor.cells.cells
     rooms = [c for c in cells if c.kind in CLOSED]
     doors = [n for n, c in enumerate(cells) if c.kind == DOOR]
@@ -86,6 +86,7 @@ def _overlaps(floor: FloorPlan) -> Iterator[str]:
 
 
 def _overhang(floor: FloorPlan) -> Iterator[str]:
+    """Walkable area outside the outline, and floors with neither."""
     outline = [a.shape for a in floor.of_kind(OUTLINE) if a.is_polygon]
     if outline:
         outside = float(shapely.area(shapely.difference(floor.walkable, shapely.union_all(outline))))
@@ -102,6 +103,7 @@ def _flat(floor: FloorPlan) -> Iterator[str]:
 
 
 def _links(floor: FloorPlan) -> Iterator[str]:
+    """Links that cross a wall or are not lines."""
     through, short = [], []
     for link in floor.of_kind(LINK):
         corners = shapely.get_coordinates(link.shape)
@@ -122,6 +124,8 @@ def _in_the_wall(floor: FloorPlan, segment: Array) -> shapely.Geometry:
 
 
 def _beacons(floor: FloorPlan) -> Iterator[str]:
+    """Beacons that no reception can be matched with."""
+
     def nameless(beacon: Area) -> bool:
         return not any(beacon.properties.get(key) for key in ("id", "mac", "uuid", "name"))
 
@@ -130,12 +134,14 @@ def _beacons(floor: FloorPlan) -> Iterator[str]:
 
 
 def _line(what: str, places: list[str]) -> Iterator[str]:
+    """One line with the number of problems of a kind and their first places; no line without places."""
     if places:
         more = f" and {len(places) - MOST_EXAMPLES} more" if len(places) > MOST_EXAMPLES else ""
         yield f"{len(places)} {what}: {'; '.join(places[:MOST_EXAMPLES])}{more}"
 
 
 def _place(shape: shapely.Geometry, name: str) -> str:
+    """Name and centre of the bounding box of a shape."""
     x0, y0, x1, y1 = shapely.bounds(shape)
-    x, y = np.round([(x0 + x1) / 2, (y0 + y1) / 2], 1) + 0.0  # and no -0.0
+    x, y = np.round([(x0 + x1) / 2, (y0 + y1) / 2], 1) + 0.0  # + 0.0: avoids -0.0
     return f"{name} at ({x:.1f}, {y:.1f})".strip()

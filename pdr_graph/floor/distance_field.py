@@ -8,50 +8,51 @@ from numpy.typing import NDArray
 
 from pdr_graph.types import Array, Index
 
-SPACING = 0.25  # [m] between grid nodes: bilinear error 0.05 m at 99 %
-NODES = 33  # per side of a tile, its border shared with the next: 8 m
-TILE = SPACING * (NODES - 1)
-NARROWEST = 0.3  # [m] gaps thinner than this are no places to walk: slits between neighbouring shop polygons
-BITS = 6
-PIXELS = 1 << BITS  # per side of a tile in the coarser answer of ``about``
-UNKNOWN = np.iinfo(np.intp).min  # in the place of a tile that was not computed
-OPEN = 1.0  # [m] to the walls where no tile is known yet
-SURROUND = 13  # tiles about everything drawn that have a place in the table: a walk may leave the plan
+NODE_SPACING = 0.25  # [m] between grid nodes: bilinear error of 0.05 m at the 99th percentile
+NODES = 33  # per side of a tile, whose border nodes it shares with its neighbours: 8 m
+TILE = NODE_SPACING * (NODES - 1)
+NARROWEST_GAP = 0.3  # [m] narrower gaps are not walkable: slits between neighbouring shop polygons; chosen by hand
+PIXEL_BITS = 6
+PIXELS = 1 << PIXEL_BITS  # per side of a tile, for `DistanceField.approximate`
+NOT_COMPUTED = np.iinfo(np.intp).min  # address of a tile that was not computed
+OPEN_DISTANCE = 1.0  # [m] to the walls in a tile that is not computed yet
+SURROUNDING_TILES = 13  # around the plan that have a place in the table: a walk may leave the plan
 
 
 class DistanceField:
     """Distance [m] to the nearest wall, positive where one can walk, negative inside walls and outside the floor.
 
-    Exact distances at the nodes of a grid, bilinear between them. Nodes are computed in tiles when a walk first comes
-    near, so that a floor costs nothing where nobody walks.
+    Distances are exact at the nodes of a grid and bilinear between them. Nodes are computed in tiles when a walk first
+    comes near, so that the cost does not depend on the size of the floor.
     """
 
     def __init__(self, walkable: shapely.Geometry, barriers: shapely.Geometry | None = None):
-        """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls all the same. [m]"""
-        half = NARROWEST / 2
+        """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls. [m]"""
+        half = NARROWEST_GAP / 2
         self._walkable = shapely.buffer(shapely.buffer(walkable, -half), half, join_style="mitre")
         if shapely.is_empty(self._walkable):
-            raise ValueError(f"no walkable area wider than {NARROWEST} m")
+            raise ValueError(f"no walkable area wider than {NARROWEST_GAP} m")
         lines = shapely.get_rings(shapely.get_parts(self._walkable))
         if barriers is not None:
             lines = np.concatenate([lines, shapely.get_parts(shapely.line_merge(barriers))])
         self._walls = _segments(lines)
         self._tree = shapely.STRtree(self._walls)
         low, high = shapely.bounds(self._walkable).reshape(2, 2)
-        self._corner = (np.floor(low / TILE) - SURROUND) * TILE
-        self._wide, self._high = (np.ceil((high - self._corner) / TILE).astype(int) + SURROUND).tolist()
-        self._slot = np.full((self._wide, self._high), -1)
-        self._last_pixel = PIXELS * np.array([[self._wide], [self._high]]) - 1
-        self._first = np.full(self._wide * self._high, UNKNOWN)  # of each tile's pixels, less that of the whole grid's
-        self._count = 0  # of tiles that are stored
+        self._corner = (np.floor(low / TILE) - SURROUNDING_TILES) * TILE
+        self._columns, self._rows = (np.ceil((high - self._corner) / TILE).astype(int) + SURROUNDING_TILES).tolist()
+        self._slot = np.full((self._columns, self._rows), -1)  # of each tile in storage
+        self._last_pixel = PIXELS * np.array([[self._columns], [self._rows]]) - 1
+        # Address of each tile's pixels in storage, less that of its pixels in the whole grid
+        self._address = np.full(self._columns * self._rows, NOT_COMPUTED)
+        self._count = 0  # of tiles in storage
         self._tiles = np.empty((0, NODES, NODES))
         self._pixels = np.empty((0, PIXELS, PIXELS))
         shapely.prepare(self._walkable)
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Distance ``(n,)`` [m] and its gradient ``(n, 2)`` at points ``(n, 2)`` [m]."""
-        nodes = (points - self._corner) / SPACING
-        node = np.clip(nodes.astype(np.intp), 0, (NODES - 1) * np.array([self._wide, self._high]) - 1)
+        nodes = (points - self._corner) / NODE_SPACING
+        node = np.clip(nodes.astype(np.intp), 0, (NODES - 1) * np.array([self._columns, self._rows]) - 1)
         tile, (ix, iy) = node // (NODES - 1), (node % (NODES - 1)).T
         slot = self._slots(tile)
         fx, fy = (nodes - node).T
@@ -60,45 +61,47 @@ class DistanceField:
         distance = (d00 * (1 - fx) + d10 * fx) * (1 - fy) + (d01 * (1 - fx) + d11 * fx) * fy
         by_x = (d10 - d00) * (1 - fy) + (d11 - d01) * fy
         by_y = (d01 - d00) * (1 - fx) + (d11 - d10) * fx
-        return distance, np.stack([by_x, by_y], axis=1) / SPACING
+        return distance, np.stack([by_x, by_y], axis=1) / NODE_SPACING
 
     def walls_near(self, points: Array, within: float) -> tuple[Index, Array]:
-        """All pairs of a point of ``points (n, 2)`` and a wall no further from it than that [m]: which point ``(p,)``,
-        and the wall's ends ``(p, 2, 2)``.
+        """All pairs of a point in ``points (n, 2)`` and a wall within a distance of it [m].
+
+        Returns the index of the point ``(p,)`` and the ends of the wall ``(p, 2, 2)`` [m].
         """
         point, wall = self._tree.query(shapely.points(points), predicate="dwithin", distance=within)
         return point, shapely.get_coordinates(self._walls[wall]).reshape(-1, 2, 2)
 
-    def about(self, places: Array, at_once: int | None = None) -> Array:
-        """Distance ``(…)`` [m] at places ``(2, …)`` [m], right to 0.1 m and in little time: by pixels of 0.125 m.
+    def approximate(self, places: Array, at_once: int | None = None) -> Array:
+        """Distance ``(…)`` [m] at places ``(2, …)`` [m], accurate to 0.1 m: that of a pixel of 0.125 m.
 
-        at_once: tiles at most that are computed now, where most of the places are; the others are open meanwhile.
-        In few calls, and in place: of a thousand places, most of the time goes into calling numpy.
+        at_once: most tiles that are computed in this call, where most of the places are; in other tiles the distance is
+        1 m for now. For a thousand places most of the time goes into calling numpy, so that there are few calls and
+        they work in place.
         """
         scaled = places.reshape(2, -1) - self._corner[:, None]
         scaled *= PIXELS / TILE
         pixel = scaled.astype(np.intp)
         np.maximum(pixel, 0, out=pixel)
         np.minimum(pixel, self._last_pixel, out=pixel)
-        tile, row = pixel >> BITS
-        tile *= self._high
+        tile, row = pixel >> PIXEL_BITS
+        tile *= self._rows
         tile += row
-        address = self._first.take(tile)
-        if address.min(initial=0) == UNKNOWN:
-            missing, wanted = np.unique(tile[address == UNKNOWN], return_counts=True)
+        address = self._address.take(tile)
+        if address.min(initial=0) == NOT_COMPUTED:
+            missing, wanted = np.unique(tile[address == NOT_COMPUTED], return_counts=True)
             missing = missing[np.argsort(-wanted)[:at_once]]
-            self._slots(np.stack(np.divmod(missing, self._high), axis=1))
-            address = self._first.take(tile)
+            self._slots(np.stack(np.divmod(missing, self._rows), axis=1))
+            address = self._address.take(tile)
         address += pixel[0]
-        pixel[1] <<= BITS
+        pixel[1] <<= PIXEL_BITS
         address += pixel[1]
         distance = self._pixels.take(address, mode="clip")
         if at_once is not None:
-            distance[address < 0] = OPEN
+            distance[address < 0] = OPEN_DISTANCE
         return distance.reshape(places.shape[1:])
 
     def _slots(self, tile: Index) -> Index:
-        """Where the tiles ``(n, 2)`` of some points are stored; missing ones are computed first."""
+        """Slots ``(n,)`` of tiles ``(n, 2)`` in storage; missing tiles are computed first."""
         slot = self._slot[tile[:, 0], tile[:, 1]]
         if (slot < 0).any():
             self._store(np.unique(tile[slot < 0], axis=0))
@@ -106,27 +109,27 @@ class DistanceField:
         return slot
 
     def _store(self, missing: Index) -> None:
-        """Compute tiles ``(n, 2)``."""
+        """Compute and store tiles ``(n, 2)``."""
         x, y = missing.T
         slot = self._count + np.arange(len(missing))
         self._count += len(missing)
-        if self._count > len(self._tiles):  # by doubling, or a long walk would copy them over and over
+        if self._count > len(self._tiles):  # storage doubles: otherwise a long walk would copy it for every tile
             more = 2 * self._count - len(self._tiles)
             self._tiles = np.concatenate([self._tiles, np.empty((more, NODES, NODES))])
             self._pixels = np.concatenate([self._pixels, np.empty((more, PIXELS, PIXELS))])
         self._tiles[slot] = tiles = np.stack([self._compute(t) for t in missing])
         self._pixels[slot] = _pixels(tiles)
         self._slot[x, y] = slot
-        self._first[x * self._high + y] = (slot << 2 * BITS) - (((y << BITS) + x) << BITS)
+        self._address[x * self._rows + y] = (slot << 2 * PIXEL_BITS) - (((y << PIXEL_BITS) + x) << PIXEL_BITS)
 
     def _compute(self, tile: Index) -> Array:
-        """Exact signed distances ``(NODES, NODES)`` at the nodes of one tile, rows along y."""
-        steps = np.arange(NODES) * SPACING
+        """Exact signed distances ``(NODES, NODES)`` at the nodes of one tile, rows along y. [m]"""
+        steps = np.arange(NODES) * NODE_SPACING
         low = self._corner + tile * TILE
         x, y = (a.ravel() for a in np.meshgrid(low[0] + steps, low[1] + steps))
         centre = shapely.Point(x.mean(), y.mean())
         nearest = self._tree.query_nearest(centre, return_distance=True, all_matches=False)[1][0]
-        reach = nearest + np.sqrt(2) * TILE  # any node's nearest wall lies within
+        reach = nearest + np.sqrt(2) * TILE  # the nearest wall of every node lies within
         walls = shapely.multilinestrings(self._walls[self._tree.query(centre, predicate="dwithin", distance=reach)])
         shapely.prepare(walls)
         distance = shapely.distance(walls, shapely.points(x, y))
@@ -134,7 +137,7 @@ class DistanceField:
 
 
 def _pixels(tiles: Array) -> Array:
-    """Bilinear means ``(n, PIXELS, PIXELS)`` at the middle of quarters of grid squares."""
+    """Bilinear means ``(n, PIXELS, PIXELS)`` in the quarters of the grid squares of tiles ``(n, NODES, NODES)``."""
     for axis in (1, 2):
         low, high = np.take(tiles, range(NODES - 1), axis), np.take(tiles, range(1, NODES), axis)
         halves = np.stack([0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high], axis=axis + 1)
@@ -145,6 +148,6 @@ def _pixels(tiles: Array) -> Array:
 
 
 def _segments(lines: NDArray[np.object_]) -> NDArray[np.object_]:
-    """Lines and rings as single segments."""
+    """The straight segments of lines and rings."""
     ends = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, lines)]
     return np.asarray(shapely.linestrings(np.concatenate(ends)))

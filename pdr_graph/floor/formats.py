@@ -1,7 +1,4 @@
-"""Floor plans from files: our GeoJSON, Microsoft floor folders and IPIN21 polygons; routes and floor heights.
-
-Features of a GeoJSON file are repaired where their drawing is wrong.
-"""
+"""Floor plans from files: our GeoJSON, Microsoft floor folders and IPIN21 polygons; routes and floor heights."""
 
 from __future__ import annotations
 
@@ -15,23 +12,25 @@ from typing import Any
 import numpy as np
 import shapely
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
-from pdr_graph.floor.areas import KINDS, LINK, OUTLINE, Area
+from pdr_graph.floor.cells import KINDS, LINK, OUTLINE, Area
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
 
-LARGEST_FILE = 200_000_000  # bytes
-FARTHEST = 1e8  # [m] of any coordinate
-WIDEST = 1.0  # [deg] of a plan; a larger one is in metres
+# Limits of an untrusted file
+LARGEST_FILE = 200_000_000  # [bytes]
+LARGEST_COORDINATE = 1e8  # [m or deg]
+WIDEST_PLAN = 1.0  # [deg] a wider plan is in metres
 Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object."""
+    """The JSON object in a file. Raises InputError for other files."""
     try:
         if path.stat().st_size > LARGEST_FILE:
-            raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST_FILE}")
+            raise InputError(path, "", f"{path.stat().st_size} bytes", f"at most {LARGEST_FILE} bytes")
         value = json.loads(path.read_text(encoding="utf-8-sig"))
     except InputError:
         raise
@@ -42,15 +41,16 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def features_of(path: Path, collection: dict[str, Any], notes: list[str], mended: list[str]) -> Iterator[Feature]:
-    """All features with a geometry; null ones are noted, as RFC 7946 allows them, and broken polygons mended.
+def features_of(path: Path, collection: dict[str, Any], notes: list[str], repairs: list[str]) -> Iterator[Feature]:
+    """All features of a GeoJSON collection that have a geometry; drawing errors are repaired.
 
-    notes, mended: lines are added of what was left out, and of what was drawn wrongly and put right.
+    notes, repairs: a line is appended for features that were skipped (RFC 7946 allows a geometry of null) and for each
+    repair. Raises InputError for other collections and geometries.
     """
     features = collection.get("features")
     if collection.get("type") != "FeatureCollection" or not isinstance(features, list):
         raise InputError(path, "", f"type {str(collection.get('type'))[:40]!r}", "a GeoJSON FeatureCollection")
-    nowhere = []
+    without_geometry = []
     for n, feature in enumerate(features):
         try:
             geometry, properties = feature["geometry"], dict(feature.get("properties") or {})
@@ -60,38 +60,39 @@ def features_of(path: Path, collection: dict[str, Any], notes: list[str], mended
             found = f"{type(error).__name__} {str(error)[:80]}"
             raise InputError(path, f"feature {n}", found, "a GeoJSON geometry") from None
         if shapely.is_empty(shape):
-            nowhere.append(n)
+            without_geometry.append(n)
             continue
-        if not (np.abs(shapely.get_coordinates(shape)) < FARTHEST).all():
-            raise InputError(path, f"feature {n}", "a coordinate that is nowhere on Earth", "degrees, or metres")
+        if not (np.abs(shapely.get_coordinates(shape)) < LARGEST_COORDINATE).all():
+            raise InputError(path, f"feature {n}", "coordinates that are not on Earth", "degrees or metres")
         if not shapely.is_valid(shape):
-            mended.append(f"{_named(n, properties)}: its outline crosses itself{_at(shape)}, and was mended")
+            repairs.append(f"{_name_of(n, properties)}: its outline crosses itself{_crossing(shape)}, and was repaired")
             shape = shapely.make_valid(shape)
         if opened:
             found = f"the ring from {opened[0][:2]} does not end where it begins"
-            mended.append(f"{_named(n, properties)}: {found}, and was closed")
+            repairs.append(f"{_name_of(n, properties)}: {found}, and was closed")
         yield n, shapely.force_2d(shape), properties
-    if nowhere:
-        notes.append(f"{len(nowhere)} features without a geometry were left out (the first: feature {nowhere[0]})")
+    if without_geometry:
+        first = f"the first: feature {without_geometry[0]}"
+        notes.append(f"{len(without_geometry)} features without a geometry were left out ({first})")
 
 
 def check_degrees(path: Path, features: list[Feature]) -> None:
-    """Refuse coordinates that are no degrees."""
+    """Raise InputError for coordinates that are not degrees, or a plan wider than 1°."""
     for n, shape, _ in features:
         corners = shapely.get_coordinates(shape)
         if not (np.abs(corners) <= (180, 90)).all():
             found = f"coordinates up to {np.abs(corners).max():.6g}"
-            raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees, as RFC 7946 has them")
+            raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees (RFC 7946)")
     west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features])
-    if max(east - west, north - south) > WIDEST:
+    if max(east - west, north - south) > WIDEST_PLAN:
         found = f"a plan of {east - west:.3g}° by {north - south:.3g}°"
-        raise InputError(path, "", found, f"at most {WIDEST:g}°: longitudes and latitudes in degrees, not metres")
+        raise InputError(path, "", found, f"at most {WIDEST_PLAN:g}°: longitudes and latitudes in degrees, not metres")
 
 
 def _close(geometry: Any) -> list[Any]:
-    """Close the rings of a GeoJSON geometry in place: RFC 7946 wants the first position again as the last.
+    """Close the rings of a GeoJSON geometry in place: by RFC 7946 the last position is the first again.
 
-    Returns where the rings begin that were open.
+    Returns the first position of each ring that was open.
     """
     match geometry:
         case {"type": "Polygon", "coordinates": [*rings]}:
@@ -106,48 +107,48 @@ def _close(geometry: Any) -> list[Any]:
     return [ring[0] for ring in open_]
 
 
-def _named(n: int, properties: dict[str, Any]) -> str:
-    """A feature by its number in the file and its name."""
+def _name_of(n: int, properties: dict[str, Any]) -> str:
+    """The number of a feature in the file, and its name."""
     name = str(properties.get("name") or "")
     return f"feature {n} ({name})" if name else f"feature {n}"
 
 
-def _at(shape: shapely.Geometry) -> str:
-    """Where a polygon crosses itself, as shapely says it: ``Self-intersection[135.00001 35]``."""
+def _crossing(shape: shapely.Geometry) -> str:
+    """Where a polygon crosses itself, from shapely's reason: ``Self-intersection[135.00001 35]``."""
     found = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(shape))
     return f" at [{found[1]}, {found[2]}]" if found else ""
 
 
-STOREY = 3.8  # [m] from one floor to the next where a plan does not say: offices and shops have 3.5 to 4.5
-HIGHEST = 1000.0  # [m] above or below zero; no building reaches it
-GROUND = ("G", "GF", "EG")
-BELOW = ("B", "BF", "UG")  # letters about the number of a floor below the ground: B1, B1F, 2UG
+STOREY = 3.8  # [m] height of a storey if the plan has no heights: offices and shops have 3.5 to 4.5
+HIGHEST_FLOOR = 1000.0  # [m] above or below zero: no building is higher
+GROUND = ("G", "GF", "EG")  # labels of the ground floor
+BELOW = ("B", "BF", "UG")  # letters before or after the number of a floor below the ground: B1, B1F, 2UG
 
 
-def heights_of(path: Path, labels: Iterable[str], given: Any = None) -> dict[str, float]:
+def floor_heights(path: Path, labels: Iterable[str], stated: Any = None) -> dict[str, float]:
     """Height of each floor [m] by its label, lowest first.
 
-    given: what the plan says, a height for every label; None: a storey each, in the order of their labels.
-    Raises InputError for a height of no floor, a floor without a height, or one that is no number.
+    stated: the plan's heights by label; None: a storey each, in the order of the labels. Raises InputError for the
+    height of an unknown floor, a floor without a height, or a height that is not a number.
     """
     ordered = sorted(labels, key=_storey)
-    if given is None:
+    if stated is None:
         return {label: STOREY * n for n, label in enumerate(ordered)}
     place, floors = "pdr_graph.heights", ", ".join(ordered)
-    if not isinstance(given, dict):
-        raise InputError(path, place, repr(given), 'a height for each floor, {"1": 0.0, "2": 4.0}')
-    if unknown := sorted(set(given) - set(ordered)):
+    if not isinstance(stated, dict):
+        raise InputError(path, place, repr(stated), 'a height for each floor, {"1": 0.0, "2": 4.0}')
+    if unknown := sorted(set(stated) - set(ordered)):
         raise InputError(path, place, f"a floor {unknown[0]!r}", f"the labels of floors: {floors}")
     for label in ordered:
-        if label not in given:
-            raise InputError(path, place, f"no height of floor {label!r}", f"one for each of {floors}")
-        if type(given[label]) not in (int, float) or not abs(given[label]) < HIGHEST:
-            raise InputError(path, f"{place}.{label}", repr(given[label]), f"metres, less than {HIGHEST:g}")
-    return {label: float(given[label]) for label in sorted(ordered, key=lambda label: given[label])}
+        if label not in stated:
+            raise InputError(path, place, f"no height of floor {label!r}", f"a height for each of {floors}")
+        if type(stated[label]) not in (int, float) or not abs(stated[label]) < HIGHEST_FLOOR:
+            raise InputError(path, f"{place}.{label}", repr(stated[label]), f"metres, less than {HIGHEST_FLOOR:g}")
+    return {label: float(stated[label]) for label in sorted(ordered, key=lambda label: stated[label])}
 
 
 def _storey(label: str) -> tuple[float, str]:
-    """Where a floor comes: by its number (-2, B1, 0, EG, 1, F2, 3F, 4OG), those without one last, by name."""
+    """Sort key of a floor: its number (-2, B1, 0, EG, 1, F2, 3F, 4OG); floors without a number are last, by name."""
     found = re.fullmatch(r"([A-Z]*) ?(-?\d{1,9}(?:\.\d{1,9})?) ?([A-Z]*)", label.strip().upper())
     if found is None:
         return (0.0 if label.strip().upper() in GROUND else np.inf), label
@@ -169,65 +170,68 @@ IPIN21_KINDS = {
     "Stairscase": "stairs",
     "Elevator": "lift",
     "Wall": "wall",
-    "Wa": "wall",  # a wall whose name was cut short
+    "Wa": "wall",  # truncated in the files
 }
 
 
 @dataclass(frozen=True)
-class Drawing:
-    """A file's floors by label, lowest first, all in one frame.
+class Drawing(OneLineRepr):
+    """The floors of a file by label, lowest first, in one frame.
 
-    notes: what was left out of the file or taken for something, mended: what was drawn wrongly and put right, one
-    line each; heights: of the floors [m] by label, none where a plan can have only one.
+    notes: features that were skipped or reinterpreted; repairs: drawing errors that were repaired, one line each;
+    heights: of the floors by label [m], empty if the format has one floor per file.
     """
 
     floors: dict[str, tuple[Area, ...]]
     frame: Frame
     notes: tuple[str, ...] = ()
-    mended: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()
     heights: dict[str, float] = field(default_factory=dict)
+
+    def _summary(self) -> list[str]:
+        return [f"{label!r}: {count(len(areas), 'area')}" for label, areas in self.floors.items()]
 
 
 def root_of(path: Path) -> Path:
-    """The folder of a Microsoft floor, whichever of its files was named; any other path as it is."""
+    """The folder of a Microsoft floor from one of its files; any other path unchanged."""
     return path.parent if path.name in (MICROSOFT_MAP, MICROSOFT_INFO) else path
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """The files that `read` reads: the plan itself, or both of a Microsoft floor folder."""
+    """The files that `read` reads: the plan, or both files of a Microsoft floor folder."""
     root = root_of(path)
     return (root / MICROSOFT_MAP, root / MICROSOFT_INFO) if root.is_dir() else (root,)
 
 
 def plan_fingerprint(path: Path) -> str:
-    """The name of a plan and what tells its content from another's."""
+    """The name of a plan and a hash of its files."""
     return fingerprint(root_of(path), files_of(path))
 
 
 def read(path: Path) -> Drawing:
-    """A plan of any format, recognised by what is there."""
+    """Read a plan; its format is recognised by content. Raises InputError for other files."""
     path = root_of(path)
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
     if path.is_dir():
         if not (path / MICROSOFT_MAP).is_file():
-            raise InputError(path, "", f"a folder without {MICROSOFT_MAP}", "a floor plan's file, or its floor folder")
-        return microsoft_floor(path)
-    collection, notes, mended = read_json(path), list[str](), list[str]()
-    features = list(features_of(path, collection, notes, mended))
+            raise InputError(path, "", f"a folder without {MICROSOFT_MAP}", "a floor plan's file or floor folder")
+        return read_microsoft(path)
+    collection, notes, repairs = read_json(path), list[str](), list[str]()
+    features = list(features_of(path, collection, notes, repairs))
     is_ipin21 = any("Type" in properties and "kind" not in properties for _, _, properties in features)
-    return replace((ipin21 if is_ipin21 else own)(path, collection, features, notes), mended=tuple(mended))
+    read_format = read_ipin21 if is_ipin21 else read_own_format
+    return replace(read_format(path, collection, features, notes), repairs=tuple(repairs))
 
 
-def microsoft_floor(folder: Path) -> Drawing:
-    """A floor folder of the Indoor Location Competition 2.0.
+def read_microsoft(folder: Path) -> Drawing:
+    """Read a floor folder of the Indoor Location Competition 2.0.
 
-    Feature 0 is the outline, every other feature something that nobody walks through: walkable is the outline minus
-    all others. The metric frame stretches the outline's bounding box, in degrees, to ``map_info``'s width and height:
+    Feature 0 is the outline, all others are solid: the walkable area is the outline minus them. The metric frame scales the outline's bounding box, in degrees, to ``map_info``'s width and height:
     x = (lon − lon0)/(lon1 − lon0)·width, y likewise.
     """
-    (path, about), notes, mended = files_of(folder), list[str](), list[str]()
-    features = [f for f in features_of(path, read_json(path), notes, mended) if shapely.get_dimensions(f[1]) == 2]
+    (path, about), notes, repairs = files_of(folder), list[str](), list[str]()
+    features = [f for f in features_of(path, read_json(path), notes, repairs) if shapely.get_dimensions(f[1]) == 2]
     if not features:
         raise InputError(path, "", "no polygon", "the floor's outline")
     check_degrees(path, features)
@@ -241,15 +245,15 @@ def microsoft_floor(folder: Path) -> Drawing:
     frame = Frame("plan", (lat0, lon0), metres_per_degree=(size[0] / (lon1 - lon0), size[1] / (lat1 - lat0)))
     kinds = [OUTLINE, *(len(features) - 1) * ["shop"]]
     areas = [_area(kind, f, frame) for kind, f in zip(kinds, features, strict=True)]
-    return Drawing({folder.resolve().name: tuple(areas)}, frame, tuple(notes), tuple(mended))
+    return Drawing({folder.resolve().name: tuple(areas)}, frame, tuple(notes), tuple(repairs))
 
 
-def own(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
-    """Our own format: an RFC 7946 FeatureCollection whose features have ``kind`` and ``name`` (``docs/formats.md``).
+def read_own_format(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
+    """Read our own format: an RFC 7946 FeatureCollection of features with ``kind`` and ``name`` (``docs/formats.md``).
 
-    A feature's ``floor`` says which floor it is on, or a list of them; without it, it is on all. The frame is ENU about
-    the member ``pdr_graph.origin`` ([longitude, latitude]), else about the centre of the bounding box;
-    ``pdr_graph.heights`` says how high the floors are.
+    A feature's ``floor`` is the label of its floor or a list of labels; without it, the feature is on all floors. The
+    frame is ENU about the member ``pdr_graph.origin`` ([longitude, latitude]), by default about the centre of the
+    bounding box; ``pdr_graph.heights`` has the heights of the floors.
     """
     for n, _, properties in features:
         if properties.get("kind") not in KINDS:
@@ -267,20 +271,20 @@ def own(path: Path, collection: dict[str, Any], features: list[Feature], notes: 
     frame = enu(origin[1], origin[0])
     areas = [_area(f[2]["kind"], f, frame) for f in features]
     labels = {label for area in areas for label in area.floors} or {str(about.get("floor", ""))}
-    heights = heights_of(path, labels, about.get("heights"))
+    heights = floor_heights(path, labels, about.get("heights"))
     floors = {label: tuple(a for a in areas if not a.floors or label in a.floors) for label in heights}
     return Drawing(floors, frame, tuple(notes), heights=heights)
 
 
-def ipin21(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
-    """Polygons of IPIN21Data with the property ``Type``, in metres of UTM zone 32N, whatever their label says."""
+def read_ipin21(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
+    """Read polygons of IPIN21Data: property ``Type``, in metres of UTM zone 32N whatever CRS the file states."""
     corners = shapely.get_coordinates([shape for _, shape, _ in features])
     in_degrees = bool((np.abs(corners) <= (180, 90)).all())
     stated = re.findall(r"\d{4,5}|CRS84", json.dumps(collection.get("crs")))
     expected = ["4326", "CRS84"] if in_degrees else [str(IPIN21_EPSG)]
     if stated and stated[-1] not in expected:
-        found = "degrees" if in_degrees else f"metres, taken for EPSG:{IPIN21_EPSG}"
-        notes.append(f"the file says CRS {stated[-1]}, its coordinates are {found}")
+        found = "degrees" if in_degrees else f"metres, read as EPSG:{IPIN21_EPSG}"
+        notes.append(f"the file states CRS {stated[-1]}, but its coordinates are {found}")
     frame = projected(IPIN21_EPSG)
     areas: list[Area] = []
     for feature in features:
@@ -293,7 +297,7 @@ def ipin21(path: Path, collection: dict[str, Any], features: list[Feature], note
 
 
 def _labels(properties: dict[str, Any]) -> tuple[str, ...]:
-    """The floors that a feature is on."""
+    """The labels of the floors that a feature is on."""
     on = properties.get("floor", properties.get("level"))
     labels = (str(label) for label in (on if isinstance(on, list) else [on]) if label not in (None, ""))
     return tuple(dict.fromkeys(labels))
@@ -306,7 +310,7 @@ def _is_place(value: object) -> bool:
 
 
 def _area(kind: str, feature: Feature, frame: Frame | None) -> Area:
-    """A feature in metres; one without a frame is already."""
+    """The area of a feature [m]; without a frame its coordinates are in metres already."""
     _, shape, properties = feature
 
     def transform(lonlat: Array) -> Array:
@@ -317,14 +321,14 @@ def _area(kind: str, feature: Feature, frame: Frame | None) -> Area:
 
 
 def read_route(path: str | Path) -> Array:
-    """Corners ``(m, 2)`` [m] of the one ``link`` in a plan of our own format.
+    """Corners ``(m, 2)`` [m] of the only ``link`` in a plan of our own format.
 
-    Raises InputError if there is none, or several.
+    Raises InputError unless there is exactly one.
     """
     drawing = read(Path(path))
     lines = {area.shape for areas in drawing.floors.values() for area in areas if area.kind == LINK}
     if len(lines) != 1:
-        raise InputError(path, "", f"{len(lines)} features of kind 'link'", "one, the line that was walked")
+        raise InputError(path, "", f"{len(lines)} features of kind 'link'", "one: the line that was walked")
     corners = shapely.get_coordinates(lines.pop())
     apart = np.hypot(*np.diff(corners, axis=0).T) > 0
     return corners[np.append(True, apart)]

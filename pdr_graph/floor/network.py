@@ -12,8 +12,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.floor import network_derivation
-from pdr_graph.floor.areas import CLOSED, DOOR, LINK, OPEN, Area
-from pdr_graph.floor.cells import Cells, without_cracks
+from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without_cracks
 from pdr_graph.types import Array, Index
 
 INTERSECTION, CORRIDOR = "intersection", "corridor"

@@ -12,8 +12,7 @@ import shapely
 from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
 from pdr_graph.floor import formats
-from pdr_graph.floor.areas import OUTLINE, SOLID, Area
-from pdr_graph.floor.cells import Cells, Regions, without_cracks
+from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.network import Network, derived_network, drawn_network
 from pdr_graph.frames import Frame
@@ -27,15 +26,15 @@ class FloorPlan(OneLineRepr):
     """One floor, in its own metric frame.
 
     label: the floor's name, "F1"; areas: the outline and everything in it; frame: relates it to latitude and longitude;
-    height: above the plan's zero level [m]; notes: features of the file that were skipped or reinterpreted, mended:
-    drawing errors that were repaired, one line each.
+    height: above the plan's zero level [m]; notes: features of the file that were skipped or reinterpreted; repairs:
+    drawing errors that were repaired; one line each.
     """
 
     label: str
     areas: tuple[Area, ...]
     frame: Frame
     notes: tuple[str, ...] = ()
-    mended: tuple[str, ...] = ()
+    repairs: tuple[str, ...] = ()
     height: float = 0.0
 
     def _summary(self) -> list[str]:
@@ -66,7 +65,7 @@ class FloorPlan(OneLineRepr):
         """Read all floors of a plan, lowest first. Raises InputError for a floor without walkable area."""
         drawing = formats.read(Path(path))
         plans = tuple(
-            cls(label, areas, drawing.frame, drawing.notes, drawing.mended, drawing.heights.get(label, 0.0))
+            cls(label, areas, drawing.frame, drawing.notes, drawing.repairs, drawing.heights.get(label, 0.0))
             for label, areas in drawing.floors.items()
         )
         for plan in plans:
@@ -106,8 +105,8 @@ class FloorPlan(OneLineRepr):
     @cached_property
     def distance(self) -> DistanceField:
         """Field of the signed distance to the nearest wall [m], positive inside."""
-        only = len(self.regions) == 1 and not len(self.regions.doors)
-        return self.regions.field((0,)) if only else DistanceField(self.walkable, self.cells.barriers)
+        is_one_region = len(self.regions) == 1 and not len(self.regions.doors)
+        return self.regions.field((0,)) if is_one_region else DistanceField(self.walkable, self.cells.barriers)
 
     @cached_property
     def network(self) -> Network:

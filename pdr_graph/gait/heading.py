@@ -23,32 +23,50 @@ from pdr_graph.geometry import compose, wrap_angle
 from pdr_graph.inertial.attitude import Attitude, running_mean, runs
 from pdr_graph.types import Array, Complex, Mask
 
-BAND = 0.5  # of the step frequency to either side: excludes the stride's (half of it) and one and a half times it
-# The forward acceleration leads the vertical by this: 33–119° in sixteen of eighteen real walks with the phone in hand,
-# 51–106° or half a turn from it with the phone in hand, pocket, bag and swinging arm (docs/accuracy.md)
-LEAD = 1.1  # [rad]
-STEPS_PER_WINDOW = 16
-LEAST_WINDOWS = 3
-LEAST_COHERENCE = 0.3  # of forward and vertical in a typical window; less is no gait, or no carried phone
-GAIT_SIGMA = 0.3  # [rad] of the gait axis about the walking direction: hands sway with their arm
-EYES_SIGMA = 0.17  # [rad] of a read phone's y axis about the walking direction
-UNCONFIRMED = 0.35  # [rad] of the same if the gait does not confirm that the phone is held for reading
-FACING_UP = 0.4  # least mean vertical part of the screen's normal: held for reading
-STEADY = 0.95  # least length of the mean direction relative to the walker; a waved phone has a shorter one
-OPPOSED = 0.6  # [rad] between gait axis and y axis: the phone is not held for reading
+
+@dataclass(frozen=True)
+class ForwardSettings:
+    """Constants of the forward axis; ``scripts/reproduce compass`` scores them. Chosen by hand unless stated.
+
+    lead: phase by which the forward acceleration leads the vertical one [rad]: 33–119° in sixteen of eighteen real
+        walks with the phone in hand; 51–106°, or half a turn from that, with the phone in hand, pocket, bag and on a
+        swinging arm (docs/accuracy.md).
+    band: half width of the filter at the step frequency, as a share of it: excludes the stride's frequency (half of it)
+        and one and a half times it.
+    window_steps, least_windows: length of a window, and the least number of windows of walking.
+    least_coherence: of forward and vertical acceleration in a typical window; without gait it is lower.
+    gait_sigma: of the gait axis about the walking direction [rad]: hands sway with their arm.
+    reading_sigma: of the y axis of a phone held for reading about the walking direction [rad].
+    facing_up: least mean vertical component of the screen's normal of a phone held for reading.
+    steady: least length of the mean direction relative to the walker; that of a waved phone is shorter.
+    opposed: angle between gait axis and y axis from which the phone is not held for reading [rad].
+    """
+
+    lead: float = 1.1
+    band: float = 0.5
+    window_steps: int = 16
+    least_windows: int = 3
+    least_coherence: float = 0.3
+    gait_sigma: float = 0.3
+    reading_sigma: float = 0.17
+    facing_up: float = 0.4
+    steady: float = 0.95
+    opposed: float = 0.6
+
+
+FORWARD = ForwardSettings()
+UNCONFIRMED = 0.35  # [rad] sigma of the y axis of a phone that faces up, if the gait does not confirm it; by hand
 
 
 @dataclass(frozen=True)
 class Forward:
-    """Walking direction relative to the input heading: angle [rad]; sigma: its standard deviation, infinite if
-    unknown.
-    """
+    """Walking direction relative to the input heading: angle and its standard deviation [rad], infinite if unknown."""
 
     angle: float
     sigma: float
 
     @property
-    def known(self) -> bool:
+    def determined(self) -> bool:
         """True if the method determined an angle."""
         return bool(np.isfinite(self.sigma))
 
@@ -61,12 +79,12 @@ def forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
 
     If the gait contradicts the y axis, as with a phone held across, the gait decides.
     """
-    gait, eyes = braking_axis(attitude, heading, walking, step), reading_axis(attitude, heading, walking, step)
-    if not eyes.known or not gait.known:
-        return gait if gait.known else eyes
-    if abs(wrap_angle(gait.angle - eyes.angle)) > OPPOSED:
+    gait, reading = braking_axis(attitude, heading, walking, step), reading_axis(attitude, heading, walking, step)
+    if not reading.determined or not gait.determined:
+        return gait if gait.determined else reading
+    if abs(wrap_angle(gait.angle - reading.angle)) > FORWARD.opposed:
         return gait
-    return Forward(eyes.angle, EYES_SIGMA)
+    return Forward(reading.angle, FORWARD.reading_sigma)
 
 
 def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
@@ -74,33 +92,33 @@ def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     if not walking.any():
         return UNKNOWN
     held = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
-    if held.apply([0.0, 0.0, 1.0])[:, 2].mean() < FACING_UP:
+    if held.apply([0.0, 0.0, 1.0])[:, 2].mean() < FORWARD.facing_up:
         return UNKNOWN
     along = _level(held.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
-    if abs(along.mean()) < STEADY * np.abs(along).mean():
+    if abs(along.mean()) < FORWARD.steady * np.abs(along).mean():
         return UNKNOWN
     return Forward(float(np.angle(along.mean())), UNCONFIRMED)
 
 
 def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
-    """The level direction whose acceleration at the step's frequency leads the vertical's by LEAD.
+    """The level direction whose acceleration at the step's frequency leads the vertical's by 63°.
 
     No principal component is needed: people sway sideways once in two steps, so that at the step's frequency almost all
     level motion is forward, and the phase lead distinguishes ahead from back.
     """
     level, vertical = at_step_frequency(attitude, heading, step)
-    size = max(1, round(STEPS_PER_WINDOW * step / attitude.period))
+    size = max(1, round(FORWARD.window_steps * step / attitude.period))
     windows = [
         slice(k, k + size) for k in range(0, len(level) - size + 1, size) if np.mean(walking[k : k + size]) > 0.9
     ]
-    if len(windows) < LEAST_WINDOWS:
+    if len(windows) < FORWARD.least_windows:
         return UNKNOWN
     pushes = np.array([push(level[w], vertical[w]) for w in windows])
     mean = pushes.mean()
-    if abs(mean) < LEAST_COHERENCE:
+    if abs(mean) < FORWARD.least_coherence:
         return UNKNOWN
-    aside = np.imag(pushes / mean)  # of each window's share, in radians for small angles
-    return Forward(float(np.angle(mean)), float(np.hypot(GAIT_SIGMA, np.std(aside) / np.sqrt(len(windows)))))
+    aside = np.imag(pushes / mean)  # deviation of each window [rad], for small angles
+    return Forward(float(np.angle(mean)), float(np.hypot(FORWARD.gait_sigma, np.std(aside) / np.sqrt(len(windows)))))
 
 
 def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
@@ -114,17 +132,17 @@ def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: floa
     level = _acceleration(attitude, heading)[0][walking]
     level = level - level.mean()
     doubled = np.mean(level**2)  # the axis of the largest variance, at twice its angle
-    round_ = 1 - np.abs(doubled) / np.mean(np.abs(level) ** 2)  # 1 where no direction has more than another
+    roundness = 1 - np.abs(doubled) / np.mean(np.abs(level) ** 2)  # 1 if the variance is equal in all directions
     axis = np.exp(0.5j * np.angle(doubled))
     harmonic, vertical = (signal[walking] for signal in at_step_frequency(attitude, heading, step))
     ahead = np.real(push(harmonic, vertical) / axis)
     angle = np.angle(axis * (1 if ahead > 0 else -1))
-    return Forward(float(angle), float(np.hypot(GAIT_SIGMA, round_ * np.pi / 4)))
+    return Forward(float(angle), float(np.hypot(FORWARD.gait_sigma, roundness * np.pi / 4)))
 
 
 def push(level: Complex, vertical: Complex) -> complex:
-    """Coherence of the level acceleration with the vertical one shifted by LEAD: a vector towards ahead, length 0–1."""
-    ahead = np.real(vertical.conj() * np.exp(-1j * LEAD))
+    """Coherence of level and vertical acceleration, the latter shifted by the lead: a vector ahead, of length 0–1."""
+    ahead = np.real(vertical.conj() * np.exp(-1j * FORWARD.lead))
     return complex(np.mean(level * ahead) / np.sqrt(np.mean(np.abs(level) ** 2) * np.mean(ahead**2) + 1e-12))
 
 
@@ -133,7 +151,7 @@ def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[
     level, up = _acceleration(attitude, heading)
     count = fft.next_fast_len(len(up)) or len(up)
     ratio = np.fft.fftfreq(count, attitude.period) * step
-    window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / BAND, -1, 1)) ** 2
+    window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / FORWARD.band, -1, 1)) ** 2
 
     def filtered(signal: Complex | Array, response: Array) -> Complex:
         spectrum = np.asarray(fft.fft(signal - signal.mean(), count))
@@ -158,14 +176,34 @@ def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -
     return (_acceleration(attitude, heading)[0] * np.exp(-1j * forward.angle)).real
 
 
-TILTING = 0.25  # [rad/s] of the vertical in the device, over a stride: faster than a carried phone tilts
-NEW_TILT = 0.5  # [rad] change of the vertical in the device that makes it a grip change
-FAST, WITHIN = 0.7, 1.0  # [rad] of turn within [s]: a corner, or a wrist
-STEPS_BESIDE = 8  # before and after a turn that determine the forward axis
-CLEAR_CHANGE = 1.1  # [rad] of the forward axis in the device; up to 1.0 on real walks without a grip change
-TURNED = 0.6  # [rad] of the walker by gait, during a grip change; less counts as straight on
-COHERENT = 0.65  # of forward and vertical; with less, a turn of the phone cannot be decided
-LESS_COHERENT = 0.45  # with less, the turn of the walker during it cannot be determined
+@dataclass(frozen=True)
+class GripSettings:
+    """Constants of grip changes; ``scripts/reproduce compass`` scores them. Chosen by hand unless stated.
+
+    tilting: rate of the vertical in the device, over a stride, above that of a carried phone [rad/s].
+    new_tilt: change of the vertical in the device that makes it a grip change [rad].
+    fast, within: a turn by this angle [rad] within this time [s] is a corner or a wrist.
+    steps_beside: steps before and after a turn that determine the forward axis.
+    clear_change: of the forward axis in the device [rad]; up to 1.0 on real walks without a grip change.
+    turned: least turn of the walker by gait during a grip change [rad]; less counts as straight on.
+    coherent, less_coherent: least coherence of forward and vertical acceleration to decide whether the phone turned,
+        and to determine the walker's turn during it.
+    sigma: standard deviation of the walker's turn during a grip change [rad].
+    """
+
+    tilting: float = 0.25
+    new_tilt: float = 0.5
+    fast: float = 0.7
+    within: float = 1.0
+    steps_beside: int = 8
+    clear_change: float = 1.1
+    turned: float = 0.6
+    coherent: float = 0.65
+    less_coherent: float = 0.45
+    sigma: float = 0.35
+
+
+GRIP = GripSettings()
 
 
 @dataclass(frozen=True)
@@ -191,7 +229,7 @@ def grip_changes(attitude: Attitude, up: Array, heading: Array, step: float) -> 
 def possible_grip_changes(up: Array, heading: Array, step: float, period: float) -> tuple[Spans, Spans]:
     """Spans in which the device changes its tilt, and other spans of turns as fast as a wrist's."""
     tilted = _to_another_tilt(up, step, period)
-    return tilted, [span for span in _fast_turns(heading, period) if not _meets(span, tilted)]
+    return tilted, [span for span in _fast_turns(heading, period) if not _overlaps(span, tilted)]
 
 
 def confirmed_grip_changes(
@@ -201,9 +239,9 @@ def confirmed_grip_changes(
     if not tilted and not fast:
         return []
     gait = _StepHarmonic(*at_step_frequency(attitude, heading, step), round(step / attitude.period))
-    found = [GripChange(*span, _of_walker(gait, heading, span)) for span in tilted]
+    found = [GripChange(*span, _walkers_turn(gait, heading, span)) for span in tilted]
     return found + [
-        GripChange(*span, _of_walker(gait, heading, span)) for span in fast if _in_hand(gait, heading, span)
+        GripChange(*span, _walkers_turn(gait, heading, span)) for span in fast if _phone_turned(gait, heading, span)
     ]
 
 
@@ -216,11 +254,12 @@ class _StepHarmonic:
     step: int
 
     def moved(self, first: int, last: int, steps: int, coherent: float) -> float:
-        """Rotation of the forward axis in the device from `steps` before to `steps` after a span; NaN if unclear.
-        [rad]
+        """Rotation of the forward axis in the device from before to after a span; NaN if unclear. [rad]
+
+        steps: number of steps to either side; coherent: least coherence with the gait.
         """
         before, after = slice(max(0, first - steps * self.step), first), slice(last, last + steps * self.step)
-        if first < STEPS_BESIDE * self.step or last + STEPS_BESIDE * self.step > len(self.level):
+        if first < GRIP.steps_beside * self.step or last + GRIP.steps_beside * self.step > len(self.level):
             return np.nan
         ahead = [push(self.level[s], self.vertical[s]) for s in (before, after)]
         if np.min(np.abs(ahead)) < coherent:
@@ -232,41 +271,42 @@ def _to_another_tilt(up: Array, step: float, period: float) -> Spans:
     """Spans after which the vertical has another direction in the device."""
     samples = max(1, round(step / period))
     found = []
-    for first, after in np.transpose(runs(np.linalg.norm(np.gradient(up, axis=0), axis=1) > TILTING * period)).tolist():
+    tilting = np.linalg.norm(np.gradient(up, axis=0), axis=1) > GRIP.tilting * period
+    for first, after in np.transpose(runs(tilting)).tolist():
         begin, end = max(0, first - samples), min(len(up) - 1, after - 1 + samples)
-        if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > NEW_TILT:
+        if np.arccos(np.clip(up[begin] @ up[end], -1, 1)) > GRIP.new_tilt:
             found.append((begin, end))
     return found
 
 
-def _of_walker(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> float:
+def _walkers_turn(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> float:
     """The walker's turn during a grip change, from the gait before and after; 0 unless the gait shows a turn. [rad]"""
-    turn = float(wrap_angle(heading[span[1]] - heading[span[0]] + gait.moved(*span, 2 * STEPS_BESIDE, LESS_COHERENT)))
-    return turn if abs(turn) > TURNED else 0.0
+    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, 2 * GRIP.steps_beside, GRIP.less_coherent)
+    turn = float(wrap_angle(turned + moved))
+    return turn if abs(turn) > GRIP.turned else 0.0
 
 
 def _fast_turns(heading: Array, period: float) -> Spans:
     """Spans of turns that a wrist could have made."""
-    samples = max(1, round(WITHIN / period))
-    fast = runs(np.abs(heading[samples:] - heading[:-samples]) > FAST)
+    samples = max(1, round(GRIP.within / period))
+    fast = runs(np.abs(heading[samples:] - heading[:-samples]) > GRIP.fast)
     return [(first, after - 1 + samples) for first, after in np.transpose(fast).tolist()]
 
 
-def _in_hand(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> bool:
+def _phone_turned(gait: _StepHarmonic, heading: Array, span: tuple[int, int]) -> bool:
     """True if the forward axis rotates in the device by the angle of the turn: the phone turned, not the walker.
 
     At a corner the gait may be misread, but seldom by just the angle of the corner.
     """
-    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, STEPS_BESIDE, COHERENT)
-    return -moved * np.sign(turned) > CLEAR_CHANGE and abs(turned + moved) < TURNED
+    turned, moved = heading[span[1]] - heading[span[0]], gait.moved(*span, GRIP.steps_beside, GRIP.coherent)
+    return -moved * np.sign(turned) > GRIP.clear_change and abs(turned + moved) < GRIP.turned
 
 
-def _meets(one: tuple[int, int], others: Spans) -> bool:
-    return any(one[0] < other[1] and other[0] < one[1] for other in others)
+def _overlaps(span: tuple[int, int], others: Spans) -> bool:
+    return any(span[0] < other[1] and other[0] < span[1] for other in others)
 
 
-WINDOW = 2.6  # [s] of the principal components: N = 65 samples at 25 Hz
-GRIP_CHANGE_SIGMA = 0.35  # [rad] of the walker's turn during a grip change
+WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz
 
 
 @dataclass(frozen=True)
@@ -291,7 +331,7 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     The turn of the phone's attitude, averaged over a stride, is the walker's turn: an elliptic swing changes the
     integrated rate about gravity by its solid angle (coning), but not the attitude from one stride to the next. Within
     a stride the rate about gravity is more accurate. During a grip change (`grip_changes`) the phone does not measure
-    the walker, whose turn then comes from the gait, or is 0 ± GRIP_CHANGE_SIGMA.
+    the walker, whose turn then comes from the gait, or is 0 ± 0.35 rad.
     """
     samples = max(1, round(step / attitude.period))
     steady = _mean_attitude(attitude.R_world_device, 2 * samples)
@@ -300,10 +340,10 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
     heading = without_gait(rate_integral, samples) - coning
     heading -= heading[0]
-    turn, doubt = without_grip_changes(
+    turn, variance = without_grip_changes(
         heading, grip_changes(attitude, steady.inv().apply([0.0, 0.0, 1.0]), heading, step)
     )
-    return Direction(np.cumsum(turn), np.cumsum(doubt))
+    return Direction(np.cumsum(turn), np.cumsum(variance))
 
 
 def accumulate_turn(attitude: Attitude, step: float) -> Direction:
@@ -378,10 +418,10 @@ def _mean_attitude(attitude: Rotation, samples: int) -> Rotation:
 
 def without_grip_changes(heading: Array, changes: list[GripChange]) -> tuple[Array, Array]:
     """The walker's turn since the previous sample ``(n,)`` [rad], and its variance ``(n,)`` [rad²]."""
-    turn, doubt = np.diff(heading, prepend=heading[:1]), np.zeros(len(heading))
+    turn, variance = np.diff(heading, prepend=heading[:1]), np.zeros(len(heading))
     for change in changes:
         during = slice(change.first + 1, change.last + 1)
         count = change.last - change.first
         turn[during] = change.turn / count
-        doubt[during] = GRIP_CHANGE_SIGMA**2 / count
-    return turn, doubt
+        variance[during] = GRIP.sigma**2 / count
+    return turn, variance

@@ -1,32 +1,26 @@
-"""Gait signals of a recording before any model of stride or north: attitude, landings, direction; and gaps.
+"""Gait signals of a recording before any stride model or north: attitude, landings and walking direction.
 
-In a gap the app was paused or put to sleep, and the walker may have gone anywhere.
+A gap splits a recording: the app was paused or put to sleep, and the walker may have gone anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_detection import Landings, walking_steps
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, SHORTEST_WALK, Attitude, attitude_of
-from pdr_graph.types import Array, Mask, Recording, Signal, Steps
-
-GAP_SPEED = 1.0  # [m/s] standard deviation per axis of where a gap takes the walker: they stand or walk
-GAP_SIGMA_TURN = 1.2  # [rad] of the heading over a gap: as good as unknown, and still a slope to follow
+from pdr_graph.types import Array, Mask, Recording, Signal
 
 
 def uninterrupted(recording: Recording) -> list[Recording]:
-    """The parts of a recording in which every inertial sensor ran; the recording itself if it has no gap.
+    """Split a recording at gaps into parts in which every inertial sensor ran; without a gap, the recording itself.
 
-    Parts too short for a step are left to the gap.
-
-    Raises InputError if no part is long enough.
+    Parts of less than a second are dropped. Raises InputError if no part is longer.
     """
     inertial = [
         s for s in (recording.accelerometer, recording.linear_acceleration, recording.gyroscope) if s is not None
@@ -40,79 +34,20 @@ def uninterrupted(recording: Recording) -> list[Recording]:
         (a, b) for a, b in zip(np.append(start, ends), np.append(begins, end), strict=True) if b - a > SHORTEST_WALK
     ]
     if not spans:
-        found = (
-            f"{len(gaps)} gaps, at most {np.max(ends - begins):.0f} s long, and no {SHORTEST_WALK:.0f} s between them"
-        )
+        longest = np.max(ends - begins)
+        found = f"{len(gaps)} gaps of up to {longest:.0f} s and no {SHORTEST_WALK:.0f} s of samples between them"
         raise InputError(recording.source, "", found, "samples more often than one a second")
     return [_cut(recording, a, b) for a, b in spans]
 
 
-def join(parts: Sequence[Steps]) -> Steps:
-    """The steps of the parts of a walk, a row of length 0 for each gap between them."""
-    joined = parts[0]
-    for part in parts[1:]:
-        joined = append_steps(append_steps(joined, gap(joined.end, part.start)), part)
-    if len(parts) > 1:
-        joined = replace(joined, unknown=(*joined.unknown, f"{len(parts) - 1} gaps in the recording"))
-    return joined
-
-
-def gap(
-    start: float, end: float, turn: float = 0.0, sigma_turn: float = GAP_SIGMA_TURN, speed: float = GAP_SPEED
-) -> Steps:
-    """A row of length 0, for what nobody saw between two times [s].
-
-    turn, sigma_turn: of the heading over it [rad]; speed: standard deviation of the way per time and axis [m/s].
-    """
-    long, nothing = np.array([end - start]), np.zeros(1)
-    return Steps(
-        start,
-        end,
-        time=np.array([end]),
-        duration=long,
-        length=nothing,
-        turn=np.array([turn]),
-        pause_turn=nothing,
-        sigma_length=speed * long,
-        sigma_turn=np.array([sigma_turn]),
-    )
-
-
-def shifted(steps: Steps, by: float) -> Steps:
-    """The same walk, so much later [s]."""
-    return replace(steps, start=steps.start + by, end=steps.end + by, time=steps.time + by)
-
-
-def append_steps(first: Steps, then: Steps) -> Steps:
-    """A walk of two chunks, the second of which starts where the first ends."""
-    turn, pause_turn, final_turn = then.turn.copy(), then.pause_turn.copy(), then.final_turn
-    if len(then):
-        turn[0] += first.final_turn
-        pause_turn[0] += first.final_turn
-    else:
-        final_turn += first.final_turn
-    names = ("time", "duration", "length", "sigma_length", "sigma_turn")
-    columns = {name: np.concatenate([getattr(first, name), getattr(then, name)]) for name in names}
-    columns |= {"turn": np.append(first.turn, turn), "pause_turn": np.append(first.pause_turn, pause_turn)}
-    unknown = (*first.unknown, *(line for line in then.unknown if line not in first.unknown))
-    return Steps(first.start, then.end, **columns, final_turn=final_turn, unknown=unknown)
-
-
-def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
-    """A walk of at least one chunk, each of which starts where the one before ends; neighbours first, of so many."""
-    while len(chunks) > 1:
-        chunks = [reduce(append_steps, chunks[n : n + 2]) for n in range(0, len(chunks), 2)]
-    return chunks[0]
-
-
 def _gaps(signal: Signal) -> Array:
-    """Begin and end ``(g, 2)`` of each gap in a signal [s]."""
+    """Begin and end ``(g, 2)`` of each gap in a signal. [s]"""
     long = np.flatnonzero(np.diff(signal.time) > LONGEST_BRIDGED)
     return np.stack([signal.time[long], signal.time[long + 1]], axis=1)
 
 
 def _cut(recording: Recording, start: float, end: float) -> Recording:
-    """The recording from ``start`` to ``end`` [s], inclusive."""
+    """The recording with its inertial sensors from ``start`` to ``end`` [s], inclusive."""
 
     def part(signal: Signal | None) -> Signal | None:
         if signal is None:
@@ -129,17 +64,23 @@ def _cut(recording: Recording, start: float, end: float) -> Recording:
 
 
 @dataclass(frozen=True)
-class GaitSignals:
-    """An uninterrupted part of a recording. direction: straight on if unknown."""
+class GaitSignals(OneLineRepr):
+    """Attitude, landings and walking direction of an uninterrupted part of a recording.
+
+    direction: constant if there is no gyroscope.
+    """
 
     recording: Recording
     attitude: Attitude
     landings: Landings
     direction: Direction
 
+    def _summary(self) -> list[str]:
+        return [repr(self.attitude), count(len(self.landings), "landing")]
+
     @property
     def walking(self) -> Mask:
-        """When the walker was under way ``(n,)``, at the attitude's samples."""
+        """``(n,)`` True at the attitude's samples during a step."""
         return self.landings.under_way(self.attitude.time)
 
     @property
@@ -150,7 +91,10 @@ class GaitSignals:
 
 
 def gait_signals(recording: Recording | list[GaitSignals]) -> list[GaitSignals]:
-    """One of each uninterrupted part, unless that is what is given. Raises InputError without an accelerometer."""
+    """The gait signals of each uninterrupted part; a list of them is returned unchanged.
+
+    Raises InputError without an accelerometer.
+    """
     return [_of_part(part) for part in uninterrupted(recording)] if isinstance(recording, Recording) else recording
 
 
@@ -158,6 +102,6 @@ def _of_part(recording: Recording) -> GaitSignals:
     attitude = attitude_of(recording)
     landings = walking_steps(attitude.time, attitude.acceleration)
     nothing = np.zeros(len(attitude.time))
-    seen = attitude.angular_rate is not None
-    direction = walking_direction(attitude, landings.usual_step) if seen else Direction(nothing, nothing)
+    measured = attitude.angular_rate is not None
+    direction = walking_direction(attitude, landings.usual_step) if measured else Direction(nothing, nothing)
     return GaitSignals(recording, attitude, landings, direction)

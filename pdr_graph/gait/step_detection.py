@@ -1,9 +1,10 @@
-"""The step detector: from an accelerometer alone, in hand, pocket, bag or on a swinging arm; batch and live.
+"""The step detector: landings from an accelerometer in hand, pocket, bag or on a swinging arm; batch and live.
 
-A stride is like the one before. Where |a| repeats itself from stride to stride, its rhythm tells how long a step takes;
-|a| at that frequency then rises and falls once a step, however often a loose phone is thrown within a step, and however
-little one leg moves the arm that holds it. Whatever does not repeat itself so, tilts the phone to and fro, or lifts it
-higher than a body bobs, is no step: shaking, gestures, vehicles, standing about.
+A stride resembles the one before. Where |a| repeats itself from stride to stride, the period of the repetition is the
+duration of a step, and |a| at that frequency rises and falls once per step. This holds even if a loose phone is thrown
+about several times within a step, or if one leg hardly moves the arm that holds the phone. Motion that does not repeat
+itself, tilts the phone to and fro, or lifts it higher than a walking body bobs is not a step: shaking, gestures,
+vehicles, standing.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from pdr_graph.types import Array, Complex, Index, Mask
 
 SHORTEST_STEP = 0.25  # [s]
 LONGEST_STEP = 1.2  # [s]; a longer interval between landings is a stop
-USUAL_STEP = 0.54  # [s] most people's
+USUAL_STEP = 0.54  # [s] typical duration of a step
 
 
 @dataclass(frozen=True)
 class Landings:
     """The landings of the feet.
 
-    time: ``(n,)`` [s]; period: ``(n,)`` time that each step took [s]; amplitude: ``(n,)`` of |a|, peak to peak [m/s²].
+    time: ``(n,)`` [s]; period: ``(n,)`` duration of each step [s]; amplitude: ``(n,)`` of |a|, peak to peak [m/s²].
     """
 
     time: Array
@@ -34,19 +35,19 @@ class Landings:
 
     @classmethod
     def at(cls, time: Array, amplitude: Array, start: float) -> Landings:
-        """Landings at these times of a recording that starts at ``start`` [s]."""
-        return cls(time, _periods(time, start), amplitude)
+        """Landings at times ``(n,)`` of a recording that starts at ``start`` [s]."""
+        return cls(time, _step_durations(time, start), amplitude)
 
     def __len__(self) -> int:
         return len(self.time)
 
     @property
     def usual_step(self) -> float:
-        """[s]"""
+        """Median duration of a step. [s]"""
         return float(np.median(self.period)) if len(self) else USUAL_STEP
 
     def under_way(self, time: Array) -> Mask:
-        """At which of the times ``(m,)`` the walker was taking a step."""
+        """``(m,)`` True at times ``(m,)`` [s] during a step."""
         if not len(self):
             return np.zeros(len(time), dtype=bool)
         leads_to = np.searchsorted(self.time, time)
@@ -54,8 +55,8 @@ class Landings:
         return (leads_to < len(self)) & (time >= self.time[within] - self.period[within])
 
 
-def _periods(landed: Array, start: float) -> Array:
-    """The time each step took. For the first step and after a stop, where no landing came before: its neighbours'."""
+def _step_durations(landed: Array, start: float) -> Array:
+    """Duration ``(n,)`` of each step [s]; the first step, and each step after a stop, takes that of its neighbours."""
     if not len(landed):
         return np.empty(0)
     intervals = np.diff(landed, prepend=start)
@@ -67,106 +68,139 @@ def _periods(landed: Array, start: float) -> Array:
     return np.where(alone, typical, intervals)
 
 
-SAMPLING = 0.04  # [s] at which the rhythm is looked at, at most: 25 Hz
-STEPS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are looked for, to 1.03 s
-USUAL_SPREAD = 0.25  # of the logarithm of a step's duration, over people and paces
-USUAL_WEIGHT = 0.3  # of that, in units of a correlation
-SLOWEST = 0.14  # [s] between samples: four in a usual step
-SMOOTH, LEVEL = 0.05, 0.2  # [s] Gaussians between which |a| is gait, not a knock nor a stride's sway
-RHYTHM = 4.0  # [s] over which |a| is compared with itself
-LOOK_AHEAD = 2.0  # [s] of that after a landing
-SHAPE = 0.7  # of a step's duration: the Gaussian under which a step is seen
-WEAKEST = 0.35  # [m/s²] peak to peak; a phone in a standing person's hand stays below
-WEAKEST_SHARE = 0.23  # of the steps about it; feet shuffle while turning
-HIGHEST_BOUNCE = 0.14  # [m] peak to peak; walkers bob by 0.02–0.10, arms that shake a phone move it by 0.15
-UPRIGHT_SMOOTH, UPRIGHT_WINDOW, UPRIGHT = 0.2, 1.5, 0.96  # [s], [s], and the length of the mean direction of gravity
-REACH = 4 * UPRIGHT_SMOOTH + UPRIGHT_WINDOW / 2 + 0.1  # [s] to either side of a sample on which what was felt depends
+@dataclass(frozen=True)
+class CandidateSettings:
+    """Constants by which candidate landings are found in |a|.
+
+    One set for all phones and grips; ``scripts/reproduce steps`` scores it. Chosen by hand unless a source is stated.
+
+    sampling: longest interval at which the rhythm is evaluated [s]: 25 Hz; slowest: longest interval between samples
+        [s]: four samples in a usual step.
+    usual_spread: spread of the logarithm of a step's duration over people and paces; usual_weight: weight of that prior
+        in units of a correlation.
+    smoothing, level: Gaussians between which |a| is gait [s]: neither a knock nor the sway of a stride.
+    window: over which |a| is correlated with itself [s]; look_ahead: the part of it after a landing [s].
+    kernel: width of the Gaussian at the frequency of the steps, as a share of a step's duration.
+    weakest: least amplitude of a step, peak to peak [m/s²]: a phone in a standing person's hand stays below it;
+    weakest_share: least amplitude as a share of the steps around it: feet shuffle while turning.
+    highest_bounce: largest vertical motion, peak to peak [m]: walkers bob by 0.02 to 0.10, arms that shake a phone move
+        it by 0.15.
+    tilt_smoothing, tilt_window, steadiest_tilt: the direction of gravity is smoothed by a Gaussian [s] and averaged
+        over a window [s]; the length of the mean must be larger, or the phone tilts to and fro.
+    """
+
+    sampling: float = 0.04
+    slowest: float = 0.14
+    usual_spread: float = 0.25
+    usual_weight: float = 0.3
+    smoothing: float = 0.05
+    level: float = 0.2
+    window: float = 4.0
+    look_ahead: float = 2.0
+    kernel: float = 0.7
+    weakest: float = 0.35
+    weakest_share: float = 0.23
+    highest_bounce: float = 0.14
+    tilt_smoothing: float = 0.2
+    tilt_window: float = 1.5
+    steadiest_tilt: float = 0.96
+
+    @property
+    def reach(self) -> float:
+        """Time to either side of a sample on which its smoothed |a| and tilt depend. [s]"""
+        return 4 * self.tilt_smoothing + self.tilt_window / 2 + 0.1
+
+
+CANDIDATE = CandidateSettings()
+DURATIONS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are tried, up to 1.03 s
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Moments ``(n,)`` at which a foot may have landed. time [s] from the first sample; step: duration of a step then.
+    """Candidate landings ``(n,)``.
 
-    amplitude [m/s²], peak to peak; regular: correlation with the step or stride before; bodily: moved as bodies move.
+    time: since the first sample [s]; step: duration of a step at that time [s]; amplitude: peak to peak [m/s²];
+    regularity: correlation with the step or the stride before; bodily: True if a walking body can move so.
     """
 
     time: Array
     step: Array
     amplitude: Array
-    regular: Array
+    regularity: Array
     bodily: Mask
 
     def __getitem__(self, which: Mask) -> Candidates:
-        """Some of them."""
+        """The candidates that a mask ``(n,)`` selects."""
         return Candidates(*(values[which] for values in vars(self).values()))
 
 
 def candidates(acceleration: Array, period: float, look_ahead: float) -> Candidates:
-    """The moments at which |a| at the frequency of steps is highest.
+    """Maxima of |a| at the frequency of the steps.
 
-    acceleration ``(n, 3)`` [m/s²], period [s] between samples; look_ahead [s] of samples after a moment that count.
+    acceleration ``(n, 3)`` [m/s²], one sample per period [s]; look_ahead: duration of the samples after a landing that
+    are used for it [s].
     """
-    smooth, upright = smoothed_magnitude(acceleration, period)
-    return candidates_of(smooth, upright, period * decimation(period), look_ahead)
+    smooth, steadiness = smoothed_magnitude(acceleration, period)
+    return candidates_in_magnitude(smooth, steadiness, period * decimation(period), look_ahead)
 
 
 def smoothed_magnitude(acceleration: Array, period: float) -> tuple[Array, Array]:
     """Smoothed |a| [m/s²] and steadiness of the vertical [0–1], both ``(m,)``, at every `decimation`-th sample."""
     stride = decimation(period)
-    smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), SMOOTH / period)
-    return smooth[::stride], _upright(acceleration, period)[::stride]
+    smooth = gaussian_filter1d(np.linalg.norm(acceleration, axis=1), CANDIDATE.smoothing / period)
+    return smooth[::stride], _tilt_steadiness(acceleration, period)[::stride]
 
 
-def candidates_of(smooth: Array, upright: Array, sampling: float, look_ahead: float) -> Candidates:
-    """`candidates`, of what was `smoothed_magnitude` ``(n,)``, every ``sampling`` [s]."""
-    if sampling > SLOWEST or len(smooth) * sampling < 2.5 * STEPS[-1]:
+def candidates_in_magnitude(smooth: Array, steadiness: Array, sampling: float, look_ahead: float) -> Candidates:
+    """`candidates` from the output of `smoothed_magnitude` ``(n,)``, one sample per ``sampling`` [s]."""
+    if sampling > CANDIDATE.slowest or len(smooth) * sampling < 2.5 * DURATIONS[-1]:
         return Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
-    level = smooth - gaussian_filter1d(smooth, LEVEL / sampling)
-    which, regular = _rhythm(level, sampling, look_ahead)
+    level = smooth - gaussian_filter1d(smooth, CANDIDATE.level / sampling)
+    which, regularity = _rhythm(level, sampling, look_ahead)
     wave = _at_frequency(level, which, sampling)
-    peaks, time = _crossings(wave, sampling)
+    peaks, time = _maxima(wave, sampling)
     amplitude = 2 * np.abs(wave)
-    past, future = round(LOOK_AHEAD / sampling), round(look_ahead / sampling)
+    past, future = round(CANDIDATE.look_ahead / sampling), round(look_ahead / sampling)
     shift = (past + future + 1) // 2 - future
     around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
-    strong = (amplitude > WEAKEST) & (amplitude > WEAKEST_SHARE * around)
+    strong = (amplitude > CANDIDATE.weakest) & (amplitude > CANDIDATE.weakest_share * around)
     peaks, time = peaks[strong[peaks]], time[strong[peaks]]
-    step = STEPS[which[peaks]]
-    bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < HIGHEST_BOUNCE
-    bodily &= upright[peaks] > UPRIGHT
-    return Candidates(time, step, amplitude[peaks], regular[peaks], bodily)
+    step = DURATIONS[which[peaks]]
+    bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < CANDIDATE.highest_bounce
+    bodily &= steadiness[peaks] > CANDIDATE.steadiest_tilt
+    return Candidates(time, step, amplitude[peaks], regularity[peaks], bodily)
 
 
 def _rhythm(level: Array, sampling: float, look_ahead: float) -> tuple[Index, Array]:
-    """Which duration of a step fits at each sample ``(n,)``, and how well |a| repeats itself then ``(n,)``.
+    """The index in DURATIONS that fits best at each sample ``(n,)``, and the correlation of |a| with itself ``(n,)``.
 
-    It must repeat itself after a stride, and the better if after a step too: no duration but the right one, its half
-    and its double does. An unusual one has to fit better.
+    The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
+    half and double the true duration. An unusual duration must fit better.
     """
-    once, twice = (_correlations(level, durations, sampling) for durations in (STEPS, 2 * STEPS))
-    unusual = (np.log(STEPS / USUAL_STEP) / USUAL_SPREAD) ** 2 / 2
-    which = np.argmax(twice + once / 2 - USUAL_WEIGHT * unusual[:, None], axis=0)
+    once, twice = (_correlations(level, durations, sampling) for durations in (DURATIONS, 2 * DURATIONS))
+    unusual = (np.log(DURATIONS / USUAL_STEP) / CANDIDATE.usual_spread) ** 2 / 2
+    which = np.argmax(twice + once / 2 - CANDIDATE.usual_weight * unusual[:, None], axis=0)
     samples = np.arange(len(level))
-    regular = np.maximum(once[which, samples], twice[which, samples])
-    seen = np.maximum(samples - round((LOOK_AHEAD - look_ahead) / sampling), 0)
-    return which[seen], regular[seen]
+    regularity = np.maximum(once[which, samples], twice[which, samples])
+    available = np.maximum(samples - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
+    return which[available], regularity[available]
 
 
 def _correlations(level: Array, lags: Array, sampling: float) -> Array:
-    """Correlation ``(k, n)`` of a signal with itself each of ``lags (k,)`` [s] earlier, over RHYTHM."""
+    """Correlation ``(k, n)`` of a signal with itself each of ``lags (k,)`` [s] earlier, in a moving window."""
     product, power = np.zeros((2, len(lags), len(level)))
     square = level**2 / 2
     for row, apart in enumerate(np.maximum(1, np.round(lags / sampling)).astype(int).tolist()):
         middle = slice(apart // 2, len(level) - (apart - apart // 2))
         np.multiply(level[:-apart], level[apart:], out=product[row, middle])
         np.add(square[:-apart], square[apart:], out=power[row, middle])
-    window = max(1, round(RHYTHM / sampling))
+    window = max(1, round(CANDIDATE.window / sampling))
     product = uniform_filter1d(product, window, axis=1, mode="constant")
     return product / (uniform_filter1d(power, window, axis=1, mode="constant") + 1e-4)
 
 
 def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
-    """What of a signal has the frequency of the steps ``which (n,)``, under a Gaussian of SHAPE steps. ``(n,)``"""
+    """The analytic signal ``(n,)`` at the frequency of the steps, whose index in DURATIONS is ``which (n,)``."""
     wave = np.zeros(len(level), dtype=complex)
     for n in np.unique(which).tolist():
         here, kernel = which == n, _kernel(n, sampling)
@@ -177,43 +211,63 @@ def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
 
 @lru_cache(maxsize=256)
 def _kernel(which: int, sampling: float) -> Complex:
-    """Of a step's frequency. ``(2 reach + 1,)``"""
-    reach = round(2.5 * SHAPE * STEPS[which] / sampling)
-    at = np.arange(-reach, reach + 1) * sampling / STEPS[which]
-    window = np.exp(-((at / SHAPE) ** 2) / 2)
+    """Gabor kernel ``(2 reach + 1,)`` at the frequency of a step."""
+    reach = round(2.5 * CANDIDATE.kernel * DURATIONS[which] / sampling)
+    at = np.arange(-reach, reach + 1) * sampling / DURATIONS[which]
+    window = np.exp(-((at / CANDIDATE.kernel) ** 2) / 2)
     return 2 / window.sum() * window * np.exp(2j * np.pi * at)
 
 
-def _crossings(wave: Complex, sampling: float) -> tuple[Index, Array]:
-    """The samples after which a wave is at its top, and the times of that [s]."""
+def _maxima(wave: Complex, sampling: float) -> tuple[Index, Array]:
+    """The samples before the maxima of an analytic signal, and the interpolated times of the maxima [s]."""
     before, after = wave.imag[:-1], wave.imag[1:]
     top = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
     return top, (top + before[top] / (before[top] - after[top])) * sampling
 
 
-def _upright(acceleration: Array, period: float) -> Array:
-    """Length ``(n,)`` of the mean of gravity's direction in the device: 1 if it does not tilt."""
-    gravity = gaussian_filter1d(np.ascontiguousarray(acceleration.T), UPRIGHT_SMOOTH / period, axis=1)
-    window = max(1, round(UPRIGHT_WINDOW / period))
+def _tilt_steadiness(acceleration: Array, period: float) -> Array:
+    """Length ``(n,)`` of the mean direction of gravity in the device: 1 if the device does not tilt."""
+    gravity = gaussian_filter1d(np.ascontiguousarray(acceleration.T), CANDIDATE.tilt_smoothing / period, axis=1)
+    window = max(1, round(CANDIDATE.tilt_window / period))
     mean = np.linalg.norm(uniform_filter1d(gravity, window, axis=1), axis=0)
     return mean / np.maximum(uniform_filter1d(np.linalg.norm(gravity, axis=0), window), 1e-9)
 
 
 def decimation(period: float) -> int:
-    """At which samples, one in so many, the rhythm is looked at."""
-    return max(1, int(SAMPLING / period + 1e-6))
+    """Number of samples per evaluation of the rhythm, for one sample per ``period`` [s]."""
+    return max(1, int(CANDIDATE.sampling / period + 1e-6))
 
 
-CLOSEST_SHARE = 0.55  # of a step's duration, between two
-REGULAR, STILL_REGULAR = 0.7, 0.1  # correlation with the step or stride before: to set out, and to go on
-VIGOROUS, VIGOROUS_REGULAR = 1.5, 0.5  # [m/s²] from which on less is enough to set out: who browses is irregular
-PUSH_OFF = 0.6  # of the steps that follow: a weaker first one is no landing yet
-FEWEST = 4  # steps; less is a gesture
-LATE = 6.0  # [s] after which it is too late to say that somebody walked
-PAST, FUTURE = 8.0, 3.0  # [s] of samples before a landing that it may depend on; and after it, beyond the look-ahead
+@dataclass(frozen=True)
+class BoutSettings:
+    """Constants by which candidates become steps. Chosen by hand with `CandidateSettings`.
+
+    closest_share: least interval between two landings, as a share of a step's duration.
+    start, go_on: least correlation with the step or stride before, to start walking and to go on.
+    vigorous, vigorous_start: from this amplitude on [m/s²] a lower correlation is enough to start: people who browse
+        walk irregularly.
+    push_off: a first landing weaker than this share of the following ones is none yet.
+    fewest: least number of steps; fewer are a gesture.
+    late: time after which it is too late to report a step [s].
+    past, future: duration of the samples that a landing may depend on [s], before it and, beyond the look-ahead, after.
+    """
+
+    closest_share: float = 0.55
+    start: float = 0.7
+    go_on: float = 0.1
+    vigorous: float = 1.5
+    vigorous_start: float = 0.5
+    push_off: float = 0.6
+    fewest: int = 4
+    late: float = 6.0
+    past: float = 8.0
+    future: float = 3.0
 
 
-def walking_steps(time: Array, acceleration: Array, look_ahead: float = LOOK_AHEAD) -> Landings:
+BOUT = BoutSettings()
+
+
+def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDATE.look_ahead) -> Landings:
     """The landings of a whole recording.
 
     time ``(n,)`` [s] uniform; acceleration ``(n, 3)`` with gravity [m/s²]; look_ahead: see `StepDetector`.
@@ -228,116 +282,119 @@ _Steps = list[tuple[float, float]]  # times and amplitudes
 
 @dataclass
 class Bout:
-    """Who sets out is believed once their steps are regular; then every step counts until they stop."""
+    """A bout of walking: it starts with regular steps, and then every candidate is a step until the walker stops.
+
+    walking: True within a bout; last: time of the last candidate [s]; waiting: candidates before the bout starts.
+    """
 
     walking: bool = False
     last: float = -np.inf
     waiting: _Steps = field(default_factory=list)
 
     def steps(self, found: Candidates) -> tuple[Array, Array]:
-        """Times ``(m,)`` and amplitudes ``(m,)`` of the steps among the next candidates."""
+        """Times ``(m,)`` [s] and amplitudes ``(m,)`` [m/s²] of the steps among the next candidates."""
         columns = (values.tolist() for values in vars(found).values())
-        certain = [one for candidate in zip(*columns, strict=True) for one in self._take(*candidate)]
+        certain = [step for candidate in zip(*columns, strict=True) for step in self._add(*candidate)]
         time, amplitude = np.array(certain).reshape(-1, 2).T
         return time, amplitude
 
-    def _take(self, time: float, step: float, amplitude: float, regular: float, bodily: bool) -> _Steps:
-        """The next candidate; the steps that are certain with it."""
+    def _add(self, time: float, step: float, amplitude: float, regularity: float, bodily: bool) -> _Steps:
+        """Add a candidate; returns the steps that it confirms."""
         if not bodily:
             self.walking, self.waiting, self.last = False, [], -np.inf
             return []
-        if regular < STILL_REGULAR or time - self.last < CLOSEST_SHARE * step:
+        if regularity < BOUT.go_on or time - self.last < BOUT.closest_share * step:
             return []
         if time - self.last > LONGEST_STEP:
             self.walking, self.waiting = False, []
         self.last = time
-        self.waiting = [one for one in self.waiting if one[0] > time - LATE] + [(time, amplitude)]
-        if not self.walking and regular > (VIGOROUS_REGULAR if amplitude > VIGOROUS else REGULAR):
-            self._set_out()
+        self.waiting = [(t, a) for t, a in self.waiting if t > time - BOUT.late] + [(time, amplitude)]
+        if not self.walking and regularity > (BOUT.vigorous_start if amplitude > BOUT.vigorous else BOUT.start):
+            self._start_if_long_enough()
         if not self.walking:
             return []
         certain, self.waiting = self.waiting, []
         return certain
 
-    def _set_out(self) -> None:
-        if len(self.waiting) >= FEWEST:
+    def _start_if_long_enough(self) -> None:
+        if len(self.waiting) >= BOUT.fewest:
             usual = float(np.median([amplitude for _, amplitude in self.waiting]))
-            self.waiting = self.waiting[int(self.waiting[0][1] < PUSH_OFF * usual) :]
+            self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
             self.walking = True
 
 
 @dataclass
 class StepDetector:
-    """Steps as the samples come in, the same as of the whole recording.
+    """Detects steps as samples arrive; the result equals that of `walking_steps` on the whole recording.
 
-    period: between samples [s]; start: time of the first [s]; look_ahead: [s] after a landing whose rhythm and vigour
-    count too; a step is certain FUTURE later than that. Less than the default costs a step here and there.
+    period: between samples [s]; start: time of the first sample [s]; look_ahead: duration of the samples after a
+    landing that are used for its rhythm and amplitude [s]. A step is certain 3 s after that. A shorter look-ahead than
+    the default misses or adds a step now and then.
 
-    decided: [s] after the start, up to which steps are certain; samples ``(n, 3)``: the last ones, the first of which
-    is sample number ``first`` of ``taken``; smoothed ``(m, 2)``: from number ``smoothed_first`` on, final before
-    ``settled``; open ``(c, 5)``: candidates after what is decided.
+    decided: time since the start up to which steps are certain [s]; samples ``(n, 3)``: the last ones, the first of
+    which is number ``first`` of ``count``; smoothed ``(m, 2)``: output of `smoothed_magnitude` from number
+    ``smoothed_first`` on, final before number ``smoothed_final``; pending ``(c, 5)``: candidates after ``decided``.
     """
 
     period: float
     start: float = 0.0
-    look_ahead: float = LOOK_AHEAD
+    look_ahead: float = CANDIDATE.look_ahead
     decided: float = -np.inf
     bout: Bout = field(default_factory=Bout)
     samples: Array = field(default_factory=lambda: np.empty((0, 3)))
     first: int = 0
-    taken: int = 0
+    count: int = 0
     smoothed: Array = field(default_factory=lambda: np.empty((0, 2)))
     smoothed_first: int = 0
-    settled: int = 0
-    open: Array = field(default_factory=lambda: np.empty((0, 5)))
+    smoothed_final: int = 0
+    pending: Array = field(default_factory=lambda: np.empty((0, 5)))
 
     def update(self, acceleration: Array) -> tuple[Array, Array]:
-        """Take in samples ``(n, 3)``; times ``(m,)`` [s] and amplitudes ``(m,)`` of the steps that are certain now."""
+        """Add samples ``(n, 3)``; returns times ``(m,)`` [s] and amplitudes of newly certain steps."""
         self.samples = np.concatenate([self.samples, acceleration])
-        self.taken += len(acceleration)
+        self.count += len(acceleration)
         self._smooth()
-        return self._decide(self.taken * self.period - FUTURE - self.look_ahead)
+        return self._decide(self.count * self.period - BOUT.future - self.look_ahead)
 
     def finish(self) -> tuple[Array, Array]:
-        """The last steps, when no more samples come."""
+        """Times [s] and amplitudes of the last steps: no more samples follow."""
         return self._decide(np.inf)
 
     def provisional(self) -> tuple[Array, Array]:
-        """Times and amplitudes of the steps after those that are certain, as far as can be said by now."""
-        *columns, bodily = self.open.T
+        """Times [s] and amplitudes of the steps after the certain ones, which later samples may still change."""
+        *columns, bodily = self.pending.T
         landed, amplitude = replace(self.bout).steps(Candidates(*columns, bodily=bodily > 0))
         return self.start + landed, amplitude
 
     @property
     def earliest(self) -> float:
-        """Before this no landing can be found any more. [s]"""
-        late = [time for time, _ in self.bout.waiting if time > self.decided - LATE]
+        """Earliest time at which a new landing can still be found. [s]"""
+        late = [time for time, _ in self.bout.waiting if time > self.decided - BOUT.late]
         return self.start + min([self.decided, *late])
 
     def _smooth(self) -> None:
-        """What is felt of the new samples, and of the last ones anew: it changes with those that follow them."""
+        """Smooth the new samples, and the last ones again: their smoothed values depend on later samples."""
         if not len(self.samples):
             return
         stride = decimation(self.period)
-        reach = int(REACH / self.period / stride) + 1
+        reach = int(CANDIDATE.reach / self.period / stride) + 1
         fresh = np.stack(smoothed_magnitude(self.samples, self.period), axis=1)
         first = self.first // stride
-        self.smoothed = np.concatenate(
-            [self.smoothed[: self.settled - self.smoothed_first], fresh[self.settled - first :]]
-        )
-        self.settled = max(self.settled, first + len(fresh) - reach)
-        drop = max(0, self.settled - reach - first)
+        final = self.smoothed[: self.smoothed_final - self.smoothed_first]
+        self.smoothed = np.concatenate([final, fresh[self.smoothed_final - first :]])
+        self.smoothed_final = max(self.smoothed_final, first + len(fresh) - reach)
+        drop = max(0, self.smoothed_final - reach - first)
         self.samples, self.first = self.samples[drop * stride :], self.first + drop * stride
 
     def _decide(self, until: float) -> tuple[Array, Array]:
-        """What lies before ``until`` [s] after the start, and was not decided before."""
+        """Times and amplitudes of the steps between ``decided`` and ``until`` [s] after the start."""
         sampling = self.period * decimation(self.period)
-        found = candidates_of(self.smoothed[:, 0], self.smoothed[:, 1], sampling, self.look_ahead)
+        found = candidates_in_magnitude(self.smoothed[:, 0], self.smoothed[:, 1], sampling, self.look_ahead)
         found = replace(found, time=found.time + self.smoothed_first * sampling)
         landed, amplitude = self.bout.steps(found[(found.time > self.decided) & (found.time <= until)])
         self.decided = max(self.decided, until)
-        self.open = np.stack([values[found.time > self.decided] for values in vars(found).values()], axis=1)
-        if np.isfinite(until):  # no later step depends on more than PAST
-            drop = max(0, int((until - PAST) / sampling) - self.smoothed_first)
+        self.pending = np.stack([values[found.time > self.decided] for values in vars(found).values()], axis=1)
+        if np.isfinite(until):  # no later step depends on earlier samples
+            drop = max(0, int((until - BOUT.past) / sampling) - self.smoothed_first)
             self.smoothed, self.smoothed_first = self.smoothed[drop:], self.smoothed_first + drop
         return self.start + landed, amplitude

@@ -1,7 +1,7 @@
-"""Step length models and the features that they use.
+"""Step length models, one function per published model, and the features that they use.
 
-One published model is one function; each returns length and standard deviation ``(n,)`` [m]. The standard deviation is
-of one step about the model, beyond the walker's own scale R_s. Where a source gives none it is a share of the length.
+Each model returns length and standard deviation ``(n,)`` [m] of every step. The standard deviation is that of one step
+about the model, in addition to the walker's scale R_s; if the source gives none it is a share of the length.
 """
 
 from __future__ import annotations
@@ -17,20 +17,18 @@ from scipy.ndimage import gaussian_filter1d
 from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.types import Array
 
-SMOOTHING = 0.05  # [s] of the Gaussian over the vertical acceleration
-WINDOW = 2.0  # [s] about a landing over which the spectrum is taken
-BANDS = np.linspace(0.0, 5.0, 5)  # [Hz] [calibration-walk] has four between 0 and 5 Hz; their edges are not published
+BANDS = np.linspace(0.0, 5.0, 5)  # [Hz] [calibration-walk] uses four bands of 0–5 Hz; their edges are not published
 
 
 @dataclass(frozen=True)
 class StepFeatures:
-    """Of the n steps of a part of a recording; each is worked out when first asked for."""
+    """Features of the n steps of an uninterrupted part of a recording, computed on first use."""
 
     gait: GaitSignals
 
     @property
     def amplitude(self) -> Array:
-        """Of |a|, peak to peak ``(n,)``. [m/s²]"""
+        """Amplitude of |a|, peak to peak ``(n,)``. [m/s²]"""
         return self.gait.landings.amplitude
 
     @property
@@ -45,7 +43,7 @@ class StepFeatures:
 
     @cached_property
     def bend(self) -> Array:
-        """Half of the heading change over the stride: without the body's sway from step to step ``(n,)``. [rad]"""
+        """Half the heading change over the stride, which excludes the sway from step to step ``(n,)``. [rad]"""
         return self._turned(2 * self.period) / 2
 
     @property
@@ -55,15 +53,15 @@ class StepFeatures:
 
     @property
     def lift(self) -> Array:
-        """Time from the foot's lift to its landing, the vertical acceleration's lowest and highest ``(n,)``. [s]"""
+        """Time from lift to landing of the foot: minimum to maximum of the vertical acceleration ``(n,)``. [s]"""
         return self._lifts[:, 1]
 
     @cached_property
     def power(self) -> Array:
-        """Of |a| about each landing, in four bands of 0–5 Hz ``(n, 4)``. [m²/s⁴]"""
-        attitude = self.gait.attitude
+        """Power of |a| around each landing, in four bands of 0–5 Hz ``(n, 4)``. [m²/s⁴]"""
+        attitude, window = self.gait.attitude, 2.0  # [s] chosen by hand
         magnitude = np.linalg.norm(attitude.acceleration, axis=1)
-        count = min(max(4, round(WINDOW / attitude.period)), len(magnitude))
+        count = min(max(4, round(window / attitude.period)), len(magnitude))
         middle = np.searchsorted(attitude.time, self.gait.landings.time)
         first = np.clip(middle - count // 2, 0, len(magnitude) - count)
         windows = magnitude[first[:, None] + np.arange(count)]
@@ -79,9 +77,11 @@ class StepFeatures:
 
     @cached_property
     def _lifts(self) -> Array:
+        """Vertical acceleration, peak to peak [m/s²], and time from minimum to maximum [s] of each step ``(n, 2)``."""
         attitude, landings = self.gait.attitude, self.gait.landings
+        smoothing = 0.05  # [s] Gaussian; chosen by hand
         up = attitude.R_world_device.apply(attitude.acceleration)[:, 2]
-        smooth = gaussian_filter1d(up, SMOOTHING / attitude.period)
+        smooth = gaussian_filter1d(up, smoothing / attitude.period)
         found = np.zeros((len(landings), 2))
         for n, (landed, period) in enumerate(zip(landings.time, landings.period, strict=True)):
             first, middle, last = np.searchsorted(attitude.time, landed + period * np.array([-0.8, -0.3, 0.3]))
@@ -91,27 +91,25 @@ class StepFeatures:
         return found
 
 
-REFERENCE_HEIGHT = 1.70  # [m] stature at which a model without it was fitted
-K0, K1 = 0.34, 0.29  # [m], [√(m/s²)·s → m]: see inverted_pendulum
-SHORTEST, LONGEST = 0.2, 1.2  # [m]
-SPREAD = 0.3  # of a step's length; the settings table of docs/accuracy.md
+REFERENCE_HEIGHT = 1.70  # [m] stature for which models without stature were fitted
+SHORTEST_LENGTH, LONGEST_LENGTH = 0.2, 1.2  # [m] limits of all models; chosen by hand
+SPREAD = 0.3  # standard deviation as a share of a step's length; table of settings in docs/accuracy.md
 TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
-NORMAL_STEP, NORMAL_CADENCE = 0.70, 111.0  # [m], [steps/min] of people who say nothing of themselves
-WEINBERG = 0.425  # [m^¾ s^½] of Microsoft's walks, scripts/reproduce steps
 
 Lengths = tuple[Array, Array]
 
 
 def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
-    """The default: from the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum).
+    """The default: the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum), L = k₀ + k₁ √A T.
 
-    A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and
-    the pendulum's chord grows with √h: L = k₀ + k₁ √A T. k₁ is fitted between the surveyed waypoints of 15 walks in
-    two malls (``scripts/reproduce steps``). k₀ is half a step, which the free fit agrees with: how hard a foot lands
-    depends on shoes, floor and pocket too, and is trusted by half. Both scale with stature. In bends steps are shorter:
-    [map-matching] Eq. (2), which real walks bear out (1.1 % per degree; ``scripts/reproduce steps``).
+    A body that bounces with peak-to-peak acceleration A over a step of duration T rises by h ≈ A T² / (2π)², and the
+    pendulum's chord grows with √h. k₁ is fitted between the surveyed waypoints of 15 walks in two malls
+    (``scripts/reproduce steps``). k₀ is half a step, in agreement with a free fit: how hard a foot lands also depends
+    on shoes, floor and pocket, so that only half of the length follows it. Both scale with stature. In bends steps are
+    shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce steps``).
     """
-    straight_on = K0 + K1 * np.sqrt(steps.amplitude) * steps.period
+    k0, k1 = 0.34, 0.29  # [m], [√(m/s²)·s → m]
+    straight_on = k0 + k1 * np.sqrt(steps.amplitude) * steps.period
     return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
 
 
@@ -123,19 +121,19 @@ def by_height(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
 def by_cadence(
     steps: StepFeatures,
     height: float = REFERENCE_HEIGHT,
-    normal_step: float = NORMAL_STEP,
-    normal_cadence: float = NORMAL_CADENCE,
+    normal_step: float = 0.70,
+    normal_cadence: float = 111.0,
 ) -> Lengths:
     """[map-matching] Eqs. (1) to (3): L = R/100 · C r_c, with cadence C, r_c = L₀ / C₀, and R = 100 − a |θ| percent
     in turns, θ the heading change of the step in degrees, here up to 89°.
 
-    normal_step: L₀ [m]; normal_cadence: C₀ [steps/min]; height is not used.
+    normal_step: L₀ [m]; normal_cadence: C₀ [steps/min], by default of an average person; height is not used.
     """
     return _plausible(_in_turns(steps.turn) * 60 / steps.period * normal_step / normal_cadence)
 
 
 def _in_turns(turn: Array) -> Array:
-    """[map-matching] Eq. (2): the share of its length that a step keeps when it turns by ``turn (n,)`` [rad]."""
+    """[map-matching] Eq. (2): length of steps that turn by ``turn (n,)`` [rad], as a share of that straight on."""
     return 1 - TURN_SHORTENS / 100 * np.minimum(np.degrees(np.abs(turn)), LARGEST_TURN)
 
 
@@ -148,28 +146,29 @@ def by_amplitude(
 ) -> Lengths:
     """[gps-dr] Sec. 2.3: linear in the amplitude of the vertical acceleration, L = intercept + slope A.
 
-    intercept [m], slope [s²] and variance [m²] are one person's, of `regression`; height is not used.
+    intercept [m], slope [s²] and variance [m²] are one person's, from `regression`; height is not used.
     """
     length, _ = _plausible(intercept + slope * steps.vertical)
     return length, np.full(len(length), np.sqrt(variance))
 
 
 def regression(amplitude: Array, length: Array) -> dict[str, float]:
-    """One person's constants of `by_amplitude`, from steps ``(n,)`` whose lengths ``(n,)`` [m] are known.
+    """Fit one person's constants of `by_amplitude` to amplitudes [m/s²] and lengths [m] of steps, both ``(n,)``.
 
-    Raises ValueError for fewer than three steps, or amplitudes that are all the same.
+    Raises ValueError for fewer than three steps, or equal amplitudes.
     """
     if len(amplitude) < 3 or np.ptp(amplitude) == 0:
-        raise ValueError(f"found {len(amplitude)} steps, expected three or more of different amplitudes")
+        raise ValueError(f"found {len(amplitude)} steps, expected three or more with different amplitudes")
     slope, intercept = np.polyfit(amplitude, length, 1)
-    left = length - intercept - slope * amplitude
-    return {"intercept": float(intercept), "slope": float(slope), "variance": float(left @ left / (len(left) - 2))}
+    residual = length - intercept - slope * amplitude
+    variance = float(residual @ residual / (len(residual) - 2))
+    return {"intercept": float(intercept), "slope": float(slope), "variance": variance}
 
 
-def weinberg(steps: StepFeatures, height: float = REFERENCE_HEIGHT, k: float = WEINBERG) -> Lengths:
+def weinberg(steps: StepFeatures, height: float = REFERENCE_HEIGHT, k: float = 0.425) -> Lengths:
     """Weinberg 2002 (Analog Devices AN-602): L = k · (a_max − a_min)^¼ of the vertical acceleration.
 
-    height is not used.
+    k [m^¾ s^½]: by default fitted to Microsoft's walks (``scripts/reproduce steps``); height is not used.
     """
     return _plausible(k * steps.vertical**0.25)
 
@@ -178,19 +177,19 @@ def lasso(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
     """[calibration-walk] Eq. (7): L = K₀ h/T + K₁ P₀ + K₂ P₁ + K₃ P₂ + K₄ P₃; T from lift to landing, P the power of
     |a| in four bands of 0–5 Hz.
 
-    The weights are not published; ours are of ``scripts/train_lasso``, which also shows what a Lasso chooses.
+    The weights are not published; ours are the output of ``scripts/train_lasso``.
     """
     return _plausible(lasso_features(steps, height) @ lasso_weights())
 
 
 def lasso_features(steps: StepFeatures, height: float) -> Array:
-    """The five terms of Eq. (7), ``(n, 5)``."""
+    """The five terms of [calibration-walk] Eq. (7), ``(n, 5)``."""
     return np.column_stack([height / steps.lift, steps.power])
 
 
 @cache
 def lasso_weights() -> Array:
-    """K₀ … K₄."""
+    """The weights K₀ … K₄ of `lasso` ``(5,)``."""
     with resources.files("pdr_graph.gait").joinpath("lasso.csv").open() as file:
         return np.loadtxt(file, delimiter=",", skiprows=1, usecols=1)
 
@@ -206,6 +205,6 @@ MODELS: dict[str, Callable[..., Lengths]] = {
 
 
 def _plausible(length: Array) -> Lengths:
-    """Within what legs can do, and its standard deviation."""
-    length = np.clip(length, SHORTEST, LONGEST)
+    """Lengths clipped to 0.2–1.2 m, and their standard deviation."""
+    length = np.clip(length, SHORTEST_LENGTH, LONGEST_LENGTH)
     return length, SPREAD * length

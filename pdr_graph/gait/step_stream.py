@@ -1,4 +1,4 @@
-"""Steps from samples as they arrive: the front end of the live navigator, `detect_steps` step by step."""
+"""Live steps: samples as they arrive become the steps that `detect_steps` finds in the whole recording."""
 
 from __future__ import annotations
 
@@ -11,26 +11,48 @@ import numpy as np
 from pdr_graph import storage
 from pdr_graph.gait.heading import Direction
 from pdr_graph.gait.heading_stream import HeadingStream
-from pdr_graph.gait.signals import GaitSignals, concatenate_steps, gap
+from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.gait.step_detection import LONGEST_STEP, Landings, StepDetector, decimation
-from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, steps_of
+from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, concatenate_steps, gap, steps_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
 from pdr_graph.inertial.attitude_stream import AttitudeCheckpoint, AttitudeStream, GravityRestorer, Health, SensorStream
 from pdr_graph.types import Array, Recording, Steps
 
-BLOCK = 0.5  # [s] of samples that are looked at together
-CONTEXT = 4  # certain landings that the duration of the next depends on
-USUAL = 40  # of the last steps' durations are the usual one's
-CHANGED = 0.08  # of it, by which it must differ to count
-MARGIN = 3.0  # [s] before the first step that its features see
-STANDING = 1.0  # [s] of it that are worth a chunk
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Constants of the live steps, chosen by hand.
+
+    block: duration of the samples that are processed together [s].
+    context: number of certain landings on which the duration of the next step depends.
+    usual: number of the last steps whose median duration is the usual one; changed: relative change of it that counts.
+    margin: time before the first step that its features use [s].
+    standing: least time of standing that is reported before the next step [s].
+    packets: most packets that wait for processing, as after a reset of a clock.
+    lagging: delay of one sensor behind the other after which the other is processed alone [s].
+    fastest: shortest interval between samples [s]: walking has no higher frequencies.
+    """
+
+    block: float = 0.5
+    context: int = 4
+    usual: int = 40
+    changed: float = 0.08
+    margin: float = 3.0
+    standing: float = 1.0
+    packets: int = 24
+    lagging: float = 0.2
+    fastest: float = 0.005
+
+
+STREAM = StreamSettings()
 EMPTY_RECORDING = Recording("live", 0.0, None)
+COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
 
 
 @dataclass(frozen=True)
 class SegmentCheckpoint:
-    """What a `SegmentStream` knows."""
+    """The state of a `SegmentStream`."""
 
     attitude: AttitudeCheckpoint
     detector: StepDetector
@@ -38,14 +60,15 @@ class SegmentCheckpoint:
     end: float
     count: int
     landed: Array
-    rows: int
+    reported: int
     durations: Array
 
 
 class SegmentStream:
-    """From sample 0 at ``origin`` [s], every ``period`` [s]. end: of what is certain [s].
+    """The steps of an uninterrupted part of the samples.
 
-    listener: is handed the samples of each chunk of certain steps, and its landings.
+    origin: time of sample 0 [s]; period: between samples [s]; bias: ``(3,)`` start value of the gyroscope's bias
+    [rad/s]; end: of the certain steps [s]; listener: called with the gait signals of each chunk of certain steps.
     """
 
     def __init__(
@@ -61,26 +84,26 @@ class SegmentStream:
         self.detector = StepDetector(period, origin)
         self.direction = HeadingStream(origin, period)
         self.end = origin
-        self.count = 0  # of samples taken in
-        self.landed = np.empty((0, 2))  # times and amplitudes of the last that are certain, CONTEXT of them rows
-        self.rows = 0  # of landed, that were returned
-        self.durations = np.empty(0)
-        self._open: Steps | None = None
+        self.count = 0  # of samples so far
+        self.landed = np.empty((0, 2))  # times and amplitudes of the last certain landings
+        self.reported = 0  # number of these landings whose steps were returned
+        self.durations = np.empty(0)  # of the last steps [s]
+        self._provisional: Steps | None = None
         stride = decimation(period)
-        self.block = max(1, round(BLOCK / period / stride)) * stride
+        self.block = max(1, round(STREAM.block / period / stride)) * stride
 
     @property
     def origin(self) -> float:
-        """[s]"""
+        """Time of sample 0. [s]"""
         return self.direction.origin
 
     @property
     def period(self) -> float:
-        """[s]"""
+        """Interval between samples. [s]"""
         return self.direction.period
 
     def checkpoint(self) -> SegmentCheckpoint:
-        """All that it knows."""
+        """The complete state."""
         return SegmentCheckpoint(
             attitude=storage.checkpoint(self.attitude, AttitudeCheckpoint),
             detector=deepcopy(self.detector),
@@ -88,218 +111,220 @@ class SegmentStream:
             end=self.end,
             count=self.count,
             landed=self.landed.copy(),
-            rows=self.rows,
+            reported=self.reported,
             durations=self.durations.copy(),
         )
 
     def restore(self, checkpoint: SegmentCheckpoint) -> None:
-        """Go on from a checkpoint, of the same walker."""
+        """Continue from a checkpoint of a stream with the same walker."""
         storage.restore(self.attitude, checkpoint.attitude)
         self.detector, self.direction = deepcopy(checkpoint.detector), deepcopy(checkpoint.direction)
-        self.end, self.count, self.rows = checkpoint.end, checkpoint.count, checkpoint.rows
+        self.end, self.count, self.reported = checkpoint.end, checkpoint.count, checkpoint.reported
         self.landed, self.durations = checkpoint.landed.copy(), checkpoint.durations.copy()
 
-    def time(self, count: int) -> Array:
-        """Of the next samples. [s]"""
+    def next_times(self, count: int) -> Array:
+        """Times ``(count,)`` of the next samples. [s]"""
         return self.origin + self.period * np.arange(self.count, self.count + count, dtype=float)
 
     def available(self, until: float) -> int:
-        """Samples up to a time [s] that were not taken in."""
+        """Number of further samples up to a time [s]."""
         return int((until - self.origin) / self.period + 1e-6) + 1 - self.count
 
-    def take(self, count: int, accelerometer: SensorStream, gyroscope: SensorStream, last: bool = False) -> list[Steps]:
-        """The next samples; what became certain with them, none or one. last: True if no more follow."""
+    def advance(
+        self, count: int, accelerometer: SensorStream, gyroscope: SensorStream, last: bool = False
+    ) -> list[Steps]:
+        """Process the next ``count`` samples; returns the steps that became certain, none or one chunk.
+
+        last: True if no more samples follow.
+        """
         if count:
-            time = self.time(count)
-            acceleration, seen = accelerometer.at(time), gyroscope.covers(time)
-            rate = gyroscope.at(time) if seen.any() else np.zeros((count, 3))
-            quaternion, rate = self.attitude.update(acceleration, rate, seen)
-            self._land(*self.detector.update(acceleration))
-            self.direction.update(quaternion, acceleration, rate, seen)
+            time = self.next_times(count)
+            acceleration, measured = accelerometer.at(time), gyroscope.covers(time)
+            rate = gyroscope.at(time) if measured.any() else np.zeros((count, 3))
+            quaternion, rate = self.attitude.update(acceleration, rate, measured)
+            self._add_landings(*self.detector.update(acceleration))
+            self.direction.update(quaternion, acceleration, rate, measured)
             self.count += count
         if last:
-            self._land(*self.detector.finish())
+            self._add_landings(*self.detector.finish())
             self.direction.finish()
-        return self._certain(last)
+        return self._certain_steps(last)
 
-    def tail(self) -> Steps | None:
-        """The steps that are not certain yet, to the last sample; None where that is the end of the certain ones."""
-        if self._open is None and self.now > self.end:
-            self._open = self._steps()
-        return self._open
+    def provisional(self) -> Steps | None:
+        """The steps after the certain ones, up to the last sample; None if there are no samples after them."""
+        if self._provisional is None and self.now > self.end:
+            self._provisional = self._steps()
+        return self._provisional
 
     @property
     def now(self) -> float:
         """Time of the last sample. [s]"""
         return self.origin + self.period * (self.count - 1)
 
-    def _certain(self, last: bool) -> list[Steps]:
-        self._open = None
-        until = self.now if last else self.direction.certain_until
-        count = int(np.searchsorted(self.landed[self.rows :, 0], until, side="right"))
-        end = self.now if last else self._sure(until, count)
-        if self.now <= self.end or not (count or last or end > self.end + STANDING):
+    def _certain_steps(self, last: bool) -> list[Steps]:
+        self._provisional = None
+        until = self.now if last else self.direction.final_until
+        count = int(np.searchsorted(self.landed[self.reported :, 0], until, side="right"))
+        end = self.now if last else self._certain_until(until, count)
+        if self.now <= self.end or not (count or last or end > self.end + STREAM.standing):
             return []
-        first, self._open = self._split(self._steps(), count, end)
+        first, self._provisional = self._split(self._steps(), count, end)
         if self.listener is not None:
-            self.listener(self._felt(first))
+            self.listener(self._signals_of(first))
         self._commit(count, end, first)
         return [first]
 
-    def _land(self, time: Array, amplitude: Array) -> None:
+    def _add_landings(self, time: Array, amplitude: Array) -> None:
         if len(time):
             self.landed = np.concatenate([self.landed, np.stack([time, amplitude], axis=1)])
 
-    def _sure(self, until: float, count: int) -> float:
-        """The end of the certain: the last landing, or, while standing, before any step that may yet appear. [s]"""
-        landed = self.landed[self.rows :, 0].tolist()
+    def _certain_until(self, until: float, count: int) -> float:
+        """End of the certain time: the last landing, or, while standing, before any step that may still appear. [s]"""
+        landed = self.landed[self.reported :, 0].tolist()
         earliest = min([until, self.detector.earliest, *landed[count:]]) - LONGEST_STEP
         return max(landed[count - 1] if count else self.end, earliest)
 
     def _steps(self) -> Steps:
-        """All rows from the end of the certain ones."""
+        """All steps after the certain ones."""
         found = np.concatenate([self.landed, np.stack(self.detector.provisional(), axis=1)])
         landings = Landings.at(found[:, 0], found[:, 1], self.origin)
-        rows = slice(self.rows, None)
+        rows = slice(self.reported, None)
         landings = Landings(landings.time[rows], landings.period[rows], landings.amplitude[rows])
-        first = max(0, int((self.end - MARGIN - self.origin) / self.period) - self.direction.first)
-        part, course = slice(first, None), self.direction
-        attitude = course.attitude(part)
-        gait = GaitSignals(EMPTY_RECORDING, attitude, landings, Direction(course.course[part], course.doubt[part]))
+        first = max(0, int((self.end - STREAM.margin - self.origin) / self.period) - self.direction.first)
+        gait = self._signals(slice(first, None), landings)
         steps = steps_of(gait, self.walker, self.end)
-        if course.blind[-1] == course.blind[first]:
+        unmeasured = self.direction.unmeasured[first:]
+        if unmeasured[-1] == unmeasured[0]:
             return steps
-        blind = np.diff(np.interp(np.append(self.end, steps.time), attitude.time, course.blind[part])) > 0
-        if not blind.any():
+        at_steps = np.interp(np.append(self.end, steps.time), gait.attitude.time, unmeasured)
+        without_gyroscope = np.diff(at_steps) > 0
+        if not without_gyroscope.any():
             return steps
-        return replace(
-            steps, sigma_turn=np.where(blind, SIGMA_UNMEASURED_TURN, steps.sigma_turn), unknown=(NO_GYROSCOPE,)
-        )
+        sigma_turn = np.where(without_gyroscope, SIGMA_UNMEASURED_TURN, steps.sigma_turn)
+        return replace(steps, sigma_turn=sigma_turn, unknown=(NO_GYROSCOPE,))
+
+    def _signals(self, part: slice, landings: Landings) -> GaitSignals:
+        """Gait signals of a part of the stored samples."""
+        direction = Direction(self.direction.course[part], self.direction.variance[part])
+        return GaitSignals(EMPTY_RECORDING, self.direction.attitude(part), landings, direction)
 
     def _split(self, steps: Steps, count: int, end: float) -> tuple[Steps, Steps | None]:
-        """The first rows, up to a time ``end`` [s] before the next, and the others."""
-        turned = self._course(end) - self._course(float(steps.time[count - 1]) if count else self.end)
-        names = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-        first = replace(steps, end=end, final_turn=turned, **{n: getattr(steps, n)[:count] for n in names})
+        """The first ``count`` steps, up to a time ``end`` [s] before the next one, and the others."""
+        turned = self._heading_at(end) - self._heading_at(float(steps.time[count - 1]) if count else self.end)
+        first = replace(steps, end=end, final_turn=turned, **{n: getattr(steps, n)[:count] for n in COLUMNS})
         if steps.end <= end:
             return first, None
-        rest = {n: getattr(steps, n)[count:].copy() for n in names}
+        rest = {n: getattr(steps, n)[count:].copy() for n in COLUMNS}
         if len(steps) > count:
             rest["turn"][0] -= turned
             rest["pause_turn"][0] -= turned
         final = steps.final_turn if len(steps) > count else steps.final_turn - turned
         return first, replace(steps, start=end, final_turn=final, **rest)
 
-    def _felt(self, steps: Steps) -> GaitSignals:
-        """The samples after the certain ones, to the end of the next certain steps."""
+    def _signals_of(self, steps: Steps) -> GaitSignals:
+        """Gait signals of newly certain steps, for the listener."""
         course = self.direction
         first, after = (
             int((t - self.origin) / self.period + 1e-6) + 1 - course.first for t in (steps.start, steps.end)
         )
-        part = slice(first, after)
-        attitude = course.attitude(part)
-        if np.any(np.diff(course.blind[max(0, first - 1) : after]) > 0):
-            attitude = replace(attitude, unknown=(NO_GYROSCOPE,))
-        amplitude = self.landed[self.rows : self.rows + len(steps), 1]
-        landings = Landings(steps.time, steps.duration, amplitude)
-        return GaitSignals(EMPTY_RECORDING, attitude, landings, Direction(course.course[part], course.doubt[part]))
+        amplitude = self.landed[self.reported : self.reported + len(steps), 1]
+        gait = self._signals(slice(first, after), Landings(steps.time, steps.duration, amplitude))
+        if np.any(np.diff(course.unmeasured[max(0, first - 1) : after]) > 0):
+            return replace(gait, attitude=replace(gait.attitude, unknown=(NO_GYROSCOPE,)))
+        return gait
 
-    def _course(self, time: float) -> float:
+    def _heading_at(self, time: float) -> float:
         return float(np.interp(time, self.direction.time, self.direction.course))
 
     def _commit(self, count: int, end: float, steps: Steps) -> None:
+        """Drop what the steps after ``end`` [s] do not depend on, and update the usual duration of a step."""
         self.end = end
-        keep = max(0, self.rows + count - CONTEXT)
-        self.rows += count - keep
-        self.landed = self.landed[keep:]
+        drop = max(0, self.reported + count - STREAM.context)
+        self.reported += count - drop
+        self.landed = self.landed[drop:]
         if count:
-            self.durations = np.append(self.durations, steps.duration)[-USUAL:]
+            self.durations = np.append(self.durations, steps.duration)[-STREAM.usual :]
             usual = float(np.median(self.durations))
-            if abs(usual / self.direction.step - 1) > CHANGED:
+            if abs(usual / self.direction.step - 1) > STREAM.changed:
                 self.direction.step = usual
         self.direction.forget(end)
 
 
-MOST_PACKETS = 24  # that wait to be looked at, as those of a clock that was put back
-LAGGING = 0.2  # [s] of one sensor behind the other
-FASTEST = 0.005  # [s] between samples; more often tells nothing more of a walk
-
-
 @dataclass(frozen=True)
 class StepStreamCheckpoint:
-    """What a `StepStream` knows. real: there is an accelerometer; end, bias: of the parts before the present one."""
+    """The state of a `StepStream`.
+
+    has_accelerometer: False while linear acceleration replaces it; end, bias: of the earlier segments.
+    """
 
     accelerometer: SensorStream
     gyroscope: SensorStream
     gravity: GravityRestorer
-    part: SegmentCheckpoint | None
-    real: bool
+    segment: SegmentCheckpoint | None
+    has_accelerometer: bool
     end: float
     bias: Array
 
 
 class StepStream:
-    """Steps as the samples come in.
+    """Steps as samples arrive.
 
-    A step is certain about five seconds after it, a few later where the phone turned and it must be known whether its
-    walker did. The chunks of certain steps follow one another: together they are the walk.
+    A step is certain about five seconds after it, and some seconds later if the phone turned and only the following
+    steps show whether the walker turned too. The chunks of certain steps follow one another and together are the walk.
 
-    listener: is handed the samples of each chunk as they become certain, with attitude, heading and landings.
+    listener: called with the gait signals of each chunk when it becomes certain.
     """
 
     def __init__(self, walker: Walker | None = None, listener: Callable[[GaitSignals], None] | None = None):
         self.walker, self.listener = walker or Walker(), listener
         self._sensors = {name: SensorStream() for name in ("accelerometer", "gyroscope")}
-        self._real, self._gravity = (
-            False,
-            GravityRestorer(),
-        )  # whether there is an accelerometer, and what stands in for it
-        self._part: SegmentStream | None = None
-        self._end, self._bias = np.nan, np.zeros(3)  # of the parts before
-        self._tail: Steps | None = None  # as the profile has it
+        self._has_accelerometer, self._gravity = False, GravityRestorer()
+        self._segment: SegmentStream | None = None
+        self._end, self._bias = np.nan, np.zeros(3)  # of the earlier segments
+        self._provisional: Steps | None = None  # corrected by the profile
 
     @property
     def latest(self) -> float:
-        """Time of the latest usable sample [s]; NaN before any."""
+        """Time of the latest valid sample [s]; NaN before the first."""
         self._ingest()
         last = max(sensor.last for sensor in self._sensors.values())
         return last if np.isfinite(last) else np.nan
 
     @property
     def offset(self) -> float:
-        """By how much its times are later now than those given, since a clock was put back. [s]"""
+        """Time that is added to the samples' times since a reset of the clock. [s]"""
         return max(sensor.offset for sensor in self._sensors.values())
 
     @property
     def health(self) -> dict[str, Health]:
-        """How each sensor is by now."""
+        """Statistics of each sensor's samples."""
         self._ingest()
         return {name: sensor.health for name, sensor in self._sensors.items()}
 
     def push(self, sensor: str, time: Array, values: Array) -> None:
-        """Samples of a sensor, named as of ``Recording.signals``, at times ``(n,)`` [s]; as of `Signal`.
+        """Add samples of a sensor, by its name in ``Recording.signals``, at times ``(n,)`` [s], as in `Signal`.
 
-        Others than accelerometer and gyroscope tell nothing of steps. ``linear_acceleration`` stands in for an
-        accelerometer until there is one.
+        Sensors other than accelerometer and gyroscope are ignored; ``linear_acceleration`` replaces a missing
+        accelerometer.
         """
-        self._real |= sensor == "accelerometer"
-        if sensor == "linear_acceleration" and not self._real:
+        self._has_accelerometer |= sensor == "accelerometer"
+        if sensor == "linear_acceleration" and not self._has_accelerometer:
             sensor, values = "accelerometer", self._gravity.restored(np.asarray(values, dtype=float))
         if sensor in self._sensors:
             self._sensors[sensor].push(time, values)
 
     def advance(self) -> tuple[Steps | None, Steps | None]:
-        """The steps that became certain since the last call, and those that may follow up to the latest sample.
+        """The steps that became certain since the last call, and the provisional ones up to the latest sample.
 
-        None if there are none, and where there is nothing between the certain and the latest.
+        None if there are none.
         """
-        if not self._enough():
-            return None, self._tail
+        if not self._is_due():
+            return None, self._provisional
         self._ingest()
-        return self._advance(self._until(), last=False), self._tail
+        return self._advance(self._usable_until(), last=False), self._provisional
 
     def finish(self) -> Steps | None:
-        """The rest, when no more samples come."""
+        """The remaining steps: no more samples follow."""
         self._ingest()
         accelerometer, gyroscope = self._sensors.values()
         alone = gyroscope.last < accelerometer.last - LONGEST_BRIDGED
@@ -307,89 +332,90 @@ class StepStream:
         return self._advance(until, last=True)
 
     def checkpoint(self) -> StepStreamCheckpoint:
-        """All that it knows; what follows a `restore` is the same to the bit."""
+        """The complete state; after `restore` the results are equal bit by bit."""
         self._ingest()
         return StepStreamCheckpoint(
             **deepcopy(self._sensors),
             gravity=deepcopy(self._gravity),
-            part=None if self._part is None else self._part.checkpoint(),
-            real=self._real,
+            segment=None if self._segment is None else self._segment.checkpoint(),
+            has_accelerometer=self._has_accelerometer,
             end=self._end,
             bias=self._bias.copy(),
         )
 
     def restore(self, checkpoint: StepStreamCheckpoint) -> None:
-        """Go on from a checkpoint, of the same walker."""
-        self._real, self._end, self._bias = checkpoint.real, checkpoint.end, checkpoint.bias.copy()
-        self._gravity = deepcopy(checkpoint.gravity)
+        """Continue from a checkpoint of a stream with the same walker."""
+        self._has_accelerometer, self._end = checkpoint.has_accelerometer, checkpoint.end
+        self._bias, self._gravity = checkpoint.bias.copy(), deepcopy(checkpoint.gravity)
         self._sensors = {name: deepcopy(getattr(checkpoint, name)) for name in self._sensors}
-        self._part = self._tail = None
-        if checkpoint.part is not None:
-            direction = checkpoint.part.direction
-            self._part = self._new_part(direction.origin, direction.period)
-            self._part.restore(checkpoint.part)
-            self._tail = self._corrected(self._part.tail())
+        self._segment = self._provisional = None
+        if checkpoint.segment is not None:
+            direction = checkpoint.segment.direction
+            self._segment = self._new_segment(direction.origin, direction.period)
+            self._segment.restore(checkpoint.segment)
+            self._provisional = self._corrected(self._segment.provisional())
 
-    def _enough(self) -> bool:
-        """Whether samples came that are worth a look."""
+    def _is_due(self) -> bool:
+        """True if a block of samples, or many packets, wait for processing."""
         sensors = self._sensors.values()
-        due = -np.inf if self._part is None else float(self._part.time(self._part.block)[-1])
+        due = -np.inf if self._segment is None else float(self._segment.next_times(self._segment.block)[-1])
         newest = [sensor.newest for sensor in sensors]
-        if min(newest) >= due or max(newest) >= due + LAGGING:
+        if min(newest) >= due or max(newest) >= due + STREAM.lagging:
             return True
-        return max(len(sensor.arrived) for sensor in sensors) >= MOST_PACKETS
+        return max(len(sensor.arrived) for sensor in sensors) >= STREAM.packets
 
     def _ingest(self) -> None:
         accelerometer, gyroscope = self._sensors.values()
         accelerometer.ingest(gyroscope.offset)
         gyroscope.ingest(accelerometer.offset)
 
-    def _until(self) -> float:
-        """Up to where samples can be used: of both sensors, unless the gyroscope stopped. [s]"""
+    def _usable_until(self) -> float:
+        """Time up to which both sensors have samples, or the accelerometer if the gyroscope stopped. [s]"""
         accelerometer, gyroscope = self._sensors.values()
         patience = LONGEST_BRIDGED + max(accelerometer.longest_packet, gyroscope.longest_packet)
-        if max(gyroscope.last, accelerometer.began) < accelerometer.last - patience:
+        if max(gyroscope.last, accelerometer.start) < accelerometer.last - patience:
             return accelerometer.last
         return min(accelerometer.last, gyroscope.last)
 
     def _advance(self, until: float, last: bool) -> Steps | None:
-        """Take in what can be used; what became certain."""
+        """Process the samples up to a time [s]; returns the steps that became certain."""
         chunks: list[Steps] = []
-        while self._stretch(until, last, chunks):
+        while self._advance_segment(until, last, chunks):
             pass
-        if self._part is not None:
+        if self._segment is not None:
             for sensor in self._sensors.values():
-                sensor.forget(float(self._part.time(1)[0]))
-            self._tail = self._corrected(self._part.tail())
+                sensor.forget(float(self._segment.next_times(1)[0]))
+            self._provisional = self._corrected(self._segment.provisional())
         return self._corrected(concatenate_steps(chunks)) if chunks else None
 
-    def _stretch(self, until: float, last: bool, chunks: list[Steps]) -> bool:
-        """Go on with the uninterrupted samples; True if a gap ended them, and others follow."""
+    def _advance_segment(self, until: float, last: bool, chunks: list[Steps]) -> bool:
+        """Process uninterrupted samples and append their steps to ``chunks``; True if a gap ended the segment."""
         accelerometer, gyroscope = self._sensors.values()
-        end, gap_follows = self._end_of_stretch(until)
-        if self._part is None:
-            self._begin(end, chunks)
-        part = self._part
-        if part is not None:
-            while (count := part.available(end)) >= part.block:
-                chunks += part.take(part.block, accelerometer, gyroscope)
+        end, gap_follows = self._end_of_segment(until)
+        if self._segment is None:
+            self._start_segment(end, chunks)
+        segment = self._segment
+        if segment is not None:
+            while (count := segment.available(end)) >= segment.block:
+                chunks += segment.advance(segment.block, accelerometer, gyroscope)
             if gap_follows or last:
-                chunks += part.take(count, accelerometer, gyroscope, last=True)
-                self._end, self._bias, self._part, self._tail = part.end, part.attitude.bias, None, None
+                chunks += segment.advance(count, accelerometer, gyroscope, last=True)
+                self._end, self._bias = segment.end, segment.attitude.bias
+                self._segment, self._provisional = None, None
         if gap_follows:
-            accelerometer.cut(end)
+            accelerometer.drop_until(end)
         return gap_follows
 
-    def _end_of_stretch(self, until: float) -> tuple[float, bool]:
-        """Up to where the accelerometer ran without a gap [s], and whether one follows before ``until``."""
+    def _end_of_segment(self, until: float) -> tuple[float, bool]:
+        """Time up to which the accelerometer has no gap [s], and True if a gap follows before ``until``."""
         time = self._sensors["accelerometer"].time
         gaps = np.flatnonzero(np.diff(time) > LONGEST_BRIDGED)
         if len(gaps) and time[gaps[0]] <= until:
             return float(time[gaps[0]]), True
         return until, False
 
-    def _begin(self, end: float, chunks: list[Steps]) -> None:
-        """A new part, once there is enough of it."""
+    def _start_segment(self, end: float, chunks: list[Steps]) -> None:
+        """Start a segment if there is a second of samples up to ``end`` [s]; append the gap before it to ``chunks``."""
         accelerometer, gyroscope = self._sensors.values()
         time = accelerometer.time
         if not len(time) or end - time[0] < SHORTEST_WALK:
@@ -398,13 +424,13 @@ class StepStream:
         period = float(np.median(np.diff(time[time <= time[0] + SHORTEST_WALK])))
         if not np.isnan(self._end):
             chunks.append(gap(self._end, origin))
-        self._part = self._new_part(origin, max(FASTEST, period))
+        self._segment = self._new_segment(origin, max(STREAM.fastest, period))
 
-    def _new_part(self, origin: float, period: float) -> SegmentStream:
+    def _new_segment(self, origin: float, period: float) -> SegmentStream:
         return SegmentStream(origin, period, self.walker, self._bias, self.listener)
 
     def _corrected(self, steps: Steps | None) -> Steps | None:
-        """As the walker's profile has it, and what the recorder kept back."""
+        """The steps corrected by the walker's profile; ``unknown`` names gravity if the recorder removed it."""
         if steps is not None and self._gravity.used:
             steps = replace(steps, unknown=(NO_GRAVITY, *steps.unknown))
         profile = self.walker.profile

@@ -1,26 +1,33 @@
-"""Pedestrian dead reckoning, the page that tells the story: a recording becomes steps."""
+"""Pedestrian dead reckoning, start here: a recording becomes steps; steps of several parts become one walk.
+
+Gaps in a recording become rows of length 0. Steps on stairs are as long as the treads.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
 from pdr_graph.errors import expect
-from pdr_graph.gait.signals import GaitSignals, gait_signals, join
+from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
+from pdr_graph.inertial.barometer import STAIRS, Climbs
 from pdr_graph.types import Array, Recording, Steps
 
-SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps
+SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps; chosen by hand
 
 
 def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None = None) -> Steps:
-    """The steps in a recording: when each foot landed, how far it went, and how the heading changed.
+    """The steps of a recording: when each foot landed, the step's length, and the change of heading.
 
-    recording: or what `gait_signals` made of it, where that is wanted for other things too.
+    recording: or its `gait_signals`, where they are needed for something else too.
 
-    Where the recording has a gap, a row of length 0 says that the walker went nobody knows where.
-
-    Without a gyroscope turns are unknown, 0 with a wide sigma; what else a sensor did not tell is in ``unknown``.
+    A gap in the recording is a row of length 0 with a wide sigma. Without a gyroscope turns are 0 with a wide sigma.
+    ``unknown`` names what the sensors cannot measure.
 
     Raises InputError if there is no accelerometer.
     """
@@ -32,9 +39,9 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
 
 
 def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> Steps:
-    """The steps of an uninterrupted part, before any profile.
+    """The steps of an uninterrupted part, before correction by a profile.
 
-    start: [s] where not its first sample; the landings are later.
+    start: beginning of the part [s], before all landings; default: its first sample.
     """
     # When the feet landed
     attitude, landings = gait.attitude, gait.landings
@@ -70,5 +77,91 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
 def _sigma_turn(gait: GaitSignals, walker: Walker, start: float) -> Array:
     """Standard deviation ``(n,)`` of each step's turn. [rad]"""
     usual = walker.sigma_turn if gait.attitude.angular_rate is not None else SIGMA_UNMEASURED_TURN
-    doubt = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
-    return np.sqrt(usual**2 + np.diff(doubt))
+    variance = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
+    return np.sqrt(usual**2 + np.diff(variance))
+
+
+GAP_SPEED = 1.0  # [m/s] standard deviation per axis of the displacement in a gap: the walker stands or walks
+GAP_SIGMA_TURN = 1.2  # [rad] of the heading change in a gap: nearly unknown, but the optimiser still has a gradient
+
+
+def gap(
+    start: float, end: float, turn: float = 0.0, sigma_turn: float = GAP_SIGMA_TURN, speed: float = GAP_SPEED
+) -> Steps:
+    """One row of length 0 for the time between two parts of a recording [s].
+
+    turn, sigma_turn: heading change and its standard deviation [rad]; speed: standard deviation of the displacement
+    per second and axis [m/s].
+    """
+    long, nothing = np.array([end - start]), np.zeros(1)
+    return Steps(
+        start,
+        end,
+        time=np.array([end]),
+        duration=long,
+        length=nothing,
+        turn=np.array([turn]),
+        pause_turn=nothing,
+        sigma_length=speed * long,
+        sigma_turn=np.array([sigma_turn]),
+    )
+
+
+def join(parts: Sequence[Steps]) -> Steps:
+    """Join the parts of a walk, with a `gap` between each two."""
+    joined = parts[0]
+    for part in parts[1:]:
+        joined = append_steps(append_steps(joined, gap(joined.end, part.start)), part)
+    if len(parts) > 1:
+        joined = replace(joined, unknown=(*joined.unknown, f"{len(parts) - 1} gaps in the recording"))
+    return joined
+
+
+def append_steps(first: Steps, then: Steps) -> Steps:
+    """Join two chunks of a walk; the second starts where the first ends."""
+    turn, pause_turn, final_turn = then.turn.copy(), then.pause_turn.copy(), then.final_turn
+    if len(then):
+        turn[0] += first.final_turn
+        pause_turn[0] += first.final_turn
+    else:
+        final_turn += first.final_turn
+    names = ("time", "duration", "length", "sigma_length", "sigma_turn")
+    columns = {name: np.concatenate([getattr(first, name), getattr(then, name)]) for name in names}
+    columns |= {"turn": np.append(first.turn, turn), "pause_turn": np.append(first.pause_turn, pause_turn)}
+    unknown = (*first.unknown, *(line for line in then.unknown if line not in first.unknown))
+    return Steps(first.start, then.end, **columns, final_turn=final_turn, unknown=unknown)
+
+
+def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
+    """Join at least one chunk of a walk; each starts where the previous one ends.
+
+    Neighbours are joined pairwise, since a walk may have many chunks.
+    """
+    while len(chunks) > 1:
+        chunks = [reduce(append_steps, chunks[n : n + 2]) for n in range(0, len(chunks), 2)]
+    return chunks[0]
+
+
+def shifted(steps: Steps, by: float) -> Steps:
+    """The same walk at times that are ``by`` [s] later."""
+    return replace(steps, start=steps.start + by, end=steps.end + by, time=steps.time + by)
+
+
+BLONDEL = 0.63  # [m] two rises and one going: Blondel's rule
+SHORTEST_GOING, LONGEST_GOING = 0.22, 0.38  # [m] depths of treads that are built
+SIGMA_GOING = 0.1  # [m] of a step on stairs: landings are among them; chosen by hand
+
+
+def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Steps:
+    """Shorten the steps on stairs to the depth of a tread: 0.63 m less twice the rise of a step (Blondel's rule).
+
+    climbs, kinds: height changes and their kinds from `climb_kinds`. Stride models are fitted on level ground and
+    overestimate steps on stairs by half.
+    """
+    length, sigma = steps.length.copy(), steps.sigma_length.copy()
+    for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
+        on = (steps.time > start) & (steps.time - steps.duration < end) & ~steps.is_gap
+        if kind == STAIRS and on.any():
+            length[on] = np.clip(BLONDEL - 2 * abs(height) / np.count_nonzero(on), SHORTEST_GOING, LONGEST_GOING)
+            sigma[on] = SIGMA_GOING
+    return replace(steps, length=length, sigma_length=sigma)

@@ -18,7 +18,7 @@ COEFFICIENTS = ("E_length", "E_straight", "E_corner")
 
 
 @dataclass(frozen=True)
-class Profile:
+class Profile(OneLineRepr):
     """A walker's personal calibration: how their steps and turns differ from the models.
 
     E_length: distance error per metre [-]; E_straight: heading error per metre walked [rad/m]; E_corner: turn error per
@@ -33,8 +33,13 @@ class Profile:
     residual: float
     speed: float
 
+    def _summary(self) -> list[str]:
+        sigmas = np.sqrt(np.diagonal(self.covariance))
+        errors = [f"{n} {getattr(self, n):.3g} ± {s:.2g}" for n, s in zip(COEFFICIENTS, sigmas, strict=True)]
+        return [*errors, f"residual {self.residual:.2f} m"]
+
     def corrected(self, steps: Steps) -> Steps:
-        """The steps, calibrated by [calibration-walk] Eqs. (8), (9), with E_straight on the uncalibrated length."""
+        """The steps corrected by [calibration-walk] Eqs. (8), (9), with E_straight on the uncorrected length."""
         drift = self.E_straight * steps.length
         return replace(
             steps,
@@ -47,8 +52,8 @@ class Profile:
 
 
 DEFAULT_STRIDE = "inverted pendulum"
-LARGEST_SETTING = 3  # height [m] and heading error per step [rad]
-LARGEST = {"E_length": 0.6, "E_straight": 0.5, "E_corner": 0.5}  # a larger value is in degrees, or of another walker
+LARGEST_SETTING = 3  # height [m] and heading error per step [rad]; a larger value is in another unit
+LARGEST_COEFFICIENT = {"E_length": 0.6, "E_straight": 0.5, "E_corner": 0.5}  # larger: degrees, or another walker
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,8 @@ def _profile(path: str | Path, table: Any) -> Profile:
     for name in (*COEFFICIENTS, "covariance", "residual", "speed"):
         if name not in table:
             raise InputError(path, f"calibration.{name}", "nothing", "a number, as pdr-graph calibrate writes it")
-    values = {n: _number(path, f"calibration.{n}", table[n], -LARGEST[n], LARGEST[n]) for n in COEFFICIENTS}
+    limits = LARGEST_COEFFICIENT.items()
+    values = {n: _number(path, f"calibration.{n}", table[n], -limit, limit) for n, limit in limits}
     values |= {n: _number(path, f"calibration.{n}", table[n], 0, 1e3) for n in ("residual", "speed")}
     try:
         covariance = np.array(table["covariance"], dtype=float).reshape(3, 3)

@@ -1,8 +1,4 @@
-"""Attitude of the phone: how its axes lie in the world.
-
-Also what every attitude method needs: the sensors on one uniform time grid, when the phone is at rest, the gyroscope's
-bias then, and means over windows of samples.
-"""
+"""The phone's attitude, and what every attitude method needs: a uniform time grid, rest detection, gyroscope bias."""
 
 from __future__ import annotations
 
@@ -13,21 +9,24 @@ import vqf
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.spatial.transform import Rotation
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import interpolate
 from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, Recording, Signal
 
-SHORTEST_WALK = 1.0  # [s]
-LONGEST_BRIDGED = 1.0  # [s] of missing samples that are interpolated: a step or two
-LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|; walking raises it a little, other units by far
-MOST_SAMPLES = 40_000_000  # a day at 400 Hz
+SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
+LONGEST_BRIDGED = 1.0  # [s] of missing samples that are interpolated: a step or two; longer ones are a gap
+LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|: walking raises it a little, a wrong unit far more
+MOST_GRID_SAMPLES = 40_000_000  # a day at 400 Hz
 
 
 def on_one_grid(recording: Recording, *names: str) -> tuple[Array, float, list[Array]]:
-    """Times ``(n,)`` and the period between them [s], and the named sensors' samples ``(n, 3)``, accelerometer first.
+    """The named sensors interpolated on a uniform grid: times ``(n,)`` and period [s], samples ``(n, 3)`` of each.
 
-    Raises InputError if a sensor is missing, gravity is not in the accelerometer's samples, or they have less than a
-    second in common.
+    The accelerometer is the first name.
+
+    Raises InputError if a sensor is missing, the accelerometer's samples do not contain gravity, or the
+    sensors have less than a second in common.
     """
     signals = [_required(recording, name) for name in names]
     _check_gravity(recording, signals[0])
@@ -36,6 +35,7 @@ def on_one_grid(recording: Recording, *names: str) -> tuple[Array, float, list[A
 
 
 def _required(recording: Recording, name: str) -> Signal:
+    """The signal of a sensor; raises InputError if it has fewer than two samples."""
     signal = recording.signals.get(name)
     if signal is None or len(signal) < 2:
         raise InputError(recording.source, name, "no samples", "its samples over the whole walk")
@@ -43,6 +43,7 @@ def _required(recording: Recording, name: str) -> Signal:
 
 
 def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
+    """Raise InputError if the median magnitude is far from that of gravity."""
     gravity = float(np.median(np.linalg.norm(accelerometer.values, axis=1)))
     if not LEAST_GRAVITY < gravity < MOST_GRAVITY:
         expected = "about 9.8 m/s²: metres per second squared, gravity not removed"
@@ -50,16 +51,16 @@ def _check_gravity(recording: Recording, accelerometer: Signal) -> None:
 
 
 def _uniform_grid(recording: Recording, signals: list[Signal]) -> tuple[Array, float]:
-    """The common span of the signals, at the rate of the first."""
+    """Times ``(n,)`` and period [s] of a grid over the common span of the signals, at the rate of the first."""
     start, end = max(s.time[0] for s in signals), min(s.time[-1] for s in signals)
     if end - start < SHORTEST_WALK:
-        found = f"{max(end - start, 0):.2f} s that its sensors have in common"
+        found = f"{max(end - start, 0):.2f} s in which all of its sensors ran"
         raise InputError(recording.source, "", found, f"at least {SHORTEST_WALK:.0f} s")
     intervals = np.diff(signals[0].time)
     samples = round((end - start) / float(np.median(intervals[intervals > 0]))) + 1
-    if samples > MOST_SAMPLES:
-        found = f"{end - start:.0f} s, {samples} samples at their usual interval"
-        raise InputError(recording.source, "accelerometer", found, f"up to {MOST_SAMPLES}: are its times in seconds?")
+    if samples > MOST_GRID_SAMPLES:
+        found = f"{end - start:.0f} s, {samples} samples at their median interval"
+        raise InputError(recording.source, "accelerometer", found, f"up to {MOST_GRID_SAMPLES} samples: milliseconds?")
     return np.linspace(start, end, samples), (end - start) / (samples - 1)
 
 
@@ -71,62 +72,77 @@ def running_mean(values: Array, count: int) -> Array:
 
 
 def runs(mask: Mask) -> tuple[Index, Index]:
-    """First samples ``(r,)``, and those after the last ``(r,)``, of each run of True."""
+    """First index ``(r,)`` and index after the last ``(r,)`` of each run of True."""
     if not mask.any():
         return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
     edges = np.diff(mask.astype(np.int8), prepend=0, append=0)
     return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
 
 
-WINDOW = 0.5  # [s] over which the spread of the samples is taken
-STILL_RATE, STILL_ACCELERATION = 0.012, 0.10  # [rad/s], [m/s²] spread on a table: twice the noise of cheap sensors
-SHORTEST_REST = 1.5  # [s]; for a moment anything is at rest
-LARGEST_BIAS = 0.2  # [rad/s]; a phone that turns as evenly as a table stands is on a turntable, or in a car
-DRIFT_TIME = 60.0  # [s] over which a bias is the mean of what was seen of it: it follows the temperature
+@dataclass(frozen=True)
+class RestSettings:
+    """Constants of rest detection and of the gyroscope's bias at rest.
+
+    window: over which the spread of the samples is taken [s].
+    rate, acceleration: largest spread at rest [rad/s, m/s²]: twice the noise of cheap sensors on a table.
+    shortest: least duration of a rest [s]: any phone is at rest for a moment.
+    largest_bias: largest mean rate at rest [rad/s]: a steadier turn is that of a turntable or a car.
+    drift_time: over which the bias is averaged [s]: it follows the temperature.
+    """
+
+    window: float = 0.5
+    rate: float = 0.012
+    acceleration: float = 0.10
+    shortest: float = 1.5
+    largest_bias: float = 0.2
+    drift_time: float = 60.0
+
+
+REST = RestSettings()
 
 
 def at_rest(angular_rate: Array, acceleration: Array, period: float) -> Mask:
-    """Rest ``(n,)`` without any calibration: neither sensor's samples spread more than on a table.
+    """``(n,)`` True where the phone lies still: neither sensor's samples spread more than on a table.
 
-    A phone in a standing person's hand is not at rest. The level of neither sensor is used, so that a bias or a
-    scale error does not matter; what turns evenly by more than LARGEST_BIAS is not at rest either.
+    A phone in a standing person's hand is not at rest. Only the spread is used, not the mean, so that a bias or a scale
+    error does not matter, except that a mean rate above 0.2 rad/s is not rest.
 
     angular_rate ``(n, 3)`` [rad/s], acceleration ``(n, 3)`` [m/s²], period: between samples [s].
     """
-    samples = max(3, round(WINDOW / period))
-    still = _spread(angular_rate, samples) < STILL_RATE
-    still &= _spread(acceleration, samples) < STILL_ACCELERATION
-    still &= np.linalg.norm(uniform_filter1d(angular_rate, samples, axis=0), axis=1) < LARGEST_BIAS
-    return _lasting(still, max(1, round(SHORTEST_REST / period)))
+    samples = max(3, round(REST.window / period))
+    still = _spread(angular_rate, samples) < REST.rate
+    still &= _spread(acceleration, samples) < REST.acceleration
+    still &= np.linalg.norm(uniform_filter1d(angular_rate, samples, axis=0), axis=1) < REST.largest_bias
+    return _lasting(still, max(1, round(REST.shortest / period)))
 
 
 def learnt_threshold(angular_rate: Array) -> float:
-    """λ [rad/s] of [stationary-switch] Sec. 2.5: the largest |ω| of samples ``(n, 3)`` that were taken at rest."""
+    """λ [rad/s] of [stationary-switch] Sec. 2.5: the largest |ω| of samples ``(n, 3)`` at rest."""
     return float(np.linalg.norm(angular_rate, axis=1).max())
 
 
 def below_threshold(angular_rate: Array, threshold: float, samples: int = 1) -> Mask:
-    """Rest ``(n,)`` as [stationary-switch] Sec. 2.5 has it: |ω| ≤ λ, for at least so many samples in a row.
+    """``(n,)`` True at rest by [stationary-switch] Sec. 2.5: |ω| ≤ λ, for at least ``samples`` samples in a row.
 
-    The paper has one; a rattling cart is below λ for single samples now and then.
+    The paper requires one; a rattling cart is below λ for single samples now and then.
     """
     below = np.linalg.norm(angular_rate, axis=1) <= threshold
     return _lasting(below, max(1, samples))
 
 
 def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
-    """Bias ``(n, 3)`` of a gyroscope [rad/s]: what it says at rest, followed linearly between rests; 0 without one."""
+    """Bias of the gyroscope ``(n, 3)`` [rad/s]: its mean at rest, linear between rests; 0 without a rest."""
     if not rest.any():
         return np.zeros_like(angular_rate)
-    samples, seen = max(1, round(DRIFT_TIME / period)), np.flatnonzero(rest)
+    samples, resting = max(1, round(REST.drift_time / period)), np.flatnonzero(rest)
     weight = uniform_filter1d(rest.astype(float), samples, mode="constant")
     weighted = uniform_filter1d(angular_rate * rest[:, None], samples, axis=0, mode="constant")
-    said = weighted[seen] / weight[seen, None]
-    return interpolate(np.arange(float(len(rest))), seen.astype(float), said)
+    bias = weighted[resting] / weight[resting, None]
+    return interpolate(np.arange(float(len(rest))), resting.astype(float), bias)
 
 
 def _lasting(mask: Mask, samples: int) -> Mask:
-    """The runs of True that are at least so long."""
+    """``(n,)`` True in the runs of True that have at least ``samples`` samples."""
     lasting = np.zeros(len(mask), dtype=bool)
     for first, after in zip(*runs(mask), strict=True):
         lasting[first:after] = after - first >= samples
@@ -134,30 +150,29 @@ def _lasting(mask: Mask, samples: int) -> Mask:
 
 
 def _spread(values: Array, samples: int) -> Array:
-    """Standard deviation ``(n,)`` over a moving window, of all axes together."""
+    """Standard deviation ``(n,)`` of all axes together in a moving window."""
     level = values - np.median(values, axis=0)
     mean = uniform_filter1d(level, samples, axis=0, mode="nearest")
     square = uniform_filter1d(level**2, samples, axis=0, mode="nearest")
     return np.sqrt(np.maximum(square - mean**2, 0).sum(axis=1))
 
 
-TILT_SMOOTHING = 0.5  # [s] of the Gaussian that leaves gravity of an acceleration
-# A phone has calibrated its gyroscope and warms up in minutes: VQF's own 0.5°/s that double within 100 s let a swinging
-# arm teach it a bias that is not there
-PHONE = {"biasSigmaInit": 0.2, "biasForgettingTime": 1000.0}  # [°/s], [s]
+# VQF's options [°/s, s]: a phone has calibrated its gyroscope and warms up in minutes. VQF's defaults (0.5 °/s, doubled
+# within 100 s) estimate a false bias from a swinging arm.
+PHONE = {"biasSigmaInit": 0.2, "biasForgettingTime": 1000.0}
 NO_GYROSCOPE = "turns: there is no gyroscope"
-NO_GRAVITY = "the vertical: the recorder removed gravity, and the axis that shook most was taken for it"
+NO_GRAVITY = "the vertical: the recorder removed gravity; the axis of the largest motion is used instead"
 
 
 @dataclass(frozen=True)
-class Attitude:
+class Attitude(OneLineRepr, row="sample"):
     """The phone's attitude and its inertial samples on one uniform time grid.
 
     time: ``(n,)`` [s], ``period`` apart.
     R_world_device: n rotations; world z is up, its x axis points anywhere level (no magnetometer is used).
     acceleration: ``(n, 3)`` device axes, with gravity [m/s²].
     angular_rate: ``(n, 3)`` device axes, bias removed [rad/s]; None without a gyroscope.
-    unknown: what the recording's sensors cannot tell, or only by an assumption; a line each.
+    unknown: quantities that the sensors do not measure, or only under an assumption; one line each.
     """
 
     time: Array
@@ -168,7 +183,7 @@ class Attitude:
     unknown: tuple[str, ...] = ()
 
     def __getitem__(self, part: slice) -> Attitude:
-        """A stretch of it."""
+        """A part of the samples."""
         rate = None if self.angular_rate is None else self.angular_rate[part]
         attitude, acceleration = self.R_world_device[part], self.acceleration[part]
         return replace(
@@ -177,7 +192,7 @@ class Attitude:
 
 
 def attitude_of(recording: Recording) -> Attitude:
-    """Attitude by the best method that the recording's sensors allow.
+    """Attitude by VQF, or by the accelerometer alone if there is no gyroscope.
 
     Raises InputError if there is no accelerometer at all, or the log is shorter than a second.
     """
@@ -189,8 +204,8 @@ def attitude_of(recording: Recording) -> Attitude:
 def vqf_offline(recording: Recording) -> Attitude:
     """Attitude from accelerometer and gyroscope by VQF's acausal form (Laidig & Seel 2023, 6-D).
 
-    Chosen as the default because it needs no start attitude, estimates the gyro's bias in motion and at rest, and
-    runs over the log both ways, so that the first second of a short walk is as level as the last.
+    It is the default because it needs no start attitude, estimates the gyroscope's bias in motion and at rest, and runs
+    over the log forwards and backwards, so that the first second of a short walk is as accurate as the last.
 
     Raises InputError if a sensor is missing or the log is shorter than a second.
     """
@@ -208,17 +223,18 @@ def vqf_offline(recording: Recording) -> Attitude:
 
 
 def tilt(recording: Recording) -> Attitude:
-    """Attitude from the accelerometer alone: what its slow part says of gravity. Its heading means nothing.
+    """Attitude from the accelerometer alone: its slow part is gravity. The heading is undefined.
 
     Raises InputError if there is no accelerometer or the log is shorter than a second.
     """
     time, period, (acceleration,) = on_one_grid(recording, "accelerometer")
-    level = upright(gaussian_filter1d(acceleration, TILT_SMOOTHING / period, axis=0))
+    smoothing = 0.5  # [s] Gaussian that leaves gravity
+    level = upright(gaussian_filter1d(acceleration, smoothing / period, axis=0))
     return Attitude(time, period, level, acceleration, None, (NO_GYROSCOPE,))
 
 
 def upright(up: Array) -> Rotation:
-    """The shortest rotations of vectors ``(n, 3)`` onto z; of one that points straight down, about x."""
+    """The shortest rotations from vectors ``(n, 3)`` to z; about x for a vector that points straight down."""
     length = np.linalg.norm(up, axis=1)
     w = length + up[:, 2]
     down = w < 1e-9 * (length + 1e-9)
@@ -227,11 +243,11 @@ def upright(up: Array) -> Rotation:
 
 
 def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
-    """A recording whose accelerometer has gravity, and what was assumed for it.
+    """A recording whose accelerometer contains gravity, and the assumption that this needed.
 
-    Where the recorder removed gravity: a walker bounces more than they sway, so that the principal axis of what is
-    left is vertical, and a phone that is carried looks up or stands upright rather than hanging upside down. On real
-    walks with the phone in hand the axis is within 3–9° of the vertical and gives the same steps and turns.
+    If the recorder removed gravity, its direction is the principal axis of the acceleration: a walker bounces more than
+    they sway. Its sign assumes that the phone faces up or stands upright rather than upside down. On real walks with
+    the phone in hand the axis is within 3–9° of the vertical and gives the same steps and turns.
     """
     linear = recording.linear_acceleration
     if recording.accelerometer is not None or linear is None:
@@ -243,6 +259,6 @@ def _with_gravity(recording: Recording) -> tuple[Recording, tuple[str, ...]]:
 
 
 def vertical_of(covariance: Array) -> Array:
-    """The vertical ``(3,)`` in a device that shakes with this covariance ``(3, 3)``, as of a walker's phone."""
+    """Unit vector ``(3,)`` upwards in the device axes of a walker's phone with this covariance of acceleration."""
     vertical = np.linalg.eigh(covariance)[1][:, -1]
     return vertical * np.sign(vertical[1:][np.argmax(np.abs(vertical[1:]))] or 1.0)

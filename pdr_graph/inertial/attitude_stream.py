@@ -1,4 +1,4 @@
-"""Attitude sample by sample: which arriving samples can be used, and causal VQF on them."""
+"""Live attitude: validation of the samples that arrive, and causal VQF."""
 
 from __future__ import annotations
 
@@ -9,24 +9,33 @@ import numpy as np
 import vqf
 
 from pdr_graph.geometry import interpolate
-from pdr_graph.inertial.attitude import (
-    LARGEST_BIAS,
-    LONGEST_BRIDGED,
-    PHONE,
-    SHORTEST_REST,
-    STILL_ACCELERATION,
-    STILL_RATE,
-    vertical_of,
-)
+from pdr_graph.inertial.attitude import LONGEST_BRIDGED, PHONE, REST, vertical_of
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask
 
-LARGEST = 1000.0  # [m/s²], [rad/s] that phones measure: 16 g and 2000°/s, with room
-LATEST = 1e12  # [s] of any clock
-CONFIRM = 3  # samples after a jump ahead: one wrong time is no gap
-PERSISTS = 2.0  # [s] of samples from earlier, until the clock is believed to have been put back
-LONGEST_PACKET = 60.0  # [s] of samples that a phone keeps back
-HELD = 0.1  # [s] that a sensor's last sample speaks for
-KEPT = 1.0  # [s] of samples that have been used already
+
+@dataclass(frozen=True)
+class ValidationSettings:
+    """Constants by which arriving samples are validated, chosen by hand.
+
+    largest: magnitude that phones can measure [m/s², rad/s]: 16 g and 2000 °/s, with a margin.
+    latest: time of any clock [s].
+    confirming: number of samples after a jump ahead that confirm it: a single wrong time is no gap.
+    clock_reset: duration of samples from an earlier time after which the clock was reset [s].
+    longest_packet: time for which a phone may hold samples back [s].
+    hold: time for which a sensor's last sample is valid [s].
+    history: duration of the samples that are stored after use [s].
+    """
+
+    largest: float = 1000.0
+    latest: float = 1e12
+    confirming: int = 3
+    clock_reset: float = 2.0
+    longest_packet: float = 60.0
+    hold: float = 0.1
+    history: float = 1.0
+
+
+VALIDATION = ValidationSettings()
 
 
 @dataclass(frozen=True)
@@ -34,8 +43,8 @@ class Health:
     """Statistics of one sensor's samples.
 
     samples: number used; dropped: number that were NaN, out of range, repeated, late, or at a time that no later sample
-    confirmed; rate: recent [Hz]; gaps: number longer than is interpolated; last: time of the latest [s], NaN before the
-    first; clock_resets: number of resets of its clock; offset: added to its times since then [s].
+    confirmed; rate: recent [Hz]; gaps: number of gaps; last: time of the latest sample [s], NaN before the first;
+    clock_resets: number of resets of its clock; offset: added to its times since then [s].
     """
 
     samples: int
@@ -49,45 +58,47 @@ class Health:
 
 @dataclass
 class SensorStream:
-    """The usable samples of one sensor, times increasing.
+    """The valid samples of one sensor, in increasing time.
 
-    time ``(n,)`` [s], values ``(n, 3)``: those not used yet and the last before them. began: with the first of all [s];
-    longest_packet: lately [s].
+    time ``(n,)`` [s], values ``(n, 3)``: samples that were not used yet, and the last ones before them.
+    start: time of the first sample of all [s]; longest_packet: recently [s].
+    suspect_time ``(k,)``, suspect_values ``(k, 3)``: samples after a jump in time, times by the sensor's clock.
+    arrived: packets that were not validated yet.
     """
 
     time: Array = field(default_factory=lambda: np.empty(0))
     values: Array = field(default_factory=lambda: np.empty((0, 3)))
-    began: float = np.inf
+    start: float = np.inf
     samples: int = 0
     dropped: int = 0
     gaps: int = 0
     clock_resets: int = 0
     offset: float = 0.0
     longest_packet: float = 0.0
-    suspect_time: Array = field(default_factory=lambda: np.empty(0))  # as given
+    suspect_time: Array = field(default_factory=lambda: np.empty(0))
     suspect_values: Array = field(default_factory=lambda: np.empty((0, 3)))
     arrived: list[tuple[Array, Array]] = field(default_factory=list)
 
     @property
     def last(self) -> float:
-        """Time of the latest usable sample [s]; minus infinity before any."""
+        """Time of the latest valid sample [s]; minus infinity before the first."""
         return float(self.time[-1]) if len(self.time) else -np.inf
 
     @property
     def newest(self) -> float:
-        """Time of the latest sample that arrived, usable or not. [s]"""
+        """Time of the latest sample that arrived, valid or not. [s]"""
         return float(self.arrived[-1][0][-1]) + self.offset if self.arrived else self.last
 
     @property
     def health(self) -> Health:
-        """How the sensor is by now."""
-        lately = self.time[-50:]
-        rate = float(1 / np.median(np.diff(lately))) if len(lately) > 1 else 0.0
+        """Statistics of the samples so far."""
+        recent = self.time[-50:]
+        rate = float(1 / np.median(np.diff(recent))) if len(recent) > 1 else 0.0
         last = self.last if len(self.time) else np.nan
         return Health(self.samples, self.dropped, rate, self.gaps, last, self.clock_resets, self.offset)
 
     def push(self, time: Array, values: Array) -> None:
-        """Samples at times ``(n,)`` [s] of values ``(n, 3)``; they are looked at by `ingest`."""
+        """Queue samples at times ``(n,)`` [s] with values ``(n, 3)``. Raises ValueError for other shapes."""
         time, values = np.array(time, dtype=float).reshape(-1), np.array(values, dtype=float)
         if values.shape != (len(time), 3):
             raise ValueError(f"samples: found shape {values.shape} at {len(time)} times, expected ({len(time)}, 3)")
@@ -95,14 +106,15 @@ class SensorStream:
             self.arrived.append((time, values))
 
     def ingest(self, offset: float) -> None:
-        """Look at what arrived. offset: of another sensor of the same clock [s]."""
+        """Validate the queued samples; offset: that of another sensor with the same clock [s]."""
         if not self.arrived:
             return
         time, values = (np.concatenate(column) for column in zip(*self.arrived, strict=True))
-        spans = [min(max(0.0, float(packet[-1]) - float(packet[0])), LONGEST_PACKET) for packet, _ in self.arrived]
+        spans = [max(0.0, float(packet[-1]) - float(packet[0])) for packet, _ in self.arrived]
+        spans = [min(span, VALIDATION.longest_packet) for span in spans]
         self.longest_packet = max(0.9 * self.longest_packet, *spans)
         self.arrived.clear()
-        good = (np.abs(time) < LATEST) & (np.abs(values) < LARGEST).all(axis=1)
+        good = (np.abs(time) < VALIDATION.latest) & (np.abs(values) < VALIDATION.largest).all(axis=1)
         if not good.all():
             self.dropped += int(np.sum(~good))
             time, values = time[good], values[good]
@@ -111,106 +123,105 @@ class SensorStream:
         if not len(self.suspect_time) and self._follows(time + self.offset):
             self._accept(time + self.offset, values)
         else:
-            for one, value in zip(time.tolist(), values, strict=True):
-                self._take(one, value, offset)
+            for sample_time, value in zip(time.tolist(), values, strict=True):
+                self._add(sample_time, value, offset)
 
     def forget(self, before: float) -> None:
-        """Drop samples that have been used, but for the last seconds."""
-        first = min(int(np.searchsorted(self.time, before - KEPT)) - 1, len(self.time) - 1)
+        """Drop samples more than a second before a time ``before`` [s]."""
+        first = min(int(np.searchsorted(self.time, before - VALIDATION.history)) - 1, len(self.time) - 1)
         if first > 0:
             self.time, self.values = self.time[first:], self.values[first:]
 
-    def cut(self, until: float) -> None:
-        """Drop all up to a time [s]."""
+    def drop_until(self, until: float) -> None:
+        """Drop all samples up to a time [s]."""
         later = self.time > until
         self.time, self.values = self.time[later], self.values[later]
 
     def segment_start(self, begin: float) -> float:
-        """From a time on, or soon after, where the sensor sets in then. [s]"""
+        """Start of the segment [s]: first sample within 1 s of ``begin`` if the sensor starts there, else ``begin``."""
         time = np.array([begin])
         later = self.time[self.time >= begin]
         soon = len(later) > 0 and later[0] - begin <= LONGEST_BRIDGED
         return float(later[0]) if soon and not self.covers(time)[0] else begin
 
     def at(self, time: Array) -> Array:
-        """Values ``(m, 3)`` at times ``(m,)``, interpolated."""
+        """Interpolated values ``(m, 3)`` at times ``(m,)`` [s]."""
         return interpolate(time, self.time, self.values)
 
     def covers(self, time: Array) -> Mask:
-        """At which times ``(m,)`` the sensor ran."""
+        """``(m,)`` True at times ``(m,)`` [s] at which the sensor ran."""
         edges = np.concatenate([[-np.inf], self.time, [np.inf]])
         after = np.searchsorted(self.time, time, side="right")
         since = time - edges[after]
-        return (edges[after + 1] - edges[after] <= LONGEST_BRIDGED) | (since <= HELD)
+        return (edges[after + 1] - edges[after] <= LONGEST_BRIDGED) | (since <= VALIDATION.hold)
 
     def _follows(self, time: Array) -> bool:
+        """True if times increase from the last sample on without a gap."""
         apart = time[1:] - time[:-1]
         first = float(time[0] - self.time[-1]) if len(self.time) else LONGEST_BRIDGED
         least, most = (float(apart.min()), float(apart.max())) if len(apart) else (first, first)
         return min(first, least) > 0 and max(first, most) <= LONGEST_BRIDGED
 
     def _accept(self, time: Array, values: Array) -> None:
+        """Append valid samples."""
         self.gaps += int(len(self.time) > 0 and time[0] - self.last > LONGEST_BRIDGED)
-        self.began = min(self.began, float(time[0]))
+        self.start = min(self.start, float(time[0]))
         self.samples += len(time)
         self.time, self.values = np.concatenate([self.time, time]), np.concatenate([self.values, values])
 
-    def _take(self, time: float, value: Array, offset: float) -> None:
-        """The next sample, where something is wrong with the times."""
+    def _add(self, time: float, value: Array, offset: float) -> None:
+        """Add one sample of a packet whose times jump; it becomes valid when later samples confirm the jump."""
         if self._follows(np.array([time + self.offset])):
-            self._doubt_nothing()
+            self._discard_suspects()
             self._accept(np.array([time + self.offset]), value[None])
             return
         since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else LONGEST_BRIDGED
-        if -PERSISTS < since <= 0:
+        if -VALIDATION.clock_reset < since <= 0:
             self.dropped += 1
             return
         if not 0 < since <= LONGEST_BRIDGED:
-            self._doubt_nothing()
+            self._discard_suspects()
         self.suspect_time = np.append(self.suspect_time, time)
         self.suspect_values = np.concatenate([self.suspect_values, value[None]])
         ahead = self.suspect_time[0] + self.offset > self.last
-        if not ahead and np.ptp(self.suspect_time) > PERSISTS:
+        if not ahead and np.ptp(self.suspect_time) > VALIDATION.clock_reset:
             self._reset_clock(offset)
             ahead = True
-        if ahead and len(self.suspect_time) >= CONFIRM:
+        if ahead and len(self.suspect_time) >= VALIDATION.confirming:
             later = self.suspect_time + self.offset > self.last
             self._accept(self.suspect_time[later] + self.offset, self.suspect_values[later])
             self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
 
     def _reset_clock(self, offset: float) -> None:
-        """The clock was: go on where the samples ended, or as the other sensor does, if that fits."""
+        """Continue where the samples ended, or with the other sensor's ``offset`` [s] if it is plausible."""
         begin, end = self.suspect_time[[0, -1]]
         if not (end + offset > self.last and begin + offset <= self.last + LONGEST_BRIDGED):
             offset = self.last - begin + float(np.median(np.diff(self.suspect_time)))
         self.offset, self.clock_resets = float(offset), self.clock_resets + 1
 
-    def _doubt_nothing(self) -> None:
-        """Nothing came of the suspects."""
+    def _discard_suspects(self) -> None:
         self.dropped += len(self.suspect_time)
         self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
 
 
-FOLLOWED = np.radians(1.0)  # [rad/s] of bias that VQF finds by itself; it stops at twice that
-
-
 @dataclass
 class GravityRestorer:
-    """Where a recorder removed it: along the axis that shook most by now, as `attitude_of` has it in the end.
+    """Restores gravity that the recorder removed, along the axis of the largest motion so far, as `attitude_of` does.
 
-    moments: ``(4, 4)`` sums of products of (1, x, y, z).
+    moments: ``(4, 4)`` sums of the products of (1, x, y, z) of the accelerations.
     """
 
     moments: Array = field(default_factory=lambda: np.zeros((4, 4)))
 
     @property
     def used(self) -> bool:
-        """True once it was."""
+        """True once it has restored a sample."""
         return bool(self.moments[0, 0] > 0)
 
     def restored(self, values: Array) -> Array:
-        """Accelerations with gravity ``(n, 3)`` of some without. [m/s²]"""
-        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[(np.abs(values) < LARGEST).all(axis=1)]
+        """Accelerations with gravity ``(n, 3)`` from accelerations without. [m/s²]"""
+        valid = (np.abs(values) < VALIDATION.largest).all(axis=1)
+        ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[valid]
         self.moments = self.moments + ones.T @ ones
         count, total = self.moments[0, 0], self.moments[0, 1:]
         covariance = self.moments[1:, 1:] - np.outer(total, total) / max(count, 1.0)
@@ -219,50 +230,53 @@ class GravityRestorer:
 
 @dataclass(frozen=True)
 class AttitudeCheckpoint:
-    """What an `AttitudeStream` knows. filter_state: all that VQF does."""
+    """The state of an `AttitudeStream`. filter_state: that of VQF."""
 
-    rested: Array
+    rest_bias: Array
     recent: Array
     filter_state: Array
 
 
 class AttitudeStream:
-    """The phone's attitude as samples come in. bias: ``(3,)`` of the gyroscope that was known before [rad/s]."""
+    """The phone's attitude as samples arrive.
+
+    period: between samples [s]; bias: ``(3,)`` start value of the gyroscope's bias [rad/s].
+    """
 
     def __init__(self, period: float, bias: Array | None = None):
-        self.rested = np.zeros(3)  # [rad/s], what a rest said of the bias
-        self.recent = np.empty((0, 6))  # samples of both sensors
-        self._samples = max(3, round(SHORTEST_REST / period))
+        self.rest_bias = np.zeros(3)  # [rad/s] mean rate of the last rest
+        self.recent = np.empty((0, 6))  # last samples of gyroscope and accelerometer
+        self._samples = max(3, round(REST.shortest / period))
         options: dict[str, Any] = PHONE
-        self._vqf: Any = vqf.VQF(period, **options)  # the stubs do not know that its state can be set
+        self._vqf: Any = vqf.VQF(period, **options)  # its stubs lack the setter of its state
         if bias is not None:
             self._vqf.setBiasEstimate(np.array(bias))
 
-    def update(self, acceleration: Array, angular_rate: Array, seen: Mask) -> tuple[Array, Array]:
+    def update(self, acceleration: Array, angular_rate: Array, measured: Mask) -> tuple[Array, Array]:
         """Quaternions ``(n, 4)`` from device to world, scalar last, and angular rates ``(n, 3)`` without bias [rad/s].
 
-        acceleration ``(n, 3)`` [m/s²]; angular_rate ``(n, 3)`` [rad/s]; seen: ``(n,)`` where the gyroscope ran: where
-        not, the vertical follows the accelerometer and the bias stays.
+        acceleration ``(n, 3)`` [m/s²]; angular_rate ``(n, 3)`` [rad/s]; measured: ``(n,)`` True while the gyroscope
+        runs. Otherwise the vertical follows the accelerometer, and the bias stays.
         """
-        ran = bool(seen.all())
+        ran = bool(measured.all())
         if ran:
             self._learn_from_rest(acceleration, angular_rate)
         else:
-            angular_rate = np.where(seen[:, None], angular_rate, self.bias)
+            angular_rate = np.where(measured[:, None], angular_rate, self.bias)
         self._vqf.setMotionBiasEstEnabled(ran)
         self._vqf.setRestBiasEstEnabled(ran)
-        rate = np.ascontiguousarray(angular_rate - self.rested)
+        rate = np.ascontiguousarray(angular_rate - self.rest_bias)
         out = self._vqf.updateBatch(rate, np.ascontiguousarray(acceleration))
         return np.roll(out["quat6D"], -1, axis=1), rate - out["bias"]
 
     @property
     def bias(self) -> Array:
-        """Of the gyroscope, by now ``(3,)``. [rad/s]"""
-        return self.rested + np.array(self._vqf.state["bias"])
+        """Present bias of the gyroscope ``(3,)``. [rad/s]"""
+        return self.rest_bias + np.array(self._vqf.state["bias"])
 
     @property
     def filter_state(self) -> Array:
-        """All that VQF knows."""
+        """The state of VQF as one array."""
         return np.concatenate([np.ravel(value) for value in self._vqf.state.values()]).astype(float)
 
     @filter_state.setter
@@ -275,15 +289,16 @@ class AttitudeStream:
         }
 
     def _learn_from_rest(self, acceleration: Array, angular_rate: Array) -> None:
-        """A bias that is too large for VQF to find shows at rest."""
+        """Estimate the bias at rest if it is too large for VQF, which follows 1 °/s and stops at 2 °/s."""
         recent = np.concatenate([self.recent, np.concatenate([angular_rate, acceleration], axis=1)])
         self.recent = recent[-self._samples :]
         if len(self.recent) < self._samples:
             return
         mean = self.recent.mean(axis=0)
         spread = np.sqrt(np.mean((self.recent - mean) ** 2, axis=0))
-        still = np.linalg.norm(spread[:3]) < STILL_RATE and np.linalg.norm(spread[3:]) < STILL_ACCELERATION
-        said = mean[:3]
-        if still and np.linalg.norm(said) < LARGEST_BIAS and np.linalg.norm(said - self.rested) > FOLLOWED:
-            self.rested = said
+        still = np.linalg.norm(spread[:3]) < REST.rate and np.linalg.norm(spread[3:]) < REST.acceleration
+        bias = mean[:3]
+        beyond_vqf = np.linalg.norm(bias - self.rest_bias) > np.radians(1.0)
+        if still and np.linalg.norm(bias) < REST.largest_bias and beyond_vqf:
+            self.rest_bias = bias
             self._vqf.setBiasEstimate(np.zeros(3))

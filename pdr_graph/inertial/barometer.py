@@ -1,10 +1,9 @@
-"""Air pressure as height: when the phone went up or down, and by how much.
+"""Air pressure as height: when the phone went up or down, by how much, and whether by stairs, lift or escalator.
 
-Pressure wanders with the weather, by up to 1 hPa (8 m) an hour, but that is fifty times slower than stairs; noise and
-gusts are as fast, but do not last. A climb is therefore looked for in the rate of a height from which spikes were
-taken by a median, which keeps edges as a mean would not, with two thresholds: a run of a low rate, so that its ends
-are found, that somewhere is a high one. How high it went is the difference of the medians of a few seconds before and
-after, next to it: what the weather does while nobody climbs never enters.
+Weather changes the pressure by up to 1 hPa (8 m) an hour, fifty times slower than stairs; noise and gusts are as fast
+as stairs but do not last. So a median removes spikes from the height (it keeps edges, a mean would not), and a climb is
+a run in which the rate exceeds a low threshold, with a high one exceeded somewhere in it. The height of a climb is the
+difference of the medians over some seconds before and after it, so that weather between climbs has no effect.
 """
 
 from __future__ import annotations
@@ -14,30 +13,56 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.inertial.attitude import runs
-from pdr_graph.types import Array, Index, Mask, Signal
+from pdr_graph.types import Array, Index, Mask, Signal, Steps
 
-# R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C. [m]
-SCALE_HEIGHT = 287.05 * 293.15 / 9.80665
-GRID = 0.5  # [s] at which the height is looked at
-LONGEST_GAP = 5.0  # [s]; a longer gap counts as one of so long
-GUST = 4.5  # [s] that a spike may last, half the median's window; a lift rides one storey in four, and stays
-RATE = 2.0  # [s] Gaussian over which a rate is taken
-SLOW, FAST = 0.03, 0.06  # [m/s]; weather 0.002, a walked ramp of 6 % 0.08, stairs and escalators 0.2–0.5, lifts 0.5–5
-PAUSE = 4.0  # [s] within a climb, to turn on a landing
-LEVEL = 10.0  # [s] before and after a climb over which its ends' heights are taken
-LEAST = 0.8  # [m]; a phone taken from a pocket to the ear rises by 0.6
-CERTAIN = 2.0  # [sigma] that a climb is higher than its own noise: one missed costs more than one invented
-QUIET = 3.0  # [sigma] of a rate's noise that are not a high rate
-EDGE = 0.3  # [m] from its levels where a climb is said to begin and end; at most an eighth of it
-CORRELATED = 3.0  # [s] over which errors of a height are alike
-PLACE = 0.2  # [m] by which a phone is held otherwise than before, or a draught is as long as what a level is taken of
-WEATHER = 8.5 / 3600  # [m/s]: 1 hPa an hour
+SCALE_HEIGHT = 287.05 * 293.15 / 9.80665  # [m] R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C
 
 
 @dataclass(frozen=True)
-class Climbs:
-    """Changes of level ``(c,)`` in order: from start to end [s], by height [m] up, within sigma [m]."""
+class ClimbSettings:
+    """Constants by which climbs are found in a height. Chosen by hand; ``scripts/reproduce floors`` scores them.
+
+    grid: interval of the height samples [s]; longest_gap: a longer gap in the recording counts as this long [s].
+    gust: longest spike that is removed, half the median's window [s]: a lift takes four seconds for a storey and stays.
+    rate: least width of the Gaussian over which a rate is taken [s].
+    slow, fast: low and high threshold of the rate [m/s]: weather has 0.002, a ramp of 6 % on foot 0.08, stairs and
+        escalators 0.2 to 0.5, lifts 0.5 to 5.
+    quiet: noise of a rate that does not exceed the high threshold [σ].
+    pause: within a climb, to turn on a landing [s].
+    level: time before and after a climb over which the heights of its ends are taken [s].
+    least: least height of a climb [m]: a phone taken from a pocket to the ear rises by 0.6.
+    certain: least height of a climb in its own sigmas: to miss a climb costs more than to invent one.
+    edge: distance from the levels at which a climb begins and ends [m]; at most an eighth of its height.
+    correlated: time over which errors of a height are alike [s].
+    held: standard deviation of the phone's height above the floor, or of a draught as long as ``level`` [m].
+    weather: drift of the height with the weather [m/s]: 1 hPa an hour.
+    """
+
+    grid: float = 0.5
+    longest_gap: float = 5.0
+    gust: float = 4.5
+    rate: float = 2.0
+    slow: float = 0.03
+    fast: float = 0.06
+    quiet: float = 3.0
+    pause: float = 4.0
+    level: float = 10.0
+    least: float = 0.8
+    certain: float = 2.0
+    edge: float = 0.3
+    correlated: float = 3.0
+    held: float = 0.2
+    weather: float = 8.5 / 3600
+
+
+CLIMB = ClimbSettings()
+
+
+@dataclass(frozen=True)
+class Climbs(OneLineRepr):
+    """Height changes ``(c,)`` in order: start, end [s]; height, positive upwards, and its standard deviation [m]."""
 
     start: Array
     end: Array
@@ -47,18 +72,21 @@ class Climbs:
     def __len__(self) -> int:
         return len(self.start)
 
+    def _summary(self) -> list[str]:
+        return [count(len(self), "climb"), f"{np.abs(self.height).sum():.1f} m up and down"]
+
     def __getitem__(self, which: Mask | Index) -> Climbs:
-        """Some of them."""
+        """A selection of climbs."""
         return Climbs(*(values[which] for values in vars(self).values()))
 
     @classmethod
     def none(cls) -> Climbs:
-        """No climb at all."""
+        """No climbs: 0 rows."""
         return cls(*(np.empty(0) for _ in range(4)))
 
 
 def height_of(pressure: Array) -> Array:
-    """Height ``(n,)`` [m] above the first of pressures ``(n,)`` [hPa], of air of one temperature.
+    """Height ``(n,)`` [m] above the first of pressures ``(n,)`` [hPa], in air at 20 °C.
 
     The hypsometric equation, (R T / g) ln(p₀ / p): AMS Glossary of Meteorology, "hypsometric equation".
     """
@@ -66,85 +94,87 @@ def height_of(pressure: Array) -> Array:
 
 
 def climbs(barometer: Signal) -> Climbs:
-    """When the phone went up or down a flight of stairs, in a lift, on an escalator or a ramp."""
-    if len(barometer) < 2 or barometer.time[-1] - barometer.time[0] < LEVEL:
+    """The climbs in a barometer's samples: on stairs, in a lift, on an escalator or a ramp."""
+    if len(barometer) < 2 or barometer.time[-1] - barometer.time[0] < CLIMB.level:
         return Climbs.none()
     time, height, quiet = _without_gusts(barometer)
     first, after = _moving(quiet, _noise(barometer))
-    likely = np.abs(quiet[after - 1] - quiet[first]) > LEAST / 2
+    likely = np.abs(quiet[after - 1] - quiet[first]) > CLIMB.least / 2
     first, last = _without_false_levels(*_edges(quiet, first[likely], after[likely]))
     found = _measured(time, height, first, last)
-    lasting = np.minimum(found.start - time[0], time[-1] - found.end) > GUST
-    lasting |= found.end - found.start > GUST  # at the ends of a recording a gust looks like a level
-    return found[lasting & (np.abs(found.height) > np.maximum(LEAST, CERTAIN * found.sigma))]
+    lasting = np.minimum(found.start - time[0], time[-1] - found.end) > CLIMB.gust
+    lasting |= found.end - found.start > CLIMB.gust  # at the ends of a recording a gust looks like a level
+    return found[lasting & (np.abs(found.height) > np.maximum(CLIMB.least, CLIMB.certain * found.sigma))]
 
 
-def done(barometer: Signal | None, of: Climbs, at: Array) -> Array:
-    """How much ``(c, m)`` of each climb was done at times ``at (m,)`` [s]: 0 before, 1 after, never falling.
+def climbed_share(barometer: Signal | None, of: Climbs, at: Array) -> Array:
+    """Share ``(c, m)`` of each climb that is done at times ``at (m,)`` [s]: 0 before it, 1 after it, never falling.
 
-    Without a barometer climbs go on evenly.
+    Without a barometer the share grows evenly.
     """
     if barometer is None or not len(of):
-        return np.clip((at - of.start[:, None]) / np.maximum(of.end - of.start, GRID)[:, None], 0, 1)
+        return np.clip((at - of.start[:, None]) / np.maximum(of.end - of.start, CLIMB.grid)[:, None], 0, 1)
     time, _, quiet = _without_gusts(barometer)
     below, above = np.interp(of.start, time, quiet), np.interp(of.end, time, quiet)
     within = np.clip(at, of.start[:, None], of.end[:, None])
     evenly = (within - of.start[:, None]) / (of.end - of.start)[:, None]
-    rise = np.where(np.abs(above - below) > EDGE, above - below, np.inf)[:, None]
+    rise = np.where(np.abs(above - below) > CLIMB.edge, above - below, np.inf)[:, None]
     share = np.where(np.isfinite(rise), (np.interp(within, time, quiet) - below[:, None]) / rise, evenly)
     share = np.where(at >= of.end[:, None], 1.0, np.where(at <= of.start[:, None], 0.0, np.clip(share, 0, 1)))
     return np.maximum.accumulate(share, axis=1)
 
 
 def _without_gusts(barometer: Signal) -> tuple[Array, Array, Array]:
-    """Time [s] and height [m] on a grid, and the height without spikes ``(n,)``. Long gaps take LONGEST_GAP."""
+    """Time [s], height [m] and height without spikes [m] on the grid, each ``(n,)``; long gaps are shortened."""
     step = np.diff(barometer.time)
-    spent = np.append(0.0, np.cumsum(np.minimum(step, LONGEST_GAP)))
+    spent = np.append(0.0, np.cumsum(np.minimum(step, CLIMB.longest_gap)))
     height = height_of(barometer.values[:, 0])
-    cell = (spent / GRID).astype(int)
-    count = np.bincount(cell)
-    filled = np.flatnonzero(count)
-    mean = np.bincount(cell, height)[filled] / count[filled]
-    middle = np.bincount(cell, barometer.time)[filled] / count[filled]
-    grid = np.arange(len(count))
+    cell = (spent / CLIMB.grid).astype(int)
+    samples = np.bincount(cell)
+    filled = np.flatnonzero(samples)
+    mean = np.bincount(cell, height)[filled] / samples[filled]
+    middle = np.bincount(cell, barometer.time)[filled] / samples[filled]
+    grid = np.arange(len(samples))
     height = np.interp(grid, filled, mean)
-    return np.interp(grid, filled, middle), height, median_filter(height, 2 * round(GUST / GRID) + 1, mode="nearest")
+    quiet = median_filter(height, 2 * round(CLIMB.gust / CLIMB.grid) + 1, mode="nearest")
+    return np.interp(grid, filled, middle), height, quiet
 
 
 def _noise(barometer: Signal) -> float:
-    """Noise of the height, of a mean over one second [m]: from one sample to the next nobody climbs far."""
+    """Noise of a mean of the height over one second, from the differences of consecutive samples. [m]"""
     change = np.diff(height_of(barometer.values[:, 0]))
     return 1.4826 * float(np.median(np.abs(change))) / np.sqrt(2 * barometer.rate)
 
 
 def _moving(quiet: Array, noise: float) -> tuple[Index, Index]:
-    """First cells, and those after the last, in which the height ``(n,)`` rises or falls; in order.
+    """First grid cells, and those after the last, of the runs in which the height ``(n,)`` rises or falls; in order.
 
-    The rate is taken over so long that noise [m] seldom makes it a high one: that of a Gaussian's derivative of width
-    s is noise / (2 π^¼ s^1.5).
+    The Gaussian of the rate is wide enough that noise [m] seldom exceeds the high threshold: the derivative of a
+    Gaussian of width s has a noise of noise / (2 π^¼ s^1.5).
     """
-    seconds = max(RATE, (noise * QUIET / FAST / 2.66) ** (2 / 3))
-    rate = gaussian_filter1d(quiet, seconds / GRID, order=1, mode="nearest") / GRID
+    seconds = max(CLIMB.rate, (noise * CLIMB.quiet / CLIMB.fast / 2.66) ** (2 / 3))
+    rate = gaussian_filter1d(quiet, seconds / CLIMB.grid, order=1, mode="nearest") / CLIMB.grid
     spans: list[tuple[int, int, int]] = []
-    for way in (1, -1):
-        first, after = runs(way * rate > SLOW)
-        spans += [(a, b, way) for a, b in zip(first, after, strict=True) if np.max(way * rate[a:b]) > FAST]
+    for direction in (1, -1):
+        first, after = runs(direction * rate > CLIMB.slow)
+        fast = [np.max(direction * rate[a:b]) > CLIMB.fast for a, b in zip(first, after, strict=True)]
+        spans += [(a, b, direction) for a, b, is_fast in zip(first, after, fast, strict=True) if is_fast]
     joined: list[tuple[int, int, int]] = []
-    for a, b, way in sorted(spans):
-        if joined and joined[-1][2] == way and (a - joined[-1][1]) * GRID < PAUSE:
-            joined[-1] = (joined[-1][0], b, way)
+    for a, b, direction in sorted(spans):
+        if joined and joined[-1][2] == direction and (a - joined[-1][1]) * CLIMB.grid < CLIMB.pause:
+            joined[-1] = (joined[-1][0], b, direction)
         else:
-            joined.append((a, b, way))
+            joined.append((a, b, direction))
     edges = np.array(joined, dtype=int).reshape(-1, 3)
     return edges[:, 0], edges[:, 1]
 
 
 def _edges(quiet: Array, first: Index, after: Index) -> tuple[Index, Index]:
-    """First and last cells between which most of a climb was made, that was seen from ``first`` to ``after``."""
+    """First and last grid cells of each climb, within the runs from ``first`` to ``after``."""
     begin, end = first.copy(), after - 1
     for n, (a, b) in enumerate(zip(first, after, strict=True)):
         share = (quiet[a:b] - quiet[a]) / (quiet[b - 1] - quiet[a])
-        edge = min(EDGE / abs(quiet[b - 1] - quiet[a]), 1 / 8)
+        edge = min(CLIMB.edge / abs(quiet[b - 1] - quiet[a]), 1 / 8)
         middle = int(np.argmax(share >= 0.5))
         begin[n] = a + np.flatnonzero(share[: middle + 1] <= edge)[-1]
         end[n] = a + middle + np.argmax(share[middle:] >= 1 - edge)
@@ -152,28 +182,85 @@ def _edges(quiet: Array, first: Index, after: Index) -> tuple[Index, Index]:
 
 
 def _without_false_levels(first: Index, last: Index) -> tuple[Index, Index]:
-    """The same with those joined, up or down, between which the height stayed no longer than in a gust."""
-    stays = (first[1:] - last[:-1]) * GRID > GUST
+    """The same climbs; those with a level shorter than a gust between them are joined."""
+    stays = (first[1:] - last[:-1]) * CLIMB.grid > CLIMB.gust
     if not len(first):
         return first, last
     return first[np.append(True, stays)], last[np.append(stays, True)]
 
 
 def _measured(time: Array, height: Array, first: Index, last: Index) -> Climbs:
-    """Climbs from cells ``first`` to ``last``, by the levels beside them."""
-    window, rows = round(LEVEL / GRID), []
+    """Climbs between the cells ``first`` and ``last``, measured from the levels before and after each."""
+    window, rows = round(CLIMB.level / CLIMB.grid), []
     earliest = np.maximum(first - window, np.append(0, last[:-1]))
     latest = np.minimum(last + window, np.append(first[1:], len(height) - 1))
     for a, b, left, right in zip(first, last, earliest, latest, strict=True):
-        before, doubt_before = _level(height[min(left, a) : a + 1])
-        behind, doubt_behind = _level(height[b : max(right, b) + 1])
-        doubts = [doubt_before, doubt_behind, WEATHER * float(time[b] - time[a]), PLACE]
-        rows.append((time[a], time[b], behind - before, np.linalg.norm(doubts)))
+        before, sigma_before = _level(height[min(left, a) : a + 1])
+        behind, sigma_behind = _level(height[b : max(right, b) + 1])
+        sigmas = [sigma_before, sigma_behind, CLIMB.weather * float(time[b] - time[a]), CLIMB.held]
+        rows.append((time[a], time[b], behind - before, np.linalg.norm(sigmas)))
     return Climbs(*np.array(rows).reshape(-1, 4).T)
 
 
 def _level(height: Array) -> tuple[float, float]:
-    """The median of some heights, and its standard deviation."""
+    """The median of heights and its standard deviation. [m]"""
     middle = float(np.median(height))
     spread = 1.4826 * float(np.median(np.abs(height - middle)))
-    return middle, 1.25 * spread / np.sqrt(max(1.0, len(height) * GRID / CORRELATED))
+    return middle, 1.25 * spread / np.sqrt(max(1.0, len(height) * CLIMB.grid / CLIMB.correlated))
+
+
+STAIRS, LIFT, ESCALATOR, RAMP, DRAUGHT = "stairs", "lift", "escalator", "ramp", "draught"
+
+
+@dataclass(frozen=True)
+class KindSettings:
+    """Limits between kinds of climbs, from building practice.
+
+    walked: least share of a climb's time spent on steps, to count as on foot; chosen by hand.
+    steepest_ramp, highest_stairs, highest_step: rise per step [m]: the steepest ramp for wheelchairs (1 in 12) gives
+        0.055; treads are 0.14 to 0.20, flights with their landings half of that, two treads at a time 0.36. Two treads
+        at a time are not distinguished from walking on an escalator.
+    slowest_lift: vertical speed [m/s]: escalators of 0.5 to 0.65 m/s at 30 to 35° rise by 0.25 to 0.37.
+    """
+
+    walked: float = 0.5
+    steepest_ramp: float = 0.055
+    highest_stairs: float = 0.25
+    highest_step: float = 0.5
+    slowest_lift: float = 0.42
+
+
+KIND = KindSettings()
+
+
+def climb_kinds(steps: Steps, climbs: Climbs) -> tuple[str, ...]:
+    """The kind of each climb: stairs, lift, escalator, ramp or draught.
+
+    A draught is a pressure change that no walker can have made: more than half a metre per step.
+    """
+    seconds = climbs.end - climbs.start
+    rate = np.abs(climbs.height) / seconds
+    per_step = np.abs(climbs.height) / np.maximum(_steps_made(steps, climbs), 1)
+    limits = (KIND.highest_step, KIND.highest_stairs, KIND.steepest_ramp)
+    on_foot = np.select([per_step > limit for limit in limits], [DRAUGHT, ESCALATOR, STAIRS], RAMP)
+    standing = np.where(rate > KIND.slowest_lift, LIFT, ESCALATOR)
+    kinds = np.where(_time_on_steps(steps, climbs) > KIND.walked * seconds, on_foot, standing)
+    return tuple(str(kind) for kind in kinds)
+
+
+def _time_on_steps(steps: Steps, climbs: Climbs) -> Array:
+    """Time in motion during each climb ``(c,)``. [s]"""
+    return _during(climbs, steps, np.repeat(np.append(0.0, np.cumsum(steps.duration)), 2)[1:-1])
+
+
+def _steps_made(steps: Steps, climbs: Climbs) -> Array:
+    """Number of steps during each climb ``(c,)``, with fractions of the steps at its ends."""
+    return _during(climbs, steps, np.repeat(np.arange(len(steps) + 1.0), 2)[1:-1])
+
+
+def _during(climbs: Climbs, steps: Steps, total: Array) -> Array:
+    """Increase ``(c,)`` during each climb of a quantity with values ``total (2 n,)`` at begin and end of each step."""
+    if not len(steps):
+        return np.zeros(len(climbs))
+    knots = np.stack([steps.time - steps.duration, steps.time], axis=1).ravel()
+    return np.interp(climbs.end, knots, total) - np.interp(climbs.start, knots, total)

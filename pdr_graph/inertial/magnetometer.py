@@ -1,7 +1,6 @@
-"""The magnetometer: calibration, two tests of its field, and a filter for the direction of north.
+"""The magnetometer: calibration, two tests of its field, and a filter for the direction of north; batch and live.
 
-`magnetic_north` is the Kalman filter of gyroscope and magnetometer of [gps-dr] Sec. 3. The live field and the phone's
-own iron are estimated as the samples arrive.
+`magnetic_north` is the Kalman filter of gyroscope and magnetometer of [gps-dr] Sec. 3.
 """
 
 from __future__ import annotations
@@ -19,23 +18,44 @@ from pdr_graph.inertial.attitude import LONGEST_BRIDGED, Attitude
 from pdr_graph.inertial.attitude_stream import SensorStream
 from pdr_graph.types import Array, Signal
 
-SMOOTHING = 0.5  # [s] of the Gaussian over the field's noise and the gait
-PREDICTED_OVER = 1.0  # [s] over which the gyroscope predicts the field
-MOST_SAMPLES, MOST_EVALUATIONS = 600, 60  # of a fit; where the turns tell little it would go on and on
-USUAL_HARD, USUAL_SOFT = 300.0, 0.1  # [µT], [-] standard deviations of a phone's own, before any calibration
-WELL_KNOWN = 3.0  # [µT] standard deviation of a hard iron that is worth taking away
-TILTED = 0.8  # length of the mean of the vertical in the device; a phone that was hardly tilted knows not its iron
-INDEPENDENT = 100  # of the samples in a building
+
+@dataclass(frozen=True)
+class MagnetometerSettings:
+    """Constants of the calibration and of the field's tests, chosen by hand.
+
+    smoothing: Gaussian over the field's noise and the gait [s]; prediction: time over which the gyroscope predicts the
+        field [s].
+    fit_samples, fit_evaluations: most of a calibration fit: it converges slowly where the phone was hardly turned.
+    hard_spread, soft_spread: standard deviations of a phone's hard iron [µT] and soft iron [-] before any calibration.
+    field_spread: of the field's magnitude about the ellipsoid in a building [µT]: the width of the fit's robust loss.
+    independent: number of independent samples in a building, where consecutive samples share the building's field.
+    hard_sigma: largest standard deviation of a hard iron that is worth subtracting [µT].
+    tilted: a mean of the vertical in the device that is longer than this means that the phone was hardly tilted, which
+        leaves its iron undetermined.
+    """
+
+    smoothing: float = 0.5
+    prediction: float = 1.0
+    fit_samples: int = 600
+    fit_evaluations: int = 60
+    hard_spread: float = 300.0
+    soft_spread: float = 0.1
+    field_spread: float = 3.0
+    independent: int = 100
+    hard_sigma: float = 3.0
+    tilted: float = 0.8
+
+
+MAGNETOMETER = MagnetometerSettings()
 UPPER = np.triu_indices(3)
-USUAL_SPREAD = 3.0  # [µT] of the field's size about the ellipsoid, in a building: the width of the fit's robust loss
 
 
 @dataclass(frozen=True)
 class Iron:
-    """What the phone itself does to the field.
+    """Hard and soft iron of a phone: field = soft (measured − hard).
 
-    hard: ``(3,)`` added by magnets [µT]; soft: ``(3, 3)`` symmetric, takes away what iron bends; sigma: ``(3,)``
-    standard deviations of ``hard``. field = soft (measured − hard).
+    hard: ``(3,)`` field of its magnets [µT]; soft: ``(3, 3)`` symmetric, corrects the distortion by its iron [-];
+    sigma: ``(3,)`` standard deviations of ``hard`` [µT].
     """
 
     hard: Array
@@ -43,83 +63,94 @@ class Iron:
     sigma: Array
 
     @property
-    def known(self) -> bool:
-        """True if the phone was turned enough ways to tell."""
-        return bool(np.all(self.sigma < WELL_KNOWN))
+    def reliable(self) -> bool:
+        """True if the phone was turned enough to determine its hard iron to 3 µT."""
+        return bool(np.all(self.sigma < MAGNETOMETER.hard_sigma))
 
     def corrected(self, measured: Array) -> Array:
-        """The field ``(n, 3)`` around the phone of the measured ``(n, 3)``. [µT]"""
+        """The field around the phone ``(n, 3)`` from the measured one ``(n, 3)``. [µT]"""
         return (measured - self.hard) @ self.soft
 
 
 def fit_iron(measured: Array, magnitude: float) -> Iron:
-    """Hard and soft iron of samples ``(n, 3)`` that were taken while the phone was turned all ways. [µT]
+    """Hard and soft iron from samples ``(n, 3)`` of a phone in changing orientations. [µT]
 
-    In one place the field has one size, so that the samples lie on an ellipsoid; a robust least squares finds the one
-    that the sphere of ``magnitude`` [µT] becomes. Its covariance says what the turns did not tell.
+    The field has a constant magnitude [µT], so that the samples lie on an ellipsoid: robust least squares finds the one
+    into which iron deforms the sphere. The sigmas are large where the orientations do not determine it.
     """
-    from scipy.optimize import least_squares  # here, since few walks need it and it takes time to load
+    from scipy.optimize import least_squares  # here: few walks need it and it is slow to load
 
-    some = measured[:: max(1, -(-len(measured) // MOST_SAMPLES))]
-    spread = np.concatenate([np.full(3, USUAL_HARD), np.full(6, USUAL_SOFT)])
-    usual = np.concatenate([np.zeros(3), np.eye(3)[UPPER]])
-    # a building's field is the same over many samples in a row: they do not count as so many
-    share = np.sqrt(min(1.0, INDEPENDENT / len(some)))
+    samples = measured[:: max(1, -(-len(measured) // MAGNETOMETER.fit_samples))]
+    usual, spread = _iron_prior()
+    share = np.sqrt(min(1.0, MAGNETOMETER.independent / len(samples)))
 
     def residuals(x: Array) -> Array:
-        length = np.linalg.norm((some - x[:3]) @ _symmetric(x[3:]), axis=1)
-        return np.concatenate([share * (length - magnitude) / USUAL_SPREAD, (x - usual) / spread])
+        length = np.linalg.norm((samples - x[:3]) @ _symmetric(x[3:]), axis=1)
+        return np.concatenate([share * (length - magnitude) / MAGNETOMETER.field_spread, (x - usual) / spread])
 
-    start = np.concatenate([np.median(some, axis=0), usual[3:]])
-    fit = least_squares(residuals, start, loss="cauchy", f_scale=share, max_nfev=MOST_EVALUATIONS)
+    start = np.concatenate([np.median(samples, axis=0), usual[3:]])
+    fit = least_squares(residuals, start, loss="cauchy", f_scale=share, max_nfev=MAGNETOMETER.fit_evaluations)
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac))[:3]) if fit.success else np.full(3, np.inf)
     return Iron(fit.x[:3], _symmetric(fit.x[3:]), sigma)
 
 
-def unknown_iron(measured: Array) -> Iron:
-    """A phone's before any fit to samples ``(n, 3)``, from which one sets out."""
-    return Iron(np.median(measured, axis=0), np.eye(3), np.full(3, USUAL_HARD))
+def initial_iron(measured: Array) -> Iron:
+    """Iron from which `refined_iron` starts, before any fit to samples ``(n, 3)`` [µT]."""
+    return Iron(np.median(measured, axis=0), np.eye(3), np.full(3, MAGNETOMETER.hard_spread))
 
 
-def refined(iron: Iron, measured: Array, magnitude: float) -> Iron:
-    """One round of the fit of `fit_iron`, by Gauss and Newton, weighted: for samples ``(n, 3)`` that go on coming."""
-    share = np.sqrt(min(1.0, INDEPENDENT / len(measured)))
+def refined_iron(iron: Iron, measured: Array, magnitude: float) -> Iron:
+    """Iron after one Gauss–Newton iteration of the fit of `fit_iron` to samples ``(n, 3)``. [µT]"""
+    share = np.sqrt(min(1.0, MAGNETOMETER.independent / len(measured)))
     apart = measured - iron.hard
     corrected = apart @ iron.soft
     length = np.linalg.norm(corrected, axis=1)
     towards = corrected / np.maximum(length, 1e-9)[:, None]
     i, j = UPPER
     by_soft = towards[:, i] * apart[:, j] + np.where(i == j, 0.0, towards[:, j] * apart[:, i])
-    by = np.concatenate([-towards @ iron.soft, by_soft], axis=1) / USUAL_SPREAD
-    error = (length - magnitude) / USUAL_SPREAD
-    spread = np.concatenate([np.full(3, USUAL_HARD), np.full(6, USUAL_SOFT)])
-    now = np.concatenate([iron.hard, iron.soft[UPPER]])
-    unusual = (now - np.concatenate([np.zeros(3), np.eye(3)[UPPER]])) / spread
-    weighted = by * (share**2 / (1 + error**2))[:, None]
-    information = weighted.T @ by + np.diag(spread**-2.0)
-    now = now - np.linalg.solve(information, weighted.T @ error + unusual / spread)
-    curved = np.maximum((1 - error**2) / (1 + error**2) ** 2, 0.0)  # the loss's second derivative
-    certain = (by * (share**2 * curved)[:, None]).T @ by + np.diag(spread**-2.0)
-    return Iron(now[:3], _symmetric(now[3:]), np.sqrt(np.diag(np.linalg.inv(certain))[:3]))
+    jacobian = np.concatenate([-towards @ iron.soft, by_soft], axis=1) / MAGNETOMETER.field_spread
+    error = (length - magnitude) / MAGNETOMETER.field_spread
+    usual, spread = _iron_prior()
+    state = np.concatenate([iron.hard, iron.soft[UPPER]])
+    unusual = (state - usual) / spread
+    weighted = jacobian * (share**2 / (1 + error**2))[:, None]
+    information = weighted.T @ jacobian + np.diag(spread**-2.0)
+    state = state - np.linalg.solve(information, weighted.T @ error + unusual / spread)
+    curvature = np.maximum((1 - error**2) / (1 + error**2) ** 2, 0.0)  # second derivative of the Cauchy loss
+    certain = (jacobian * (share**2 * curvature)[:, None]).T @ jacobian + np.diag(spread**-2.0)
+    return Iron(state[:3], _symmetric(state[3:]), np.sqrt(np.diag(np.linalg.inv(certain))[:3]))
+
+
+def _iron_prior() -> tuple[Array, Array]:
+    """Mean and standard deviation ``(9,)`` of hard iron [µT] and upper triangle of the soft iron, of any phone."""
+    mean = np.concatenate([np.zeros(3), np.eye(3)[UPPER]])
+    return mean, np.concatenate([np.full(3, MAGNETOMETER.hard_spread), np.full(6, MAGNETOMETER.soft_spread)])
+
+
+def _symmetric(upper: Array) -> Array:
+    """The symmetric matrix ``(3, 3)`` from its upper triangle ``(6,)``."""
+    matrix = np.zeros((3, 3))
+    matrix[UPPER] = upper
+    return matrix + np.triu(matrix, 1).T
 
 
 def measured_field(magnetometer: Signal, time: Array) -> Array:
-    """The field ``(n, 3)`` in device axes at times ``(n,)`` [s]; 0, which tells no north, where none was measured."""
+    """The field ``(n, 3)`` in device axes at times ``(n,)`` [s]; 0 more than a second from any sample. [µT]"""
     field = interpolate(time, magnetometer.time, magnetometer.values)
     apart = np.abs(magnetometer.time[nearest(magnetometer.time, time)] - time)
     return np.where((apart > LONGEST_BRIDGED)[:, None], 0.0, field)
 
 
-def predicted(field: Array, angular_rate: Array, period: float) -> Array:
-    """[gps-dr] Eqs. (1)–(3): the field ``(n, 3)`` that the gyroscope expects next, m' = m − (ω × m) Δt. [µT]
+def predicted_field(field: Array, angular_rate: Array, period: float) -> Array:
+    """[gps-dr] Eqs. (1)–(3): the field ``(n, 3)`` that the gyroscope predicts, m' = m − (ω × m) Δt. [µT]
 
-    field ``(n, 3)`` [µT] and angular_rate ``(n, 3)`` [rad/s] in device axes; row k is expected at sample k + 1.
+    field ``(n, 3)`` [µT] and angular_rate ``(n, 3)`` [rad/s] in device axes; row k is the prediction for sample k + 1.
     """
     return field - np.cross(angular_rate, field) * period
 
 
 def dip_error(field: Array, dip: float) -> Array:
-    """[gps-dr] Sec. 3, first test: by how much ``(n,)`` the field dips otherwise than the earth's. [rad]
+    """[gps-dr] Sec. 3, first test: difference ``(n,)`` between the dip of the field and that of the earth's. [rad]
 
     field: ``(n, 3)`` in the attitude's world, z up; dip: below the horizon [rad]. The angle between the field and
     gravity, which points down, is 90° − dip.
@@ -130,37 +161,47 @@ def dip_error(field: Array, dip: float) -> Array:
 def prediction_error(field: Array, period: float) -> Array:
     """[gps-dr] Sec. 3, second test: the angle ``(n,)`` between the field and the one that the gyroscope predicts. [rad]
 
-    field: ``(n, 3)`` in the attitude's world. The paper predicts one sample by `predicted`; there the sensor's noise
-    is larger than any disturbance, so that we let the attitude predict a second: in the world, the field of a second
-    before.
+    field: ``(n, 3)`` in the attitude's world. The paper predicts the next sample by `predicted_field`; over so
+    short a time the sensor's noise exceeds any disturbance. Here the attitude predicts over a second: the prediction is
+    the field in the world a second earlier.
     """
-    lag = min(max(1, round(PREDICTED_OVER / period)), len(field) - 1)
-    one, other = field[lag:], field[:-lag]
-    angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.sum(one * other, axis=1))
+    lag = min(max(1, round(MAGNETOMETER.prediction / period)), len(field) - 1)
+    later, earlier = field[lag:], field[:-lag]
+    angle = np.arctan2(np.linalg.norm(np.cross(later, earlier), axis=1), np.sum(later * earlier, axis=1))
     return np.concatenate([np.repeat(angle[:1], lag), angle])
 
 
 def field_in_world(attitude: Attitude, device: Array) -> Array:
-    """The field ``(n, 3)`` in the attitude's world, without the sensor's noise, of device axes ``(n, 3)``. [µT]"""
+    """The smoothed field ``(n, 3)`` in the attitude's world from the field in device axes ``(n, 3)``. [µT]"""
     world = attitude.R_world_device.apply(device)
-    return gaussian_filter1d(world, SMOOTHING / attitude.period, axis=0, mode="nearest")
+    return gaussian_filter1d(world, MAGNETOMETER.smoothing / attitude.period, axis=0, mode="nearest")
 
 
-def _symmetric(upper: Array) -> Array:
-    """The symmetric matrix ``(3, 3)`` of its upper triangle ``(6,)``."""
-    matrix = np.zeros((3, 3))
-    matrix[UPPER] = upper
-    return matrix + np.triu(matrix, 1).T
+@dataclass(frozen=True)
+class NorthSettings:
+    """Constants of the filter of north, chosen by hand.
+
+    interval: between observations [s].
+    drift: of the attitude's heading after removal of the gyroscope's bias [rad per root second].
+    undisturbed: standard deviation of an observation that passes both tests [rad].
+    alike: time for which a walker stays in the same disturbance [s]: about three metres.
+    disturbed: largest error in either test [rad]: other observations are not used.
+    weakest: least level field as a share of the earth's: the direction of a weaker one is noise.
+    huber: deviation at which an observation's innovation is clipped [σ].
+    least_valid: least share of the observations that pass the tests, or none is used.
+    """
+
+    interval: float = 1.0
+    drift: float = 0.004
+    undisturbed: float = 0.12
+    alike: float = 2.5
+    disturbed: float = 0.35
+    weakest: float = 0.3
+    huber: float = 2.0
+    least_valid: float = 0.3
 
 
-NORTH_INTERVAL = 1.0  # [s] between observations
-GYRO_WANDER = 0.004  # [rad] per root second: of the attitude's heading, bias removed
-UNDISTURBED = 0.12  # [rad] by which a field that passes both tests may still point elsewhere
-ALIKE_FOR = 2.5  # [s] a walker sees the same disturbance: about three metres
-DISTURBED = 0.35  # [rad] of an error in either test: such an observation is left out
-WEAKEST = 0.3  # of the earth's level field: less points anywhere, and a dead sensor's nowhere
-HUBER = 2.0  # [σ] beyond which an observation is held to be no further off
-HONEST_SHARE = 0.3  # of the observations that must pass; otherwise nothing is believed of the others either
+NORTH = NorthSettings()
 
 
 @dataclass(frozen=True)
@@ -168,7 +209,7 @@ class North:
     """True north over time.
 
     time: ``(m,)`` [s]; direction: ``(m,)`` of true north in the attitude's world, counter-clockwise from x, not wrapped
-    [rad]; sigma: ``(m,)`` [rad]. Empty where the magnetometer tells nothing.
+    [rad]; sigma: ``(m,)`` [rad]. 0 rows if the field is too disturbed.
     """
 
     time: Array
@@ -180,110 +221,125 @@ class North:
 
 
 def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North:
-    """North by the heading filter of [gps-dr] Sec. 3, run both ways.
-
-    The paper filters the heading itself, driven by the gyroscope; in the attitude's world, which the gyroscope holds,
-    that is a filter of a constant direction. Both validity scores set the observation's variance: a disturbance that
-    tilts the field by so much turns it by as much over the cosine of the dip. The paper lets them set the process's
-    variance too; a field that turns against the gyroscope is on real walks the building's (its turn rate against the
-    gyroscope's has a spread of ±70°/min), so that the process has the gyroscope's own.
+    """North by the heading filter of [gps-dr] Sec. 3, run forwards and backwards.
 
     field: ``(n, 3)`` in device axes, hard and soft iron removed [µT].
+
+    The paper filters the heading, driven by the gyroscope. The gyroscope already stabilises the attitude's world, so
+    that this is a filter of a constant direction. Both test errors widen the observation's sigma: a disturbance that
+    tilts the field by an angle turns it by that angle over the cosine of the dip. The paper lets them widen the
+    process noise too. On real walks a field that turns against the gyroscope is the building's (its turn rate against
+    the gyroscope's has a spread of ±70°/min), so that here the process noise is the gyroscope's own.
     """
-    every = max(1, round(NORTH_INTERVAL / attitude.period))
+    every = max(1, round(NORTH.interval / attitude.period))
     world = field_in_world(attitude, field)
-    scores = np.stack([dip_error(world, earth.dip), prediction_error(world, attitude.period)])[:, ::every]
+    errors = np.stack([dip_error(world, earth.dip), prediction_error(world, attitude.period)])[:, ::every]
     world, time = world[::every], attitude.time[::every]
     level = np.hypot(world[:, 0], world[:, 1])
-    valid = np.all(scores < DISTURBED, axis=0) & (level > WEAKEST * earth.magnitude * np.cos(earth.dip))
-    if np.mean(valid) < HONEST_SHARE:
+    valid = np.all(errors < NORTH.disturbed, axis=0) & (level > NORTH.weakest * earth.magnitude * np.cos(earth.dip))
+    if np.mean(valid) < NORTH.least_valid:
         return North(np.empty(0), np.empty(0), np.empty(0))
-    seen = np.arctan2(world[:, 1], world[:, 0]) + earth.declination
-    variance = UNDISTURBED**2 + np.sum(scores**2, axis=0) / np.cos(earth.dip) ** 2
-    variance = np.where(valid, variance * (1 + 2 * ALIKE_FOR / NORTH_INTERVAL), np.inf)
-    return North(time, *_smoothed(*_filtered(seen, variance)))
+    observed = np.arctan2(world[:, 1], world[:, 0]) + earth.declination
+    variance = NORTH.undisturbed**2 + np.sum(errors**2, axis=0) / np.cos(earth.dip) ** 2
+    variance = np.where(valid, variance * (1 + 2 * NORTH.alike / NORTH.interval), np.inf)
+    return North(time, *_smoothed(*_filtered(observed, variance)))
 
 
-def _filtered(seen: Array, variance: Array) -> tuple[Array, Array]:
-    """State and variance ``(n,)`` after each observation [rad, rad²]; before the first valid one they are its own."""
+def _filtered(observed: Array, variance: Array) -> tuple[Array, Array]:
+    """Direction [rad] and variance [rad²] ``(n,)`` after each observation; before the first valid one, as at it."""
     first = int(np.argmin(np.isinf(variance)))
-    state, doubt = float(seen[first]), float(variance[first])
-    states, doubts = np.full(len(seen), state), np.full(len(seen), doubt)
-    doubts[:first] += GYRO_WANDER**2 * NORTH_INTERVAL * np.arange(first, 0, -1)
-    for k, (one, spread) in enumerate(zip(seen[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True)):
-        doubt += GYRO_WANDER**2 * NORTH_INTERVAL
-        gain = doubt / (doubt + spread)
-        surprise = (one - state + np.pi) % (2 * np.pi) - np.pi
-        widest = HUBER * sqrt(doubt + spread)
-        state += gain * min(max(surprise, -widest), widest)
-        doubt *= 1 - gain
-        states[first + 1 + k], doubts[first + 1 + k] = state, doubt
-    return states, doubts
+    state, uncertainty = float(observed[first]), float(variance[first])
+    states, uncertainties = np.full(len(observed), state), np.full(len(observed), uncertainty)
+    uncertainties[:first] += NORTH.drift**2 * NORTH.interval * np.arange(first, 0, -1)
+    later = zip(observed[first + 1 :].tolist(), variance[first + 1 :].tolist(), strict=True)
+    for k, (measured, spread) in enumerate(later):
+        uncertainty += NORTH.drift**2 * NORTH.interval
+        gain = uncertainty / (uncertainty + spread)
+        innovation = (measured - state + np.pi) % (2 * np.pi) - np.pi
+        widest = NORTH.huber * sqrt(uncertainty + spread)
+        state += gain * min(max(innovation, -widest), widest)
+        uncertainty *= 1 - gain
+        states[first + 1 + k], uncertainties[first + 1 + k] = state, uncertainty
+    return states, uncertainties
 
 
 def _smoothed(state: Array, variance: Array) -> tuple[Array, Array]:
-    """State and standard deviation ``(n,)`` given all observations: Rauch, Tung and Striebel's backward pass."""
+    """Direction and standard deviation ``(n,)`` [rad] given all observations: Rauch–Tung–Striebel backward pass."""
     state, variance = state.copy(), variance.copy()
     for k in range(len(state) - 2, -1, -1):
-        predicted = variance[k] + GYRO_WANDER**2 * NORTH_INTERVAL
+        predicted = variance[k] + NORTH.drift**2 * NORTH.interval
         gain = variance[k] / predicted
         state[k] += gain * (state[k + 1] - state[k])
         variance[k] += gain**2 * (variance[k + 1] - predicted)
     return state, np.sqrt(variance)
 
 
-PACKETS, KEPT = 20, 60.0  # that wait to be looked at, and [s] of samples that are kept for who asks late
-LONGEST_APART = 120.0  # [s] between the latest sample and what is asked for
-SAMPLES, IRON_INTERVAL = 600, 0.5  # the last ones that tell of iron, and [s] between them
-ROUNDS = 3  # of the fit each time, which goes on from where it was
+@dataclass(frozen=True)
+class MagnetometerStreamSettings:
+    """Constants of the live magnetometer, chosen by hand.
+
+    packets: number of packets that are ingested together; history: duration of the stored samples [s], for late
+        requests; furthest: between the latest sample and a requested time [s], else the samples are discarded.
+    samples, interval: number and interval [s] of the last samples to which iron is fitted; rounds: iterations per fit.
+    """
+
+    packets: int = 20
+    history: float = 60.0
+    furthest: float = 120.0
+    samples: int = 600
+    interval: float = 0.5
+    rounds: int = 3
+
+
+STREAM = MagnetometerStreamSettings()
 
 
 @dataclass
 class MagnetometerStream:
-    """What a magnetometer measured in the last minute.
+    """The magnetometer's samples of the last minute, and the phone's iron.
 
-    some, up: ``(n, 3)`` some samples in the device [µT], and the vertical in it; iron: rows of hard, soft and sigma,
-    once there is a fit.
+    calibration, up: ``(n, 3)`` samples in device axes for the fit of iron [µT], and the vertical in the device at
+    them; iron: ``(5, 3)`` rows of hard, soft and sigma, ``(0, 3)`` before the first fit.
     """
 
     stream: SensorStream = field(default_factory=SensorStream)
-    some: Array = field(default_factory=lambda: np.empty((0, 3)))
+    calibration: Array = field(default_factory=lambda: np.empty((0, 3)))
     up: Array = field(default_factory=lambda: np.empty((0, 3)))
     iron: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     def push(self, time: Array, values: Array) -> None:
-        """Samples at times ``(n,)`` [s], as of `Signal`."""
+        """Add samples at times ``(n,)`` [s], as in `Signal`."""
         self.stream.push(time, values)
-        if len(self.stream.arrived) >= PACKETS:
+        if len(self.stream.arrived) >= STREAM.packets:
             self.ingest()
 
     def ingest(self) -> None:
-        """Look at what was pushed."""
+        """Validate the samples that were pushed, and drop those older than a minute."""
         self.stream.ingest(self.stream.offset)
-        self.stream.forget(self.stream.last - KEPT)
+        self.stream.forget(self.stream.last - STREAM.history)
 
     def at(self, time: Array, R_world_device: Rotation) -> Array:
-        """The field ``(n, 3)`` in device axes at the next times ``(n,)``, evenly spaced; 0 where there is none. [µT]"""
+        """The field ``(n, 3)`` in device axes at times ``(n,)`` [s], evenly spaced; 0 without samples. [µT]"""
         self.ingest()
         if not len(self.stream.time) or not len(time):
             return np.zeros((len(time), 3))
-        if abs(self.stream.last - time[-1]) > LONGEST_APART:  # it stopped, or what came first had a wild time
+        if abs(self.stream.last - time[-1]) > STREAM.furthest:  # the sensor stopped, or its first times were wrong
             self.stream = SensorStream()
             return np.zeros((len(time), 3))
         field = measured_field(Signal(self.stream.time, self.stream.values), time)
-        few = max(1, round(IRON_INTERVAL * len(time) / (time[-1] - time[0] + 1e-9)))
+        every = max(1, round(STREAM.interval * len(time) / (time[-1] - time[0] + 1e-9)))
         up = R_world_device.inv().apply([0.0, 0.0, 1.0])
-        some = np.flatnonzero(np.any(field, axis=1))[::few]
-        self.some = np.concatenate([self.some, field[some]])[-SAMPLES:]
-        self.up = np.concatenate([self.up, up[some]])[-SAMPLES:]
+        selected = np.flatnonzero(np.any(field, axis=1))[::every]
+        self.calibration = np.concatenate([self.calibration, field[selected]])[-STREAM.samples :]
+        self.up = np.concatenate([self.up, up[selected]])[-STREAM.samples :]
         return field
 
     def without_iron(self, field: Array, magnitude: float) -> Array:
-        """The field ``(n, 3)`` around the phone of a measured one, where its tilt has told of iron. [µT]"""
-        if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= TILTED:
+        """The field around the phone ``(n, 3)``; the measured one if the phone was not tilted enough. [µT]"""
+        if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= MAGNETOMETER.tilted:
             return field
-        iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else unknown_iron(self.some)
-        for _ in range(ROUNDS):
-            iron = refined(iron, self.some, magnitude)
+        iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else initial_iron(self.calibration)
+        for _ in range(STREAM.rounds):
+            iron = refined_iron(iron, self.calibration, magnitude)
         self.iron = np.vstack([iron.hard, iron.soft, iron.sigma])
-        return np.where(np.any(field, axis=1)[:, None], iron.corrected(field), 0.0) if iron.known else field
+        return np.where(np.any(field, axis=1)[:, None], iron.corrected(field), 0.0) if iron.reliable else field

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.io.tables import check_geodetic, read_table
 from pdr_graph.types import LONLAT, Beacons, Recording
 

@@ -15,7 +15,7 @@ import numpy as np
 from pdr_graph.estimation.factors.fixes import DRIVEN, STRETCHED, WITHIN
 from pdr_graph.estimation.gps_track import LOST, way_through
 from pdr_graph.estimation.transport_mode import RIDES, STANDS, WALKS
-from pdr_graph.gait.signals import GAP_SIGMA_TURN
+from pdr_graph.gait.steps import GAP_SIGMA_TURN
 from pdr_graph.geometry import distance_walked, interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, Segment
 from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Steps, Trajectory

@@ -17,7 +17,7 @@ import numpy as np
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.frames import Frame
-from pdr_graph.gait.signals import GAP_SIGMA_TURN, append_steps, gap, shifted
+from pdr_graph.gait.steps import GAP_SIGMA_TURN, append_steps, gap, shifted
 from pdr_graph.lifelog.observation import FEWEST, Observation
 from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
 from pdr_graph.types import Array, Beacons, Fixes, Headings, Sightings, Signal, Steps

@@ -16,8 +16,8 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
-from pdr_graph.floor.areas import CLOSED, Area
 from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import length_along, row_times, unit, wrap_angle
 from pdr_graph.lifelog.day import STANDING, Segment, Stay, at

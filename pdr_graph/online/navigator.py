@@ -28,8 +28,8 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
-from pdr_graph.gait.signals import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
+from pdr_graph.gait.steps import concatenate_steps
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude_stream import Health
@@ -125,7 +125,7 @@ class Navigator:
         self._compass = LiveCompass(self.walker)
         labels = self.building.labels if self.building else ()
         self._floors = LiveFloors(self.building, labels[0] if len(labels) == 1 else start_floor or "")
-        self._gait = StepStream(self.walker, self._compass.take)
+        self._gait = StepStream(self.walker, self._compass.update)
         prior = prior or prior_of(self.walker.profile)
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "")
         self._place: Array | None = None  # where the walk was first known to be

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.floor.areas import BEACON, CLOSED, LINK, OPEN, SOLID
+from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band
 from pdr_graph.plotting import BORDER, CELLS, EDGE, SOLID_FILL, WALKABLE

@@ -8,7 +8,7 @@ from walks import PERIOD, fixes_at, steps_of
 from pdr_graph import Headings, WalkGraph
 from pdr_graph.estimation import optimizer, particle_filter
 from pdr_graph.estimation.optimizer import solutions
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import dead_reckon

@@ -22,11 +22,11 @@ from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, LoopClosure
 from pdr_graph.estimation.factors.start import CorridorUse, Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.isam import Linear, TransactionalISAM
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait import compass
-from pdr_graph.gait.signals import GAP_SIGMA_TURN, GAP_SPEED, append_steps, gap, shifted
+from pdr_graph.gait.steps import GAP_SIGMA_TURN, GAP_SPEED, append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog import multi_day
 from pdr_graph.measurements import Closures, Levels

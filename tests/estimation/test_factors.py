@@ -18,7 +18,7 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
 from pdr_graph.estimation.factors.start import CorridorUse, Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.measurements import Closures, Levels, Ranges

@@ -10,7 +10,7 @@ from pdr_graph import Headings, kalman_filter, smooth
 from pdr_graph.estimation.factors.base import extract
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import solutions
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 

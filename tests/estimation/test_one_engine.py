@@ -13,8 +13,8 @@ from pdr_graph import smooth
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, wrap_angle

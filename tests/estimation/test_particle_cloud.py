@@ -12,7 +12,7 @@ from pdr_graph.estimation.factors.preintegration import intervals, whole_pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleFilter, particle_filter
 from pdr_graph.estimation.path_modes import dominant_modes
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 
 FEWEST, MOST = 400, 500

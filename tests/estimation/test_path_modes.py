@@ -8,7 +8,7 @@ from walks import fixes_at, steps_of
 from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation.particle_filter import Paths, particle_filter
 from pdr_graph.estimation.path_modes import APART, dominant_modes, hypotheses, path_modes
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 
 STEM, BRANCH, HALF_ANGLE = 20.0, 22.0, np.radians(30)  # [m], [m], of each branch from straight ahead

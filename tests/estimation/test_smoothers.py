@@ -22,7 +22,7 @@ from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.base import extract
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import rotation, wrap_angle

@@ -8,7 +8,7 @@ from walks import fixes_at, steps_of
 from pdr_graph import Headings, smooth
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import UNSEEN, paths, probabilities, solutions
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 

@@ -141,7 +141,7 @@ def test_ipin21_polygons(tmp_path):
     assert crosses(floor, (x + 7, y + 1), (x + 7, y + 5))
     assert [note.split(":")[0] for note in floor.notes] == [
         "1 features without a geometry were left out (the first",
-        "the file says CRS CRS84, its coordinates are metres, taken for EPSG",
+        "the file states CRS CRS84, but its coordinates are metres, read as EPSG",
         "feature 4",
     ]
 

@@ -8,7 +8,7 @@ import shapely
 from plans import MAPS
 
 from pdr_graph import FloorPlan
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.corridor_runs import straight_runs, turns_between
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.frames import Frame

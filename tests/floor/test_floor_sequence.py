@@ -9,9 +9,8 @@ from plans import MAPS
 from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, WalkGraph
-from pdr_graph.floor.areas import Area
 from pdr_graph.floor.building import Building, FloorSequence
-from pdr_graph.floor.cells import NOWHERE
+from pdr_graph.floor.cells import NOWHERE, Area
 from pdr_graph.frames import Frame
 
 

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from pdr_graph import FloorPlan, InputError
-from pdr_graph.floor.distance_field import OPEN, DistanceField
+from pdr_graph.floor.distance_field import OPEN_DISTANCE, DistanceField
 
 
 def lonlat_square(x0, y0, x1, y1):
@@ -121,7 +121,7 @@ def test_distances_by_pixels_agree_with_exact_ones():
     points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
     exact = shapely.distance(area.boundary, shapely.points(points))
     exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
-    about = DistanceField(area).about(points.T)
+    about = DistanceField(area).approximate(points.T)
     assert np.percentile(np.abs(about - exact), 99) < 0.1
 
 
@@ -130,13 +130,13 @@ def test_tiles_may_come_one_by_one_most_wanted_first():
     patient, hasty = DistanceField(irregular_area()), DistanceField(irregular_area())
     points = np.random.default_rng(3).uniform(-18, 18, (500, 2)).T
     crowd = np.tile([[0.5], [0.5]], 400)
-    known = patient.about(np.hstack([crowd, points]))
-    looks = [hasty.about(np.hstack([crowd, points]), at_once=1) for _ in range(40)]
+    known = patient.approximate(np.hstack([crowd, points]))
+    looks = [hasty.approximate(np.hstack([crowd, points]), at_once=1) for _ in range(40)]
     assert np.array_equal(looks[0][:400], known[:400]), "where most are comes first"
     agreeing = [np.mean(look == known) for look in looks]
     assert agreeing == sorted(agreeing)
     assert agreeing[0] < 0.6
-    assert np.all((looks[0] == known) | (looks[0] == OPEN))
+    assert np.all((looks[0] == known) | (looks[0] == OPEN_DISTANCE))
     assert np.array_equal(looks[-1], known)
 
 

@@ -8,11 +8,11 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame
-from pdr_graph.gait.compass import COMPASS_SIGMA, SAMPLING, STRETCH, CompassCheckpoint, LiveCompass
+from pdr_graph.gait.compass import COMPASS_SIGMA, LIVE, STRETCH, CompassCheckpoint, LiveCompass
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.inertial.magnetometer import fit_iron, refined, unknown_iron
+from pdr_graph.inertial.magnetometer import fit_iron, initial_iron, refined_iron
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -42,7 +42,7 @@ def live(walk, recording=None, compass=None, after=-np.inf, packet=0.1):
     """Headings in the order in which they were said."""
     compass = compass or LiveCompass()
     compass.locate(walk.frame, HERE)
-    gait, said = StepStream(listener=compass.take), []
+    gait, said = StepStream(listener=compass.update), []
     for event in events_of(recording or recorded(walk), packet):
         if isinstance(event, Samples) and event.time[-1] > after:
             if event.sensor == "magnetometer":
@@ -172,7 +172,7 @@ def test_a_magnetometer_that_errs_now_and_then_is_used(change):
     packets = change(recording.magnetometer.time, recording.magnetometer.values.copy())
     compass, said = LiveCompass(), []
     compass.locate(walk.frame, HERE)
-    gait, rows = StepStream(listener=compass.take), len(packets[0]) // len(recording.magnetometer)
+    gait, rows = StepStream(listener=compass.update), len(packets[0]) // len(recording.magnetometer)
     order = recording.magnetometer.time
     for event in events_of(replace(recording, magnetometer=None)):
         gait.push(event.sensor, event.time, event.values)
@@ -194,7 +194,7 @@ def test_what_is_kept_does_not_grow():
     """Stretches of 150 s at 25 Hz, whether it speaks or not."""
     walk = walked(laps=5)
     compass, gait = LiveCompass(), None
-    gait = StepStream(listener=compass.take)
+    gait = StepStream(listener=compass.update)
     for event in events_of(recorded(walk)):
         (compass if event.sensor == "magnetometer" else gait).push(
             *(
@@ -205,7 +205,7 @@ def test_what_is_kept_does_not_grow():
         )
         gait.advance()
         sizes = [len(v) for v in vars(compass.checkpoint()).values() if isinstance(v, np.ndarray)]
-        assert max(sizes) <= 1.2 * STRETCH / SAMPLING
+        assert max(sizes) <= 1.2 * STRETCH / LIVE.sampling
 
 
 def test_a_restored_state_goes_on_to_the_bit():
@@ -224,12 +224,12 @@ def test_a_restored_state_goes_on_to_the_bit():
     for compass, part in ((whole, gaits), (first, gaits[:half])):
         compass.locate(walk.frame, HERE)
         for one in part:
-            compass.push(*one) if isinstance(one, tuple) else compass.take(one)
+            compass.push(*one) if isinstance(one, tuple) else compass.update(one)
         said.append(compass.advance())
     second.restore(decode(encode(first.checkpoint()), CompassCheckpoint))
     second.locate(walk.frame, HERE)
     for one in gaits[half:]:
-        second.push(*one) if isinstance(one, tuple) else second.take(one)
+        second.push(*one) if isinstance(one, tuple) else second.update(one)
     assert said[0] == said[1] + second.advance()
     assert len(said[0]) > len(said[1]) > 0
 
@@ -240,8 +240,8 @@ def test_a_fit_of_iron_round_by_round_is_the_fit():
     for spread in (3.0, 0.3):
         way = random.normal([0, 0, 1], spread, (500, 3))
         field = 50 * way / np.linalg.norm(way, axis=1, keepdims=True) + [20, 0, -30] + random.normal(0, 0.5, (500, 3))
-        iron, fit = unknown_iron(field), fit_iron(field, 50.0)
+        iron, fit = initial_iron(field), fit_iron(field, 50.0)
         for _ in range(30):
-            iron = refined(iron, field, 50.0)
-        assert iron.known == fit.known
+            iron = refined_iron(iron, field, 50.0)
+        assert iron.reliable == fit.reliable
         assert iron.hard == pytest.approx(fit.hard, abs=np.max(fit.sigma) / 3)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
-from pdr_graph.gait.heading import LEAD, braking_axis, forward_axis, principal_axis, reading_axis, walking_direction
+from pdr_graph.gait.heading import FORWARD, braking_axis, forward_axis, principal_axis, reading_axis, walking_direction
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.simulation.scenario import Scenario
@@ -20,7 +20,7 @@ HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
 def marching(start=None, sway=0.6, push=0.5, heading=None):
     """A phone on a body that rises once a step, pushes with the lead of people, and sways once in two."""
     step = 2 * np.pi * TIME / STEP
-    ahead, left = push * np.cos(step + LEAD), sway * np.cos(step / 2)
+    ahead, left = push * np.cos(step + FORWARD.lead), sway * np.cos(step / 2)
     course = AHEAD + (np.zeros(len(TIME)) if heading is None else heading)
     level = (ahead + 1j * left) * np.exp(1j * course)
     world = np.column_stack([level.real, level.imag, 9.81 + 2 * np.cos(step)])
@@ -67,9 +67,9 @@ def test_who_stands_goes_nowhere():
     attitude = marching(sway=0.0, push=0.0)
     noise = np.random.default_rng(0).normal(0, 0.1, attitude.acceleration.shape)
     standing = Attitude(TIME, PERIOD, attitude.R_world_device, attitude.acceleration + noise, None)
-    assert not braking_axis(standing, np.zeros(len(TIME)), ALWAYS, STEP).known
+    assert not braking_axis(standing, np.zeros(len(TIME)), ALWAYS, STEP).determined
     for method in (braking_axis, reading_axis, principal_axis, forward_axis):
-        assert not method(attitude, np.zeros(len(TIME)), ~ALWAYS, STEP).known
+        assert not method(attitude, np.zeros(len(TIME)), ~ALWAYS, STEP).determined
 
 
 def test_a_phone_that_is_read_points_ahead():
@@ -90,7 +90,7 @@ def test_ahead_is_found_in_every_hold(hold):
     for seed in range(4):
         *walk, wanted = simulated(hold, seed)
         found = forward_axis(*walk)
-        assert not found.known or abs(wrap_angle(found.angle - wanted)) < min(2.5 * found.sigma, 0.7)
+        assert not found.determined or abs(wrap_angle(found.angle - wanted)) < min(2.5 * found.sigma, 0.7)
 
 
 @pytest.mark.parametrize("method", [forward_axis, braking_axis, reading_axis, principal_axis])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.gait.heading import GRIP_CHANGE_SIGMA, walking_direction
+from pdr_graph.gait.heading import GRIP, walking_direction
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.simulation.carrying import with_grip_change
 from pdr_graph.simulation.scenario import Scenario
@@ -28,8 +28,8 @@ def test_a_phone_turned_in_the_hand_is_no_turn_of_the_walker(angle):
         direction = walking_direction(attitude_of(with_grip_change(recording, up, 14.0, angle)), step)
         plain = walking_direction(attitude, step)
         assert plain.variance[-1] == 0
-        assert direction.variance[-1] == pytest.approx(GRIP_CHANGE_SIGMA**2)
-        assert direction.heading[-1] == pytest.approx(plain.heading[-1], abs=2 * GRIP_CHANGE_SIGMA)
+        assert direction.variance[-1] == pytest.approx(GRIP.sigma**2)
+        assert direction.heading[-1] == pytest.approx(plain.heading[-1], abs=2 * GRIP.sigma)
 
 
 @pytest.mark.parametrize("hold", ["hand", "swinging arm", "trouser pocket", "breast pocket", "bag"])
@@ -57,4 +57,4 @@ def test_a_turn_made_while_the_phone_is_put_away_is_the_walkers(angle):
     truth = np.interp(attitude.time, walk.body.time, walk.body.heading)
     turned = direction.heading[-1] - direction.heading[0] - (truth[-1] - truth[0])
     assert direction.variance[-1] > 0
-    assert abs(np.angle(np.exp(1j * turned))) < 2 * GRIP_CHANGE_SIGMA
+    assert abs(np.angle(np.exp(1j * turned))) < 2 * GRIP.sigma

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
 from pdr_graph.gait.heading import (
-    GRIP_CHANGE_SIGMA,
+    GRIP,
     acceleration_axis,
     accumulate_turn,
     angular_rate_axis,
@@ -58,7 +58,7 @@ def test_a_rehold_is_a_doubt_and_no_turn():
     taken = Rotation.from_rotvec(share * Rotation.from_euler("xz", [1.6, 1.6]).as_rotvec())
     direction = walking_direction(attitude(taken), STEP)
     assert abs(direction.heading[-1]) < 0.05
-    assert direction.variance[-1] == pytest.approx(GRIP_CHANGE_SIGMA**2)
+    assert direction.variance[-1] == pytest.approx(GRIP.sigma**2)
     assert direction.variance[1700] == 0, "no doubt before"
 
 
@@ -87,7 +87,7 @@ def test_steps_carry_the_doubt_of_a_rehold():
     steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
     begun = walk.body.events_of("hold")[1].start
     near = np.abs(steps.time - begun) < 4
-    assert np.sqrt(np.sum(steps.sigma_turn[near] ** 2 - 0.02**2)) == pytest.approx(GRIP_CHANGE_SIGMA, rel=0.05)
+    assert np.sqrt(np.sum(steps.sigma_turn[near] ** 2 - 0.02**2)) == pytest.approx(GRIP.sigma, rel=0.05)
     assert np.all(steps.sigma_turn[~near] == 0.02)
     assert abs(steps.turn[near].sum()) < 0.3, "straight on, while the phone turned by more than a radian"
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.gait.stairs import kinds
-from pdr_graph.inertial.barometer import Climbs
+from pdr_graph.inertial.barometer import Climbs, climb_kinds
 from pdr_graph.types import Steps
 
 
@@ -38,16 +37,16 @@ STANDING = walk(*np.arange(1, 49, 0.5), *np.arange(150, 190, 0.5))
     ],
 )
 def test_kinds(steps, height, seconds, kind):
-    assert kinds(steps, climb(height, seconds)) == (kind,)
+    assert climb_kinds(steps, climb(height, seconds)) == (kind,)
 
 
 def test_some_shuffling_in_a_lift_is_no_stairs():
-    assert kinds(walk(*np.arange(1, 51, 0.5), 55), climb(7.0, 8.0)) == ("lift",)
+    assert climb_kinds(walk(*np.arange(1, 51, 0.5), 55), climb(7.0, 8.0)) == ("lift",)
 
 
 def test_without_steps_somebody_was_carried():
-    assert kinds(walk(), climb(7.0, 8.0)) == ("lift",)
+    assert climb_kinds(walk(), climb(7.0, 8.0)) == ("lift",)
 
 
 def test_no_climbs_have_no_kinds():
-    assert kinds(WALKING, Climbs.none()) == ()
+    assert climb_kinds(WALKING, Climbs.none()) == ()

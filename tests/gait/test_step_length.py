@@ -44,7 +44,7 @@ def test_by_cadence():
     normal = {"normal_step": 0.7, "normal_cadence": 100.0}
     assert step_length.by_cadence(straight, **normal)[0] == pytest.approx(0.84)
     assert step_length.by_cadence(turning, **normal)[0] == pytest.approx(0.84 * (1 - 0.01124 * 30))
-    assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == step_length.SHORTEST, "clipped at 89°"
+    assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == step_length.SHORTEST_LENGTH, "clipped at 89°"
 
 
 def test_the_default_is_shorter_in_bends():
@@ -92,7 +92,7 @@ def test_taller_people_take_longer_steps():
 def test_every_model_gives_plausible_lengths_and_a_sigma(walked, name):
     found, sigma = step_length.MODELS[name](walked[1])
     assert found.shape == sigma.shape == walked[1].period.shape
-    assert np.all((found >= step_length.SHORTEST) & (found <= step_length.LONGEST))
+    assert np.all((found >= step_length.SHORTEST_LENGTH) & (found <= step_length.LONGEST_LENGTH))
     assert np.all((sigma > 0.02) & (sigma < 0.5))
 
 

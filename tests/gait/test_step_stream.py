@@ -8,13 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_graph.gait.signals import append_steps
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
-from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, detect_steps
+from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, append_steps, detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
-from pdr_graph.inertial.attitude_stream import PERSISTS
+from pdr_graph.inertial.attitude_stream import VALIDATION
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
@@ -209,7 +208,7 @@ def test_a_clock_that_is_put_back(jump):
 def test_a_few_late_packets_put_no_clock_back():
     packets = sent(walk())
     mixed = packets[:400] + packets[360:400] + packets[400:]
-    assert len(packets[360:400]) * 0.05 <= PERSISTS
+    assert len(packets[360:400]) * 0.05 <= VALIDATION.clock_reset
     assert same(whole(live(mixed)[0]), whole(live(packets)[0]))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.inertial.barometer import climbs, done, height_of
+from pdr_graph.inertial.barometer import climbed_share, climbs, height_of
 from pdr_graph.types import Signal
 
 # The 1976 standard atmosphere at 15 °C; air of 20 °C as ours is thicker by 1.7 % for the same pressures.
@@ -92,7 +92,7 @@ def test_how_much_of_a_climb_was_done_rises_from_none_to_all():
     signal = barometer(*STAIRS)
     found = climbs(signal)
     at = np.linspace(0, 140, 500)
-    (share,) = done(signal, found, at)
+    (share,) = climbed_share(signal, found, at)
     assert share[0] == 0
     assert share[-1] == 1
     assert np.all(np.diff(share) >= 0)

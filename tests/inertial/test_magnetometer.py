@@ -11,7 +11,7 @@ from pdr_graph.inertial.magnetometer import (
     field_in_world,
     fit_iron,
     magnetic_north,
-    predicted,
+    predicted_field,
     prediction_error,
 )
 
@@ -52,7 +52,7 @@ def test_any_date_has_a_field(epoch):
 
 def test_iron_is_found_when_the_phone_is_turned_all_ways():
     iron = fit_iron(measured(Rotation.random(3000, random_state=1)), EARTH.magnitude)
-    assert iron.known
+    assert iron.reliable
     assert iron.hard == pytest.approx(HARD, abs=4 * iron.sigma.max())
     assert iron.hard == pytest.approx(HARD, abs=0.5)
     assert iron.soft == pytest.approx(SOFT, abs=0.01)
@@ -68,7 +68,7 @@ def test_iron_survives_a_magnet_in_passing():
 def test_iron_stays_unknown_to_a_phone_that_turns_about_one_axis():
     """What lies along that axis is anybody's guess (the field may point up or down), and the fit says so."""
     iron = fit_iron(measured(Rotation.from_euler("z", np.linspace(0, 20, 2000)[:, None])), EARTH.magnitude)
-    assert not iron.known
+    assert not iron.reliable
     assert iron.hard[:2] == pytest.approx(HARD[:2], abs=3.0)
 
 
@@ -77,8 +77,8 @@ def test_the_gyroscope_predicts_the_field():
     random = np.random.default_rng(0)
     rate, field = random.normal(0, 1.0, (50, 3)), random.normal(0, 30.0, (50, 3))
     exact = Rotation.from_rotvec(-rate * 0.01).apply(field)
-    assert np.abs(predicted(field, rate, 0.01) - exact).max() < np.linalg.norm(field, axis=1).max() * 5e-4
-    assert np.abs(predicted(field, rate, 0.01) - field).max() > 0.5
+    assert np.abs(predicted_field(field, rate, 0.01) - exact).max() < np.linalg.norm(field, axis=1).max() * 5e-4
+    assert np.abs(predicted_field(field, rate, 0.01) - field).max() > 0.5
 
 
 def test_an_undisturbed_field_passes_both_tests_however_the_phone_turns():

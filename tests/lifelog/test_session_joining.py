@@ -8,7 +8,7 @@ from observations import HERE, NOON, cut_in_two, observation, positions, walk
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.frames import enu
-from pdr_graph.gait.signals import GAP_SIGMA_TURN
+from pdr_graph.gait.steps import GAP_SIGMA_TURN
 from pdr_graph.lifelog.sessions import FIELD_SIGMA, RESTART, joined, turn_by_field
 
 

@@ -9,7 +9,7 @@ from plans import MAPS
 from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, dead_reckon
-from pdr_graph.floor.areas import Area
+from pdr_graph.floor.cells import Area
 from pdr_graph.floor.corridor_turns import (
     Segments,
     Turn,

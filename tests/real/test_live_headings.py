@@ -17,7 +17,7 @@ NEAR = 60.0  # [s] of the walk before and after a heading that it is compared wi
 def said_of(walk, frame):
     compass = LiveCompass()
     compass.locate(frame, np.zeros(2), walk.epoch)
-    gait, said = StepStream(listener=compass.take), []
+    gait, said = StepStream(listener=compass.update), []
     for event in events_of(walk):
         if isinstance(event, Samples) and event.sensor == "magnetometer":
             compass.push(event.time, event.values)
