@@ -227,8 +227,9 @@ def read(path: Path) -> Drawing:
 def read_microsoft(folder: Path) -> Drawing:
     """Read a floor folder of the Indoor Location Competition 2.0.
 
-    Feature 0 is the outline, all others are solid: the walkable area is the outline minus them. The metric frame scales the outline's bounding box, in degrees, to ``map_info``'s width and height:
-    x = (lon − lon0)/(lon1 − lon0)·width, y likewise.
+    Feature 0 is the outline, all others are solid: the walkable area is the outline minus them. The metric frame scales
+    the outline's bounding box from degrees to ``map_info``'s width and height: x = (lon − lon0)/(lon1 − lon0)·width, y
+    likewise.
     """
     (path, about), notes, repairs = files_of(folder), list[str](), list[str]()
     features = [f for f in features_of(path, read_json(path), notes, repairs) if shapely.get_dimensions(f[1]) == 2]

@@ -24,7 +24,8 @@ SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner ever
 def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None = None) -> Steps:
     """The steps of a recording: when each foot landed, the step's length, and the change of heading.
 
-    recording: or its `gait_signals`, where they are needed for something else too.
+    recording: or its `gait_signals`, where they are needed for something else too; walker: whose stride model and
+    profile are used, by default those of a person of 1.70 m.
 
     A gap in the recording is a row of length 0 with a wide sigma. Without a gyroscope turns are 0 with a wide sigma.
     ``unknown`` names what the sensors cannot measure.
