@@ -77,8 +77,6 @@ NAMES = {
 PENDING_PHRASES: set[str] = {
     "pdr_graph/cli/__init__.py",
     "pdr_graph/cli/lifelog.py",
-    "pdr_graph/evaal/client.py",
-    "pdr_graph/evaal/row_stream.py",
     "pdr_graph/floor/corridor_runs.py",
     "pdr_graph/lifelog/export.py",
     "pdr_graph/lifelog/picture.py",
@@ -90,8 +88,6 @@ PENDING_PHRASES: set[str] = {
 PENDING_NAMES: set[str] = {
     "pdr_graph/cli/__init__.py",
     "pdr_graph/cli/lifelog.py",
-    "pdr_graph/evaal/row_stream.py",
-    "pdr_graph/evaal/trial.py",
     "pdr_graph/lifelog/build.py",
     "pdr_graph/lifelog/export.py",
     "pdr_graph/lifelog/picture.py",

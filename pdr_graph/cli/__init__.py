@@ -319,7 +319,7 @@ def evaal(
     position_format = partial(PositionFormat, format_ is Coordinates.lonlat, ignored=ignore_initial)
     entry = Entry(navigator, smoothed, position_format, labels, show if sys.stderr.isatty() else None)
     ending = run_trial(api, folder, entry)
-    typer.echo(f"{ending.said} -> {folder}", err=not ending.normal)
+    typer.echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
         for part in ending.missing:
             typer.echo(f"pdr-graph: without {part}", err=True)

@@ -1,17 +1,17 @@
-"""The EvAAL API, by which competitions give a trial's rows and take positions; and the log of all requests on disk.
+"""A client of the EvAAL API, with which competitions send sensor rows and receive positions; a log of all requests.
 
-The server is untrusted and may be slow, gone for a while or in error. Each call for data takes the trial on by some
-time, so that a repeated one would lose rows: `Api.next_data` repeats a call under the same label, to which the server
-gives the same rows. `Api.all_data` is never repeated, since a second call ends an offline trial.
+The server is untrusted and may be slow, unreachable or faulty. Each call for data advances the trial, so that a
+repeated call would lose rows. `Api.next_data` therefore repeats a call under the same label, for which the server sends
+the same rows. `Api.all_data` is never repeated, since a second call ends an offline trial.
 
-With the log, a client that was killed goes on. ``requests.log`` has a line for each request before it is sent and one
-when its rows are safe in ``received.txt``::
+With the log, a killed client can resume. ``requests.log`` has a line for each request, written before it is sent, and
+another when its rows are saved in ``received.txt``::
 
     trial<TAB>URL<TAB>TRIAL        initial<TAB>POSITION
     ask<TAB>LABEL<TAB>UNIX TIME<TAB>POSITION        got<TAB>LABEL<TAB>BYTES OF received.txt
     end<TAB>STATE
 
-A request without its ``got`` is sent again under the same label, and the server repeats its answer.
+A request without ``got`` is sent again under the same label, and the server repeats its answer.
 """
 
 from __future__ import annotations
@@ -27,31 +27,29 @@ from urllib.parse import quote, urlsplit
 
 from pdr_graph.errors import InputError
 
-NOT_BEGUN, NOT_BEGUN_OFFLINE = -1.0, -2.0  # what is left of a trial before its first call
+# Status codes of HTTP, as the EvAAL API uses them
 GOOD, CREATED = 200, 201
 SOME_REJECTED, UNKNOWN, OVER, TOO_FAST = 409, 404, 405, 423
-AGAIN = (TOO_FAST, 429, 502, 503, 504)  # the server says "later", or one before it that it is away
-TRIES, FIRST_PAUSE = 10, 0.05  # of one call, and [s] after the first; each pause is twice the last: 26 s in all
-SILENCE, LONGEST_CALL = 10.0, 120.0  # [s] without a byte, and of one call
-MOST_ROWS, MOST_TEXT = 4_000_000, 100_000  # bytes of a slot's rows, some hundred times a phone's; of a state
-MOST_DATA = 1_000_000_000  # bytes of a whole trial or its log
-CSV = "text/csv; charset=us-ascii"  # the one header that the server takes
-NEEDED = {
-    UNKNOWN: "the base URL, which ends in /evaalapi/, and the trial's name as the organisers gave them",
-    OVER: "a trial that has not ended",
-}
+RETRIED = (TOO_FAST, 429, 502, 503, 504)  # too early, or a server that is unavailable for now
+
+NOT_BEGUN, NOT_BEGUN_OFFLINE = -1.0, -2.0  # time left of a trial before its first call
+CSV = "text/csv; charset=us-ascii"  # the only content type that the server accepts
+TRIES, FIRST_PAUSE = 10, 0.05  # of one call; [s] after the first try, doubled each time: 26 s in all
+SILENCE, LONGEST_CALL = 10.0, 120.0  # [s] timeout without a byte, and of one call
+# [bytes] of the rows of one request, some hundred times those of a phone; of a state; of a whole trial or its log
+MAXIMUM_ROWS, MAXIMUM_TEXT, MAXIMUM_DATA = 4_000_000, 100_000, 1_000_000_000
 
 
 class UnreachableError(OSError):
-    """The server gave no answer, however often it was asked."""
+    """The server did not answer in any of the tries."""
 
 
 @dataclass(frozen=True)
 class State:
-    """A trial as the server has it: ``trialts,rem,V,S,p,h,pts,pos``.
+    """The state of a trial on the server: ``trialts,rem,V,S,p,h,pts,pos``.
 
-    time: to which its rows were handed out [s]; left: of it [s], negative before its first call; speed: trial time
-    per time [-]; slack: time ahead of the timeout [s]; position: the last that was sent, before that the initial one.
+    time: up to which rows were sent [s]; left: rest of the trial [s], negative before the first call; speed: trial time
+    per real time [-]; slack: time until the timeout [s]; position: the last one received, before that the initial one.
     """
 
     time: float
@@ -63,7 +61,7 @@ class State:
 
     @classmethod
     def parse(cls, text: str) -> State | None:
-        """None if it is none. A position may itself hold commas."""
+        """A state from its text; None if the text is not a state. The position may contain commas."""
         fields = text.strip().split(",", 7)
         try:
             ts, left, speed, slack, _, _, _ = (float(field) for field in fields[:7])
@@ -73,23 +71,23 @@ class State:
 
     @property
     def offline(self) -> bool:
-        """Whether the trial is an offline one that has not begun; afterwards its state no longer tells."""
+        """True for an offline trial before its first call; later its state does not show it."""
         return self.left == NOT_BEGUN_OFFLINE
 
     @property
     def begun(self) -> bool:
-        """Whether any rows were handed out."""
+        """True if rows were sent already."""
         return self.left not in (NOT_BEGUN, NOT_BEGUN_OFFLINE)
 
     @property
     def timed_out(self) -> bool:
-        """Of a trial that is over: whether it was cut off, with rows left or no slack."""
+        """For a trial that is over: True if it ended by timeout, with rows left or without slack."""
         return self.left > 0 or self.slack < 0
 
 
 @dataclass(frozen=True)
 class Reply:
-    """What came back. seconds: from the first try to the answer; tries: how often it took."""
+    """An answer of the server. seconds: from the first try to the answer [s]; tries: their number."""
 
     code: int
     body: bytes
@@ -98,7 +96,7 @@ class Reply:
 
     @property
     def text(self) -> str:
-        """The body, which is ASCII; what is not is marked."""
+        """The body as ASCII; other bytes are replaced by a mark."""
         return self.body.decode("ascii", errors="replace")
 
 
@@ -106,7 +104,7 @@ class Api:
     """One trial of one server."""
 
     def __init__(self, url: str, trial: str, sleep: Callable[[float], None] = time.sleep):
-        """Raises InputError if the URL is none of the web."""
+        """Raises InputError unless the URL is an http or https URL. sleep: waits for a number of seconds."""
         try:
             parts = urlsplit(url)
             valid = parts.scheme in ("http", "https") and bool(parts.hostname) and url.isascii() and url.isprintable()
@@ -118,47 +116,52 @@ class Api:
         self._base, self._sleep = self.url + quote(trial, safe="") + "/", sleep
 
     def state(self, tries: int = TRIES) -> State:
-        """How the trial stands. Raises InputError if there is none such, or something else answers."""
+        """The state of the trial. Raises InputError if there is no such trial or no such server."""
         try:
             reply = self._ask("state", tries=tries)
         except UnreachableError as error:
             raise InputError(self.url, self.trial, str(error), "a server of the EvAAL API") from None
         state = State.parse(reply.text) if reply.code in (GOOD, OVER) else None
         if state is None:
-            raise self.refusal(reply)
+            raise self.unexpected(reply)
         return state
 
     def next_data(self, label: str, position: str, horizon: float) -> Reply:
-        """The rows of the next ``horizon`` [s], or 405 at the end; ``position``, if any, is for the time before them.
+        """Request the rows of the next ``horizon`` [s], or 405 at the end.
 
-        Under a label that the server has had it repeats its answer. Raises UnreachableError.
+        position: the estimate for the time before these rows, "" for none; label: if the server had it already, it
+        repeats its answer. Raises UnreachableError.
         """
         query = f"nextdata?horizon={horizon:g}&label={quote(label, safe='')}"
-        return self._ask(query + (f"&position={quote(position, safe=',;')}" if position else ""), most=MOST_ROWS)
+        return self._ask(query + (f"&position={quote(position, safe=',;')}" if position else ""), most=MAXIMUM_ROWS)
 
     def all_data(self) -> Reply:
-        """All rows of an offline trial, which can be had once. Raises UnreachableError."""
-        return self._ask("nextdata?offline", most=MOST_DATA, tries=1)
+        """Request all rows of an offline trial, which the server sends once. Raises UnreachableError."""
+        return self._ask("nextdata?offline", most=MAXIMUM_DATA, tries=1)
 
     def post_estimates(self, lines: str) -> Reply:
-        """Send ``time,position`` lines of an offline trial: 201 if all were taken. Raises UnreachableError."""
+        """Send ``time,position`` lines of an offline trial; 201 if all were accepted. Raises UnreachableError."""
         return self._ask("estimates", lines.encode("ascii"))
 
     def log(self) -> bytes:
-        """The server's log of the trial; empty where it gives none."""
+        """The server's log of the trial; empty if it sends none."""
         try:
-            reply = self._ask("log", most=MOST_DATA, tries=1)
+            reply = self._ask("log", most=MAXIMUM_DATA, tries=1)
         except (UnreachableError, InputError):
             return b""
         return reply.body if reply.code == GOOD else b""
 
-    def refusal(self, reply: Reply) -> InputError:
-        """What to say of an answer that is of no use."""
+    def unexpected(self, reply: Reply) -> InputError:
+        """The error to raise for an unexpected answer."""
         found = f"{reply.code} {reply.text[:200].strip()!r}" if reply.body else f"{reply.code}"
-        return InputError(self.url, self.trial, found, NEEDED.get(reply.code, "an answer of the EvAAL API"))
+        expected = {
+            UNKNOWN: "the base URL, which ends in /evaalapi/, and the trial's name as the organisers gave them",
+            OVER: "a trial that has not ended",
+        }
+        return InputError(self.url, self.trial, found, expected.get(reply.code, "an answer of the EvAAL API"))
 
-    def _ask(self, query: str, data: bytes | None = None, most: int = MOST_TEXT, tries: int = TRIES) -> Reply:
-        """One call, repeated while the server is away or says "later"."""
+    def _ask(self, query: str, data: bytes | None = None, most: int = MAXIMUM_TEXT, tries: int = TRIES) -> Reply:
+        """One call, repeated while the server does not answer or asks to retry. Raises UnreachableError."""
         started, found = time.monotonic(), ""
         for n in range(tries):
             if n:
@@ -168,23 +171,23 @@ class Api:
             except (OSError, HTTPException) as error:
                 found = f"no answer ({getattr(error, 'reason', None) or error or type(error).__name__})"
                 continue
-            if code not in AGAIN:
+            if code not in RETRIED:
                 return Reply(code, body, time.monotonic() - started, n + 1)
             found = f"{code} {body[:100]!r}"
         raise UnreachableError(f"{found} after {tries} {'try' if tries == 1 else 'tries'}")
 
     def _once(self, query: str, data: bytes | None, most: int) -> tuple[int, bytes]:
-        """A 4xx is an answer like any other: the normal end of a trial is one."""
+        """Status code and body of one try. Codes 4xx are answers, too: the normal end of a trial is one."""
         request = urllib.request.Request(self._base + query, data, {"Content-type": CSV} if data else {})
         try:
             with urllib.request.urlopen(request, timeout=SILENCE) as response:
                 return response.status, self._read(response, most)
         except HTTPError as error:
             with error:
-                return error.code, error.read(MOST_TEXT)
+                return error.code, error.read(MAXIMUM_TEXT)
 
     def _read(self, response: HTTPResponse, most: int) -> bytes:
-        """A whole body. Raises IncompleteRead if it was cut off, InputError if it is beyond measure."""
+        """A whole body. Raises IncompleteRead if it was cut off, InputError if it is too long."""
         body, until = bytearray(), time.monotonic() + LONGEST_CALL
         while piece := response.read1(1 << 16):
             body += piece
@@ -202,14 +205,14 @@ OFFLINE = "offline"  # the label of the one request of an offline trial
 
 
 class RequestLog:
-    """The requests of one trial, kept in a folder.
+    """The log of the requests of one trial, in a folder.
 
-    asked: label and position of each request; sizes: of ``received.txt`` after each that was answered [bytes];
-    initial: the trial's initial position, None until it is noted; end: the state in which it ended, None before.
+    asked: label and position of each request; sizes: of ``received.txt`` after each answer [bytes]; initial: the
+    trial's initial position, None until it is noted; end: the state in which the trial ended, None before.
     """
 
     def __init__(self, folder: Path, url: str, trial: str):
-        """Take up what is there. Raises InputError if it is of another trial, or damaged."""
+        """Open or create the log. Raises InputError if it is damaged or that of another trial."""
         folder.mkdir(parents=True, exist_ok=True)
         self.path, self.received = folder / "requests.log", folder / "received.txt"
         self.asked: list[tuple[str, str]] = []
@@ -217,9 +220,9 @@ class RequestLog:
         self.initial: str | None = None
         self.end: str | None = None
         whole = self.path.read_bytes() if self.path.exists() else b""
-        whole = whole[: whole.rfind(b"\n") + 1]  # a line that was cut off was never sent
+        whole = whole[: whole.rfind(b"\n") + 1]  # the request of an incomplete line was not sent
         for number, line in enumerate(whole.decode("ascii", errors="replace").splitlines(), start=1):
-            self._take_up(number, line.split("\t"), ["trial", url, trial])
+            self._parse_line(number, line.split("\t"), ["trial", url, trial])
         self._check_received()
         self._lines, self._rows = self.path.open("ab"), self.received.open("ab")
         self._lines.truncate(len(whole))
@@ -229,51 +232,53 @@ class RequestLog:
 
     @property
     def pending(self) -> tuple[str, str] | None:
-        """Label and position of the request that was not answered, if there is one."""
+        """Label and position of the request without an answer; None if there is none."""
         return self.asked[-1] if len(self.asked) > len(self.sizes) else None
 
     def note_initial(self, position: str) -> None:
-        """Where the trial begins, as the server said before the first request; afterwards it says something else."""
+        """Note the initial position; the server states it before the first request only."""
         self._write("initial", position)
         self.initial = position
 
     def ask(self, label: str, position: str) -> None:
-        """Before a request is sent."""
+        """Note a request; call it before sending."""
         self._write("ask", label, f"{time.time():.3f}", position)
         self.asked.append((label, position))
 
     def got(self, body: bytes) -> None:
-        """Keep the rows of the last request, byte by byte."""
+        """Save the rows of the last request unchanged."""
         self._rows.write(body if not body or body.endswith(b"\n") else body + b"\n")
         self._rows.flush()
         self.sizes.append(self._rows.tell())
         self._write("got", self.asked[-1][0], str(self.sizes[-1]))
 
     def note_end(self, state: str) -> None:
-        """When the server says that the trial is over."""
+        """Note the state of the server at the end of the trial."""
         self._write("end", state)
         self.end = state
 
     def slots(self) -> Iterator[str]:
-        """The rows that each request got, again."""
+        """The rows of each answered request, as text."""
         with self.received.open("rb") as file:
             for before, after in zip([0, *self.sizes], self.sizes, strict=False):
                 yield file.read(after - before).decode("ascii", errors="replace")
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
         self._lines.close()
         self._rows.close()
 
     def _write(self, *cells: str) -> None:
+        """Append a line to the log."""
         line = "\t".join(" ".join(cell.split()) for cell in cells)
         self._lines.write(line.encode("ascii", errors="replace") + b"\n")
         self._lines.flush()
 
-    def _take_up(self, number: int, cells: list[str], first: list[str]) -> None:
+    def _parse_line(self, number: int, cells: list[str], first: list[str]) -> None:
+        """Restore the state from a line of the log; the cells of line 1 must be `first`."""
         if (number == 1) != (cells == first):
             found = " ".join(cells)
-            raise InputError(self.path, f"line {number}", found, f"{' '.join(first)}: a folder for each trial")
+            raise InputError(self.path, f"line {number}", found, f"{' '.join(first)} (a folder for each trial)")
         try:
             if cells[0] == "initial":
                 self.initial = cells[1]
@@ -287,8 +292,8 @@ class RequestLog:
             raise InputError(self.path, f"line {number}", "\t".join(cells), "a line as pdr-graph writes it") from None
 
     def _check_received(self) -> None:
-        """The rows must be those that the log tells of."""
-        there = self.received.stat().st_size if self.received.exists() else 0
-        told = self.sizes[-1] if self.sizes else 0
-        if there < told or len(self.sizes) > len(self.asked) or self.sizes != sorted(self.sizes):
-            raise InputError(self.received, "", f"{there} bytes", f"the {told} of which {self.path.name} tells")
+        """Raise InputError unless ``received.txt`` has all rows that the log lists."""
+        found = self.received.stat().st_size if self.received.exists() else 0
+        logged = self.sizes[-1] if self.sizes else 0
+        if found < logged or len(self.sizes) > len(self.asked) or self.sizes != sorted(self.sizes):
+            raise InputError(self.received, "", f"{found} bytes", f"{logged} bytes as in {self.path.name}")

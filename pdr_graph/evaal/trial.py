@@ -1,4 +1,4 @@
-"""A trial of a competition, from its first request to its files: online row by row, offline all at once.
+"""A trial of a competition, from its first request to its files: online in slots of rows, offline all at once.
 
 Positions are ``lon,lat,floor``, or ``x,y,floor`` in the output frame.
 """
@@ -26,26 +26,26 @@ from pdr_graph.io.tables import read_trajectory
 from pdr_graph.online.interface import Georeferenced, Pose, trajectory_of
 from pdr_graph.types import LONLAT, Array, Fixes
 
-INITIAL_SIGMA = 0.5  # [m] per axis: someone stands on a mark
-GROUND = "0"  # the floor that is sent where none is known
+INITIAL_SIGMA = 0.5  # [m] per axis of the initial position, a mark on the floor; chosen by hand
 
 
 class PositionFormat:
-    """How one trial's positions are written.
+    """The format of one trial's positions.
 
-    initial: where the trial begins, longitude and latitude [deg] or x and y [m], None if that is not known (a server
-    that does not know says 0,0,0) or to be ignored. default: the floor's label where the estimate has none, that of
-    the initial position, else 0.
+    initial: the position where the trial begins, longitude and latitude [deg] or x and y [m]; None if it is unknown
+    (then servers send 0,0,0) or ignored. default: the floor label to send if the estimate has none: that of the initial
+    position, else 0.
     """
 
     def __init__(self, lonlat: bool, initial: str, ignored: bool = False):
+        """lonlat: True for longitude and latitude; initial: the text of the initial position."""
         self.lonlat = lonlat
         cells = [] if ignored else [cell.strip() for cell in initial.replace(";", ",").split(",")]
-        self.default = cells[2] if len(cells) > 2 and cells[2] else GROUND
-        self.initial = _place(cells, lonlat)
+        self.default = cells[2] if len(cells) > 2 and cells[2] else "0"
+        self.initial = _position(cells, lonlat)
 
     def text(self, position: Array, floor: str, frame: Frame | None) -> str:
-        """A position ``(2,)`` [m]; empty while it has no longitude."""
+        """The text of a position ``(2,)`` [m]; empty while the frame has no longitude."""
         if not self.lonlat:
             return self.written(position, floor)
         if frame is None or not frame.georeferenced:
@@ -53,15 +53,15 @@ class PositionFormat:
         return self.written(frame.to_lonlat(position[None])[0], floor)
 
     def written(self, place: Array, floor: str) -> str:
-        """A place ``(2,)`` in [deg] or [m] and its floor, as a server can read them; empty if it is none."""
+        """The text of a position ``(2,)`` in the units of the format [deg] or [m]; empty if it is not finite."""
         if not np.isfinite(place).all():
             return ""
-        legible = floor and floor.isascii() and floor.isprintable() and not set(floor) & set(",;")
+        valid = floor and floor.isascii() and floor.isprintable() and not set(floor) & set(",;")
         digits = 8 if self.lonlat else 3
-        return f"{place[0]:.{digits}f},{place[1]:.{digits}f},{floor if legible else self.default}"
+        return f"{place[0]:.{digits}f},{place[1]:.{digits}f},{floor if valid else self.default}"
 
     def initial_fix(self, time: float, floors: tuple[str, ...]) -> Fixes:
-        """The initial position, none if it is unknown. floors: of the plan, empty without one."""
+        """The initial position as a fix at `time` [s]; no fix if it is unknown. floors: labels of the plan."""
         if self.initial is None:
             return Fixes.none()
         label = self.default if not floors or self.default in floors else ""
@@ -69,7 +69,8 @@ class PositionFormat:
         return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
 
 
-def _place(cells: list[str], lonlat: bool) -> tuple[float, float] | None:
+def _position(cells: list[str], lonlat: bool) -> tuple[float, float] | None:
+    """The first two cells as a position; None if they are not valid, or 0,0."""
     try:
         x, y = float(cells[0]), float(cells[1])
     except (ValueError, IndexError):
@@ -78,86 +79,87 @@ def _place(cells: list[str], lonlat: bool) -> tuple[float, float] | None:
     return (x, y) if known and (not lonlat or (abs(x) <= 180 and abs(y) <= 90)) else None
 
 
-INTERVAL = 0.5  # [s] between the positions that are sent, as competitions score them
-HEAD = 100_000  # characters of rows that tell when a trial begins
-
-
-def answer(
+def _run_offline(
     api: Api,
     log: RequestLog,
     out: Path,
-    smoothed: Callable[[Path, Path | None], tuple[str, ...]],
+    smooth: Callable[[Path, Path | None], tuple[str, ...]],
     form: PositionFormat,
     floors: tuple[str, ...],
 ) -> tuple[str, tuple[str, ...]]:
-    """How the trial ended, in words, and what could not be had. Arguments as of `run_trial`.
+    """Run an offline trial; return how it ended and what is missing, as texts. Arguments as of `Entry`.
 
-    Raises InputError if the rows cannot be had or used. Rows that came are kept: the same command goes on from them.
+    Raises InputError if the rows cannot be received or used. Received rows are kept: the same command resumes.
     """
     if log.end is not None:
         raise InputError(log.path, "", f"positions that were sent ({log.end})", "a trial that has not ended")
-    _receive(api, log)
-    missing = smoothed(log.received, _initial(log, out, form, floors))
+    _download(api, log)
+    missing = smooth(log.received, _write_initial(log, out, form, floors))
     try:
-        reply = api.post_estimates(_lines(out, form))
+        reply = api.post_estimates(_position_lines(out, form))
     except UnreachableError as error:
         return f"no answer to the positions ({error}); the same command sends them again", ("positions",)
-    said = f"{reply.code} {reply.text[:200].strip()!r}"
+    answer = f"{reply.code} {reply.text[:200].strip()!r}"
     if reply.code in (CREATED, SOME_REJECTED):
-        log.note_end(said)
+        log.note_end(answer)
     if reply.code != CREATED:
-        missing = (*missing, f"positions: the server took {'some' if reply.code == SOME_REJECTED else 'none'} ({said})")
+        accepted = "some" if reply.code == SOME_REJECTED else "none"
+        missing = (*missing, f"positions: the server accepted {accepted} ({answer})")
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    summary |= {"trial": api.trial, "url": api.url, "ended": said, "missing": list(missing)}
+    summary |= {"trial": api.trial, "url": api.url, "ended": answer, "missing": list(missing)}
     writers.write_summary(out / "summary.json", summary)
-    return f"{said} to the positions", missing
+    return f"{answer} to the positions", missing
 
 
-def _receive(api: Api, log: RequestLog) -> None:
-    """All rows, asked for once and never again."""
+def _download(api: Api, log: RequestLog) -> None:
+    """Request all rows of an offline trial, unless they were received before; the request is sent only once."""
     if log.pending:
-        found = "rows that were asked for and did not come"
-        raise InputError(log.path, "", found, "a trial that is new: a second request would end this one")
+        found = "rows that were requested and not received"
+        raise InputError(log.path, "", found, "a new trial: a second request would end this one")
     if log.sizes:
         return
     log.ask(OFFLINE, "")
     try:
         reply = api.all_data()
     except UnreachableError as error:
-        raise InputError(api.url, api.trial, str(error), "the rows, which can be asked for once") from None
+        raise InputError(api.url, api.trial, str(error), "the rows, which can be requested once") from None
     if reply.code != GOOD:
-        raise api.refusal(reply)
+        raise api.unexpected(reply)
     log.got(reply.body)
 
 
-def _initial(log: RequestLog, out: Path, form: PositionFormat, floors: tuple[str, ...]) -> Path | None:
-    """A file of fixes with the initial position, None where that is unknown."""
+def _write_initial(log: RequestLog, out: Path, form: PositionFormat, floors: tuple[str, ...]) -> Path | None:
+    """Write a file of fixes with the initial position; None if it is unknown."""
     with log.received.open(encoding="ascii", errors="replace") as file:
-        begin = RowStream()
-        begin.feed(file.read(HEAD))
-    fix = form.initial_fix(begin.begin, floors) if begin.begin is not None else Fixes.none()
+        head = RowStream()
+        head.feed(file.read(100_000))  # enough rows to find the time at which the trial begins
+    fix = form.initial_fix(head.begin, floors) if head.begin is not None else Fixes.none()
     if not len(fix):
         return None
     x, y = fix.position[0].tolist()
-    place = f"{y:.8f},{x:.8f}" if form.lonlat else f"{x:.3f},{y:.3f}"
+    position = f"{y:.8f},{x:.8f}" if form.lonlat else f"{x:.3f},{y:.3f}"
     columns = "time,lat,lon,sigma,floor" if form.lonlat else "time,x,y,sigma,floor"
     path = out / "initial.csv"
-    path.write_text(f"{columns}\n{fix.time[0]:.4f},{place},{fix.sigma[0]},{fix.floor[0]}\n", encoding="utf-8")
+    path.write_text(f"{columns}\n{fix.time[0]:.4f},{position},{fix.sigma[0]},{fix.floor[0]}\n", encoding="utf-8")
     return path
 
 
-def _lines(out: Path, form: PositionFormat) -> str:
-    """The smoothed walk as the server takes it, a position each half second."""
+INTERVAL = 0.5  # [s] between positions, of which the server scores each; also of the rows of an online request
+
+
+def _position_lines(out: Path, form: PositionFormat) -> str:
+    """The smoothed walk as ``time,position`` lines, one per INTERVAL."""
     track = read_trajectory(out / "trajectory.csv")
-    place = _lonlat(out) if form.lonlat else track.position
+    position = _lonlat(out) if form.lonlat else track.position
     times = np.arange(track.time[0], track.time[-1], INTERVAL)
-    x, y = (np.interp(times, track.time, place[:, axis]) for axis in (0, 1))
+    x, y = (np.interp(times, track.time, position[:, axis]) for axis in (0, 1))
     row = np.searchsorted(track.time, times, side="right") - 1
     rows = zip(times, np.column_stack([x, y]), row, strict=True)
     return "".join(f"{t:.3f},{form.written(at, track.floor[n])}\n" for t, at, n in rows)
 
 
 def _lonlat(out: Path) -> Array:
+    """Longitude and latitude ``(n, 2)`` [deg] of the rows of ``trajectory.csv``."""
     path = out / "trajectory.geojson"
     if not path.is_file():
         expected = "a plan, an initial position or GNSS, or --format xy"
@@ -166,29 +168,26 @@ def _lonlat(out: Path) -> Array:
     return np.array(features[0]["geometry"]["coordinates"])
 
 
-HORIZON = 0.5  # [s] of rows at a time: competitions take positions at 2 Hz
-
-
 @dataclass(frozen=True)
 class Ending:
-    """How a trial ended. normal: by the server's word and in time; said: in words; missing: what could not be had."""
+    """How a trial ended. normal: True at the regular end, in time; text: for the user; missing: what is missing."""
 
     normal: bool
-    said: str
+    text: str
     missing: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What takes part in a trial.
+    """The functions that take part in a trial.
 
-    navigator: makes that of an online trial; smoothed: writes the walk of an offline one from its recording and a file
-    of fixes, and returns what is missing; position_format: of the positions, by the initial one; floors: the plan's
-    labels; progress: is told how far the trial is.
+    navigator: makes the navigator of an online trial; smooth: writes the results of an offline trial from its recording
+    and a file of fixes, and returns what is missing; position_format: from the text of the initial position; floors:
+    labels of the plan; progress: is called with a text after each request.
     """
 
     navigator: Callable[[], Georeferenced]
-    smoothed: Callable[[Path, Path | None], tuple[str, ...]]
+    smooth: Callable[[Path, Path | None], tuple[str, ...]]
     position_format: Callable[[str], PositionFormat]
     floors: tuple[str, ...] = ()
     progress: Callable[[str], object] | None = None
@@ -197,75 +196,81 @@ class Entry:
 def run_trial(api: Api, out: Path, entry: Entry) -> Ending:
     """Run a trial, or resume one that was interrupted, and write its files to ``out``.
 
-    Raises InputError if there is no such trial, it is over, or ``out`` is of another one.
+    Raises InputError if there is no such trial, if it is over, or if ``out`` has the files of another one.
     """
     with closing(RequestLog(out, api.url, api.trial)) as log:
         state = _begin(api, log) if log.end is None else None
         form = entry.position_format(log.initial or "")
         if (state and state.offline) or log.asked[:1] == [(OFFLINE, "")]:
-            said, missing = answer(api, log, out, entry.smoothed, form, entry.floors)
-            return Ending(not missing, one_line(said), missing)
-        walk = _Walk(entry.navigator(), form, entry.floors, log)
+            text, missing = _run_offline(api, log, out, entry.smooth, form, entry.floors)
+            return Ending(not missing, one_line(text), missing)
+        walk = _OnlineWalk(entry.navigator(), form, entry.floors, log)
         if state and state.begun and not log.asked:
-            walk.notes.append(f"the trial was under way: its rows before {state.time:.1f} s are lost")
-        normal, said = _ask_on(api, log, walk, entry.progress) if log.end is None else _ended(log.end)
-        said, missing = one_line(said), walk.write(out, api.log())
-        about = {"trial": api.trial, "url": api.url, "ended": said, "missing": list(missing)}
-        writers.write_summary(out / "summary.json", about | walk.describe(log))
-    return Ending(normal and not missing, said, missing)
+            walk.notes.append(f"the trial had begun already: its rows before {state.time:.1f} s are lost")
+        normal, text = _run_online(api, log, walk, entry.progress) if log.end is None else _online_end(log.end)
+        text, missing = one_line(text), walk.write(out, api.log())
+        summary = {"trial": api.trial, "url": api.url, "ended": text, "missing": list(missing)}
+        writers.write_summary(out / "summary.json", summary | walk.describe(log))
+    return Ending(normal and not missing, text, missing)
 
 
 def _begin(api: Api, log: RequestLog) -> State:
-    """How the trial stands, and a note of where it begins, which the server tells before the first request only."""
+    """Return the state of the trial and log its initial position, which is stated before the first request only."""
     state = api.state(tries=1)
     if log.sizes and not state.begun:
-        found = f"{len(log.sizes)} requests, though the trial has not begun"
-        raise InputError(log.path, "", found, "another --out: it was reloaded")
+        found = f"{len(log.sizes)} requests of a trial that has not begun (reloaded on the server?)"
+        raise InputError(log.path, "", found, "a new folder: another --out")
     if log.initial is None:
         log.note_initial("" if state.begun else state.position)
     return state
 
 
-def _ask_on(api: Api, log: RequestLog, walk: _Walk, progress: Callable[[str], object] | None) -> tuple[bool, str]:
-    """Request after request until the trial is over; whether it ended as it should, and in words."""
+def _run_online(
+    api: Api, log: RequestLog, walk: _OnlineWalk, progress: Callable[[str], object] | None
+) -> tuple[bool, str]:
+    """Send requests until the trial is over; return True for the regular end, and a text."""
     for number in count(len(log.sizes)):
         position = walk.position()
         if log.pending is None:
             log.ask(str(number), position)
         label, position = log.asked[-1]
         try:
-            reply = api.next_data(label, position, HORIZON)
+            reply = api.next_data(label, position, INTERVAL)
         except (UnreachableError, InputError) as error:
-            return False, f"{error}; the same command goes on from here"
+            return False, f"{error}; the same command resumes the trial"
         if reply.code == OVER and number and State.parse(reply.text):
             log.note_end(reply.text)
-            return _ended(reply.text)
+            return _online_end(reply.text)
         if reply.code != GOOD:
-            refusal = api.refusal(reply)
+            error = api.unexpected(reply)
             if not number:
-                raise refusal
-            return False, str(refusal)
+                raise error
+            return False, str(error)
         log.got(reply.body)
         walk.seconds.append(reply.seconds)
         walk.repeated += reply.tries - 1
-        walk.take(reply.text)
+        walk.feed(reply.text)
         if progress:
-            progress(f"{walk.stream.rows.total()} rows, {(number + 1) * HORIZON:.0f} s of the trial")
-    raise AssertionError("requests end by an answer")
+            progress(f"{walk.stream.rows.total()} rows, {(number + 1) * INTERVAL:.0f} s of the trial")
+    raise AssertionError("the loop ends by return")
 
 
-def _ended(text: str) -> tuple[bool, str]:
+def _online_end(text: str) -> tuple[bool, str]:
+    """True for the regular end of an online trial, by its last state; and a text."""
     state = State.parse(text)
     if state is not None and state.timed_out:
         return False, f"the server's timeout with {state.left:.1f} s left ({state.text})"
     return True, f"the end of the trial ({text.strip()})"
 
 
-class _Walk:
-    """The walk of an online trial as far as it is known, and what was sent of it."""
+class _OnlineWalk:
+    """The walk of an online trial so far, and the poses that were sent.
+
+    seconds: duration of each request of this run [s]; repeated: number of repeated requests.
+    """
 
     def __init__(self, navigator: Georeferenced, form: PositionFormat, floors: tuple[str, ...], log: RequestLog):
-        """What an interrupted client had received is taken in again, slot by slot, as it came."""
+        """Replays the slots that an interrupted client had received."""
         self.stream, self.notes = RowStream(), list[str]()
         self.seconds, self.repeated = list[float](), 0
         self._navigator, self._form, self._floors = navigator, form, floors
@@ -273,10 +278,10 @@ class _Walk:
         self._sent: list[Pose] = []
         for slot in log.slots():
             self.position()
-            self.take(slot)
+            self.feed(slot)
 
     def position(self) -> str:
-        """That of the newest pose, to be sent; empty while there is none."""
+        """The text of the current position, to be sent; empty if there is none."""
         pose = self._navigator.pose
         if pose is None:
             return ""
@@ -285,8 +290,8 @@ class _Walk:
             self._sent.append(pose)
         return text
 
-    def take(self, text: str) -> None:
-        """The rows of one slot; with the first comes where the trial begins."""
+    def feed(self, text: str) -> None:
+        """Push the events of one slot of rows into the navigator; the initial position before the first."""
         events = self.stream.feed(text)
         if not self._started and self.stream.begin is not None:
             self._started = True
@@ -296,24 +301,24 @@ class _Walk:
             self._navigator.push(event)
 
     def write(self, out: Path, log: bytes) -> tuple[str, ...]:
-        """All files but the summary; what could not be had."""
+        """Write all files except the summary; return what is missing. log: of the server."""
         missing: list[str] = []
         if log:
             (out / "log.txt").write_bytes(log)
         if self._sent:
             writers.write_trajectory(out / "causal.csv", trajectory_of(self._sent), 0.0)
         else:
-            missing.append("causal.csv: no position was known in time")
+            missing.append("causal.csv: no position was available during the trial")
         try:
             estimate = self._navigator.finish()
             writers.write_trajectory(out / "trajectory.csv", estimate.trajectory, 0.0)
             self.notes += estimate.warnings
-        except (ValueError, RuntimeError) as error:  # what was received and sent is safe
+        except (ValueError, RuntimeError) as error:  # received rows and sent positions are saved already
             missing.append(f"trajectory.csv: {error}")
         return tuple(missing)
 
     def describe(self, log: RequestLog) -> dict[str, Any]:
-        """What ``summary.json`` says. Seconds are of this run's requests."""
+        """The entries of ``summary.json``; seconds: of the requests of this run."""
         call = np.array(self.seconds or [0.0])
         frame = self._navigator.frame
         return {
@@ -325,6 +330,6 @@ class _Walk:
             "unread": dict(self.stream.unread),
             "poses": len(self._sent),
             "frame": None if frame is None else frame.describe(),
-            "warnings": [*self.notes, *(f"{said} ({n} times)" for said, n in self.stream.notes.items())],
+            "warnings": [*self.notes, *(f"{note} ({n} times)" for note, n in self.stream.notes.items())],
             "versions": {"pdr_graph": version("pdr_graph")},
         }

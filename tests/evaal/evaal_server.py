@@ -1,4 +1,4 @@
-"""A small server of the EvAAL API, written from its description. Trial time is virtual: a test does not wait for it."""
+"""A small server of the EvAAL API, written from its description. Trial time is virtual: tests do not wait."""
 
 import threading
 from contextlib import contextmanager
@@ -13,10 +13,10 @@ def time_of(row):
 
 @dataclass
 class Trial:
-    """One trial. took: virtual seconds that each request takes.
+    """One trial. took: virtual duration of each request [s].
 
-    faults: what befalls the n-th request for data: an HTTP code; "away", no answer before it counts, or "lost", after;
-    "cut", half an answer; "dies …", no answer any more.
+    faults: number of a request for data -> its fault: an HTTP code; "away" or "lost", no answer before or after the
+    trial advances; "cut", half an answer; "dies …", no answer from then on.
     """
 
     rows: list
@@ -28,7 +28,7 @@ class Trial:
     faults: dict = field(default_factory=dict)
     log: list = field(default_factory=list)
     estimates: list = field(default_factory=list)  # (time, position)
-    handed_out: int = 0  # rows, every one counted each time it is sent for the first time
+    sent_rows: int = 0  # each counted once, when it is sent for the first time
     calls: int = 0
     down: bool = False
 
@@ -51,7 +51,7 @@ class Trial:
             self.over = True
             return 405, self.state()
         if "offline" in query:
-            self.begun, self.handed_out = True, len(self.rows)
+            self.begun, self.sent_rows = True, len(self.rows)
             return 200, "\n".join(self.rows) + "\n"
         label = query.get("label", [None])[0]
         if self.last is not None and label is not None and label == self.last[0]:
@@ -62,14 +62,14 @@ class Trial:
                 self.position = query["position"][0]
                 self.estimates.append((self.time, self.position))
         self.begun, self.asked, self.horizon = True, self.now, float(query.get("horizon", ["0.5"])[0])
-        if self.slack < 0 or self.handed_out == len(self.rows):
+        if self.slack < 0 or self.sent_rows == len(self.rows):
             self.over = True
             return 405, self.state()
         self.time += self.horizon
-        first = self.handed_out
-        while self.handed_out < len(self.rows) and time_of(self.rows[self.handed_out]) < self.time:
-            self.handed_out += 1
-        body = "".join(row + "\n" for row in self.rows[first : self.handed_out])
+        first = self.sent_rows
+        while self.sent_rows < len(self.rows) and time_of(self.rows[self.sent_rows]) < self.time:
+            self.sent_rows += 1
+        body = "".join(row + "\n" for row in self.rows[first : self.sent_rows])
         self.last = (label, body)
         return 200, body
 

@@ -1,4 +1,4 @@
-"""A client of the EvAAL API against a server of our own, with a stand-in for the navigator that echoes the last fix."""
+"""The client of the EvAAL API with a test server, and with a navigator that echoes the last fix."""
 
 import csv
 import sys
@@ -15,7 +15,7 @@ from pdr_graph import cli, io
 from pdr_graph.errors import InputError
 from pdr_graph.evaal.client import CSV, TRIES, Api, State
 from pdr_graph.evaal.row_stream import FIRST_SECOND, RowStream
-from pdr_graph.evaal.trial import HORIZON, Entry, PositionFormat, run_trial
+from pdr_graph.evaal.trial import INTERVAL, Entry, PositionFormat, run_trial
 from pdr_graph.frames import enu
 from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.types import Fixes
@@ -24,17 +24,17 @@ INITIAL = "11.10000000,49.45000000,1"
 
 
 @pytest.fixture(scope="module")
-def felt():
+def sampled():
     return sample()
 
 
 @pytest.fixture(scope="module")
-def log(felt):
-    """Twenty seconds as GetSensorData writes them, without comments and truth."""
-    return rows_of(get_sensor_data(felt))
+def log(sampled):
+    """Twenty seconds of rows of GetSensorData, without comments and truth."""
+    return rows_of(get_sensor_data(sampled))
 
 
-# the traps
+# Peculiarities of the API
 
 
 def test_the_normal_end_of_a_trial_is_a_405(tmp_path, log):
@@ -51,19 +51,19 @@ def test_the_normal_end_of_a_trial_is_a_405(tmp_path, log):
     }
 
 
-def test_a_405_with_time_left_is_the_servers_timeout(tmp_path, log):
-    """15 s of slack and 1.5 s for each request, of which each takes 4 s: the seventh is late."""
+def test_a_405_with_time_left_is_a_timeout_of_the_server(tmp_path, log):
+    """With 15 s of slack and 1.5 s per request, requests of 4 s exceed it at the seventh."""
     trial = Trial(log, took=4.0)
     with serving(t=trial) as url:
         ending, _ = run(url, tmp_path)
     assert not ending.normal
-    assert "timeout" in ending.said
-    assert trial.handed_out < len(log)
-    assert received(tmp_path) == log[: trial.handed_out], "what came is kept"
+    assert "timeout" in ending.text
+    assert trial.sent_rows < len(log)
+    assert received(tmp_path) == log[: trial.sent_rows], "received rows are kept"
 
 
 @pytest.mark.parametrize("position", ["", "11.1,49.45,0", "10.422057;43.718278;1", "1,2,3,4,5"])
-def test_a_state_has_eight_fields_whatever_is_in_its_position(position):
+def test_a_state_has_eight_fields_for_any_text_of_its_position(position):
     state = State.parse(f"0.000,-1.000,3.000,15.000,0.000,0.000,0.000,{position}\n")
     assert state.position == position
     assert (state.begun, state.offline) == (False, False)
@@ -73,39 +73,39 @@ def test_a_state_has_eight_fields_whatever_is_in_its_position(position):
 
 
 @pytest.mark.parametrize("fault", ["away", "lost", "cut", 423, 503])
-def test_a_request_that_fails_is_repeated_without_losing_a_row(tmp_path, log, fault):
+def test_a_failed_request_is_repeated_without_losing_a_row(tmp_path, log, fault):
     trial, pauses = Trial(log, INITIAL, faults={1: fault, 5: fault, 6: fault, 9: fault}), []
     with serving(t=trial) as url:
         ending, _ = run(url, tmp_path, pauses=pauses)
     assert ending.normal
     assert received(tmp_path) == log, "each row once, in order"
-    assert pauses == [0.05, 0.05, 0.1, 0.05], "longer each time, as nobody knows how long it takes"
+    assert pauses == [0.05, 0.05, 0.1, 0.05], "each pause is twice as long"
     assert summary(tmp_path)["repeated"] == 4
     assert summary(tmp_path)["requests"] == trial.calls - 4 - 1
 
 
-def test_the_rows_of_an_offline_trial_are_asked_for_once(tmp_path, log):
+def test_the_rows_of_an_offline_trial_are_requested_once(tmp_path, log):
     trial = Trial(log, INITIAL, offline=True, faults={1: "lost"})
     with serving(t=trial) as url:
-        with pytest.raises(InputError, match="asked for once"):
+        with pytest.raises(InputError, match="requested once"):
             run(url, tmp_path)
         with pytest.raises(InputError, match="a second request would end this one"):
             run(url, tmp_path)
     assert trial.calls == 1
 
 
-def test_no_position_goes_out_before_there_is_one(tmp_path, log):
+def test_the_first_request_has_no_position(tmp_path, log):
     trial = Trial(log, INITIAL)
     with serving(t=trial) as url:
         run(url, tmp_path)
     first, second = [call for call in trial.log if "nextdata" in call][:2]
-    assert "position" not in first, "where the trial begins the server knows"
+    assert "position" not in first
     assert "position=11.10000000,49.45000000,1" in second
-    assert [t for t, _ in trial.estimates] == pytest.approx(HORIZON * np.arange(1, len(trial.estimates) + 1), abs=0.01)
+    assert [t for t, _ in trial.estimates] == pytest.approx(INTERVAL * np.arange(1, len(trial.estimates) + 1), abs=0.01)
 
 
 @pytest.mark.parametrize("separator", [";", ",", "\t"])
-def test_separators_and_tags_vary(tmp_path, log, separator):
+def test_other_separators_and_unknown_tags_are_read(tmp_path, log, separator):
     rows = [row.replace(";", separator) for row in log]
     rows[40:40] = [f"VISO{separator}0.8{separator}1", "garbage", f"ACCE{separator}0.81{separator}x"]
     rows.sort(key=lambda row: float(row.split(separator)[1]) if separator in row else 0.8)
@@ -133,8 +133,8 @@ def test_a_slot_without_rows_is_not_the_end(tmp_path, log):
 
 
 @pytest.mark.parametrize("initial", ["0,0,0", "0.0;0.0;0.0", "", "unknown"])
-def test_a_trial_may_begin_nowhere(tmp_path, log, initial):
-    """0,0,0 is what xDR says of every trial: it is not there that the walk begins."""
+def test_a_trial_without_an_initial_position_has_no_initial_fix(tmp_path, log, initial):
+    """The xDR server sends 0,0,0 for every trial."""
     with serving(t=Trial(log, initial)) as url:
         ending, echo = run(url, tmp_path)
     assert ending.normal
@@ -142,7 +142,7 @@ def test_a_trial_may_begin_nowhere(tmp_path, log, initial):
     assert {source for fix in fixes for source in fix.source} == {"GNSS"}
 
 
-def test_too_fast_waits_and_asks_under_the_same_label(tmp_path, log):
+def test_too_fast_repeats_the_request_under_the_same_label(tmp_path, log):
     trial = Trial(log, faults={3: 423, 4: 423, 5: 423})
     with serving(t=trial) as url:
         run(url, tmp_path)
@@ -150,7 +150,7 @@ def test_too_fast_waits_and_asks_under_the_same_label(tmp_path, log):
     assert labels[:8] == ["0", "1", "2", "2", "2", "2", "3", "4"]
 
 
-def test_what_goes_out_is_ascii():
+def test_positions_are_sent_in_ascii():
     form = PositionFormat(True, "11.1,49.45,2")
     assert form.written(np.array([11.1, 49.45]), "地下1") == "11.10000000,49.45000000,2"
     assert form.written(np.array([11.1, 49.45]), "a,b").endswith(",2")
@@ -166,23 +166,23 @@ def test_no_trial_is_ever_reloaded(tmp_path, log):
     assert not any("reload" in call for call in trial.log)
 
 
-# what goes wrong
+# Failures
 
 
 @pytest.mark.parametrize("fault", ["dies before it counts", "dies after it counted"])
-def test_an_interrupted_trial_goes_on_without_losing_a_row(tmp_path, log, fault):
-    """As if it had not been: the rows, and what was sent of them."""
+def test_an_interrupted_trial_resumes_without_losing_a_row(tmp_path, log, fault):
+    """Rows and sent positions are those of a trial without interruption."""
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     unbroken, trial = Trial(log, INITIAL), Trial(log, INITIAL, faults={17: fault})
     with serving(t=unbroken, u=trial) as url:
         run(url, whole)
         ending, _ = run(url, broken, "u")
         assert not ending.normal
-        assert f"after {TRIES} tries" in ending.said
-        assert (broken / "causal.csv").exists(), "what could be saved was"
+        assert f"after {TRIES} tries" in ending.text
+        assert (broken / "causal.csv").exists(), "results so far are written"
         trial.down = False
         with (broken / "received.txt").open("a") as file:
-            file.write("ACCE;7.9;1;2")  # as a kill in the middle of writing leaves it
+            file.write("ACCE;7.9;1;2")  # cut off by a kill while writing
         with (broken / "requests.log").open("a") as file:
             file.write("got\t1")
         ending, _ = run(url, broken, "u")
@@ -204,14 +204,14 @@ def test_a_request_is_on_disk_before_it_is_sent(tmp_path, log):
         assert run_trial(Watched(url, "t"), tmp_path, Entry(Echo, None, partial(PositionFormat, True))).normal
 
 
-def test_a_folder_is_of_one_trial(tmp_path, log):
+def test_a_folder_belongs_to_one_trial(tmp_path, log):
     with serving(t=Trial(log), u=Trial(log)) as url:
         run(url, tmp_path)
         with pytest.raises(InputError, match="a folder for each trial"):
             run(url, tmp_path, "u")
 
 
-def test_a_trial_that_was_reloaded_needs_another_folder(tmp_path, log):
+def test_a_reloaded_trial_requires_another_folder(tmp_path, log):
     trials = {"t": Trial(log, faults={3: "dies after it counted"})}
     with serving(**trials) as url:
         run(url, tmp_path)
@@ -220,28 +220,28 @@ def test_a_trial_that_was_reloaded_needs_another_folder(tmp_path, log):
             run(url, tmp_path)
 
 
-def test_a_trial_under_way_is_taken_up_with_a_warning(tmp_path, log):
+def test_a_trial_that_has_begun_is_joined_with_a_warning(tmp_path, log):
     trial = Trial(log, INITIAL)
     trial.next_data({"horizon": ["3"]})
     with serving(t=trial) as url:
         ending, echo = run(url, tmp_path)
     assert ending.normal
     assert "its rows before 3.0 s are lost" in summary(tmp_path)["warnings"][0]
-    assert all(e.source == ("GNSS",) for e in echo.events if isinstance(e, Fixes)), "the initial position is no more"
+    assert all(e.source == ("GNSS",) for e in echo.events if isinstance(e, Fixes)), "the initial position is not used"
 
 
 @pytest.mark.parametrize("code", [400, 404, 405, 409, 422, 500])
-def test_an_answer_of_no_use_is_one_line(tmp_path, log, code):
+def test_an_unexpected_answer_raises_one_line(tmp_path, log, code):
     with serving(t=Trial(log, faults={1: code}), u=Trial(log, faults={9: code})) as url:
         with pytest.raises(InputError, match=rf"t: found {code} 'not now', expected "):
             run(url, tmp_path / "t")
         ending, _ = run(url, tmp_path / "u", "u")
     assert not ending.normal
-    assert f"found {code}" in ending.said
+    assert f"found {code}" in ending.text
     assert (tmp_path / "u" / "trajectory.csv").exists()
 
 
-def test_a_wrong_url_or_trial_is_one_line(tmp_path, log):
+def test_a_wrong_url_or_trial_raises_one_line(tmp_path, log):
     with serving(t=Trial(log)) as url:
         with pytest.raises(InputError, match=r"404.*expected the base URL, which ends in /evaalapi/, and the trial"):
             run(url, tmp_path / "a", "nobody")
@@ -254,25 +254,25 @@ def test_a_wrong_url_or_trial_is_one_line(tmp_path, log):
             Api(wrong, "t")
 
 
-def test_what_a_server_says_does_not_reach_the_terminal_as_it_is(tmp_path, log):
+def test_texts_of_the_server_are_printed_without_control_characters(tmp_path, log):
     with serving(t=Trial(log, "\x1b[2J\x07")) as url:
         ending, _ = run(url, tmp_path)
     assert ending.normal
-    assert ending.said.isprintable()
+    assert ending.text.isprintable()
 
 
-def test_a_flood_is_cut_off(tmp_path, log, monkeypatch):
-    monkeypatch.setattr("pdr_graph.evaal.client.MOST_ROWS", 3000)
+def test_a_too_long_answer_raises(tmp_path, log, monkeypatch):
+    monkeypatch.setattr("pdr_graph.evaal.client.MAXIMUM_ROWS", 3000)
     with serving(t=Trial(log)) as url, pytest.raises(InputError, match="more than 3000 bytes"):
         Api(url, "t").next_data("0", "", 20.0)
 
 
-# offline
+# Offline trials
 
 
-def test_an_offline_trial_from_the_command_line(tmp_path, felt, log, monkeypatch, capsys):
-    """The initial position and the GNSS fixes of the log in, a position each half second out, as far off as theirs."""
-    lon, lat = felt.lonlat[0]
+def test_an_offline_trial_from_the_command_line(tmp_path, sampled, log, monkeypatch, capsys):
+    """From initial position and GNSS fixes to a position each half second, as accurate as the fixes."""
+    lon, lat = sampled.lonlat[0]
     trial = Trial(log, f"{lon:.8f},{lat:.8f},1", offline=True)
     with serving(t=trial) as url:
         assert command(monkeypatch, url, "t", "--out", tmp_path) == 0
@@ -283,53 +283,53 @@ def test_an_offline_trial_from_the_command_line(tmp_path, felt, log, monkeypatch
     assert np.diff(times) == pytest.approx(0.5)
     places = np.array([[float(c) for c in p.split(",")] for _, p in trial.estimates])
     assert set(places[:, 2]) == {1.0}
-    truth = np.column_stack([np.interp(times, felt.fix_time, felt.lonlat[:, n]) for n in (0, 1)])
+    truth = np.column_stack([np.interp(times, sampled.fix_time, sampled.lonlat[:, n]) for n in (0, 1)])
     frame = enu(lat, lon)
     off = np.hypot(*(frame.from_lonlat(places[:, :2]) - frame.from_lonlat(truth)).T)
-    assert np.median(off) < 1.0, "the fixes of this log are where the walker was"
+    assert np.median(off) < 1.0, "the fixes of this log are exact"
     assert summary(tmp_path)["ended"].startswith("201")
 
 
-def test_a_post_has_the_one_header_that_is_taken(log):
+def test_a_post_has_the_required_content_type(log):
     with serving(t=Trial(log, offline=True)) as url:
         assert Api(url, "t").post_estimates("1.0,11.1,49.45,0\n").code == 201
     assert CSV == "text/csv; charset=us-ascii"
 
 
-# rows
+# Rows
 
 
 @pytest.mark.parametrize("unit", [1.0, 1 / G], ids=["IPIN", "xDR, in g"])
-def test_rows_that_come_are_those_of_the_whole_log(tmp_path, felt, unit):
-    """Times within what the median of the lag so far differs from that of all: here by rounding."""
+def test_the_stream_gives_the_samples_of_the_whole_log(tmp_path, sampled, unit):
+    """Times differ by the median of the lag so far against that of the whole log; here by rounding."""
     path = tmp_path / "log.txt"
-    path.write_text(get_sensor_data(felt, unit))
+    path.write_text(get_sensor_data(sampled, unit))
     assert_same_as_loaded(path, within=1e-3)
 
 
-def test_samples_are_held_until_their_unit_is_known(log):
+def test_samples_are_delayed_until_their_unit_is_known(log):
     stream, early = RowStream(), [row for row in log if float(row.split(";")[1]) < FIRST_SECOND - 0.1]
     assert not any(isinstance(e, Samples) for e in stream.feed("\n".join(early)))
     later = [row for row in log if row not in early]
     first = [e.time[0] for e in stream.feed("\n".join(later)) if isinstance(e, Samples) and e.sensor == "accelerometer"]
-    assert first[0] == pytest.approx(0.004, abs=1e-3), "the first sample comes after all"
+    assert first[0] == pytest.approx(0.004, abs=1e-3), "no sample is lost"
 
 
-def test_a_clock_that_stands_still_is_not_used(felt):
-    rows = [f"GYRO;{t:.4f};0.0;0.1;0.2;0.3;3" for t in felt.time]
+def test_a_sensor_clock_that_stands_still_is_not_used(sampled):
+    rows = [f"GYRO;{t:.4f};0.0;0.1;0.2;0.3;3" for t in sampled.time]
     events = RowStream().feed("\n".join(rows))
-    assert np.concatenate([e.time for e in events]) == pytest.approx(felt.time, abs=1e-4)
+    assert np.concatenate([e.time for e in events]) == pytest.approx(sampled.time, abs=1e-4)
 
 
-def test_a_clock_that_jumps_is_left_for_the_apps(felt):
+def test_a_sensor_clock_that_jumps_is_replaced_by_the_apps(sampled):
     stream, found = RowStream(), []
     for start in np.arange(0.0, 10.0, 0.5):
-        slot = felt.time[(felt.time >= start) & (felt.time < start + 0.5)]
+        slot = sampled.time[(sampled.time >= start) & (sampled.time < start + 0.5)]
         rows = [f"GYRO;{t + 0.004:.4f};{t + (100.0 if t < 5 else 7.0):.4f};0.1;0.2;0.3;3" for t in slot]
         found += [e.time for e in stream.feed("\n".join(rows))]
     times = np.concatenate(found)
     assert (np.diff(times) > 0).all()
-    assert times == pytest.approx(felt.time[felt.time < 10.0] + 0.004, abs=1e-3)
+    assert times == pytest.approx(sampled.time[sampled.time < 10.0] + 0.004, abs=1e-3)
 
 
 def test_garbage_is_counted_and_left_out(log):
@@ -354,8 +354,8 @@ def test_garbage_is_counted_and_left_out(log):
     assert sum(stream.rows.values()) == len(log) + len(rubbish)
 
 
-def test_truth_is_no_input(felt):
-    text = get_sensor_data(felt)
+def test_truth_is_not_used(sampled):
+    text = get_sensor_data(sampled)
     assert "POSI" in text
     stream = RowStream()
     with_truth = stream.feed(text)
@@ -363,11 +363,11 @@ def test_truth_is_no_input(felt):
     assert len(with_truth) == len(RowStream().feed("\n".join(rows_of(text))))
 
 
-# the command line
+# The command line
 
 
 def command(monkeypatch, *arguments):
-    """The exit code."""
+    """The exit code of a command."""
     stand_in = types.ModuleType("pdr_graph.online.navigator")
     stand_in.Navigator = Echo
     monkeypatch.setitem(sys.modules, "pdr_graph.online.navigator", stand_in)
@@ -377,7 +377,7 @@ def command(monkeypatch, *arguments):
     return ended.value.code or 0
 
 
-def test_the_command_line_keeps_its_contract(tmp_path, log, monkeypatch, capsys):
+def test_exit_codes_and_files_of_the_command_line(tmp_path, log, monkeypatch, capsys):
     with serving(t=Trial(log, INITIAL), late=Trial(log, took=4.0)) as url:
         assert command(monkeypatch, url, "t", "--out", tmp_path / "t") == 0
         assert command(monkeypatch, url, "late", "--out", tmp_path / "late") == 3
@@ -389,12 +389,12 @@ def test_the_command_line_keeps_its_contract(tmp_path, log, monkeypatch, capsys)
     with (tmp_path / "t" / "causal.csv").open(newline="") as file:
         header = next(csv.reader(file))
     assert header == ["time", "x", "y", "heading", "floor", "sigma_x", "sigma_y", "cov_xy", "sigma_heading"]
-    said = summary(tmp_path / "t")
-    assert said["initial"] == INITIAL
-    assert said["missing"] == []
+    written = summary(tmp_path / "t")
+    assert written["initial"] == INITIAL
+    assert written["missing"] == []
 
 
-def test_positions_in_the_output_frame_begin_where_the_trial_does(tmp_path, log):
+def test_positions_in_the_output_frame_begin_at_the_initial_position(tmp_path, log):
     alone = [row for row in log if not row.startswith("GNSS")]
     trial = Trial(alone, "12.5;-3.25;2")
     with serving(t=trial, u=Trial(alone, "12.5;-3.25;2")) as url:
@@ -402,4 +402,4 @@ def test_positions_in_the_output_frame_begin_where_the_trial_does(tmp_path, log)
         ending, echo = run(url, tmp_path / "u", "u", lonlat=False, ignored=True)
     assert {position for _, position in trial.estimates} == {"12.500,-3.250,2"}
     assert not any(isinstance(e, Fixes) for e in echo.events)
-    assert ending.missing == ("causal.csv: no position was known in time", "trajectory.csv: no fix came")
+    assert ending.missing == ("causal.csv: no position was available during the trial", "trajectory.csv: no fix came")

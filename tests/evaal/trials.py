@@ -1,4 +1,4 @@
-"""Taking part in a trial with a stand-in for the navigator, which says that the walker is where the last fix was."""
+"""Helpers to run a trial with a navigator that echoes the last fix."""
 
 import json
 from functools import partial
@@ -9,14 +9,14 @@ import pytest
 from pdr_graph import io
 from pdr_graph.evaal.client import Api
 from pdr_graph.evaal.row_stream import RowStream
-from pdr_graph.evaal.trial import HORIZON, Entry, PositionFormat, run_trial
+from pdr_graph.evaal.trial import INTERVAL, Entry, PositionFormat, run_trial
 from pdr_graph.frames import Frame, enu
 from pdr_graph.online.interface import Pose, Samples, Scan
 from pdr_graph.types import LONLAT, Estimate, Fixes, Trajectory
 
 
 class Echo:
-    """Says that the walker is where the last fix was."""
+    """A navigator whose pose is the last fix."""
 
     def __init__(self, *_, **__):
         self.events, self.pose, self.frame, self._poses = [], None, None, []
@@ -48,14 +48,14 @@ def rows_of(text):
 
 
 def no_pauses(pauses=None):
-    """A sleep that only says how long."""
+    """A sleep that returns at once and notes its duration."""
     return (lambda seconds: None) if pauses is None else pauses.append
 
 
-def run(url, out, trial="t", echo=None, lonlat=True, ignored=False, smoothed=None, pauses=None):
+def run(url, out, trial="t", echo=None, lonlat=True, ignored=False, smooth=None, pauses=None):
     echo = Echo() if echo is None else echo
     form = partial(PositionFormat, lonlat, ignored=ignored)
-    return run_trial(Api(url, trial, no_pauses(pauses)), out, Entry(lambda: echo, smoothed, form)), echo
+    return run_trial(Api(url, trial, no_pauses(pauses)), out, Entry(lambda: echo, smooth, form)), echo
 
 
 def received(out):
@@ -70,7 +70,7 @@ def assert_same_as_loaded(path, within):
     walk, stream, events = io.load(path), RowStream(), []
     rows = sorted(rows_of(path.read_text(errors="replace")), key=lambda row: float(row.split(";")[1]))
     times = np.array([float(row.split(";")[1]) for row in rows])
-    ends = np.searchsorted(times, np.arange(times[0], times[-1] + HORIZON, HORIZON) + HORIZON)
+    ends = np.searchsorted(times, np.arange(times[0], times[-1] + INTERVAL, INTERVAL) + INTERVAL)
     for begin, end in zip([0, *ends], ends, strict=False):
         events += stream.feed("\n".join(rows[begin:end]))
     worst = 0.0
