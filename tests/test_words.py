@@ -77,7 +77,6 @@ NAMES = {
 PENDING_PHRASES: set[str] = {
     "pdr_graph/cli/__init__.py",
     "pdr_graph/cli/lifelog.py",
-    "pdr_graph/floor/corridor_runs.py",
     "pdr_graph/lifelog/export.py",
     "pdr_graph/lifelog/picture.py",
     "pdr_graph/online/interface.py",

@@ -1,7 +1,7 @@
 """Link of each step, turns between links, and feasible region of (R_d, R_s): [map-matching] Secs. 3.2–3.6.
 
-R_d multiplies every heading change (Eq. 4), R_s every length (Eq. 5); the pairs that keep the walk within its corridors
-are the feasible region.
+R_d multiplies every heading change (Eq. 4), R_s every length (Eq. 5). The feasible region is the set of pairs that keep
+the walk within its corridors.
 """
 
 from __future__ import annotations
@@ -10,25 +10,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.floor.network import Network
 from pdr_graph.geometry import courses, turn_between, unit, wrap_angle
 from pdr_graph.types import Array, Index, Mask, Steps
 
-FAR, ASKEW = 3.0, np.radians(30)  # [m], [rad] from a link at which either counts 1: a corridor's width, a zigzag
-LOST = 4.0  # the most that a distance counts: less than a right angle
 TURNING = np.radians(10)  # heading change of a step above which the walker is turning: gait sways by up to 7°
-AROUND = 8  # steps before and after a turn that tell the links: the length of a zigzag
-BESIDE = 3  # steps before and after one that turns, which may turn too: a zigzag is straight only in passing
-HALF_TURN = 3  # steps that a turn takes, on either side of its middle
-LEAST_TURN = np.radians(25)  # between two links, or they are one way
+AROUND = 8  # [steps] before and after a turn that determine its links: the length of a zigzag; chosen by hand
+LEAST_TURN = np.radians(25)  # between two links; with less they are one corridor; chosen by hand
 
 
 @dataclass(frozen=True)
-class Turn:
+class Turn(OneLineRepr):
     """A turn from one link into another.
 
-    first, last: steps [first, last) that turn; node: where; before, after: the links; into, out_of: unit vectors
-    ``(2,)`` of the links towards the node and away from it.
+    first, last: steps [first, last) of the turn; node: of the network; before, after: the links; into, out_of: unit
+    vectors ``(2,)`` along the links towards the node and away from it.
     """
 
     first: int
@@ -39,14 +36,24 @@ class Turn:
     into: Array
     out_of: Array
 
+    def _summary(self) -> list[str]:
+        angle = np.degrees(turn_between(self.into, self.out_of))
+        return [f"steps {self.first} to {self.last}", f"node {self.node}", f"{angle:.0f}°"]
+
 
 @dataclass(frozen=True)
-class Segments:
-    """The links of a network as segments. start, along: ``(s, 2)`` [m]; link: ``(s,)``."""
+class Segments(OneLineRepr):
+    """The straight segments of the links of a network.
+
+    start, along: ``(s, 2)`` first point and vector to the last [m]; link: ``(s,)`` number of the link.
+    """
 
     start: Array
     along: Array
     link: Index
+
+    def _summary(self) -> list[str]:
+        return [count(len(self.link), "segment"), count(len(np.unique(self.link)), "link")]
 
     @classmethod
     def of(cls, network: Network) -> Segments:
@@ -72,37 +79,39 @@ class Segments:
         return int(self.link[np.argmin(apart)]), float(apart.min())
 
 
-def costs(segments: Segments, start: Array, end: Array) -> Array:
+def link_costs(segments: Segments, start: Array, end: Array) -> Array:
     """Cost ``(n, l)`` of assigning each step, from ``start`` to ``end (n, 2)`` [m], to each link.
 
-    [map-matching] Sec. 3.3 scores by distance and by angle and gives no formula; here both are counted in what is
-    usual of them, and squared; beyond two corridors' widths, where the track is lost, a distance says no more. A link
-    has no direction of its own. Of a bent link its best segment counts.
+    [map-matching] Sec. 3.3 scores distance and angle and gives no formula. Here the cost is the sum of both squares,
+    each divided by its usual value; the cost of a distance saturates beyond two corridor widths, where the track is
+    lost. A link has no direction, and the best segment of a bent link counts.
     """
+    usual_distance, usual_angle = 3.0, np.radians(30)  # [m], [rad] a corridor's width, a zigzag
+    largest = 4.0  # cost of a distance: less than that of a right angle
     apart = np.linalg.norm(segments.projected(end) - end[:, None], axis=2)
     step, along = np.arctan2(*(end - start).T[::-1]), np.arctan2(*segments.along.T[::-1])
     askew = np.abs(wrap_angle(2 * (step[:, None] - along))) / 2
-    off = (apart / FAR) ** 2
-    fit = off / (1 + off / LOST) + (askew / ASKEW) ** 2
+    squared = (apart / usual_distance) ** 2
+    cost = squared / (1 + squared / largest) + (askew / usual_angle) ** 2
     begins = np.flatnonzero(np.diff(segments.link, prepend=-1))
-    return np.minimum.reduceat(fit, begins, axis=1)
+    return np.minimum.reduceat(cost, begins, axis=1)
 
 
 def straightened(steps: Steps) -> Steps:
-    """The steps as the paper's dead reckoning has them, straight on where nobody turns: [map-matching] Sec. 3.2.
+    """Set the heading changes between turns to 0, as in the dead reckoning of [map-matching] Sec. 3.2.
 
-    What a gyroscope drifts and hips sway between turns then counts 0. So does a corridor that bends slowly. The paper
-    drops each heading change under a threshold; a slow one in the midst of a turn is part of it, and stays.
+    This removes the gyroscope's drift and the sway of the hips between turns, but also a slow bend of a corridor. The
+    paper drops every heading change below a threshold; here a small one within a turn is part of it and stays.
     """
-    turning = np.abs(steps.turn) > TURNING
-    near = np.convolve(turning, np.ones(2 * BESIDE + 1), "full")[BESIDE:-BESIDE] > 0 if len(steps) else turning
+    turning, beside = np.abs(steps.turn) > TURNING, 3  # [steps] before and after one that turns; chosen by hand
+    near = np.convolve(turning, np.ones(2 * beside + 1), "full")[beside:-beside] > 0 if len(steps) else turning
     return replace(steps, turn=np.where(near, steps.turn, 0.0), pause_turn=np.where(near, steps.pause_turn, 0.0))
 
 
 def turning_periods(steps: Steps) -> Index:
-    """Runs of steps ``(p, 2)``, [first, last), that turn the same way by more than TURNING each: Sec. 3.2.
+    """Runs of steps ``(p, 2)``, [first, last), that turn the same way by more than 10° each: [map-matching] Sec. 3.2.
 
-    One step that turns less does not end a run. A zigzag is one run to either side after the other, not one.
+    One step that turns less does not end a run. A zigzag is a sequence of runs to alternating sides.
     """
     side = np.where(np.abs(steps.turn) > TURNING, np.sign(steps.turn), 0)
     gap = np.flatnonzero((side[1:-1] == 0) & (side[:-2] == side[2:])) + 1
@@ -113,49 +122,42 @@ def turning_periods(steps: Steps) -> Index:
     return np.stack([begins[turning], ends[turning]], axis=1)
 
 
-def track_link(network: Network, fit: Array, link: int) -> int:
-    """The link after steps without a turn, with costs ``fit (n, l)``.
+def track_link(network: Network, cost: Array, link: int) -> int:
+    """The link after steps without a turn, with costs ``(n, l)``, from the link before them.
 
-    It is the cheapest of the present link and its neighbours over the last AROUND steps.
+    It is the cheapest of the present link and its neighbours over the last eight steps.
     """
-    for n in range(AROUND, len(fit) + 1):
+    for n in range(AROUND, len(cost) + 1):
         near = _meeting(network, link)
-        link = int(near[np.argmin(fit[n - AROUND : n, near].sum(axis=0))])
+        link = int(near[np.argmin(cost[n - AROUND : n, near].sum(axis=0))])
     return link
 
 
 def find_turn(network: Network, steps: Steps, track: Array, link: int, since: int = 0) -> Turn | None:
-    """The first turn of a track ``(n + 1, 2)`` [m] that is on ``link`` at step ``since``; None without one: Sec. 3.3.
+    """The first turn of a track ``(n + 1, 2)`` [m] that is on ``link`` at step ``since``; None without one.
 
-    A turn is a turning period after which the walk is on another link; the AROUND steps after it tell that together.
-    Unlike the paper, which asks all links, one can only turn into a link that begins where one is, and to its side.
+    [map-matching] Sec. 3.3: a turn is a turning period after which the walk is on another link, by the cost of the next
+    eight steps. The paper compares all links; here only links that meet the present one, to the side of the turn.
     """
-    fit = costs(Segments.of(network), track[:-1], track[1:])
+    cost, half = link_costs(Segments.of(network), track[:-1], track[1:]), 3  # [steps] half the length of a turn
     for first, last in turning_periods(steps).tolist():
         if first < since or last >= len(steps):
             continue
-        link = track_link(network, fit[since:first], link)
+        link = track_link(network, cost[since:first], link)
         near = _meeting(network, link)
-        after = int(near[np.argmin(fit[last : last + AROUND, near].sum(axis=0))])
+        after = int(near[np.argmin(cost[last : last + AROUND, near].sum(axis=0))])
         bend = _Bend.between(network, link, after)
         if bend is not None and bend.angle * np.sum(steps.turn[first:last]) > 0:
             at = bend.sharpest(track, max(first - AROUND, since), min(last + AROUND, len(steps)))
-            return Turn(
-                max(at - HALF_TURN, since),
-                min(at + HALF_TURN, len(steps)),
-                bend.node,
-                link,
-                after,
-                bend.into,
-                bend.out_of,
-            )
+            begin, end = max(at - half, since), min(at + half, len(steps))
+            return Turn(begin, end, bend.node, link, after, bend.into, bend.out_of)
         since = max(since, first)
     return None
 
 
 @dataclass(frozen=True)
 class _Bend:
-    """Two links that meet. into, out_of: unit vectors ``(2,)`` towards their node and away; angle between these."""
+    """Two links that meet. into, out_of: unit vectors ``(2,)`` to and from their node; angle: of the turn [rad]."""
 
     node: int
     into: Array
@@ -173,7 +175,7 @@ class _Bend:
         return cls(node, into, out_of, angle) if abs(angle) > LEAST_TURN else None
 
     def sharpest(self, track: Array, begin: int, end: int) -> int:
-        """The step of [begin, end) before which a track goes most into the node, and after which most away from it."""
+        """The step of [begin, end) up to which the track approaches the node most and after which it leaves it most."""
         moves = np.diff(track[begin : end + 1], axis=0)
         return begin + int(np.argmax(np.cumsum(moves @ (self.into - self.out_of)))) + 1
 
@@ -185,26 +187,28 @@ def _direction(line: Array) -> Array:
 
 
 def _meeting(network: Network, link: int) -> Index:
-    """A link and its neighbours, which share a node with it."""
+    """Numbers ``(m,)`` of a link and of the links that share a node with it."""
     return np.flatnonzero(np.isin(network.links, network.links[link]).any(axis=1))
 
 
-RASTER = 0.005, 0.005  # of R_d and R_s: 0.45° of a right angle, 0.2 m of a corridor of 40 m
-LEAST, MOST = 0.7, 1.4  # of either: what is beyond is no calibration but a mistake
-OPEN = 3.0  # [m] to either side of a node without corners
+RESOLUTION = 0.005, 0.005  # of R_d and R_s: 0.45° of a right angle, 0.2 m of a corridor of 40 m
+LEAST_SCALE, MOST_SCALE = 0.7, 1.4  # limits of R_d and R_s: others are errors of the association; chosen by hand
 Pair = tuple[float, float]  # R_d, R_s
 
 
 @dataclass(frozen=True)
-class FeasibleRegion:
+class FeasibleRegion(OneLineRepr):
     """The pairs (R_d, R_s) that were tried for one part of a walk.
 
-    R_d: ``(d,)``; R_s: ``(s,)``, both multiples of RASTER; feasible: ``(d, s)`` whose track crosses no wall.
+    R_d: ``(d,)``; R_s: ``(s,)``, both multiples of 0.005; feasible: ``(d, s)`` True if the track crosses no wall.
     """
 
     R_d: Array
     R_s: Array
     feasible: Mask
+
+    def _summary(self) -> list[str]:
+        return [f"{np.count_nonzero(self.feasible)} of {count(self.feasible.size, 'pair')} feasible"]
 
     @classmethod
     def none(cls) -> FeasibleRegion:
@@ -213,29 +217,32 @@ class FeasibleRegion:
 
     @property
     def pairs(self) -> set[tuple[int, int]]:
-        """The feasible pairs, counted in RASTER."""
+        """The feasible pairs, in multiples of 0.005."""
         d, s = np.nonzero(self.feasible)
         return set(zip(_counted(self.R_d, 0)[d].tolist(), _counted(self.R_s, 1)[s].tolist(), strict=True))
 
 
-def transformed(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Array) -> Array:
-    """Tracks ``(d, s, n + 1, 2)`` of all pairs, from ``start (2,)`` [m] and ``heading`` [rad]: Eqs. (4), (5)."""
+def calibrated_tracks(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Array) -> Array:
+    """Tracks ``(d, s, n + 1, 2)`` with all pairs, from ``start (2,)`` [m] and ``heading`` [rad]: Eqs. (4), (5)."""
     moves = steps.length[:, None] * unit(heading + np.multiply.outer(R_d, courses(steps)))
     track = np.concatenate([np.zeros((len(R_d), 1, 2)), np.cumsum(moves, axis=1)], axis=1)
     return start + R_s[:, None, None] * track[:, None]
 
 
 def range_of_R_d(turn: Turn, corners: Array, theta: float, before: float, after: float) -> tuple[float, float]:
-    """Eq. (6): α/θ ≤ R_d ≤ β/θ, θ the turn's estimated heading change [rad]; the others as of `range_of_turn`."""
+    """[map-matching] Eq. (6): α/θ ≤ R_d ≤ β/θ, with the turn's estimated heading change θ [rad].
+
+    before, after: as for `range_of_turn`.
+    """
     return _ordered(*(angle / theta for angle in range_of_turn(turn, corners, before, after)))
 
 
 def range_of_turn(turn: Turn, corners: Array, before: float, after: float) -> tuple[float, float]:
-    """α and β of Eq. (6), counter-clockwise, the lower first. [rad]
+    """α and β of [map-matching] Eq. (6): least and greatest angle of a turn, counter-clockwise, the lower first. [rad]
 
-    before, after: how far the walk was seen along the links on either side [m]. α, the least that one can turn, is
-    out-in-out: from the outer wall past the inner corner to the outer wall. β, the greatest, is in-out-in. The paper's
-    corridors are seen from one intersection to the other.
+    before, after: length of the walk along the links before and after the turn [m]; the paper uses the whole corridor
+    from one intersection to the next. α is that of a path out-in-out: from the outer wall past the inner corner to the
+    outer wall. β is that of a path in-out-in.
     """
     bearing = (corners - corners.mean(axis=0)) @ (turn.out_of - turn.into)
     inner, outer = corners[np.argmax(bearing)], corners[np.argmin(bearing)]
@@ -250,11 +257,10 @@ def range_of_turn(turn: Turn, corners: Array, before: float, after: float) -> tu
 
 
 def range_of_R_s(turn: Turn, corners: Array, start: Array, walked: Array) -> Array:
-    """Eq. (7): A/X ≤ R_s ≤ B/X, ``(d, 2)``.
+    """[map-matching] Eq. (7): A/X ≤ R_s ≤ B/X, ``(d, 2)``; NaN where the walk leads away from the corner.
 
-    start: ``(2,)`` of the stretch [m]; walked: ``(d, 2)`` displacement from there to the turn as estimated with each
-    R_d [m], which the paper takes for one. X is its projection on the link, A and B the same of the nearest and the
-    farthest corner. NaN where one would walk away from the corner.
+    start: ``(2,)`` of the stretch [m]; walked: ``(d, 2)`` displacement from there to the turn with each R_d [m]; the
+    paper has one R_d. X is its projection on the link, A and B are those of the nearest and the farthest corner.
     """
     X = walked @ turn.into
     ends = np.sort((corners - start) @ turn.into)[[0, -1]]
@@ -262,31 +268,31 @@ def range_of_R_s(turn: Turn, corners: Array, start: Array, walked: Array) -> Arr
 
 
 def feasible_region(steps: Steps, start: Array, heading: float, R_d: Array, R_s: Array, walls: Array) -> FeasibleRegion:
-    """All pairs of the ranges, tried exhaustively against ``walls (w, 2, 2)`` [m]: Sec. 3.5.
+    """All pairs within the ranges, tested exhaustively against ``walls (w, 2, 2)`` [m]: [map-matching] Sec. 3.5.
 
-    start: ``(2,)`` [m] and heading [rad] of the steps; R_d: ``(d,)`` of `lattice`; R_s: ``(d, 2)`` range with each.
-    The paper sees a convex quadrilateral; as the track is not linear in the pair, no shape is assumed.
+    start: ``(2,)`` [m] and heading [rad] of the steps; R_d: ``(d,)`` from `lattice`; R_s: ``(d, 2)`` range for each.
+    The paper assumes a convex quadrilateral; here no shape is assumed, since the track is not linear in the pair.
     """
     if not len(R_d) or np.isnan(R_s).all():
         return FeasibleRegion.none()
     s = lattice((float(np.nanmin(R_s)), float(np.nanmax(R_s))), 1)
     feasible = (s >= R_s[:, :1]) & (s <= R_s[:, 1:])
     d_of, s_of = np.nonzero(feasible)
-    tracks = transformed(steps, np.zeros(2), heading, R_d, np.ones(1))[d_of, 0] * s[s_of, None, None]
-    feasible[d_of, s_of] = keeps_within(start + tracks, walls)
+    tracks = calibrated_tracks(steps, np.zeros(2), heading, R_d, np.ones(1))[d_of, 0] * s[s_of, None, None]
+    feasible[d_of, s_of] = stays_within(start + tracks, walls)
     return FeasibleRegion(R_d, s, feasible)
 
 
 def lattice(limits: tuple[float, float], axis: int) -> Array:
-    """Multiples of RASTER of R_d (axis 0) or R_s (1) within some limits ``(m,)``; none of limits that are none."""
+    """Multiples of 0.005 within limits ``(m,)``, for R_d (axis 0) or R_s (axis 1); empty for limits that are NaN."""
     if not np.isfinite(limits).all():
         return np.empty(0)
-    low, high = max(limits[0], LEAST) / RASTER[axis], min(limits[1], MOST) / RASTER[axis]
-    return np.arange(np.ceil(low), np.floor(high) + 1) * RASTER[axis]
+    low, high = max(limits[0], LEAST_SCALE) / RESOLUTION[axis], min(limits[1], MOST_SCALE) / RESOLUTION[axis]
+    return np.arange(np.ceil(low), np.floor(high) + 1) * RESOLUTION[axis]
 
 
-def keeps_within(tracks: Array, walls: Array) -> Mask:
-    """Which tracks ``(p, n + 1, 2)`` cross none of the ``walls (w, 2, 2)``, step by step: ``(p,)``."""
+def stays_within(tracks: Array, walls: Array) -> Mask:
+    """``(p,)`` True for tracks ``(p, n + 1, 2)`` of which no step crosses any of the ``walls (w, 2, 2)`` [m]."""
     left = np.arange(len(tracks))
     low, high = tracks.min(axis=(0, 1), initial=np.inf), tracks.max(axis=(0, 1), initial=-np.inf)
     near = (walls.max(axis=1) >= low).all(axis=1) & (walls.min(axis=1) <= high).all(axis=1)
@@ -301,36 +307,36 @@ def keeps_within(tracks: Array, walls: Array) -> Mask:
 
 
 def method_1(newest: FeasibleRegion) -> Pair | None:
-    """The centroid of the newest region: people mostly keep to the middle. None of an empty one."""
+    """The centroid of the newest region, since people mostly keep to the middle; None if it is empty."""
     return centroid(newest.pairs)
 
 
 def method_2(newest: FeasibleRegion, common: set[tuple[int, int]]) -> tuple[Pair | None, set[tuple[int, int]]]:
-    """The centroid of what recent regions have in common, and that; of the newest alone where they have nothing.
+    """The centroid of the pairs that recent regions have in common, and these pairs.
 
-    common: of the regions before.
+    common: pairs in common of the earlier regions; if the newest has none of them, its pairs alone are used.
     """
     shared = (newest.pairs & common) or newest.pairs
     return centroid(shared), shared or common
 
 
 def centroid(pairs: set[tuple[int, int]]) -> Pair | None:
-    """The pair (R_d, R_s) of a set that is nearest to its centroid, which itself may lie outside; None of none."""
+    """The pair (R_d, R_s) of a set nearest to its centroid, which may lie outside the set; None for an empty set."""
     if not pairs:
         return None
     counted = np.array(sorted(pairs))
-    R_d, R_s = counted[np.argmin(np.sum((counted - counted.mean(axis=0)) ** 2, axis=1))] * RASTER
+    R_d, R_s = counted[np.argmin(np.sum((counted - counted.mean(axis=0)) ** 2, axis=1))] * RESOLUTION
     return float(R_d), float(R_s)
 
 
 def corners_at(corners: Array, node: Array) -> Array:
-    """Corners ``(4, 2)`` of an intersection; about a node without any, those of a square. [m]"""
-    square = node + OPEN * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    """Corners ``(4, 2)`` of an intersection; if it has none, those of a square of 6 m about its node. [m]"""
+    square = node + 3.0 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     return square if np.isnan(corners).any() else corners
 
 
 def _counted(values: Array, axis: int) -> Index:
-    return np.rint(values / RASTER[axis]).astype(np.intp)
+    return np.rint(values / RESOLUTION[axis]).astype(np.intp)
 
 
 def _cross(a: Array, b: Array) -> Array:

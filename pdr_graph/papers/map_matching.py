@@ -18,16 +18,16 @@ from pdr_graph.floor.corridor_turns import (
     Pair,
     Segments,
     Turn,
+    calibrated_tracks,
     corners_at,
-    costs,
     feasible_region,
     find_turn,
     lattice,
+    link_costs,
     method_1,
     method_2,
     range_of_R_d,
     range_of_R_s,
-    transformed,
 )
 from pdr_graph.floor.network import Network
 from pdr_graph.floor.plan import FloorPlan
@@ -67,7 +67,7 @@ class CalibratedTrack(OneLineRepr, row="position"):
         """The track with all steps from ``first`` on calibrated by a pair (R_d, R_s)."""
         rest, R_d = steps_between(steps, first, len(steps)), pair[0]
         start, heading = self.position[first], self.heading[first]
-        track = transformed(rest, start, float(heading), np.array([R_d]), np.array([pair[1]]))[0, 0]
+        track = calibrated_tracks(rest, start, float(heading), np.array([R_d]), np.array([pair[1]]))[0, 0]
         headings = heading + R_d * np.concatenate([[0.0], np.cumsum(rest.turn)])
         position = np.concatenate([self.position[:first], track])
         return CalibratedTrack(position, np.concatenate([self.heading[:first], headings]))
@@ -95,7 +95,8 @@ def feasible_pairs(
         return FeasibleRegion.none(), 0.0
     stretch, start, heading = steps_between(steps, first, end), raw[first], float(track.heading[first])
     d = lattice((min(R_d), max(R_d)), 0)
-    walked = transformed(stretch, np.zeros(2), heading, d, np.ones(1))[:, 0, [turn.first - first, turn.last - first]]
+    ends = [turn.first - first, turn.last - first]
+    walked = calibrated_tracks(stretch, np.zeros(2), heading, d, np.ones(1))[:, 0, ends]
     corners = corners_at(network.corners[turn.node], network.nodes[turn.node])
     R_s, region = range_of_R_s(turn, corners, start, walked.mean(axis=1)), FeasibleRegion.none()
     for slack in SLACKS:
@@ -170,7 +171,7 @@ def match(steps: Steps, network: Network, start: Array, heading: float) -> Match
     links, track = np.empty(len(steps), dtype=np.intp), np.tile(start, (len(steps) + 1, 1))
     for k, move in enumerate(moves):
         end = track[k] + move
-        links[k] = np.argmin(costs(segments, track[k][None], end[None])[0])
+        links[k] = np.argmin(link_costs(segments, track[k][None], end[None])[0])
         on_link = segments.projected(end[None])[0][segments.link == links[k]]
         track[k + 1] = on_link[np.argmin(np.sum((on_link - end) ** 2, axis=1))]
     turns, link = list[Turn](), segments.nearest(start)[0]

@@ -273,7 +273,7 @@ def test_a_turn_is_free_within_its_range(seed):
 
 
 def test_a_straight_run_leads_along_its_corridor():
-    """wrap(θ − direction), of σ² = 2 (0.3 w/L)² + 0.03² + crooked²; the corridors of the ring are level or upright."""
+    """wrap(θ − direction), of σ² = 2 (0.3 w/L)² + 0.03² + spread²; the corridors of the ring are level or upright."""
     graph = in_the_ring(CorridorUse(directions=True))
     state, corridors = any_state(graph, 2), graph.find(CorridorFactor)
     told = corridors.direction

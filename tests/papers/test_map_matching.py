@@ -13,16 +13,16 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.corridor_turns import (
     Segments,
     Turn,
+    calibrated_tracks,
     centroid,
-    costs,
     feasible_region,
-    keeps_within,
     lattice,
+    link_costs,
     method_2,
     range_of_R_d,
     range_of_R_s,
+    stays_within,
     straightened,
-    transformed,
     turning_periods,
 )
 from pdr_graph.frames import Frame
@@ -75,7 +75,9 @@ def errors(corrected, places):
 
 
 def test_a_step_fits_the_nearest_parallel_link():
-    fit = costs(Segments.of(LOOP.network), np.array([[20.0, 1.0], [43.0, 5.0]]), np.array([[20.7, 1.1], [43.0, 5.7]]))
+    fit = link_costs(
+        Segments.of(LOOP.network), np.array([[20.0, 1.0], [43.0, 5.0]]), np.array([[20.7, 1.1], [43.0, 5.7]])
+    )
     middles = [LOOP.network.lines[n].mean(axis=0) for n in fit.argmin(axis=1)]
     assert middles == [pytest.approx([22.5, 1.25], abs=0.01), pytest.approx([43.75, 14.0], abs=0.01)]
 
@@ -83,7 +85,7 @@ def test_a_step_fits_the_nearest_parallel_link():
 def test_a_link_costs_the_same_in_both_directions():
     a, b = np.array([[20.0, 1.0]]), np.array([[20.7, 1.0]])
     segments = Segments.of(LOOP.network)
-    assert costs(segments, a, b).min() == pytest.approx(costs(segments, b, a).min(), abs=0.01)
+    assert link_costs(segments, a, b).min() == pytest.approx(link_costs(segments, b, a).min(), abs=0.01)
 
 
 def test_a_turning_period_is_a_run_of_turns_to_one_side():
@@ -163,7 +165,7 @@ def test_the_wall_test_agrees_with_shapely():
     walls = random.uniform(-4, 4, (5, 2, 2))
     solid = shapely.MultiLineString(list(walls))
     expected = [not shapely.intersects(solid, shapely.LineString(t)) for t in tracks]
-    assert keeps_within(tracks, walls).tolist() == expected
+    assert stays_within(tracks, walls).tolist() == expected
 
 
 def test_a_region_has_every_pair_that_stays_within_the_walls():
@@ -171,9 +173,9 @@ def test_a_region_has_every_pair_that_stays_within_the_walls():
     steps, _ = along([43.75, 1.25], [43.75, 12.0])
     measured = mismeasured(steps, 1.04, 1.1)
     found = region_of(measured, (0.9, 1.2), (1.0, 1.2))
-    tracks = transformed(measured, START, 0.0, found.R_d, found.R_s)
+    tracks = calibrated_tracks(measured, START, 0.0, found.R_d, found.R_s)
     for (d, s), feasible in np.ndenumerate(found.feasible):
-        assert feasible == shapely.covers(LOOP.network.ways, shapely.LineString(tracks[d, s]))
+        assert feasible == shapely.covers(LOOP.network.area, shapely.LineString(tracks[d, s]))
     assert (round(1.04 / 0.005), round(1.1 / 0.005)) in found.pairs
 
 

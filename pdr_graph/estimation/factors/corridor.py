@@ -197,7 +197,7 @@ def _direction(track: _Track, run: Run) -> tuple[int, float, float]:
     keyframe, ends = track.keyframe(run), (run.first, run.last - 1)
     assert keyframe is not None
     length = float(np.hypot(*(track.position[ends[1]] - track.position[ends[0]])))
-    sigma = np.hypot(np.sqrt(2) * SIGMA_SIDE * run.width / length, np.hypot(SIGMA_AHEAD, run.crooked))
+    sigma = np.hypot(np.sqrt(2) * SIGMA_SIDE * run.width / length, np.hypot(SIGMA_AHEAD, run.spread))
     return keyframe, float(wrap_angle(run.direction + track.aside(keyframe, *ends))), float(sigma)
 
 
