@@ -1,4 +1,4 @@
-"""The command line, as its contract (docs/design.md, section 4) has it, on a simulated walk through maps/arcade."""
+"""Files, texts and exit codes of the command line, on a simulated walk through maps/arcade."""
 
 import csv
 import json
@@ -24,7 +24,7 @@ ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.
 
 
 def run(*arguments, cwd=None):
-    """The installed command; its exit code, output and error lines."""
+    """Run the command in a process; return its exit code, output and error lines."""
     command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
     return done.returncode, done.stdout, done.stderr.strip().splitlines()
@@ -50,18 +50,19 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-def test_a_truth_is_scored_and_no_estimate_sees_it(tmp_path):
+def test_truth_is_scored_and_not_used_by_the_estimate(tmp_path):
     walk, scored = tmp_path / "walk", "Accuracy against ground truth"
     run("simulate", "arcade", "--out", walk)
     for verb in ("smooth", "replay"):
-        given = [verb, walk, "--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv", "--out"]
-        seen, blind = tmp_path / verb, tmp_path / f"{verb} blind"
-        assert run(*given, seen, "--truth", walk / "truth.csv")[0] == run(*given, blind)[0]
-        assert (seen / "trajectory.csv").read_bytes() == (blind / "trajectory.csv").read_bytes()
-        assert [scored in (out / "report.html").read_text(encoding="utf-8") for out in (seen, blind)] == [True, False]
+        command = [verb, walk, "--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv", "--out"]
+        with_truth, without = tmp_path / verb, tmp_path / f"{verb} without"
+        assert run(*command, with_truth, "--truth", walk / "truth.csv")[0] == run(*command, without)[0]
+        assert (with_truth / "trajectory.csv").read_bytes() == (without / "trajectory.csv").read_bytes()
+        reports = [(out / "report.html").read_text(encoding="utf-8") for out in (with_truth, without)]
+        assert [scored in report for report in reports] == [True, False]
 
 
-def test_a_truth_that_lies_elsewhere_is_told(folder, result, tmp_path):
+def test_truth_far_from_the_walk_is_reported_as_missing(folder, result, tmp_path):
     table = np.genfromtxt(result / "trajectory.csv", delimiter=",", skip_header=1, usecols=(0, 1, 2))
     elsewhere = tmp_path / "elsewhere.csv"
     table[:, 1] += 5000
@@ -72,7 +73,7 @@ def test_a_truth_that_lies_elsewhere_is_told(folder, result, tmp_path):
     assert "elsewhere.csv" in json.loads((tmp_path / "out" / "summary.json").read_text())["missing"][0]
 
 
-def test_smooth_writes_what_the_contract_names(result):
+def test_smooth_writes_all_documented_files(result):
     assert {p.name for p in result.iterdir()} == {
         "trajectory.csv",
         "trajectory.geojson",
@@ -99,24 +100,24 @@ def test_smooth_writes_what_the_contract_names(result):
     assert len(table) == summary["steps"] + 2
     assert {row["floor"] for row in table} == {"1"}
     times = np.array([float(row["time"]) for row in table])
-    assert times[0] == pytest.approx(1.7e9, abs=0.03), "recording time, not time from the start"
+    assert times[0] == pytest.approx(1.7e9, abs=0.03), "times on the recorder's clock, not from the start"
     assert np.all(np.diff(times) >= 0)
 
 
-def test_summary_can_say_why(result):
+def test_the_summary_has_frame_calibration_and_reasons(result):
     summary = json.loads((result / "summary.json").read_text())
     assert summary["frame"] == {"kind": "enu", "origin_lat": 35.0, "origin_lon": 135.0, "epsg": None}
     assert set(summary["calibration"][0]) == {"start", "R_s", "R_d", "b"}
-    wild = min(summary["fixes"], key=lambda fix: fix["weight"])
-    assert wild["weight"] < 0.1, "the simulation's wild fix"
-    assert "outlier" in wild["reason"]
+    outlier = min(summary["fixes"], key=lambda fix: fix["weight"])
+    assert outlier["weight"] < 0.1, "the simulated outlier"
+    assert "outlier" in outlier["reason"]
     assert summary["missing"] == []
     assert set(summary["seconds"]) == {"reading", "steps", "estimate", "write", "report"}
     assert summary["wall_crossings"] <= 2
     assert {"pdr_graph", "gtsam", "numpy", "vqf", "python"} <= set(summary["versions"])
 
 
-def test_smoothing_beats_dead_reckoning_and_evaluate_says_by_how_much(folder, result):
+def test_evaluate_scores_the_graph_better_than_filter_and_dead_reckoning(folder, result):
     scores = {}
     for method in ("pdr", "filter", "rts"):
         out = folder / method
@@ -143,7 +144,7 @@ def score(out, folder):
     return values
 
 
-def test_rate_resamples(folder):
+def test_rate_resamples_the_trajectory(folder):
     out = folder / "ten"
     arguments = ("--fixes", folder / "fixes.csv", "--rate", "10", "--out", out)
     assert run("smooth", folder / "walk.txt", *arguments)[0] == 0
@@ -161,15 +162,15 @@ def test_without_any_position_the_walk_starts_at_the_origin(folder):
     assert any("no position fix" in w for w in summary["warnings"])
 
 
-def test_steps(folder):
+def test_steps_writes_a_table_of_steps(folder):
     assert run("steps", folder / "walk.txt", "--out", folder / "steps.csv")[0] == 0
     table = rows(folder / "steps.csv")
     assert list(table[0]) == ["time", "length", "turn", "sigma_length", "sigma_turn"]
     assert all(0.2 <= float(row["length"]) <= 1.2 for row in table[1:])
 
 
-def test_calibrate_and_walk_again(tmp_path):
-    """A walk round the eight tells the walker's stride; the next walk's steps are as long as they were."""
+def test_a_profile_of_calibrate_corrects_the_length_of_a_walk(tmp_path):
+    """Calibrated on a known route, a figure of eight."""
     assert run("simulate", SCENARIOS / "figure_eight.toml", "--out", tmp_path / "eight")[0] == 0
     profile = tmp_path / "walker.toml"
     arguments = ("--route", MAPS / "figure_eight.geojson", "--out", profile)
@@ -190,8 +191,7 @@ def truth_of(folder):
     return np.array([(float(row["x"]), float(row["y"])) for row in rows(folder / "truth.csv")])
 
 
-def test_what_a_walk_taught_serves_the_next(result, folder):
-    """``smooth`` writes the walker's profile; given back, it is the summary's too, and no less was learnt."""
+def test_the_profile_of_smooth_is_an_input_of_the_next_walk(result, folder):
     out = folder / "again"
     arguments = ("--map", ARCADE, "--fixes", folder / "fixes.csv", "--walker", result / "walker.toml", "--out", out)
     assert run("smooth", folder / "walk.txt", *arguments)[0] == 0
@@ -200,74 +200,83 @@ def test_what_a_walk_taught_serves_the_next(result, folder):
     assert summary["calibration"][-1]["R_s"]["value"] == pytest.approx(1.0, abs=0.05)
 
 
-def test_map_show(tmp_path):
+def test_map_show_draws_a_plan(tmp_path):
     code, printed, _ = run("map", "show", ARCADE, "--out", tmp_path / "plan.png")
     assert code == 0
     assert "m² walkable" in printed
     assert (tmp_path / "plan.png").stat().st_size > 10_000
 
 
-VERBS = [("smooth",), ("replay",), ("steps",), ("calibrate",), ("radio-map",), ("evaal",), ("evaluate",), ("simulate",)]
-VERBS += [("map", verb) for verb in ("show", "check")]
-VERBS += [("lifelog", verb) for verb in ("add", "build", "show", "export")]
+COMMANDS = [
+    ("smooth",),
+    ("replay",),
+    ("steps",),
+    ("calibrate",),
+    ("radio-map",),
+    ("evaal",),
+    ("evaluate",),
+    ("simulate",),
+]
+COMMANDS += [("map", command) for command in ("show", "check")]
+COMMANDS += [("lifelog", command) for command in ("add", "build", "show", "export")]
 
 
 def inside(*arguments):
-    """As `run`, in this process: quicker, where the exit code and the output are all that is asked."""
+    """Run the command in this process, which is quicker; return its exit code and output."""
     done = CliRunner().invoke(cli.app, [str(argument) for argument in arguments])
     return done.exit_code, done.output
 
 
-def test_help_names_the_verbs():
+def test_help_lists_the_commands():
     code, printed = inside("--help")
     assert code == 0
-    assert all(f"\n  {verb[0]} " in printed for verb in VERBS)
-    assert "..." not in printed.split("Commands:")[1], "each is told in a line that is not cut off"
+    assert all(f"\n  {command[0]} " in printed for command in COMMANDS)
+    assert "..." not in printed.split("Commands:")[1], "no line is cut off"
 
 
-@pytest.mark.parametrize("verb", VERBS, ids=" ".join)
-def test_the_help_of_each_verb_shows_how_it_is_called(verb):
-    """In a line of its own, which names no option that there is not."""
-    code, printed = inside(*verb, "--help")
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_the_help_of_each_command_has_an_example(command):
+    """On a line of its own, with existing options only."""
+    code, printed = inside(*command, "--help")
     assert code == 0
     about, options = printed.split("\nOptions:\n")
-    examples = [line.split() for line in about.splitlines() if line.startswith(f"  pdr-graph {' '.join(verb)} ")]
+    examples = [line.split() for line in about.splitlines() if line.startswith(f"  pdr-graph {' '.join(command)} ")]
     assert examples
     assert all(f"  {word} " in options for example in examples for word in example if word.startswith("--"))
 
 
-def test_the_version_is_said():
+def test_version_prints_the_version():
     assert run("--version") == (0, f"pdr-graph {pdr_graph.__version__}\n", [])
 
 
-def test_a_file_without_a_verb_is_told_of_one(folder):
+def test_a_path_without_a_command_suggests_one(folder):
     code, _, errors = run("walk.txt", cwd=folder)
     assert (code, len(errors)) == (2, 1)
     assert errors[0].endswith("pdr-graph smooth walk.txt")
 
 
-def test_a_slip_of_the_pen_is_told_of_the_verb():
+def test_a_misspelt_command_suggests_the_right_one():
     code, _, errors = run("smoth", "walk.txt")
     assert code == 2
     assert "'smooth'" in errors[-1]
 
 
 def exported(recorder, folder):
-    """A walk's file in the dialect of each recorder, named as users do."""
-    felt = recorders.sample()
+    """A walk in the files of one recorder, with a space in the name."""
+    sample = recorders.sample()
     if recorder == "phyphox":
-        return recorders.in_zip(folder / "walk 1.zip", recorders.phyphox(felt))
+        return recorders.in_zip(folder / "walk 1.zip", recorders.phyphox(sample))
     if recorder == "sensor_logger":
-        return recorders.in_folder(folder / "walk 1", recorders.sensor_logger(felt, "ios"))
+        return recorders.in_folder(folder / "walk 1", recorders.sensor_logger(sample, "ios"))
     if recorder == "ipin21":
-        return recorders.in_folder(folder / "walk 1", mutations.ipin21(felt))
+        return recorders.in_folder(folder / "walk 1", mutations.ipin21(sample))
     name, text = {
         "indoor_location": ("walk 1.txt", lambda: mutations.indoor_location(0)),
-        "get_sensor_data": ("walk 1.txt", lambda: recorders.get_sensor_data(felt)),
-        "gnss_logger": ("walk 1.txt", lambda: recorders.gnss_logger(felt)),
-        "oxford_steps": ("walk 1.csv", lambda: mutations.oxford_steps(felt)),
-        "geolife": ("walk 1.plt", lambda: recorders.geolife(felt)),
-        "gpx": ("walk 1.gpx", lambda: recorders.gpx(felt)),
+        "get_sensor_data": ("walk 1.txt", lambda: recorders.get_sensor_data(sample)),
+        "gnss_logger": ("walk 1.txt", lambda: recorders.gnss_logger(sample)),
+        "oxford_steps": ("walk 1.csv", lambda: mutations.oxford_steps(sample)),
+        "geolife": ("walk 1.plt", lambda: recorders.geolife(sample)),
+        "gpx": ("walk 1.gpx", lambda: recorders.gpx(sample)),
     }[recorder]
     (folder / name).write_text(text())
     return folder / name
@@ -276,13 +285,13 @@ def exported(recorder, folder):
 POSITIONS_ALONE = ("geolife", "gpx")
 
 
-@pytest.mark.parametrize("verb", ["smooth", "replay"])
+@pytest.mark.parametrize("command", ["smooth", "replay"])
 @pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in io.READERS])
-def test_one_command_takes_every_recorders_file_to_a_report(tmp_path, monkeypatch, recorder, verb):
-    """No option, no reading: the last line of output names what to look at, here, by the recording's name."""
+def test_one_command_makes_a_report_of_every_recorders_file(tmp_path, monkeypatch, recorder, command):
+    """Without options: the last line of the output is the report, in the current folder."""
     monkeypatch.chdir(tmp_path)
-    code, printed = inside(verb, exported(recorder, tmp_path))
-    out = Path("walk 1-smoothed" if verb == "smooth" else "walk 1-replayed")
+    code, printed = inside(command, exported(recorder, tmp_path))
+    out = Path("walk 1-smoothed" if command == "smooth" else "walk 1-replayed")
     assert code == (3 if recorder in (*POSITIONS_ALONE, "oxford_steps") else 0), printed
     assert f"-> {out / 'report.html'}\n" in printed
     assert all((out / page).stat().st_size > 10_000 for page in ("report.html", "figure.png"))
@@ -290,7 +299,7 @@ def test_one_command_takes_every_recorders_file_to_a_report(tmp_path, monkeypatc
 
 
 def test_a_lifelog_is_shown_without_options(tmp_path, monkeypatch):
-    """Its list on the terminal, and a folder of the store's name with the day to look at."""
+    """The timeline on the terminal, and a folder named after the store with the report."""
     monkeypatch.chdir(tmp_path)
     assert inside("lifelog", "add", "days.db", exported("phyphox", tmp_path), "--begins", "2024-05-01T09:00")[0] == 0
     assert inside("lifelog", "build", "days.db")[0] == 0
@@ -301,8 +310,8 @@ def test_a_lifelog_is_shown_without_options(tmp_path, monkeypatch):
     assert {"report.html", "day.png", "timeline.csv"} <= {file.name for file in Path("days-shown").iterdir()}
 
 
-def test_the_ready_scenarios_are_known_by_name(tmp_path, monkeypatch):
-    """What ``simulate --help`` names is what there is, and one name is all that a first walk takes."""
+def test_ready_scenarios_are_simulated_by_name(tmp_path, monkeypatch):
+    """``simulate --help`` lists exactly those that exist."""
     monkeypatch.chdir(tmp_path)
     named = inside("simulate", "--help")[1].split("Ready scenarios:")[1].split(".")[0].split()
     assert tuple(named) == scenario.names()
@@ -314,7 +323,7 @@ def test_the_ready_scenarios_are_known_by_name(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "complaint"),
+    ("arguments", "message"),
     [
         (("smooth", "nowhere.txt", "--out", "o"), "nowhere.txt: found no such file"),
         (("smooth", "walk.txt", "--fixes", "nowhere.csv", "--out", "o"), "nowhere.csv"),
@@ -336,31 +345,31 @@ def test_the_ready_scenarios_are_known_by_name(tmp_path, monkeypatch):
         (("calibrate", "walk.txt", "--route", str(EIGHT), "--out", "o.toml"), "leave the route"),
     ],
 )
-def test_refusals_are_one_line_and_exit_2(folder, arguments, complaint):
+def test_bad_input_ends_with_one_line_and_exit_code_2(folder, arguments, message):
     code, _, errors = run(*arguments, cwd=folder)
     assert code == 2
     assert len(errors) == 1, errors
-    assert complaint in errors[0]
+    assert message in errors[0]
 
 
-@pytest.mark.parametrize("verb", ["smooth", "replay"])
-def test_what_is_no_recording_is_told_of_all_that_are_and_leaves_nothing(tmp_path, verb):
+@pytest.mark.parametrize("command", ["smooth", "replay"])
+def test_an_unknown_file_ends_with_a_list_of_recorders_and_writes_nothing(tmp_path, command):
     (tmp_path / "notes.csv").write_text("8342,1,1\n")
-    code, _, errors = run(verb, "notes.csv", cwd=tmp_path)
+    code, _, errors = run(command, "notes.csv", cwd=tmp_path)
     assert (code, len(errors)) == (2, 1)
     assert [name for name in (reader.NAME for reader in io.READERS) if name not in errors[0]] == []
     assert [path.name for path in tmp_path.iterdir()] == ["notes.csv"]
 
 
-def test_evaluating_against_another_clock_is_refused(folder, result, tmp_path):
+def test_evaluating_with_another_clock_is_an_error(folder, result, tmp_path):
     (tmp_path / "truth.csv").write_text("time,x,y\n1,2,3\n2,3,4\n")
     code, _, errors = run("evaluate", result / "trajectory.csv", tmp_path / "truth.csv")
     assert code == 2
     assert "same clock" in errors[0]
 
 
-def test_a_graph_that_cannot_be_solved_leaves_the_filters_walk(folder, tmp_path, monkeypatch):
-    """Degraded, not lost: everything else is written, and the summary says what is missing."""
+def test_if_the_graph_cannot_be_solved_the_filter_is_written(folder, tmp_path, monkeypatch):
+    """Everything else is written, and the summary lists what is missing."""
     from pdr_graph import pipeline
 
     def indeterminate(graph):
@@ -374,7 +383,7 @@ def test_a_graph_that_cannot_be_solved_leaves_the_filters_walk(folder, tmp_path,
 
 
 def test_a_plan_elsewhere_is_not_used(folder, tmp_path):
-    """Fixes 5 km from the plan: its walls pull at nothing, and the summary says so."""
+    """With fixes 5 km from the plan the walls are not used, and the summary has a warning."""
     elsewhere = tmp_path / "fixes.csv"
     lines = (folder / "fixes.csv").read_text().splitlines()
     moved = [f"{t},{float(x) + 5000},{y},{s}" for t, x, y, s, _ in (line.split(",") for line in lines[1:])]
@@ -385,20 +394,20 @@ def test_a_plan_elsewhere_is_not_used(folder, tmp_path):
 
 
 def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
-    """Learnt from recordings and what smooth wrote of them; in another frame it is refused in one line."""
+    """Made from recordings and results of smooth; in another frame it is an error of one line."""
     from pdr_graph.simulation.recorders import write
     from pdr_graph.simulation.simulate import simulate
 
     more = {"recorder": "sensor_logger", "wifi": {"access_points": 15}, "fixes": {"period": 5.0}}
     for seed in (1, 2):
         write(simulate(simulated.scenario(ROUTE, seed, **more)), tmp_path / f"walk{seed}")
-    first, result, learnt = tmp_path / "walk1", tmp_path / "result", tmp_path / "arcade.npz"
+    first, result, radio_map = tmp_path / "walk1", tmp_path / "result", tmp_path / "arcade.npz"
     fixes = first / "fixes.csv"
     assert run("smooth", first, "--map", ARCADE, "--fixes", fixes, "--out", result)[0] == 0
-    code, said, errors = run("radio-map", first, result, "--out", learnt)
+    code, printed, errors = run("radio-map", first, result, "--out", radio_map)
     assert (code, errors) == (0, [])
-    assert "scans of" in said
-    second = (tmp_path / "walk2", "--no-recorded-fixes", "--radio-map", learnt, "--out", tmp_path / "second")
+    assert "scans of" in printed
+    second = (tmp_path / "walk2", "--no-recorded-fixes", "--radio-map", radio_map, "--out", tmp_path / "second")
     assert run("smooth", *second, "--map", ARCADE)[0] == 0
     summary = json.loads((tmp_path / "second" / "summary.json").read_text())
     assert len(summary["fixes"]) > 5
@@ -408,4 +417,4 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     code, _, errors = run("smooth", *second, "--map", elsewhere)
     assert (code, len(errors)) == (2, 1)
     assert "frame" in errors[0]
-    assert run("radio-map", first, "--out", learnt)[0] == 2
+    assert run("radio-map", first, "--out", radio_map)[0] == 2

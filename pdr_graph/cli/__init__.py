@@ -1,4 +1,4 @@
-"""The command line: a function for each command, which loads what it needs, so that ``--help`` is instant."""
+"""The command line: a function for each command. Each imports what it uses, so that ``--help`` is instant."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ from pdr_graph.cli.plans import maps
 from pdr_graph.errors import DegradedExit, InputError, RefusedExit, first_look
 
 
-class Verbs(TyperGroup):
-    """The verbs; who gives a file and no verb is told of one."""
+class Commands(TyperGroup):
+    """The commands of pdr-graph."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """As of every group."""
+        """Resolve a command as every group does; if a path is given first, raise InputError that suggests one."""
         if args[0] not in self.commands and Path(args[0]).exists():
-            raise InputError(args[0], "", "a path but no verb", f"one of them, as in pdr-graph smooth {args[0]}")
+            raise InputError(args[0], "", "a path and no command", f"a command before it: pdr-graph smooth {args[0]}")
         return super().resolve_command(ctx, args)
 
 
 app = typer.Typer(
-    cls=Verbs,
+    cls=Commands,
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -56,8 +56,8 @@ app.add_typer(maps, name="map")
 app.add_typer(lifelog_commands, name="lifelog")
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _print_version(requested: bool) -> None:
+    if requested:
         typer.echo(f"pdr-graph {pdr_graph.__version__}")
         raise typer.Exit
 
@@ -65,19 +65,19 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def about(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Which way did this person walk? A phone's sensor log and a floor plan in, the most probable walk out.
+    """Reconstruct the most probable walk from a phone's sensor log and a floor plan.
 
     \b
-    pdr-graph smooth walk.zip              any recorder's export; look at walk-smoothed/report.html
-    pdr-graph simulate arcade              no recording at hand? a walk with known truth, in arcade/
+    pdr-graph smooth walk.zip              a recording of any supported app -> walk-smoothed/report.html
+    pdr-graph simulate arcade              a simulated walk with its truth -> arcade/
     """
 
 
 class Method(StrEnum):
-    """How a walk is estimated."""
+    """Estimation methods."""
 
     graph = "graph"
     filter = "filter"
@@ -86,14 +86,14 @@ class Method(StrEnum):
 
 
 class Coordinates(StrEnum):
-    """What a competition's positions are in."""
+    """Coordinates of the positions of a competition."""
 
     lonlat = "lonlat"
     xy = "xy"
 
 
 class Pairing(StrEnum):
-    """How truth and estimate are brought to the same time."""
+    """How an estimate is paired with a sample of the truth."""
 
     linear = "linear"
     nearest = "nearest"
@@ -118,7 +118,7 @@ def smooth(
     radio_map: RadioMapPath = None,
     truth: TruthPath = None,
 ) -> None:
-    """Reconstruct one walk.
+    """Reconstruct a walk from a recording.
 
     \b
     pdr-graph smooth walk.zip
@@ -127,8 +127,8 @@ def smooth(
     from pdr_graph.inputs import Options
     from pdr_graph.pipeline import smooth_recording
 
-    gc.freeze()  # what was imported stays: no collection need look at it again
-    folder = out or _named(recording, "-smoothed")
+    gc.freeze()  # imported modules stay: the garbage collector need not visit them
+    folder = out or _path_named_after(recording, "-smoothed")
     options = Options(
         plan=map_,
         fixes=fixes,
@@ -143,7 +143,7 @@ def smooth(
         gnss_latency=gnss_latency,
         floor=floor,
     )
-    _end(smooth_recording(recording, folder, options), folder)
+    _report_end(smooth_recording(recording, folder, options), folder)
 
 
 @app.command()
@@ -160,16 +160,16 @@ def replay(
     beacons: BeaconsPath = None,
     ranges: RangesPath = None,
     radio_map: RadioMapPath = None,
-    lag: Annotated[str, typer.Option(metavar="S", help="Finalize steps older than this; inf or none: never.")] = "60",
+    lag: Annotated[str, typer.Option(metavar="S", help="Finalise steps older than this; inf or none: never.")] = "60",
     journal: Annotated[
         Path | None,
-        typer.Option("--journal", metavar="FILE", help="Keep the walk in this file, or resume the walk in it."),
+        typer.Option("--journal", metavar="FILE", help="Save the walk in this file, or resume the walk in it."),
     ] = None,
     truth: TruthPath = None,
 ) -> None:
-    """Walk through a recording as if it were live.
+    """Estimate a recording as if it were live.
 
-    Step by step, each pose from what came before it; says how long each step took.
+    Each pose is estimated from earlier data only; the computing time of each step is measured.
 
     \b
     pdr-graph replay walk.zip
@@ -178,7 +178,7 @@ def replay(
     from pdr_graph.inputs import LIVE, Options
     from pdr_graph.online.replay import replay_recording
 
-    folder = out or _named(recording, "-replayed")
+    folder = out or _path_named_after(recording, "-replayed")
     options = Options(
         plan=map_,
         fixes=fixes,
@@ -195,7 +195,7 @@ def replay(
         lag=_lag(lag),
         journal=journal,
     )
-    _end(replay_recording(recording, folder, options), folder)
+    _report_end(replay_recording(recording, folder, options), folder)
 
 
 @app.command()
@@ -206,9 +206,9 @@ def steps(
     ] = None,
     walker: WalkerPath = None,
 ) -> None:
-    """Write the steps alone, for other back ends.
+    """Write the detected steps, as input of other back ends.
 
-    A row each: time,length,turn,sigma_length,sigma_turn.
+    One row per step: time,length,turn,sigma_length,sigma_turn.
 
     \b
     pdr-graph steps walk.zip
@@ -220,7 +220,7 @@ def steps(
 
     walk = io.load(recording)
     found = detect_steps(walk, Walker.load(walker) if walker else None)
-    file = out or _named(recording, "-steps.csv")
+    file = out or _path_named_after(recording, "-steps.csv")
     write_steps(file, found, walk.clock_origin)
     typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {file}")
 
@@ -230,12 +230,12 @@ def calibrate(
     recording: RecordingPath,
     route: Annotated[
         Path,
-        typer.Option("--route", metavar="GEOJSON", help="The line that was walked: the one feature of kind link."),
+        typer.Option("--route", metavar="GEOJSON", help="The route that was walked: one feature of kind link."),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="Where the walker's profile goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="TOML", help="File of the walker's profile.")],
     walker: WalkerPath = None,
 ) -> None:
-    """Learn a walker's own stride and turns from a known line.
+    """Estimate a walker's stride and turn scales on a known route.
 
     \b
     pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
@@ -245,22 +245,24 @@ def calibrate(
 
     profile, laps = calibrate_walker(recording, route, out, walker)
     sigma = profile.covariance.diagonal() ** 0.5
-    named = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
-    said = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in named)
-    typer.echo(f"{laps} x the route, {profile.residual:.2f} m from it (rms): {said} -> {out}")
+    columns = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
+    values = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in columns)
+    typer.echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
 
 
 @app.command("radio-map")
 def radio_map(
     walks: Annotated[
         list[Path],
-        typer.Argument(metavar="RECORDING DIR ...", help="Recordings, each with what smooth --out wrote of it."),
+        typer.Argument(
+            metavar="RECORDING DIR ...", help="Recordings, each followed by the output folder of its smooth."
+        ),
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the radio map goes.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File of the radio map.")],
 ) -> None:
-    """Learn what phones hear where, from smoothed walks.
+    """Make a radio map of Wi-Fi and BLE from smoothed walks.
 
-    For smooth --radio-map; the walks must have been smoothed on one plan.
+    For smooth --radio-map. All walks must have been smoothed with the same plan.
 
     \b
     pdr-graph radio-map monday.txt monday tuesday.txt tuesday --out mall.npz
@@ -268,7 +270,7 @@ def radio_map(
     from pdr_graph.pipeline import learn_radio_map
 
     if len(walks) % 2:
-        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its folder")
+        raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
     found = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
     typer.echo(f"{len(found)} scans of {len(found.transmitter)} transmitters -> {out}")
 
@@ -284,15 +286,15 @@ def evaal(
     ignore_initial: Annotated[
         bool, typer.Option("--ignore-initial", help="Do not start from the trial's initial position.")
     ] = False,
-    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="As of smooth.")] = None,
+    beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="The list of beacons, as of smooth.")] = None,
     walker: WalkerPath = None,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="DIR", help="Where results go; default: evaal-TRIAL.")
+        Path | None, typer.Option("--out", metavar="DIR", help="Output folder; default: evaal-TRIAL.")
     ] = None,
 ) -> None:
     """Take part in a competition over the EvAAL API.
 
-    Or go on with a trial that was interrupted: same --out.
+    The same command resumes an interrupted trial (same --out).
 
     \b
     pdr-graph evaal https://example.org/evaalapi/ mytrial --map maps/mall.geojson --out mytrial
@@ -310,14 +312,14 @@ def evaal(
     options = Options(plan=map_, beacons=beacons, walker=walker)
     navigator, labels = navigator_of(options)
 
-    def smoothed(recording: Path, fixes: Path | None) -> tuple[str, ...]:
+    def smooth_offline(recording: Path, fixes: Path | None) -> tuple[str, ...]:
         return smooth_recording(recording, folder, replace(options, fixes=fixes))
 
     def show(text: str) -> None:
         typer.echo(f"\r{text} ", nl=False, err=True)
 
     position_format = partial(PositionFormat, format_ is Coordinates.lonlat, ignored=ignore_initial)
-    entry = Entry(navigator, smoothed, position_format, labels, show if sys.stderr.isatty() else None)
+    entry = Entry(navigator, smooth_offline, position_format, labels, show if sys.stderr.isatty() else None)
     ending = run_trial(api, folder, entry)
     typer.echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
@@ -333,14 +335,14 @@ def evaluate(
     ],
     truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor].")],
     map_: Annotated[
-        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for EAG and CA against its walls.")
+        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for the obstacle error OE.")
     ] = None,
     pairing: Annotated[
         Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
     ] = Pairing.linear,
     json_: Annotated[bool, typer.Option("--json", help="Print JSON: metres, radians, seconds.")] = False,
 ) -> None:
-    """Score a trajectory against the truth.
+    """Score a trajectory against ground truth.
 
     CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/accuracy.md).
 
@@ -362,19 +364,22 @@ def evaluate(
 @app.command()
 def simulate(
     scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md), or the name of a ready one.")
+        Path,
+        typer.Argument(metavar="SCENARIO", help="A TOML file (docs/simulation.md), or the name of a ready scenario."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="For recording, truth and plan; default: here, by its name."),
+        typer.Option(
+            "--out", metavar="DIR", help="Folder of recording, truth and plan; default: SCENARIO's name, here."
+        ),
     ] = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", min=0, metavar="N", help="Another walk: instead of the scenario's seed.")
+        int | None, typer.Option("--seed", min=0, metavar="N", help="Replaces the scenario's seed: another walk.")
     ] = None,
 ) -> None:
-    """Simulate a walk with known truth.
+    """Simulate the recording of a walk, with its truth.
 
-    As a phone would have recorded it. Ready scenarios: arcade campus cart figure_eight l_corridor loop mall office
+    Ready scenarios: arcade campus cart figure_eight l_corridor loop mall office
     outdoors stairs two_floors.
 
     \b
@@ -385,37 +390,37 @@ def simulate(
     from pdr_graph.simulation.scenario import Scenario
     from pdr_graph.simulation.simulate import simulate as simulated
 
-    given = Scenario.load(scenario)
-    walk = simulated(given if seed is None else replace(given, seed=seed))
-    folder = out or Path(given.name)
+    loaded = Scenario.load(scenario)
+    walk = simulated(loaded if seed is None else replace(loaded, seed=seed))
+    folder = out or Path(loaded.name)
     write(walk, folder)
     body = walk.body
     typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
 
 
-def _lag(said: str) -> float | None:
-    """Seconds, None for no end."""
+def _lag(text: str) -> float | None:
+    """The value of --lag [s]; None for an endless lag."""
     try:
-        seconds = float("inf" if said.lower() == "none" else said)
+        seconds = float("inf" if text.lower() == "none" else text)
     except ValueError:
         seconds = 0.0
     if not seconds > 0:
-        raise InputError("--lag", "", said, "seconds above 0, inf or none")
+        raise InputError("--lag", "", text, "seconds above 0, inf or none")
     return None if seconds == float("inf") else seconds
 
 
-def _named(given: Path, ending: str) -> Path:
-    """A path in the current folder, named after what was given: walk.zip, walk-smoothed."""
-    whole = given.resolve()
-    return Path(f"{whole.name if whole.is_dir() else whole.stem}{ending}")
+def _path_named_after(recording: Path, ending: str) -> Path:
+    """A path in the current folder, named after a recording: walk-smoothed for walk.zip."""
+    path = recording.resolve()
+    return Path(f"{path.name if path.is_dir() else path.stem}{ending}")
 
 
-def _end(missing: tuple[str, ...], out: Path) -> None:
-    """Say what came out, what to beware of, and where to look."""
-    told = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    steps = f"{told['steps']} steps, " if told["steps"] else ""
-    typer.echo(f"{steps}{told['distance']:.1f} m in {told['duration']:.1f} s")
-    for warning in told["warnings"]:
+def _report_end(missing: tuple[str, ...], out: Path) -> None:
+    """Print key figures, warnings and the file to open; exit with DegradedExit if something is missing."""
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+    steps = f"{summary['steps']} steps, " if summary["steps"] else ""
+    typer.echo(f"{steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
+    for warning in summary["warnings"]:
         typer.echo(f"note: {warning}")
     typer.echo(f"-> {first_look(out)}")
     if missing:
@@ -424,7 +429,7 @@ def _end(missing: tuple[str, ...], out: Path) -> None:
 
 
 def main() -> None:
-    """Run; a refusal is one line and exit 2, never a traceback."""
+    """Run a command. Bad input ends with one line of text and exit code 2, never with a traceback."""
     try:
         app()
     except InputError as error:

@@ -1,4 +1,4 @@
-"""``pdr-graph lifelog``: a function for each command, which loads what it needs."""
+"""``pdr-graph lifelog``: a function for each command, which imports what it uses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pdr_graph.errors import DegradedExit, RefusedExit, first_look
 lifelog = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Recordings of many days and people, and what they tell.",
+    help="Recordings of many days and people: places, activities, exports.",
 )
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]
@@ -27,11 +27,11 @@ RecordingPaths = Annotated[
     typer.Argument(metavar="RECORDING...", help="Recordings: files, folders or zips; or folders full of them."),
 ]
 
-Person = Annotated[str | None, typer.Option(metavar="NAME", help="Whose; default: the only one, or all.")]
+Person = Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: the only one, or all.")]
 
 
-class Form(StrEnum):
-    """What days are exported as."""
+class ExportFormat(StrEnum):
+    """File formats of exported days."""
 
     gpx = "gpx"
     geojson = "geojson"
@@ -42,25 +42,23 @@ class Form(StrEnum):
 def add(
     store: StorePath,
     recordings: RecordingPaths,
-    person: Annotated[str | None, typer.Option(metavar="NAME", help="Whose they are; default: me.")] = None,
-    map_: Annotated[
-        Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan of where they were.")
-    ] = None,
+    person: Annotated[str | None, typer.Option(metavar="NAME", help="The person who recorded; default: me.")] = None,
+    map_: Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan of the place.")] = None,
     fixes: FixesPath = None,
     beacons: BeaconsPath = None,
     ranges: RangesPath = None,
     walker: WalkerPath = None,
-    floor: Annotated[str | None, typer.Option(metavar="LABEL", help="The floor where they begin.")] = None,
+    floor: Annotated[str | None, typer.Option(metavar="LABEL", help="The floor where the walks begin.")] = None,
     begins: Annotated[
         str | None,
-        typer.Option(metavar="ISO8601", help="When a recording began that does not say; UTC without an offset."),
+        typer.Option(metavar="ISO8601", help="Start of a recording without a clock; UTC without an offset."),
     ] = None,
     phone: Annotated[
         str | None,
-        typer.Option(metavar="ID", help="What their phone or tag is called in the Bluetooth logs of others."),
+        typer.Option(metavar="ID", help="Name of the person's phone or tag in the Bluetooth logs of others."),
     ] = None,
     copy: Annotated[
-        bool, typer.Option("--copy", help="Keep a copy in STORE.d, so that the original may go; else it has to stay.")
+        bool, typer.Option("--copy", help="Copy the recordings to STORE.d; else the originals must stay.")
     ] = False,
 ) -> None:
     """Add recordings to a lifelog, which is created if it does not exist.
@@ -76,7 +74,7 @@ def add(
 
     start = None if begins is None else ingest.time_of(begins)
     options = RecordingOptions(map_, fixes, beacons, ranges, walker, floor, start)
-    with _bar() as advance:
+    with _progress_bar() as advance:
         result = ingest.add(
             store, recordings, options, person=person, phone=phone, copy=copy, progress=partial(advance, "")
         )
@@ -94,7 +92,7 @@ def build(
     store: StorePath,
     zone: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="The time zone whose midnights part the days, from now on; UTC at first."),
+        typer.Option(metavar="NAME", help="Time zone of the days, kept for later builds; first default: UTC."),
     ] = None,
     workers: Annotated[int, typer.Option(metavar="N", min=1, help="Processes on this machine.")] = 1,
     scheduler: Annotated[
@@ -108,21 +106,22 @@ def build(
     together: Annotated[
         bool,
         typer.Option(
-            "--together", help="Then all walks of a building or a group in one graph: as long as its history."
+            "--together",
+            help="Then estimate all walks of a building or group in one graph; cost grows with the history.",
         ),
     ] = False,
 ) -> None:
     """Bring a lifelog up to date.
 
-    Find the steps of new recordings, and reconstruct the days that they change. What is done is kept: a build that was
-    interrupted goes on where it was.
+    Detect the steps of new recordings, and reconstruct the days that they change. Finished days are saved: an
+    interrupted build continues where it stopped.
 
     \b
     pdr-graph lifelog build days.db --zone Europe/Berlin --workers 2
     """
     from pdr_graph.lifelog.build import build as built
 
-    with _bar() as advance:
+    with _progress_bar() as advance:
         result = built(store, zone, workers, scheduler, advance)
     typer.echo(f"{result.built} days built, {result.kept} up to date, {len(result.failures)} failed -> {store}")
     if together:
@@ -136,16 +135,18 @@ def build(
 def show(
     store: StorePath,
     person: Person = None,
-    date: Annotated[str | None, typer.Option(metavar="DATE", help="As 2024-05-01; default: the last day.")] = None,
-    all_: Annotated[bool, typer.Option("--all", help="Only list the persons and days that there are.")] = False,
+    date: Annotated[
+        str | None, typer.Option(metavar="DATE", help="For example 2024-05-01; default: the last day.")
+    ] = None,
+    all_: Annotated[bool, typer.Option("--all", help="List all persons and days instead.")] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="For the day as page, table and map; default: STORE's name-shown."),
+        typer.Option("--out", metavar="DIR", help="Folder of report, table and map; default: STORE's name-shown."),
     ] = None,
 ) -> None:
-    """Show what somebody did on a day.
+    """Show the activities and places of a person on a day.
 
-    When, what, how far, and where: the list, and a folder with pictures of it that only its owner can read.
+    Prints the timeline, and writes a report, a table and a map to a folder that only its owner can read.
 
     \b
     pdr-graph lifelog show days.db
@@ -164,40 +165,42 @@ def show(
 @lifelog.command()
 def export(
     store: StorePath,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR|FILE", help="A file for each day, or one for all.")],
-    format_: Annotated[Form, typer.Option("--format", help="CSV needs a DIR.")] = Form.gpx,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR|FILE", help="A folder for a file per day, or one file for all days.")
+    ],
+    format_: Annotated[ExportFormat, typer.Option("--format", help="csv requires a DIR.")] = ExportFormat.gpx,
     person: Person = None,
-    from_: Annotated[str, typer.Option("--from", metavar="DATE", help="The first day; default: of all.")] = "",
-    to: Annotated[str, typer.Option(metavar="DATE", help="The last day; default: of all.")] = "",
+    from_: Annotated[
+        str, typer.Option("--from", metavar="DATE", help="The first day; default: the first of all.")
+    ] = "",
+    to: Annotated[str, typer.Option(metavar="DATE", help="The last day; default: the last of all.")] = "",
     cut: Annotated[
         list[str] | None,
         typer.Option(
             metavar="PLACE",
-            help="Leave out what is near it: LAT,LON,RADIUS in metres, a name on a plan, or a GeoJSON file of areas. "
-            "Say the same place in the same words every time.",
+            help="Leave out everything near a place: LAT,LON,RADIUS in metres, a name on a plan, or a GeoJSON file of "
+            "areas. Use the same text for a place in all exports.",
         ),
     ] = None,
     blur: Annotated[
-        list[str] | None, typer.Option(metavar="PLACE", help="Say only roughly when one was where near it.")
+        list[str] | None, typer.Option(metavar="PLACE", help="Coarsen times and positions near a place.")
     ] = None,
 ) -> None:
-    """Write days as GPX, GeoJSON or CSV.
-
-    Without the places that are to stay private.
+    """Export days as GPX, GeoJSON or CSV, without private places.
 
     \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200
     """
     from pdr_graph.lifelog.export import give
 
-    written, said = give(store, out, str(format_), person, from_, to, cut or (), blur or ())
-    for line in said:
+    written, notes = give(store, out, str(format_), person, from_, to, cut or (), blur or ())
+    for line in notes:
         typer.echo(f"pdr-graph: {line}", err=True)
     typer.echo(f"{len(written)} files -> {out}")
 
 
 def _end(refused: Sequence[str], none: bool = False) -> None:
-    """Say what was refused, a line each. none: nothing else was there."""
+    """Print each refused input on a line and exit with an error code. none: True if there was no other input."""
     for line in refused:
         typer.echo(f"pdr-graph: {line}", err=True)
     if refused:
@@ -205,8 +208,8 @@ def _end(refused: Sequence[str], none: bool = False) -> None:
 
 
 @contextmanager
-def _bar() -> Iterator[Callable[[str, int, int], None]]:
-    """On a terminal, a bar for each stage: its name, how many are done, of how many."""
+def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+    """A function that shows a progress bar on a terminal: name of the stage, number done, total."""
     if not sys.stderr.isatty():
         yield lambda stage, done, of: None
         return

@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have."""
+"""Arguments and options of several commands."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ import typer
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="A recording: file, folder or zip of a supported recorder.")
 ]
-WalkerPath = Annotated[Path | None, typer.Option("--walker", metavar="TOML", help="What is known of the walker.")]
-MapPath = Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="A floor plan; its frame is the output's.")]
+WalkerPath = Annotated[
+    Path | None, typer.Option("--walker", metavar="TOML", help="The walker: height, stride model, profile.")
+]
+MapPath = Annotated[Path | None, typer.Option("--map", metavar="PLAN", help="A floor plan; results are in its frame.")]
 OutFolder = Annotated[
     Path | None,
-    typer.Option("--out", metavar="DIR", help="Where results go; default: here, named after the recording."),
+    typer.Option("--out", metavar="DIR", help="Output folder; default: here, named after the recording."),
 ]
 FixesPath = Annotated[
     Path | None,
     typer.Option("--fixes", metavar="CSV", help="time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor]."),
 ]
 RecordedFixes = Annotated[
-    bool, typer.Option("--recorded-fixes/--no-recorded-fixes", help="Use positions inside the recording too.")
+    bool, typer.Option("--recorded-fixes/--no-recorded-fixes", help="Also use the position fixes in the recording.")
 ]
 Rate = Annotated[float | None, typer.Option(metavar="HZ", help="Resample the trajectory; default: a row per step.")]
 FloorLabel = Annotated[
     str | None,
-    typer.Option(metavar="LABEL", help="Where the walk begins, of a plan with several; default: as fixes say."),
+    typer.Option(metavar="LABEL", help="Where the walk begins, on a plan with several floors; default: by the fixes."),
 ]
 BeaconsPath = Annotated[
     Path | None,
@@ -38,12 +40,14 @@ RangesPath = Annotated[
 ]
 TruthPath = Annotated[
     Path | None,
-    typer.Option("--truth", metavar="CSV", help="time,x,y[,heading][,floor], drawn and scored; no estimate sees it."),
+    typer.Option(
+        "--truth", metavar="CSV", help="time,x,y[,heading][,floor]; drawn and scored, not used by the estimate."
+    ),
 ]
 RadioMapPath = Annotated[
     Path | None,
-    typer.Option("--radio-map", metavar="FILE", help="What earlier walks heard where: fixes by Wi-Fi and BLE."),
+    typer.Option("--radio-map", metavar="FILE", help="Made by radio-map from earlier walks: fixes by Wi-Fi and BLE."),
 ]
 GnssLatency = Annotated[
-    float, typer.Option(metavar="S", min=-60, max=60, help="How late the phone's own positions are, 0–3 s.")
+    float, typer.Option(metavar="S", min=-60, max=60, help="Latency of the fixes in the recording, 0–3 s on phones.")
 ]

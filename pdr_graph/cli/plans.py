@@ -1,4 +1,4 @@
-"""``pdr-graph map``: floor plans, drawn and checked."""
+"""``pdr-graph map``: commands that draw and check floor plans."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import typer
 
 from pdr_graph.errors import DegradedExit
 
-maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Check and look at floor plans.")
+maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Draw and check floor plans.")
 PlanPath = Annotated[
-    Path, typer.Argument(metavar="PLAN", help="Our GeoJSON, a Microsoft floor folder, or IPIN21 polygons.")
+    Path, typer.Argument(metavar="PLAN", help="GeoJSON of this project, a Microsoft floor folder, or IPIN21 polygons.")
 ]
 
 
@@ -41,9 +41,9 @@ def map_show(
 
 @maps.command("check")
 def map_check(plan: PlanPath) -> None:
-    """Look for what in a plan would mislead a walk.
+    """Check a plan for errors that would mislead a walk.
 
-    Sealed rooms, doors to nowhere, links through walls; exit 3 if there are any.
+    Sealed rooms, doors to nowhere, links through walls; exit code 3 if there are any.
 
     \b
     pdr-graph map check plan.geojson
@@ -57,8 +57,8 @@ def map_check(plan: PlanPath) -> None:
     for floor in building.floors:
         kinds = Counter(area.kind for area in floor.areas)
         drawn = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-        high = f"at {floor.height:g} m, " if len(building.floors) > 1 else ""
-        typer.echo(f"{floor.label or plan.stem}: {high}{floor.walkable_area:.0f} m² walkable; {drawn}")
+        height = f"at {floor.height:g} m, " if len(building.floors) > 1 else ""
+        typer.echo(f"{floor.label or plan.stem}: {height}{floor.walkable_area:.0f} m² walkable; {drawn}")
     for connection in building.connections:
         joined = ", ".join(building.labels[n] for n in connection.floors)
         typer.echo(f"{connection.kind} {connection.name}".strip() + f": {joined}")
