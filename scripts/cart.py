@@ -8,8 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
-from pdr_graph.inertial.attitude import below_threshold, learnt_threshold
-from pdr_graph.papers.attitude_filters import strapdown, switching
+from pdr_graph.papers.attitude_filters import below_threshold, rest_threshold, strapdown, switching
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Signal
@@ -40,7 +39,7 @@ def tracked(walk, shortest, look_ahead):
     still = time < LEARNT_FOR
     rate = rate - rate[still].mean(axis=0)
     recording = replace(recording, gyroscope=Signal(time, rate))
-    threshold = learnt_threshold(rate[still]) if shortest else 0.0
+    threshold = rest_threshold(rate[still]) if shortest else 0.0
     shortest = max(shortest, 1)
     attitude = switching(recording, threshold, shortest)
     rest = below_threshold(attitude.angular_rate, threshold, shortest)

@@ -38,7 +38,7 @@ from pdr_graph.inertial.magnetometer import (
 from pdr_graph.types import Array, Headings, Index, Mask, Recording
 
 COMPASS_SIGMA = 0.2  # [rad] error that a whole walk shares: the phone's own iron, a building's axis, a plan's axis
-STRETCH = 150.0  # [s] of the walk per heading: a gyroscope that drifts by 0.002 rad/s errs by as much in that time
+LONGEST_STRETCH = 150.0  # [s] of the walk per heading: in that time a gyroscope with 0.002 rad/s errs by as much
 STRAIGHT = 2.0  # [s] before and after the moment of a heading, in which the walker should not turn; chosen by hand
 LEAST_STEPS = 24  # least number of steps in a stretch; chosen by hand
 LEAST_CERTAIN = 0.7  # [rad] of north or of the forward axis, beyond which there is no heading; chosen by hand
@@ -123,7 +123,7 @@ def _stretches(direction: Direction, time: Array) -> list[slice]:
     changing = np.diff(direction.variance, prepend=direction.variance[0]) > 0
     stretches = []
     for first, after in zip(*runs(~changing), strict=True):
-        count = max(1, int(np.ceil((time[after - 1] - time[first]) / STRETCH)))
+        count = max(1, int(np.ceil((time[after - 1] - time[first]) / LONGEST_STRETCH)))
         cuts = np.linspace(first, after, count + 1).round().astype(int).tolist()
         stretches += [slice(*span) for span in pairwise(cuts)]
     return stretches
@@ -154,10 +154,10 @@ class LiveCompassSettings:
     offsets: int = 3
 
 
-LIVE = LiveCompassSettings()
+LIVE_COMPASS = LiveCompassSettings()
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
-COLUMNS = 13
+SAMPLE_COLUMNS = 13
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class LiveCompass:
         self.sigma_turn = (walker or Walker()).sigma_turn
         self.field = MagnetometerStream()
         self.stretch = 0
-        self.samples = np.empty((0, COLUMNS))  # of the stretch
+        self.samples = np.empty((0, SAMPLE_COLUMNS))  # of the stretch
         self.field_count = 0  # number of samples whose magnetic field is filled in
         self.incomplete = np.empty((0, FIELD.start))  # too few for a stored sample
         self.turn_variance = 0.0  # of all turns so far [rad²]
@@ -279,7 +279,7 @@ class LiveCompass:
     @property
     def stride(self) -> int:
         """Number of the phone's samples per stored sample."""
-        return max(1, round(LIVE.sampling / self.period))
+        return max(1, round(LIVE_COMPASS.sampling / self.period))
 
     def _extend(self, rows: Array, begin: float) -> None:
         """Add rows to the stretch, averaged over `stride` rows each."""
@@ -290,7 +290,7 @@ class LiveCompass:
         whole = len(rows) // stride * stride
         mean = rows[:whole].reshape(-1, stride, rows.shape[1]).mean(axis=1)
         self.incomplete = rows[whole:]
-        self.samples = np.concatenate([self.samples, np.pad(mean, ((0, 0), (0, COLUMNS - mean.shape[1])))])
+        self.samples = np.concatenate([self.samples, np.pad(mean, ((0, 0), (0, SAMPLE_COLUMNS - mean.shape[1])))])
 
     def _start_stretch(self) -> None:
         """Start a new stretch; the heading of the last one counts as earlier information from now on."""
@@ -304,17 +304,17 @@ class LiveCompass:
     def _evaluate_if_due(self) -> None:
         """Evaluate the stretch if it has grown enough; end it if it is long or its heading is out of reach."""
         spacing = self.period * self.stride
-        if len(self.samples) - self.field_count > LIVE.recent / spacing:
+        if len(self.samples) - self.field_count > LIVE_COMPASS.recent / spacing:
             self._fill_field()
         walked = float(self.samples[:, WALKING].sum()) * spacing
         step = float(np.median(self.durations)) if len(self.durations) else np.inf
-        due = self.evaluated + LIVE.evaluation if self.evaluated else LEAST_STEPS * step
+        due = self.evaluated + LIVE_COMPASS.evaluation if self.evaluated else LEAST_STEPS * step
         if self._earth is not None and walked >= due and len(self.samples):
             self.evaluated = walked
             self._fill_field()
             self._evaluate(self._earth, step, spacing)
-        long = len(self.samples) * spacing >= STRETCH
-        if long or (len(self.current) and self.end - self.current[0, 0] > LIVE.out_of_reach):
+        long = len(self.samples) * spacing >= LONGEST_STRETCH
+        if long or (len(self.current) and self.end - self.current[0, 0] > LIVE_COMPASS.out_of_reach):
             self._start_stretch()
 
     def _evaluate(self, earth: EarthField, step: float, spacing: float) -> None:
@@ -326,7 +326,7 @@ class LiveCompass:
 
         # The direction by this stretch alone
         north = magnetic_north(part, self.field.without_iron(self.samples[:, FIELD], earth.magnitude), earth)
-        late = np.flatnonzero(walking)[-round(LIVE.recent / spacing) : -round(STRAIGHT / spacing)]
+        late = np.flatnonzero(walking)[-round(LIVE_COMPASS.recent / spacing) : -round(STRAIGHT / spacing)]
         if not len(north) or not len(late):
             return self._retract()
         sample = straightest(heading, late, round(STRAIGHT / spacing))
@@ -334,16 +334,16 @@ class LiveCompass:
         if found is None:
             return self._retract()
         course, north_sigma, ahead_sigma = found
-        ahead_sigma = LIVE.unconfirmed if ahead_sigma == UNCONFIRMED else ahead_sigma
+        ahead_sigma = LIVE_COMPASS.unconfirmed if ahead_sigma == UNCONFIRMED else ahead_sigma
 
         # The information that it adds to the earlier stretches
         offset, turn_variance = course - heading[sample], float(self.samples[sample, TURN_VARIANCE])
         changed = wrap_angle(offset - self.offsets)
-        self.offsets = np.append(self.offsets, offset)[-LIVE.offsets :]
+        self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
         earlier = 1 / (self.previous[0] + turn_variance - self.previous[1])
         shared = 1 / max(1 / (ahead_sigma**2 + COMPASS_SIGMA**2) - earlier, 1e-9)
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
-        if variance > LIVE.least_added**2:
+        if variance > LIVE_COMPASS.least_added**2:
             return self._retract()
         self.current = np.array([[time[sample], 1 / (earlier + 1 / variance), turn_variance]])
         direction = float(wrap_angle(course + self._east))

@@ -306,7 +306,7 @@ def _overlaps(span: tuple[int, int], others: Spans) -> bool:
     return any(span[0] < other[1] and other[0] < span[1] for other in others)
 
 
-WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz
+PRINCIPAL_WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz
 
 
 @dataclass(frozen=True)
@@ -355,7 +355,7 @@ def accumulate_turn(attitude: Attitude, step: float) -> Direction:
     return Direction(heading, np.zeros(len(heading)))
 
 
-def acceleration_axis(attitude: Attitude, step: float, window: float = WINDOW, axes: int = 2) -> Direction:
+def acceleration_axis(attitude: Attitude, step: float, window: float = PRINCIPAL_WINDOW, axes: int = 2) -> Direction:
     """[heading] Sec. 4.1, [gps-dr] Sec. 2: the first principal component of the last seconds' acceleration.
 
     Its half-turn ambiguity is resolved towards the sample before, so that one wrong side persists. It lags by half the
@@ -368,7 +368,7 @@ def acceleration_axis(attitude: Attitude, step: float, window: float = WINDOW, a
     return _principal(samples[:, :axes], 0, round(window / attitude.period))
 
 
-def angular_rate_axis(attitude: Attitude, step: float, window: float = WINDOW, axes: int = 2) -> Direction:
+def angular_rate_axis(attitude: Attitude, step: float, window: float = PRINCIPAL_WINDOW, axes: int = 2) -> Direction:
     """[heading] Sec. 4.2: the second principal component of the last seconds' angular rate; as `acceleration_axis`."""
     assert attitude.angular_rate is not None, "there is a gyroscope"
     samples = attitude.R_world_device.apply(attitude.angular_rate)

@@ -45,9 +45,9 @@ class StreamSettings:
     fastest: float = 0.005
 
 
-STREAM = StreamSettings()
+STEP_STREAM = StreamSettings()
 EMPTY_RECORDING = Recording("live", 0.0, None)
-COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class SegmentStream:
         self.durations = np.empty(0)  # of the last steps [s]
         self._provisional: Steps | None = None
         stride = decimation(period)
-        self.block = max(1, round(STREAM.block / period / stride)) * stride
+        self.block = max(1, round(STEP_STREAM.block / period / stride)) * stride
 
     @property
     def origin(self) -> float:
@@ -166,7 +166,7 @@ class SegmentStream:
         until = self.now if last else self.direction.final_until
         count = int(np.searchsorted(self.landed[self.reported :, 0], until, side="right"))
         end = self.now if last else self._certain_until(until, count)
-        if self.now <= self.end or not (count or last or end > self.end + STREAM.standing):
+        if self.now <= self.end or not (count or last or end > self.end + STEP_STREAM.standing):
             return []
         first, self._provisional = self._split(self._steps(), count, end)
         if self.listener is not None:
@@ -190,7 +190,7 @@ class SegmentStream:
         landings = Landings.at(found[:, 0], found[:, 1], self.origin)
         rows = slice(self.reported, None)
         landings = Landings(landings.time[rows], landings.period[rows], landings.amplitude[rows])
-        first = max(0, int((self.end - STREAM.margin - self.origin) / self.period) - self.direction.first)
+        first = max(0, int((self.end - STEP_STREAM.margin - self.origin) / self.period) - self.direction.first)
         gait = self._signals(slice(first, None), landings)
         steps = steps_of(gait, self.walker, self.end)
         unmeasured = self.direction.unmeasured[first:]
@@ -211,10 +211,10 @@ class SegmentStream:
     def _split(self, steps: Steps, count: int, end: float) -> tuple[Steps, Steps | None]:
         """The first ``count`` steps, up to a time ``end`` [s] before the next one, and the others."""
         turned = self._heading_at(end) - self._heading_at(float(steps.time[count - 1]) if count else self.end)
-        first = replace(steps, end=end, final_turn=turned, **{n: getattr(steps, n)[:count] for n in COLUMNS})
+        first = replace(steps, end=end, final_turn=turned, **{n: getattr(steps, n)[:count] for n in STEP_COLUMNS})
         if steps.end <= end:
             return first, None
-        rest = {n: getattr(steps, n)[count:].copy() for n in COLUMNS}
+        rest = {n: getattr(steps, n)[count:].copy() for n in STEP_COLUMNS}
         if len(steps) > count:
             rest["turn"][0] -= turned
             rest["pause_turn"][0] -= turned
@@ -239,13 +239,13 @@ class SegmentStream:
     def _commit(self, count: int, end: float, steps: Steps) -> None:
         """Drop what the steps after ``end`` [s] do not depend on, and update the usual duration of a step."""
         self.end = end
-        drop = max(0, self.reported + count - STREAM.context)
+        drop = max(0, self.reported + count - STEP_STREAM.context)
         self.reported += count - drop
         self.landed = self.landed[drop:]
         if count:
-            self.durations = np.append(self.durations, steps.duration)[-STREAM.usual :]
+            self.durations = np.append(self.durations, steps.duration)[-STEP_STREAM.usual :]
             usual = float(np.median(self.durations))
-            if abs(usual / self.direction.step - 1) > STREAM.changed:
+            if abs(usual / self.direction.step - 1) > STEP_STREAM.changed:
                 self.direction.step = usual
         self.direction.forget(end)
 
@@ -360,9 +360,9 @@ class StepStream:
         sensors = self._sensors.values()
         due = -np.inf if self._segment is None else float(self._segment.next_times(self._segment.block)[-1])
         newest = [sensor.newest for sensor in sensors]
-        if min(newest) >= due or max(newest) >= due + STREAM.lagging:
+        if min(newest) >= due or max(newest) >= due + STEP_STREAM.lagging:
             return True
-        return max(len(sensor.arrived) for sensor in sensors) >= STREAM.packets
+        return max(len(sensor.arrived) for sensor in sensors) >= STEP_STREAM.packets
 
     def _ingest(self) -> None:
         accelerometer, gyroscope = self._sensors.values()
@@ -424,7 +424,7 @@ class StepStream:
         period = float(np.median(np.diff(time[time <= time[0] + SHORTEST_WALK])))
         if not np.isnan(self._end):
             chunks.append(gap(self._end, origin))
-        self._segment = self._new_segment(origin, max(STREAM.fastest, period))
+        self._segment = self._new_segment(origin, max(STEP_STREAM.fastest, period))
 
     def _new_segment(self, origin: float, period: float) -> SegmentStream:
         return SegmentStream(origin, period, self.walker, self._bias, self.listener)

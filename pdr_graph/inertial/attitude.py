@@ -113,21 +113,7 @@ def at_rest(angular_rate: Array, acceleration: Array, period: float) -> Mask:
     still = _spread(angular_rate, samples) < REST.rate
     still &= _spread(acceleration, samples) < REST.acceleration
     still &= np.linalg.norm(uniform_filter1d(angular_rate, samples, axis=0), axis=1) < REST.largest_bias
-    return _lasting(still, max(1, round(REST.shortest / period)))
-
-
-def learnt_threshold(angular_rate: Array) -> float:
-    """λ [rad/s] of [stationary-switch] Sec. 2.5: the largest |ω| of samples ``(n, 3)`` at rest."""
-    return float(np.linalg.norm(angular_rate, axis=1).max())
-
-
-def below_threshold(angular_rate: Array, threshold: float, samples: int = 1) -> Mask:
-    """``(n,)`` True at rest by [stationary-switch] Sec. 2.5: |ω| ≤ λ, for at least ``samples`` samples in a row.
-
-    The paper requires one; a rattling cart is below λ for single samples now and then.
-    """
-    below = np.linalg.norm(angular_rate, axis=1) <= threshold
-    return _lasting(below, max(1, samples))
+    return lasting_runs(still, max(1, round(REST.shortest / period)))
 
 
 def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
@@ -141,7 +127,7 @@ def bias_from_rests(angular_rate: Array, rest: Mask, period: float) -> Array:
     return interpolate(np.arange(float(len(rest))), resting.astype(float), bias)
 
 
-def _lasting(mask: Mask, samples: int) -> Mask:
+def lasting_runs(mask: Mask, samples: int) -> Mask:
     """``(n,)`` True in the runs of True that have at least ``samples`` samples."""
     lasting = np.zeros(len(mask), dtype=bool)
     for first, after in zip(*runs(mask), strict=True):

@@ -35,7 +35,7 @@ class ValidationSettings:
     history: float = 1.0
 
 
-VALIDATION = ValidationSettings()
+SENSOR_VALIDATION = ValidationSettings()
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,10 @@ class SensorStream:
             return
         time, values = (np.concatenate(column) for column in zip(*self.arrived, strict=True))
         spans = [max(0.0, float(packet[-1]) - float(packet[0])) for packet, _ in self.arrived]
-        spans = [min(span, VALIDATION.longest_packet) for span in spans]
+        spans = [min(span, SENSOR_VALIDATION.longest_packet) for span in spans]
         self.longest_packet = max(0.9 * self.longest_packet, *spans)
         self.arrived.clear()
-        good = (np.abs(time) < VALIDATION.latest) & (np.abs(values) < VALIDATION.largest).all(axis=1)
+        good = (np.abs(time) < SENSOR_VALIDATION.latest) & (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
         if not good.all():
             self.dropped += int(np.sum(~good))
             time, values = time[good], values[good]
@@ -128,7 +128,7 @@ class SensorStream:
 
     def forget(self, before: float) -> None:
         """Drop samples more than a second before a time ``before`` [s]."""
-        first = min(int(np.searchsorted(self.time, before - VALIDATION.history)) - 1, len(self.time) - 1)
+        first = min(int(np.searchsorted(self.time, before - SENSOR_VALIDATION.history)) - 1, len(self.time) - 1)
         if first > 0:
             self.time, self.values = self.time[first:], self.values[first:]
 
@@ -153,7 +153,7 @@ class SensorStream:
         edges = np.concatenate([[-np.inf], self.time, [np.inf]])
         after = np.searchsorted(self.time, time, side="right")
         since = time - edges[after]
-        return (edges[after + 1] - edges[after] <= LONGEST_BRIDGED) | (since <= VALIDATION.hold)
+        return (edges[after + 1] - edges[after] <= LONGEST_BRIDGED) | (since <= SENSOR_VALIDATION.hold)
 
     def _follows(self, time: Array) -> bool:
         """True if times increase from the last sample on without a gap."""
@@ -176,7 +176,7 @@ class SensorStream:
             self._accept(np.array([time + self.offset]), value[None])
             return
         since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else LONGEST_BRIDGED
-        if -VALIDATION.clock_reset < since <= 0:
+        if -SENSOR_VALIDATION.clock_reset < since <= 0:
             self.dropped += 1
             return
         if not 0 < since <= LONGEST_BRIDGED:
@@ -184,10 +184,10 @@ class SensorStream:
         self.suspect_time = np.append(self.suspect_time, time)
         self.suspect_values = np.concatenate([self.suspect_values, value[None]])
         ahead = self.suspect_time[0] + self.offset > self.last
-        if not ahead and np.ptp(self.suspect_time) > VALIDATION.clock_reset:
+        if not ahead and np.ptp(self.suspect_time) > SENSOR_VALIDATION.clock_reset:
             self._reset_clock(offset)
             ahead = True
-        if ahead and len(self.suspect_time) >= VALIDATION.confirming:
+        if ahead and len(self.suspect_time) >= SENSOR_VALIDATION.confirming:
             later = self.suspect_time + self.offset > self.last
             self._accept(self.suspect_time[later] + self.offset, self.suspect_values[later])
             self.suspect_time, self.suspect_values = self.suspect_time[:0], self.suspect_values[:0]
@@ -220,7 +220,7 @@ class GravityRestorer:
 
     def restored(self, values: Array) -> Array:
         """Accelerations with gravity ``(n, 3)`` from accelerations without. [m/s²]"""
-        valid = (np.abs(values) < VALIDATION.largest).all(axis=1)
+        valid = (np.abs(values) < SENSOR_VALIDATION.largest).all(axis=1)
         ones = np.concatenate([np.ones((len(values), 1)), values], axis=1)[valid]
         self.moments = self.moments + ones.T @ ones
         count, total = self.moments[0, 0], self.moments[0, 1:]

@@ -275,7 +275,7 @@ def _smoothed(state: Array, variance: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class MagnetometerStreamSettings:
+class LiveMagnetometerSettings:
     """Constants of the live magnetometer, chosen by hand.
 
     packets: number of packets that are ingested together; history: duration of the stored samples [s], for late
@@ -291,7 +291,7 @@ class MagnetometerStreamSettings:
     rounds: int = 3
 
 
-STREAM = MagnetometerStreamSettings()
+LIVE_MAGNETOMETER = LiveMagnetometerSettings()
 
 
 @dataclass
@@ -310,28 +310,28 @@ class MagnetometerStream:
     def push(self, time: Array, values: Array) -> None:
         """Add samples at times ``(n,)`` [s], as in `Signal`."""
         self.stream.push(time, values)
-        if len(self.stream.arrived) >= STREAM.packets:
+        if len(self.stream.arrived) >= LIVE_MAGNETOMETER.packets:
             self.ingest()
 
     def ingest(self) -> None:
         """Validate the samples that were pushed, and drop those older than a minute."""
         self.stream.ingest(self.stream.offset)
-        self.stream.forget(self.stream.last - STREAM.history)
+        self.stream.forget(self.stream.last - LIVE_MAGNETOMETER.history)
 
     def at(self, time: Array, R_world_device: Rotation) -> Array:
         """The field ``(n, 3)`` in device axes at times ``(n,)`` [s], evenly spaced; 0 without samples. [µT]"""
         self.ingest()
         if not len(self.stream.time) or not len(time):
             return np.zeros((len(time), 3))
-        if abs(self.stream.last - time[-1]) > STREAM.furthest:  # the sensor stopped, or its first times were wrong
+        if abs(self.stream.last - time[-1]) > LIVE_MAGNETOMETER.furthest:  # it stopped, or its first times were wrong
             self.stream = SensorStream()
             return np.zeros((len(time), 3))
         field = measured_field(Signal(self.stream.time, self.stream.values), time)
-        every = max(1, round(STREAM.interval * len(time) / (time[-1] - time[0] + 1e-9)))
+        every = max(1, round(LIVE_MAGNETOMETER.interval * len(time) / (time[-1] - time[0] + 1e-9)))
         up = R_world_device.inv().apply([0.0, 0.0, 1.0])
         selected = np.flatnonzero(np.any(field, axis=1))[::every]
-        self.calibration = np.concatenate([self.calibration, field[selected]])[-STREAM.samples :]
-        self.up = np.concatenate([self.up, up[selected]])[-STREAM.samples :]
+        self.calibration = np.concatenate([self.calibration, field[selected]])[-LIVE_MAGNETOMETER.samples :]
+        self.up = np.concatenate([self.up, up[selected]])[-LIVE_MAGNETOMETER.samples :]
         return field
 
     def without_iron(self, field: Array, magnitude: float) -> Array:
@@ -339,7 +339,7 @@ class MagnetometerStream:
         if not len(self.up) or np.linalg.norm(self.up.mean(axis=0)) >= MAGNETOMETER.tilted:
             return field
         iron = Iron(self.iron[0], self.iron[1:4], self.iron[4]) if len(self.iron) else initial_iron(self.calibration)
-        for _ in range(STREAM.rounds):
+        for _ in range(LIVE_MAGNETOMETER.rounds):
             iron = refined_iron(iron, self.calibration, magnitude)
         self.iron = np.vstack([iron.hard, iron.soft, iron.sigma])
         return np.where(np.any(field, axis=1)[:, None], iron.corrected(field), 0.0) if iron.reliable else field

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import compose
-from pdr_graph.inertial.attitude import Attitude, on_one_grid, running_mean, runs, upright
+from pdr_graph.inertial.attitude import Attitude, lasting_runs, on_one_grid, running_mean, runs, upright
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Recording
 
 
@@ -182,7 +182,7 @@ class Vqf:
 class Switching:
     """[stationary-switch] Sec. 2.5: accelerometer and magnetometer while |ω| ≤ λ, else the gyroscope from there on.
 
-    threshold: λ [rad/s], from `attitude.learnt_threshold`; 0 never switches. shortest: samples at rest before a switch,
+    threshold: λ [rad/s], from `rest_threshold`; 0 never switches. shortest: samples at rest before a switch,
     over which both sensors are averaged; 1 in the paper.
     """
 
@@ -287,6 +287,20 @@ def _level_north(acceleration: Array, field: Array) -> Rotation:
 
 def _fields(samples: Samples) -> tuple[Array, Array, Array]:
     return samples.acceleration, samples.angular_rate, samples.magnetic_field
+
+
+def rest_threshold(angular_rate: Array) -> float:
+    """λ [rad/s] of [stationary-switch] Sec. 2.5: the largest |ω| of samples ``(n, 3)`` at rest."""
+    return float(np.linalg.norm(angular_rate, axis=1).max())
+
+
+def below_threshold(angular_rate: Array, threshold: float, samples: int = 1) -> Mask:
+    """``(n,)`` True at rest by [stationary-switch] Sec. 2.5: |ω| ≤ λ, for at least ``samples`` samples in a row.
+
+    The paper requires one; a rattling cart is below λ for single samples now and then.
+    """
+    below = np.linalg.norm(angular_rate, axis=1) <= threshold
+    return lasting_runs(below, max(1, samples))
 
 
 @dataclass(frozen=True)

@@ -37,15 +37,15 @@ def office():
     return Building.load(MAPS / "two_floors.geojson")
 
 
-def test_floors_come_in_order_of_height(tmp_path):
-    """By number where their labels have one, a storey of 3.8 m each; as text "10" would come before "2"."""
+def test_floors_are_in_order_of_height(tmp_path):
+    """By the numbers in their labels, 3.8 m each; as text "10" would come before "2"."""
     building = Building.load(storeys(tmp_path, "10", "2", "B1", "EG", "-2", "1F", "roof"))
     assert building.labels == ("-2", "B1", "EG", "1F", "2", "10", "roof")
     assert building.heights == pytest.approx(3.8 * np.arange(7))
     assert [floor.label for floor in FloorPlan.load_all(tmp_path / "house.geojson")] == list(building.labels)
 
 
-def test_heights_are_those_that_the_plan_gives(tmp_path):
+def test_heights_of_the_plan_are_used(tmp_path):
     building = Building.load(storeys(tmp_path, "1", "2", "deck", heights={"1": 0, "2": 4.5, "deck": 2.0}))
     assert building.labels == ("1", "deck", "2")
     assert building.heights.tolist() == [0.0, 2.0, 4.5]
@@ -55,7 +55,7 @@ def test_heights_are_those_that_the_plan_gives(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("heights", "said"),
+    ("heights", "message"),
     [
         ([0, 4], "pdr_graph.heights: found [0, 4], expected a height for each floor"),
         ({"1": 0, "2": 4, "3": 8}, "pdr_graph.heights: found a floor '3', expected the labels of floors: 1, 2"),
@@ -67,10 +67,10 @@ def test_heights_are_those_that_the_plan_gives(tmp_path):
         ({"1": 0, "2": 4000}, "pdr_graph.heights.2: found 4000, expected metres, less than 1000"),
     ],
 )
-def test_heights_that_are_none_are_refused_in_one_line(tmp_path, heights, said):
+def test_invalid_heights_are_refused_in_one_line(tmp_path, heights, message):
     with pytest.raises(InputError) as refusal:
         Building.load(storeys(tmp_path, "1", "2", heights=heights))
-    assert said in str(refusal.value)
+    assert message in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 
@@ -92,7 +92,7 @@ def test_stairs_and_lift_join_the_floors_that_they_list(office):
     assert stairs.distance(np.array([[13, 12], [13, 8.4], [18, 20.4]])) == pytest.approx([0, 2, 5], abs=0.002)
 
 
-def test_stairs_on_every_floor_join_all_and_others_only_theirs(tmp_path):
+def test_stairs_without_labels_join_all_floors(tmp_path):
     path = written(
         tmp_path / "tower.geojson",
         *(feature("corridor", (0, 0, 9, 3), str(n)) for n in range(4)),
@@ -104,8 +104,8 @@ def test_stairs_on_every_floor_join_all_and_others_only_theirs(tmp_path):
     assert {c.name: c.floors for c in building.connections} == {"everywhere": (0, 1, 2, 3), "cellar": (1, 2)}
 
 
-def test_a_floor_of_shops_is_walked_in_beside_its_stairs_too(tmp_path):
-    """An outline, shops and stairs, but no corridors: 600 m² less two shops of 200 and 100, stairs among the rest."""
+def test_a_floor_of_shops_is_walkable_beside_its_stairs(tmp_path):
+    """An outline of 600 m² with shops of 200 and 100 m² and stairs, but without corridors."""
     path = written(
         tmp_path / "mall.geojson",
         feature("floor", (0, 0, 30, 20)),
@@ -120,8 +120,8 @@ def test_a_floor_of_shops_is_walked_in_beside_its_stairs_too(tmp_path):
     assert problems(building) == ()
 
 
-def test_what_only_another_floor_joins_can_be_reached(tmp_path):
-    """Two halls above, apart from each other, with a flight of stairs each from one hall below."""
+def test_halls_joined_by_another_floor_are_connected(tmp_path):
+    """Two separate halls above, each with stairs from one hall below."""
     halls = [feature("corridor", box, "2") for box in ((0, 0, 5, 3), (10, 0, 15, 3))]
     flights = [feature("stairs", box, ["1", "2"]) for box in ((0, 3, 2, 8), (13, 3, 15, 8))]
     below = feature("corridor", (0, 0, 15, 3), "1")

@@ -27,7 +27,7 @@ DOOR = ("door", "", shapely.LineString([(4, 3), (5, 3)]))
 
 
 def test_rooms_that_share_an_edge_share_a_wall():
-    """No wall is drawn: one walks in by the door, not through the edge, nor from room to room."""
+    """No wall is drawn; the door is open, the shared edge is a wall."""
     floor = plan(CORRIDOR, *ROOMS, DOOR)
     assert not crosses(floor, (4.5, 1), (4.5, 6))
     assert crosses(floor, (8, 1), (8, 6))
@@ -36,8 +36,8 @@ def test_rooms_that_share_an_edge_share_a_wall():
     assert floor.cells.at(np.array([[1, 1], [1, 6], [19, 6], [50, 50], [4.5, 3]])).tolist() == [0, 1, 2, -1, 3]
 
 
-def test_the_distance_field_knows_walls_without_thickness():
-    """A metre from the edge that two rooms share, the wall is a metre away; through the open door it is the jamb."""
+def test_the_distance_field_contains_walls_without_thickness():
+    """A metre from a shared edge the distance is a metre; in an open door it is that to the jamb."""
     floor = plan(CORRIDOR, *ROOMS, DOOR)
     distance, _ = floor.distance.at(np.array([[9.0, 6.0], [11.0, 6.0], [10.0, 6.0], [4.5, 3.0]]))
     assert distance == pytest.approx([1.0, 1.0, 0.0, 0.5], abs=0.06)
@@ -51,7 +51,7 @@ def test_a_line_is_a_wall_and_a_door_opens_it():
     assert crosses(plan(CORRIDOR, wall, door), (8, 0.3), (12, 0.3))
 
 
-def test_passages_are_where_one_can_step():
+def test_passages_join_open_neighbours():
     floor = plan(CORRIDOR, *ROOMS, DOOR)
     assert floor.cells.passages.tolist() == [[0, 3], [1, 3]]
     assert len(set(floor.cells.parts)) == 2, "room B has no door"
@@ -65,8 +65,8 @@ def test_rooms_of_a_plan_without_doors_are_open():
     assert any("no door" in problem for problem in problems(Building.of(floor)))
 
 
-def test_hairlines_between_neighbours_are_no_walls():
-    """Drawn a millimetre apart."""
+def test_narrow_gaps_between_neighbours_are_not_walls():
+    """The cells are a millimetre apart."""
     floor = plan(("corridor", "", shapely.box(0, 0, 5, 3)), ("corridor", "", shapely.box(5.001, 0, 9, 3)))
     assert not crosses(floor, (4, 1), (6, 1))
     assert floor.distance.at(np.array([[5.0, 1.5]]))[0] == pytest.approx([1.5], abs=0.06)
@@ -111,7 +111,7 @@ def test_several_floors_in_one_file(two_floors):
 
 
 def test_ipin21_polygons(tmp_path):
-    """UTM metres as they are, whatever CRS the file states; types by their own names, null geometries left out."""
+    """Coordinates are UTM metres whatever CRS the file states; types are mapped, null geometries are skipped."""
     boxes = {
         "Corridor": (0, 0, 9, 2),
         "Room": (0, 2.2, 9, 6),
@@ -146,7 +146,7 @@ def test_ipin21_polygons(tmp_path):
     ]
 
 
-def test_map_check_names_what_misleads(tmp_path):
+def test_map_check_names_every_problem(tmp_path):
     path = geojson(
         tmp_path / "plan.geojson",
         feature("corridor", shapely.box(0, 0, 20, 3)),

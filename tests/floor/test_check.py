@@ -46,7 +46,7 @@ def moved(plan, feature, by):
 
 
 def checked(plan, folder):
-    """Problems named by the command, and its exit code."""
+    """Problems that the command prints, and its exit code."""
     path = folder / "damaged.geojson"
     path.write_text(json.dumps(plan))
     run = CliRunner().invoke(app, ["map", "check", str(path)])
@@ -65,8 +65,10 @@ def test_an_unclosed_ring_is_closed_and_named(office, tmp_path):
     found, code = checked(office, tmp_path)
     assert code == 3
     assert found == [f"feature {number} (Cafe): the ring from {begins} does not end where it begins, and was closed"]
-    for mended, whole in zip(FloorPlan.load_all(tmp_path / "damaged.geojson"), FloorPlan.load_all(OFFICE), strict=True):
-        assert shapely.equals(mended.walkable, whole.walkable)
+    for repaired, whole in zip(
+        FloorPlan.load_all(tmp_path / "damaged.geojson"), FloorPlan.load_all(OFFICE), strict=True
+    ):
+        assert shapely.equals(repaired.walkable, whole.walkable)
 
 
 def test_each_open_ring_of_several_polygons_is_closed(office, tmp_path):
@@ -106,7 +108,7 @@ def door_in_the_open(plan):
 
 
 def door_into_a_solid_wall(plan):
-    """It stands in the outer wall: a room on one side, nothing on the other."""
+    """It is in the outer wall: a room on one side, nothing on the other."""
     moved(plan, door_at(plan, 29, 8, "1"), (0, -8))
     return "floor 1: 1 doors that join fewer than two cells: at (29.0, 0.0)"
 
@@ -171,14 +173,14 @@ def rooms_over_each_other(plan):
         rooms_over_each_other,
     ],
 )
-def test_a_mistake_is_named_with_its_feature_and_place(office, tmp_path, damage):
+def test_a_problem_is_reported_with_feature_and_position(office, tmp_path, damage):
     claim = damage(office)
     found, code = checked(office, tmp_path)
     assert code == 3
     assert any(line.startswith(claim) for line in found), found
 
 
-def test_all_floors_are_said_and_what_joins_them():
+def test_map_info_lists_floors_and_connections():
     run = CliRunner().invoke(app, ["map", "check", str(OFFICE)])
     assert run.exit_code == 0
     assert "2: at 4 m, " in run.output

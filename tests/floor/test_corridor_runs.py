@@ -1,4 +1,4 @@
-"""Straight runs along corridors, and the turns between them, of walks whose way is known."""
+"""Straight runs along corridors, and the turns between them, of walks along known lines."""
 
 from itertools import pairwise
 
@@ -31,13 +31,13 @@ def along(*corners, sway=0.0):
 
 @pytest.mark.parametrize("sway", [0.0, 0.6])
 def test_a_lap_is_five_straight_runs(sway):
-    """Also with a zigzag as wide as corridors leave: walls lead straight on, whoever sways between them."""
+    """Also with a zigzag between the walls: the direction of a run is that of the walls."""
     runs = straight_runs(along(*LAP, sway=sway), LOOP.distance)
     assert np.degrees([wrap_angle(run.direction) for run in runs]) % 360 == pytest.approx([0, 90, 180, 270, 0], abs=0.1)
     assert [run.width for run in runs] == pytest.approx([2.5] * 5, abs=0.05)
 
 
-def test_a_corridor_leads_both_ways():
+def test_a_run_has_the_direction_of_the_walk():
     there, back = (straight_runs(track, LOOP.distance)[0] for track in (along(*LAP[:2]), along(*LAP[:2])[::-1]))
     assert abs(wrap_angle(there.direction - back.direction)) == pytest.approx(np.pi)
 
@@ -52,13 +52,13 @@ def test_a_corridor_leads_both_ways():
     ],
     ids=["hall", "plaza", "one wall", "bend"],
 )
-def test_there_is_no_run_where_no_corridor_is(area):
+def test_there_is_no_run_without_a_corridor(area):
     way = shapely.boundary(shapely.Point(0, 0).buffer(30)) if len(shapely.get_rings(area)) > 1 else None
     track = along(*shapely.get_coordinates(way)) if way else along([0.5, 0.0], [19.5, 0.0])
     assert not straight_runs(track, DistanceField(area))
 
 
-def test_a_run_goes_on_across_an_intersection_and_past_pillars():
+def test_a_run_continues_across_an_intersection_and_past_pillars():
     street = shapely.box(0, -1.5, 40, 1.5) | shapely.box(19, -20, 22, 20)
     pillars = [shapely.box(x, 1.0, x + 0.4, 1.5) for x in range(2, 40, 5)]
     area = shapely.affinity.rotate(street - shapely.union_all(pillars), 25, origin=(0, 0))
@@ -79,8 +79,8 @@ def test_a_lap_turns_at_each_intersection():
         assert LOOP.network.links[turn.before].tolist().count(turn.node) == 1
 
 
-def test_nobody_turns_at_an_intersection_elsewhere():
-    """The same lap where the plan has no intersection: drawn beside it."""
+def test_there_is_no_turn_away_from_an_intersection():
+    """The same lap with the intersections drawn 9 m beside it."""
     beside = FloorPlan(
         "1", tuple(Area(a.kind, a.name, shapely.affinity.translate(a.shape, 9, 9)) for a in LOOP.areas), Frame()
     )

@@ -40,24 +40,24 @@ def test_a_single_floor_needs_no_labels():
     assert floor_sequence.field(2) is plan.distance
 
 
-def test_a_label_that_the_building_does_not_have_is_refused(office):
+def test_an_unknown_label_is_refused(office):
     with pytest.raises(ValueError, match="floors: found '3', expected labels out of 1, 2"):
         FloorSequence.of(office, ["1", "3"])
 
 
-def test_every_piece_feels_the_walls_of_its_own_floor(office):
+def test_every_piece_has_the_walls_of_its_floor(office):
     floor_sequence = FloorSequence.of(office, ["1", "2"])
     assert floor_sequence.field(0) is office["1"].distance
     assert floor_sequence.field(1) is office["2"].distance
 
 
-def test_a_change_of_floor_names_the_stairs_and_lifts_that_lead_there(office):
+def test_a_floor_change_lists_the_connections_between_its_floors(office):
     changes = FloorSequence.of(office, ["1", "1", "2", "2", "1"]).changes
     assert list(changes) == [2, 4]
     assert {way.kind for way in changes[2]} == {"stairs", "lift"}
 
 
-def test_before_a_change_a_walk_is_held_in_the_nearest_stairs(office, stairs):
+def test_before_a_floor_change_the_field_is_that_of_the_nearest_stairs(office, stairs):
     track, labels = up_the_stairs(stairs)
     floor_sequence = FloorSequence.of(office, labels)
     fields, which, _ = floor_sequence.walls_along(track, np.ones(len(track), dtype=bool))
@@ -68,8 +68,8 @@ def test_before_a_change_a_walk_is_held_in_the_nearest_stairs(office, stairs):
     assert inside > 0 > outside
 
 
-def test_who_stands_when_the_floor_changes_is_held_by_the_last_step(office, stairs):
-    """A lift is waited in: the pieces before the change led nowhere."""
+def test_while_standing_the_last_step_before_a_floor_change_has_the_field(office, stairs):
+    """In a lift the pieces before the change have length 0."""
     track, labels = up_the_stairs(stairs)
     moved = np.array([True, True, True, False, False, True, True, True])
     fields, which, _ = FloorSequence.of(office, labels).walls_along(track, moved)
@@ -77,8 +77,8 @@ def test_who_stands_when_the_floor_changes_is_held_by_the_last_step(office, stai
     assert fields[which[3]] is not stairs.field
 
 
-def test_the_walls_of_the_other_floor_are_not_felt(office):
-    """A place that is solid on one floor, and walkable on the other."""
+def test_walls_of_another_floor_have_no_effect(office):
+    """A position that is solid on one floor and walkable on the other."""
     grid = np.stack(np.meshgrid(np.arange(-1, 45, 0.5), np.arange(0, 18, 0.5)), axis=-1).reshape(-1, 2)
     below, above = (office[label].distance.at(grid)[0] for label in ("1", "2"))
     (differs,) = np.nonzero((below > 0.5) & (above < -0.5))
@@ -89,13 +89,13 @@ def test_the_walls_of_the_other_floor_are_not_felt(office):
     assert fields[which[0]].at(place)[0] > 0.3
 
 
-def test_far_from_every_floor_nothing_is_near(office):
+def test_near_is_false_far_from_every_floor(office):
     floor_sequence = FloorSequence.of(office, ["1"])
     assert floor_sequence.near(np.array([[10.0, 9.0], [1000.0, 9.0]])).tolist() == [True, False]
 
 
-def test_a_part_of_a_plan_has_the_walls_of_the_whole():
-    """Ten by ten malls: within a box of one of them distances are the same, and little of the rest is there."""
+def test_a_cropped_plan_has_the_walls_of_the_whole():
+    """In a grid of ten by ten malls, distances within a box around one are the same, with few of the other areas."""
     mall = FloorPlan.load(MAPS / "mall.geojson")
     wide, high = mall.corners[1] - mall.corners[0]
     places = [np.array([i * wide, j * high]) for i in range(10) for j in range(10)]
@@ -114,14 +114,14 @@ def test_a_part_of_a_plan_has_the_walls_of_the_whole():
     assert found[near] == pytest.approx(expected[near], abs=0.01)
 
 
-def test_where_nothing_is_drawn_the_part_is_the_whole():
+def test_cropping_to_an_empty_box_returns_the_whole_plan():
     plan = FloorPlan.load(MAPS / "office.geojson")
     assert plan.within(np.array([500.0, 500.0]), np.array([510.0, 510.0])) is plan
     assert FloorSequence.of(plan, [""]).within(*plan.corners).building.floors == (plan,)
 
 
-def test_a_walk_reaches_as_far_from_its_fixes_as_it_went():
-    """Half as far again, for strides may be longer than is said."""
+def test_the_reach_of_a_walk_is_its_length():
+    """Times 1.5, since strides may be underestimated."""
     pieces = tuple(Area("corridor", "", shapely.box(x, 0, x + 10, 3)) for x in range(0, 1000, 10))
     floor = FloorPlan("1", pieces, Frame())
     graph = WalkGraph(steps_of(np.full(100, 0.7), np.zeros(100)), fixes_at([0.0], [[505.0, 1.5]], 0.3), floor=floor)

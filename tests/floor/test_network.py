@@ -1,4 +1,4 @@
-"""The walkable network: as a plan draws it, and as its polygons alone tell it."""
+"""The walkable network as a plan draws it, and as derived from polygons."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def parts(network):
 
 
 def streets(seed):
-    """Streets at right angles that all cross one main street, some wide, some narrow; kiosks where there is room."""
+    """Wide and narrow streets that cross a main street at right angles, with kiosks where there is room."""
     random = np.random.default_rng(seed)
     main = shapely.box(0, -random.uniform(1, 6), 80, random.uniform(1, 6))
     across = [
@@ -32,7 +32,7 @@ def streets(seed):
     return shapely.affinity.rotate(turned, random.uniform(0, 90), origin=(0, 0))
 
 
-def test_the_loop_is_the_network_it_draws():
+def test_the_network_of_the_loop_is_the_drawn_one():
     network = FloorPlan.load(MAPS / "loop.geojson").network
     assert len(network.nodes) == len(network) == 4
     middle = np.array([(W / 2, W / 2), (X - W / 2, W / 2), (X - W / 2, Y - W / 2), (W / 2, Y - W / 2)])
@@ -42,8 +42,8 @@ def test_the_loop_is_the_network_it_draws():
         assert np.hypot(*(corners - node).T) == pytest.approx(np.full(4, W / np.sqrt(2)), abs=0.01)
 
 
-def test_polygons_alone_give_the_network_that_the_loop_draws():
-    """Within 0.1 m: the middle lines are sampled, and the loop knows nothing of its intersections."""
+def test_the_derived_network_of_the_loop_equals_the_drawn_one():
+    """Within 0.1 m, as the medial axis is sampled."""
     drawn = FloorPlan.load(MAPS / "loop.geojson").network
     nodes, corners, links, _ = derive(shapely.box(0, 0, X, Y) - shapely.box(W, W, X - W, Y - W))
     order = [int(np.argmin(np.hypot(*(nodes - n).T))) for n in drawn.nodes]
@@ -57,8 +57,8 @@ def test_polygons_alone_give_the_network_that_the_loop_draws():
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_links_lie_where_one_can_walk_and_hang_together(seed):
-    """Everything walkable is wider than a pair of shoulders and in one piece: so is the network."""
+def test_links_are_walkable_and_connected(seed):
+    """The network has as many parts as the area without passages narrower than 0.6 m."""
     ways = streets(seed)
     nodes, _, links, lines = derive(ways)
     assert shapely.covers(ways, shapely.multilinestrings([shapely.linestrings(line) for line in lines]))
@@ -70,7 +70,7 @@ def test_links_lie_where_one_can_walk_and_hang_together(seed):
 
 
 @pytest.mark.parametrize("name", ["arcade", "figure_eight", "l_corridor", "loop", "mall", "office"])
-def test_no_link_of_our_maps_goes_through_a_wall(name):
+def test_no_link_of_our_maps_crosses_a_wall(name):
     floor = FloorPlan.load(MAPS / f"{name}.geojson")
     network = floor.network
     assert len(network) > 0
@@ -85,10 +85,10 @@ def test_a_crossing_of_two_corridors_has_the_corners_of_both():
     (crossing,) = np.flatnonzero(np.bincount(links.ravel()) == 4)
     assert nodes[crossing] == pytest.approx([0, 0], abs=0.1)
     assert np.sort(np.abs(corners[crossing]), axis=0) == pytest.approx(np.tile([1.5, 1.0], (4, 1)), abs=0.15)
-    assert np.isnan(np.delete(corners, crossing, axis=0)).all(), "where a way ends there is no intersection"
+    assert np.isnan(np.delete(corners, crossing, axis=0)).all(), "a dead end has no corners"
 
 
-def test_recesses_are_no_ways_and_dead_ends_are():
+def test_recesses_have_no_links_and_dead_ends_do():
     street = shapely.box(0, 0, 40, 3)
     _, _, links, _ = derive(shapely.union_all([street, shapely.box(10, 3, 12, 4)]))
     assert len(links) == 1
@@ -97,7 +97,7 @@ def test_recesses_are_no_ways_and_dead_ends_are():
 
 
 def test_rooms_behind_doors_are_not_part_of_the_network():
-    """Corridors without intersections, a room with a door: the network is the corridor's."""
+    """A corridor without intersections and a room with a door: the network is that of the corridor."""
     hall = ("corridor", shapely.box(0, 0, 30, 2))
     room, door = ("room", shapely.box(10, 2, 20, 12)), ("door", shapely.LineString([(14, 2), (15, 2)]))
     network = plan(hall, room, door).network
@@ -105,7 +105,7 @@ def test_rooms_behind_doors_are_not_part_of_the_network():
     assert network.lines[0][:, 1] == pytest.approx(1.0, abs=0.1)
 
 
-def test_corridors_tell_the_links_where_no_line_is_drawn():
+def test_links_follow_the_corridors_if_no_line_is_drawn():
     crossing = ("intersection", shapely.box(-1, -1, 1, 1))
     ways = [("corridor", shapely.box(1, -1, 20, 1)), ("corridor", shapely.box(-1, 1, 1, 15))]
     network = plan(crossing, *ways).network
@@ -114,7 +114,7 @@ def test_corridors_tell_the_links_where_no_line_is_drawn():
     assert np.sort(network.nodes, axis=0) == pytest.approx(np.array([[0, 0], [0, 0], [20, 15]]), abs=0.01)
 
 
-def test_a_hall_and_nothing_else_has_a_line_through_it_and_nowhere_to_turn():
+def test_a_single_hall_has_at_most_one_link():
     network = plan(("floor", shapely.box(0, 0, 9, 6))).network
     assert len(network.links) <= 1
     assert plan(("floor", shapely.box(0, 0, 0.5, 0.5))).network.nodes.shape == (0, 2)

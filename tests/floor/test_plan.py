@@ -11,7 +11,7 @@ from pdr_graph.floor.distance_field import OPEN_DISTANCE, DistanceField
 
 
 def lonlat_square(x0, y0, x1, y1):
-    """A rectangle in degrees, of a floor whose degree is 100 km wide and high."""
+    """A rectangle in degrees, for a floor on which a degree is 100 km wide and high."""
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)]
     return [[120 + x / 1e5, 30 + y / 1e5] for x, y in corners]
 
@@ -22,7 +22,7 @@ def feature(coordinates, **properties):
 
 @pytest.fixture
 def floor_folder(tmp_path):
-    """An outline of 40 × 20 m with one shop of 10 × 20 m in the middle that leaves no way round."""
+    """An outline of 40 × 20 m that a shop of 10 × 20 m divides."""
     folder = tmp_path / "F9"
     folder.mkdir()
     features = [
@@ -47,7 +47,7 @@ def test_microsoft_floor(floor_folder):
     assert plan.frame.to_lonlat(np.array([[40.0, 20.0]])) == pytest.approx(np.array([[120.0004, 30.0002]]))
 
 
-def test_crossings_agree_with_shapely_one_by_one(floor_folder):
+def test_crosses_wall_agrees_with_shapely_for_every_segment(floor_folder):
     plan = FloorPlan.load(floor_folder)
     random = np.random.default_rng(0)
     a, b = random.uniform([-5, -5], [45, 25], (2, 300, 2))
@@ -75,7 +75,7 @@ def test_damaged_floors_are_refused_in_one_line(floor_folder, damage, complaint)
 
 
 def test_own_geojson(tmp_path):
-    """A corridor and a room joined by a door; the wall between them is what is drawn of neither."""
+    """A corridor and a room joined by a door, with a gap between them that is the wall."""
     rectangles = [("corridor", 0, 0, 20, 3), ("room", 5, 3.2, 12, 9), ("door", 8, 2.9, 9, 3.3), ("wall", 0, 0, 1, 3)]
     features = [feature([lonlat_square(*r)], kind=kind) for kind, *r in rectangles]
     path = tmp_path / "plan.geojson"
@@ -96,7 +96,7 @@ def test_own_geojson(tmp_path):
 
 
 def irregular_area():
-    """A star-shaped hall with a pillar: slanted walls, corners in and out."""
+    """A star-shaped hall with a pillar: slanted walls, convex and concave corners."""
     angle = np.linspace(0, 2 * np.pi, 15)[:-1]
     radius = np.where(np.arange(14) % 2, 9.0, 16.0)
     hall = shapely.Polygon(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1))
@@ -115,7 +115,7 @@ def test_distance_field_agrees_with_exact_distances():
     assert error.max() < 0.18  # half a cell's diagonal: at corners, where distance has a ridge
 
 
-def test_distances_by_pixels_agree_with_exact_ones():
+def test_approximate_distances_agree_with_exact_ones():
     """99 % within 0.1 m: half the diagonal of a pixel, and the grid's own error."""
     area = irregular_area()
     points = np.random.default_rng(1).uniform(-18, 18, (3000, 2))
@@ -125,8 +125,8 @@ def test_distances_by_pixels_agree_with_exact_ones():
     assert np.percentile(np.abs(about - exact), 99) < 0.1
 
 
-def test_tiles_may_come_one_by_one_most_wanted_first():
-    """What is not known yet is open; in the end everything is as if it had been computed at once."""
+def test_tiles_can_be_computed_one_per_call():
+    """Most of the places first; places in other tiles are open; in the end all distances are the same."""
     patient, hasty = DistanceField(irregular_area()), DistanceField(irregular_area())
     points = np.random.default_rng(3).uniform(-18, 18, (500, 2)).T
     crowd = np.tile([[0.5], [0.5]], 400)
@@ -154,8 +154,8 @@ def test_distance_gradient_is_the_derivative():
         assert slope == pytest.approx(gradient[:, axis], abs=1e-6)
 
 
-def test_slits_between_shops_are_no_places_to_walk():
-    """Two shops 10 cm apart: the middle of the slit is 2 m inside a wall, not on a way."""
+def test_slits_between_shops_are_not_walkable():
+    """Two shops are 10 cm apart: the middle of the slit is 2 m inside a wall."""
     area = shapely.box(0, 0, 20, 10).difference(shapely.box(5, 2, 9.95, 10).union(shapely.box(10.05, 2, 15, 10)))
     distance, _ = DistanceField(area).at(np.array([[10.0, 6.0], [10.0, 1.0]]))
     assert distance[0] < -3.5

@@ -20,12 +20,12 @@ def regions():
 
 
 def track(*corners, step=0.25):
-    """Points on the way between corners ``(n, 2)``."""
+    """Points along the line through corners ``(n, 2)``."""
     line = shapely.LineString(corners)
     return shapely.get_coordinates(shapely.line_interpolate_point(line, np.arange(0, line.length, step)))
 
 
-def test_corridors_are_one_region_and_every_room_is_one(regions):
+def test_all_corridors_are_one_region_and_every_room_is_one(regions):
     assert len(regions) == 3
     assert shapely.area(regions.polygons) == pytest.approx([60 + 18, 9.94 * 5.88, 9.94 * 5.88], abs=0.1)
     assert regions.joins.tolist() == [[True, True, False]], "A's door joins it to the hall"
@@ -37,7 +37,7 @@ def test_a_plan_without_cells_is_one_region():
     assert floor.regions.along(track((1, 1), (20, 1)))[0].tolist() == [0] * 76
 
 
-def test_a_walk_through_the_door_costs_a_door(regions):
+def test_a_walk_through_a_door_has_the_cost_of_a_door(regions):
     region, price = regions.along(track((1, 1.5), (4.5, 1.5), (4.5, 6)))
     assert region[0] == HALLS_REGION
     assert region[-1] == A
@@ -45,8 +45,8 @@ def test_a_walk_through_the_door_costs_a_door(regions):
     assert price == pytest.approx(DOOR_COST)
 
 
-def test_a_walk_that_strays_into_a_room_for_a_step_stays_in_its_corridor(regions):
-    """It errs by half a metre; a room is entered by its door or not at all."""
+def test_one_step_into_a_room_does_not_change_the_region(regions):
+    """The track errs by half a metre, and there is no door."""
     strays = track((8, 1.5), (18, 1.5))
     strays[20:22, 1] = 3.5
     region, price = regions.along(strays)
@@ -54,32 +54,32 @@ def test_a_walk_that_strays_into_a_room_for_a_step_stays_in_its_corridor(regions
     assert price == 0
 
 
-def test_a_walk_that_ends_deep_in_a_room_without_a_door_pays_for_its_wall(regions):
+def test_a_walk_deep_into_a_room_without_a_door_has_the_cost_of_a_wall(regions):
     region, price = regions.along(track((15, 1.5), (15, 8)))
     assert (region[0], region[-1]) == (HALLS_REGION, B)
     assert price == pytest.approx(WALL_COST)
 
 
-def test_two_rooms_are_not_joined_by_the_door_of_one(regions):
-    """From the room with a door to the one without there is only the wall."""
+def test_the_door_of_one_room_does_not_join_two_rooms(regions):
+    """Between the room with a door and the one without is only a wall."""
     _, price = regions.along(track((4.5, 6), (18, 6)))
     assert price == pytest.approx(WALL_COST)
 
 
-def test_far_from_all_a_walk_is_nowhere_and_pays_little(regions):
+def test_a_walk_far_from_all_regions_is_in_none_at_low_cost(regions):
     region, price = regions.along(track((100, 100), (110, 100)))
     assert set(region) == {NOWHERE}
     assert price == pytest.approx(OUTSIDE_PRICE * len(region))
 
 
-def test_beyond_a_thin_wall_the_field_of_a_region_is_negative(regions):
-    """The distance to any wall is positive on either side of 12 cm; that to the walls of the hall is not."""
+def test_the_field_of_a_region_is_negative_beyond_a_thin_wall(regions):
+    """The field of all walls is positive on both sides of a wall of 12 cm."""
     beyond = np.array([[15.0, 3.5], [15.0, 5.0]])
     assert np.all(regions.field((HALLS_REGION,)).at(beyond)[0] < -0.3)
     assert np.all(regions.field((B,)).at(beyond)[0] > 0.3)
 
 
-def test_two_regions_and_the_door_between_them_let_a_walk_through(regions):
+def test_the_field_of_two_regions_is_open_at_their_door(regions):
     both = regions.field((HALLS_REGION, A))
     assert both.at(np.array([[4.5, 3.06]]))[0] > 0, "in the door"
     through = both.at(np.column_stack([np.full(9, 4.5), np.linspace(2, 4, 9)]))[0]
@@ -87,7 +87,7 @@ def test_two_regions_and_the_door_between_them_let_a_walk_through(regions):
     assert both.at(np.array([[15.0, 5.0]]))[0] < 0, "in the third region"
 
 
-def test_the_walls_about_a_change_are_those_of_both_regions(regions):
+def test_the_walls_at_a_change_of_region_are_those_of_both(regions):
     points = track((4.5, 1.0), (4.5, 6))
     fields, which, price = regions.walls_along(points)
     assert price == pytest.approx(DOOR_COST)

@@ -1,4 +1,4 @@
-"""Absolute headings of simulated walks with a magnetometer: right, or silent."""
+"""Absolute headings of simulated walks with a magnetometer are right, or there are none."""
 
 from dataclasses import replace
 
@@ -22,15 +22,15 @@ def walked(hold="hand", seed=0, minutes=1, **phone):
 
 
 def errors(walk, headings):
-    """Against the walking direction at their time, in sigmas of their own and in radians."""
+    """Errors against the true walking direction, in sigmas and in radians."""
     truth = np.interp(headings.time, walk.body.time, walk.body.heading)
     error = wrap_angle(headings.heading - truth)
     return error / headings.sigma, error
 
 
 @pytest.mark.parametrize("hold", ["hand", "swinging arm", "trouser pocket", "breast pocket", "bag"])
-def test_they_are_right_or_silent(hold):
-    """Steel and a phone's own hard iron of 3 µT per axis: never the wrong way, and within three sigmas."""
+def test_headings_are_right_or_missing(hold):
+    """With steel and 3 µT of hard iron per axis all headings are within three sigmas and 0.8 rad."""
     for seed in range(3):
         walk = walked(hold, seed)
         z, error = errors(walk, magnetic_headings(walk.recording(), walk.frame, HERE))
@@ -38,8 +38,8 @@ def test_they_are_right_or_silent(hold):
         assert np.all(np.abs(error) < 0.8)
 
 
-def test_many_headings_weigh_no_more_than_one():
-    """What they share, they share: the information of a walk of seven minutes is that of one heading."""
+def test_many_headings_have_the_information_of_one():
+    """Their shared error does not average out: seven minutes have the information of one heading."""
     short, long = walked(minutes=1), walked(minutes=4)
     of_one = magnetic_headings(short.recording(), short.frame, HERE)
     of_many = magnetic_headings(long.recording(), long.frame, HERE)
@@ -47,8 +47,8 @@ def test_many_headings_weigh_no_more_than_one():
     assert np.sum(of_many.sigma**-2.0) < 1.3 * np.sum(of_one.sigma**-2.0)
 
 
-def test_a_magnet_on_the_phone_silences_it():
-    """A case with a magnet adds 150 µT: the dip is wrong all the way."""
+def test_a_magnet_on_the_phone_prevents_headings():
+    """A case with a magnet adds 150 µT, so that the dip is always wrong."""
     walk = walked()
     recording = walk.recording()
     field = recording.magnetometer
@@ -56,7 +56,7 @@ def test_a_magnet_on_the_phone_silences_it():
     assert len(magnetic_headings(magnet, walk.frame, HERE)) == 0
 
 
-def test_nothing_is_said_without_a_place_or_a_sensor():
+def test_there_are_no_headings_without_a_location_or_a_sensor():
     walk = walked()
     assert len(magnetic_headings(walk.recording(), Frame(), HERE)) == 0
     for sensors in (("accelerometer", "gyroscope"), ("accelerometer", "magnetometer"), ("gyroscope", "magnetometer")):
@@ -64,8 +64,8 @@ def test_nothing_is_said_without_a_place_or_a_sensor():
 
 
 @pytest.mark.parametrize("samples", [1, 500])
-def test_a_magnetometer_that_stopped_says_nothing_of_the_rest(samples):
-    """One sample, or ten seconds of a walk of four minutes."""
+def test_a_magnetometer_that_stopped_gives_no_headings(samples):
+    """It recorded one sample, or ten seconds of a walk of four minutes."""
     walk = walked(minutes=3)
     recording = walk.recording()
     field = recording.magnetometer
@@ -73,14 +73,14 @@ def test_a_magnetometer_that_stopped_says_nothing_of_the_rest(samples):
     assert len(magnetic_headings(stopped, walk.frame, HERE)) == 0
 
 
-def test_nothing_is_said_of_who_stands():
+def test_a_standing_person_has_no_headings():
     given = {"route": [[0, 0], {"stand": 30}], "phone": {"rate": 50}}
     standing = simulate(Scenario.of(given))
     assert len(magnetic_headings(standing.recording(), standing.frame, HERE)) == 0
 
 
-def test_a_projections_north_is_not_the_earths():
-    """UTM 32 at 6° east of its middle and 36° N: the meridians lean to the left of the grid by 6° sin 36°."""
+def test_the_grid_convergence_of_a_projection_is_applied():
+    """UTM 32 at 6° east of its central meridian and 36° N: the convergence is 6° sin 36°."""
     utm = projected(32632)
     east = utm.from_lonlat(np.array([[15.0, 36.0]]))[0]
     assert np.degrees(utm.bearing_of_east(east)) == pytest.approx(6 * np.sin(np.radians(36)), abs=0.1)

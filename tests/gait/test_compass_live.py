@@ -1,4 +1,4 @@
-"""The compass of a walk under way: right or silent, and never surer for having spoken often."""
+"""Live headings by the magnetometer are right or missing, and together never more certain than one can be."""
 
 from dataclasses import replace
 from functools import cache
@@ -8,7 +8,7 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame
-from pdr_graph.gait.compass import COMPASS_SIGMA, LIVE, STRETCH, CompassCheckpoint, LiveCompass
+from pdr_graph.gait.compass import COMPASS_SIGMA, LIVE_COMPASS, LONGEST_STRETCH, CompassCheckpoint, LiveCompass
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
@@ -39,10 +39,10 @@ def recorded(walk):
 
 
 def live(walk, recording=None, compass=None, after=-np.inf, packet=0.1):
-    """Headings in the order in which they were said."""
+    """All headings in the order of their appearance."""
     compass = compass or LiveCompass()
     compass.locate(walk.frame, HERE)
-    gait, said = StepStream(listener=compass.update), []
+    gait, found = StepStream(listener=compass.update), []
     for event in events_of(recording or recorded(walk), packet):
         if isinstance(event, Samples) and event.time[-1] > after:
             if event.sensor == "magnetometer":
@@ -50,32 +50,32 @@ def live(walk, recording=None, compass=None, after=-np.inf, packet=0.1):
             else:
                 gait.push(event.sensor, event.time, event.values)
                 gait.advance()
-            said += compass.advance()
+            found += compass.advance()
     gait.finish()
-    return said + compass.advance()
+    return found + compass.advance()
 
 
-def errors(walk, said):
-    """Against the walking direction then, in their sigmas and in radians."""
-    time, heading, sigma = np.array([(one.time, one.heading, one.sigma) for one in said]).reshape(-1, 3).T
+def errors(walk, found):
+    """Errors against the true walking direction, in sigmas and in radians."""
+    time, heading, sigma = np.array([(one.time, one.heading, one.sigma) for one in found]).reshape(-1, 3).T
     error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
     return error / sigma, error
 
 
-def last_of_each(said):
-    """What stays of every stretch."""
-    return [one for one in {one.stretch: one for one in said}.values() if np.isfinite(one.sigma)]
+def last_of_each(found):
+    """The last heading of every stretch, unless it was retracted."""
+    return [one for one in {one.stretch: one for one in found}.values() if np.isfinite(one.sigma)]
 
 
 def field_of(recording, change):
-    """The recording with its magnetometer's times and values changed."""
+    """The recording with changed times and values of the magnetometer."""
     field = recording.magnetometer
     return replace(recording, magnetometer=Signal(*change(field.time, field.values.copy())))
 
 
 @pytest.mark.parametrize("hold", ["hand", "swinging arm", "trouser pocket"])
-def test_it_is_right_or_silent(hold):
-    """As offline: steel, and a phone's own hard iron of 3 µT per axis."""
+def test_live_headings_are_right_or_missing(hold):
+    """With steel and 3 µT of hard iron per axis, as in batch."""
     for seed in range(2):
         walk = walked(hold, seed)
         z, error = errors(walk, live(walk))
@@ -83,14 +83,14 @@ def test_it_is_right_or_silent(hold):
         assert np.all(np.abs(error[np.isfinite(z)]) < 0.9)
 
 
-def test_a_phone_in_the_hand_tells_soon_and_then_better():
-    """Within twenty-five seconds of walking; in the end what the whole recording tells, to the drift of a filter."""
+def test_a_phone_in_the_hand_has_a_heading_soon_and_a_better_one_later():
+    """The first is within 25 s of walking; the last equals that of the whole recording to the drift of a filter."""
     walk = walked(seed=1, laps=2)
-    said = live(walk)
-    assert said[0].time < 25
-    assert said[-1].sigma < said[0].sigma
+    found = live(walk)
+    assert found[0].time < 25
+    assert found[-1].sigma < found[0].sigma
     offline = magnetic_headings(recorded(walk), walk.frame, HERE)
-    assert abs(errors(walk, said[-1:])[1][0] - errors(walk, [one_of(offline)])[1][0]) < 0.15
+    assert abs(errors(walk, found[-1:])[1][0] - errors(walk, [one_of(offline)])[1][0]) < 0.15
 
 
 def one_of(headings):
@@ -99,8 +99,8 @@ def one_of(headings):
     return LiveHeading(0, *(float(column[-1]) for column in (headings.time, headings.heading, headings.sigma)))
 
 
-def test_many_headings_never_tell_the_direction_better_than_one_could():
-    """The oracle: a filter of the direction that drifts as the graph's turns do, and hears all that was said."""
+def test_all_headings_together_are_less_certain_than_the_shared_error():
+    """Oracle: a filter of the direction that drifts as the graph's turns do and uses all headings."""
     walk = walked(laps=5)
     kept = last_of_each(live(walk))
     assert len(kept) > 2
@@ -112,28 +112,28 @@ def test_many_headings_never_tell_the_direction_better_than_one_could():
         assert variance > COMPASS_SIGMA**2
 
 
-def test_a_stretch_ends_where_the_phone_is_held_otherwise_or_after_minutes():
+def test_a_stretch_ends_at_a_grip_change_or_after_minutes():
     walk = walked(laps=3)
     assert [one.stretch for one in last_of_each(live(walk))] == [0, 1]
     route = [[0, 0], {"to": [[45, 0]]}, {"hold": "trouser pocket"}, {"to": [[45, 45], [0, 45]]}]
     reheld = simulate(Scenario.of({"seed": 2, "route": route, "phone": {"hold": "hand", "rate": 50}}))
-    said = live(reheld)
-    assert np.all(np.abs(errors(reheld, said)[0]) < 3)
-    assert len({one.stretch for one in said}) > 1 or max(one.time for one in said) < 40
+    found = live(reheld)
+    assert np.all(np.abs(errors(reheld, found)[0]) < 3)
+    assert len({one.stretch for one in found}) > 1 or max(one.time for one in found) < 40
 
 
-def test_after_a_gap_it_begins_anew():
-    """The attitude's world is another then."""
+def test_a_gap_starts_a_new_stretch():
+    """The attitude's world changes."""
     walk = walked(laps=2)
     recording = recorded(walk)
     gap = {}
     for name, signal in recording.signals.items():
         outside = (signal.time < 60) | (signal.time > 70)
         gap[name] = Signal(signal.time[outside], signal.values[outside])
-    said = live(walk, replace(recording, **gap))
-    assert {one.stretch for one in said if one.time < 60} == {0}
-    assert {one.stretch for one in said if one.time > 70} == {1}
-    assert np.all(np.abs(errors(walk, said)[0]) < 3)
+    found = live(walk, replace(recording, **gap))
+    assert {one.stretch for one in found if one.time < 60} == {0}
+    assert {one.stretch for one in found if one.time > 70} == {1}
+    assert np.all(np.abs(errors(walk, found)[0]) < 3)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_after_a_gap_it_begins_anew():
     ],
     ids=["a magnet", "stuck", "dead", "NaN", "stopped", "missing", "noise"],
 )
-def test_a_bad_magnetometer_says_nothing(change):
+def test_a_bad_magnetometer_gives_no_headings(change):
     walk = walked(laps=2)
     assert live(walk, field_of(recorded(walk), change)) == []
 
@@ -163,14 +163,14 @@ def test_a_bad_magnetometer_says_nothing(change):
         lambda time, field: (np.where(np.arange(len(time)) % 50 == 0, time + 1e5, time), field),
         lambda time, field: (np.repeat(time, 2), np.repeat(field, 2, axis=0)),
     ],
-    ids=["NaN", "spikes", "put back", "wild times", "repeated"],
+    ids=["NaN", "spikes", "clock reset", "wrong times", "repeated"],
 )
-def test_a_magnetometer_that_errs_now_and_then_is_used(change):
-    """In any case it is right or silent."""
+def test_a_magnetometer_with_occasional_errors_is_used(change):
+    """Its headings are within three sigmas."""
     walk = walked(laps=2)
     recording = recorded(walk)
     packets = change(recording.magnetometer.time, recording.magnetometer.values.copy())
-    compass, said = LiveCompass(), []
+    compass, found = LiveCompass(), []
     compass.locate(walk.frame, HERE)
     gait, rows = StepStream(listener=compass.update), len(packets[0]) // len(recording.magnetometer)
     order = recording.magnetometer.time
@@ -180,18 +180,18 @@ def test_a_magnetometer_that_errs_now_and_then_is_used(change):
             a, b = np.searchsorted(order, event.time[[0, -1]] + [0, 1e-9])
             compass.push(*(column[rows * a : rows * b] for column in packets))
         gait.advance()
-        said += compass.advance()
-    assert len(said) > 1
-    assert np.all(np.abs(errors(walk, said)[0]) < 3)
+        found += compass.advance()
+    assert len(found) > 1
+    assert np.all(np.abs(errors(walk, found)[0]) < 3)
 
 
-def test_nothing_is_said_before_it_is_known_where_on_earth():
+def test_there_are_no_headings_before_the_location_is_known():
     walk = walked()
     assert live(replace(walk, frame=Frame())) == []
 
 
-def test_what_is_kept_does_not_grow():
-    """Stretches of 150 s at 25 Hz, whether it speaks or not."""
+def test_the_state_does_not_grow():
+    """It holds at most a stretch of 150 s at 25 Hz, with and without a location."""
     walk = walked(laps=5)
     compass, gait = LiveCompass(), None
     gait = StepStream(listener=compass.update)
@@ -205,14 +205,14 @@ def test_what_is_kept_does_not_grow():
         )
         gait.advance()
         sizes = [len(v) for v in vars(compass.checkpoint()).values() if isinstance(v, np.ndarray)]
-        assert max(sizes) <= 1.2 * STRETCH / LIVE.sampling
+        assert max(sizes) <= 1.2 * LONGEST_STRETCH / LIVE_COMPASS.sampling
 
 
-def test_a_restored_state_goes_on_to_the_bit():
-    """Encoded and decoded, in the middle of the second stretch's first half."""
+def test_a_restored_compass_continues_bit_by_bit():
+    """The checkpoint is encoded and decoded in the first half of the second stretch."""
     walk = walked(laps=2)
     whole, first, second = LiveCompass(), LiveCompass(), LiveCompass()
-    gaits, said = [], []
+    gaits, found = [], []
     gait = StepStream(listener=gaits.append)
     for event in events_of(recorded(walk)):
         if event.sensor == "magnetometer":
@@ -225,17 +225,17 @@ def test_a_restored_state_goes_on_to_the_bit():
         compass.locate(walk.frame, HERE)
         for one in part:
             compass.push(*one) if isinstance(one, tuple) else compass.update(one)
-        said.append(compass.advance())
+        found.append(compass.advance())
     second.restore(decode(encode(first.checkpoint()), CompassCheckpoint))
     second.locate(walk.frame, HERE)
     for one in gaits[half:]:
         second.push(*one) if isinstance(one, tuple) else second.update(one)
-    assert said[0] == said[1] + second.advance()
-    assert len(said[0]) > len(said[1]) > 0
+    assert found[0] == found[1] + second.advance()
+    assert len(found[0]) > len(found[1]) > 0
 
 
-def test_a_fit_of_iron_round_by_round_is_the_fit():
-    """Of a phone turned all ways in 50 µT, with 20 and −30 µT of its own, and of one that was hardly turned."""
+def test_iterations_of_refined_iron_converge_to_fit_iron():
+    """For a phone turned all ways in 50 µT with hard iron of 20 and −30 µT, and for one that was hardly turned."""
     random = np.random.default_rng(1)
     for spread in (3.0, 0.3):
         way = random.normal([0, 0, 1], spread, (500, 3))

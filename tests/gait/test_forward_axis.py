@@ -29,7 +29,7 @@ def marching(start=None, sway=0.6, push=0.5, heading=None):
 
 
 def simulated(hold, seed):
-    """Its attitude, heading, when it walks, step, and the angle that is to be found."""
+    """Attitude, heading, walking mask, step duration, and the true angle."""
     route = [[37.0, 1.2], {"stand": 3}, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
     walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold}}))
     recording = walk.recording("accelerometer", "gyroscope")
@@ -45,13 +45,13 @@ def simulated(hold, seed):
 
 @pytest.mark.parametrize("start", [None, Rotation.from_euler("x", np.pi), Rotation.from_euler("xyz", [1.0, 2.0, 3.0])])
 @pytest.mark.parametrize("method", [braking_axis, principal_axis])
-def test_ahead_is_where_the_braking_comes_from(method, start):
-    """However the phone lies, upside down too; to the front, not the back."""
+def test_the_forward_axis_is_found_in_any_orientation(method, start):
+    """Also upside down; the sign is right."""
     found = method(marching(start, sway=0.2), np.zeros(len(TIME)), ALWAYS, STEP)
     assert found.angle == pytest.approx(AHEAD, abs=0.02)
 
 
-def test_a_sway_wider_than_the_push_misleads_the_principal_component_alone():
+def test_a_sway_larger_than_the_push_misleads_only_the_principal_component():
     attitude, straight = marching(sway=1.0), np.zeros(len(TIME))
     assert braking_axis(attitude, straight, ALWAYS, STEP).angle == pytest.approx(AHEAD, abs=0.05)
     assert abs(wrap_angle(2 * (principal_axis(attitude, straight, ALWAYS, STEP).angle - AHEAD))) > 3.0
@@ -63,7 +63,7 @@ def test_the_walk_need_not_be_straight():
     assert found.angle == pytest.approx(AHEAD, abs=0.05)
 
 
-def test_who_stands_goes_nowhere():
+def test_a_standing_person_has_no_forward_axis():
     attitude = marching(sway=0.0, push=0.0)
     noise = np.random.default_rng(0).normal(0, 0.1, attitude.acceleration.shape)
     standing = Attitude(TIME, PERIOD, attitude.R_world_device, attitude.acceleration + noise, None)
@@ -72,8 +72,8 @@ def test_who_stands_goes_nowhere():
         assert not method(attitude, np.zeros(len(TIME)), ~ALWAYS, STEP).determined
 
 
-def test_a_phone_that_is_read_points_ahead():
-    """Its y axis, here at AHEAD + 90°, where gait says nothing; where gait contradicts, as held across, gait."""
+def test_the_y_axis_of_a_phone_held_for_reading_is_forward():
+    """Its y axis, here at AHEAD + 90°, counts if there is no gait; if the gait contradicts it, the gait counts."""
     straight = np.zeros(len(TIME))
     silent = marching(sway=0.0, push=0.0)
     assert forward_axis(silent, straight, ALWAYS, STEP).angle == pytest.approx(AHEAD - 1.5 * np.pi)
@@ -85,8 +85,8 @@ def test_a_phone_that_is_read_points_ahead():
 
 
 @pytest.mark.parametrize("hold", HOLDS)
-def test_ahead_is_found_in_every_hold(hold):
-    """Never the back, and within what it says of itself."""
+def test_the_forward_axis_is_found_in_every_hold(hold):
+    """The sign is right and the error is within 2.5 sigmas."""
     for seed in range(4):
         *walk, wanted = simulated(hold, seed)
         found = forward_axis(*walk)
@@ -94,8 +94,8 @@ def test_ahead_is_found_in_every_hold(hold):
 
 
 @pytest.mark.parametrize("method", [forward_axis, braking_axis, reading_axis, principal_axis])
-def test_an_unusual_rate_is_no_obstacle(method):
-    """At 3 Hz steps are above what the samples can tell."""
+def test_unusual_sampling_rates_are_accepted(method):
+    """At 3 Hz the step frequency is above the Nyquist frequency."""
     slow = slice(None, None, 33)
     attitude = marching()
     sparse = Attitude(TIME[slow], 0.33, attitude.R_world_device[slow], attitude.acceleration[slow], None)

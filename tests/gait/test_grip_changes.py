@@ -18,8 +18,8 @@ def walked(hold="hand", seed=0):
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2])
-def test_a_phone_turned_in_the_hand_is_no_turn_of_the_walker(angle):
-    """From upright to across, on the first leg: gait still comes from ahead."""
+def test_a_phone_turned_in_the_hand_does_not_turn_the_walker(angle):
+    """From upright to across on the first leg; the gait shows that the walker went straight on."""
     for seed in range(3):
         walk = walked(seed=seed)
         recording = walk.recording("accelerometer", "gyroscope")
@@ -33,8 +33,8 @@ def test_a_phone_turned_in_the_hand_is_no_turn_of_the_walker(angle):
 
 
 @pytest.mark.parametrize("hold", ["hand", "swinging arm", "trouser pocket", "breast pocket", "bag"])
-def test_corners_are_corners(hold):
-    """Three quarter turns of a walker, in every hold."""
+def test_corners_are_turns_of_the_walker(hold):
+    """The walker turns by 90° three times, in every hold."""
     for seed in range(3):
         walk = walked(hold, seed)
         attitude = attitude_of(walk.recording("accelerometer", "gyroscope"))
@@ -46,8 +46,8 @@ def test_corners_are_corners(hold):
 
 
 @pytest.mark.parametrize("angle", [0, 90, 180])
-def test_a_turn_made_while_the_phone_is_put_away_is_the_walkers(angle):
-    """On the spot, standing, from the hand into a pocket: gait before and after tells which way they went on."""
+def test_a_turn_during_a_grip_change_is_found(angle):
+    """The walker stands, turns and puts the phone into a pocket; the gait before and after shows the turn."""
     onwards = {0: [50, 0], 90: [25, 25], 180: [0, 0]}[angle]
     turning = {"stand": 1, "turn": angle} if angle else {"stand": 1}
     route = [[0, 0], {"stand": 2}, {"to": [[25, 0]]}, turning, {"hold": "trouser pocket"}, {"to": [onwards]}]

@@ -22,18 +22,18 @@ HOLDS = ("hand", "swinging arm", "trouser pocket", "breast pocket", "bag")
 
 
 def attitude(rotations):
-    """Perfect sensors of a phone that turns so."""
+    """Perfect sensors of a phone with this rotation."""
     rate = (rotations[:-1].inv() * rotations[1:]).as_rotvec() / PERIOD
     return Attitude(TIME, PERIOD, rotations, np.zeros((len(TIME), 3)), np.concatenate([rate[:1], rate]))
 
 
 def cone(width):
-    """A phone whose top goes round in a cone once a stride, at rest in every other way."""
+    """A phone whose top moves on a cone once per stride and is otherwise at rest."""
     angle = 2 * np.pi * TIME / (2 * STEP)
     return Rotation.from_rotvec(width * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(TIME))]))
 
 
-def test_a_cone_turns_the_integrated_rate_but_not_the_walker():
+def test_coning_does_not_turn_the_walker():
     """Goodman and Robinson 1958: the rate about the axis integrates to the solid angle, 2π(1 − cos w) per cycle."""
     swinging = attitude(cone(0.3))
     cycles = TIME[-1] / (2 * STEP)
@@ -43,8 +43,8 @@ def test_a_cone_turns_the_integrated_rate_but_not_the_walker():
 
 
 @pytest.mark.parametrize("start", [Rotation.identity(), Rotation.from_euler("xyz", [2.0, -1.0, 0.5])])
-def test_turns_are_found_whatever_the_attitude(start):
-    """A turn of two radians within two seconds, in a phone that lies anyhow."""
+def test_turns_are_measured_in_any_orientation(start):
+    """A turn of two radians within two seconds."""
     turn = 2.0 * np.clip((TIME - 20) / 2, 0, 1)
     direction = walking_direction(attitude(Rotation.from_euler("z", turn[:, None]) * cone(0.2) * start), STEP)
     assert direction.heading - direction.heading[500] == pytest.approx(turn, abs=0.2)
@@ -52,8 +52,8 @@ def test_turns_are_found_whatever_the_attitude(start):
     assert direction.variance[-1] == 0
 
 
-def test_a_rehold_is_a_doubt_and_no_turn():
-    """From flat in the hand to upright in a pocket, turned by a quarter on the way: the walker went straight on."""
+def test_a_grip_change_adds_variance_and_no_turn():
+    """From flat in the hand to upright in a pocket, turned by 90° on the way; the walker goes straight on."""
     share = np.clip((TIME - 20) / 1.4, 0, 1)[:, None]
     taken = Rotation.from_rotvec(share * Rotation.from_euler("xz", [1.6, 1.6]).as_rotvec())
     direction = walking_direction(attitude(taken), STEP)
@@ -64,8 +64,8 @@ def test_a_rehold_is_a_doubt_and_no_turn():
 
 @pytest.mark.parametrize("rate", [25, 100])
 @pytest.mark.parametrize("hold", HOLDS)
-def test_eight_degrees_in_every_holding_state(hold, rate):
-    """[heading] Eq. (2): root mean square error along an L, the initial direction given; the paper has 11.8 to 24.9."""
+def test_the_error_is_below_eight_degrees_in_every_hold(hold, rate):
+    """[heading] Eq. (2): RMS error along an L with the true initial direction; the paper has 11.8 to 24.9°."""
     errors = []
     for seed in range(8):
         route = [[37.0, 1.2], {"stand": 3}, {"to": [[1.2, 1.2], [1.2, 27.0]]}, {"stand": 3}]
@@ -81,7 +81,7 @@ def test_eight_degrees_in_every_holding_state(hold, rate):
     assert np.mean(errors) < (8.0 if rate == 25 else 9.0)
 
 
-def test_steps_carry_the_doubt_of_a_rehold():
+def test_steps_during_a_grip_change_have_a_wider_sigma():
     route = [[0, 0], {"stand": 3}, {"to": [[30, 0]], "hold": "trouser pocket"}, {"to": [[60, 0]]}, {"stand": 3}]
     walk = simulate(Scenario.of({"seed": 3, "route": route, "phone": {"rate": 50}}))
     steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
@@ -93,7 +93,7 @@ def test_steps_carry_the_doubt_of_a_rehold():
 
 
 def swaying(direction, sway=2.0):
-    """A level phone that is pushed to and fro along a direction ``(n,)``, and less across it."""
+    """A level phone accelerated along a direction ``(n,)``, and less across it."""
     along, across = sway * np.cos(4 * np.pi * TIME), 0.3 * np.cos(2 * np.pi * TIME + 1)
     east = along * np.cos(direction) - across * np.sin(direction)
     north = along * np.sin(direction) + across * np.cos(direction)
@@ -103,15 +103,15 @@ def swaying(direction, sway=2.0):
     )
 
 
-def test_the_principal_component_is_where_one_is_pushed():
-    """[heading] Sec. 4.1: an axis, of which half a turn stays open."""
+def test_the_principal_component_is_the_axis_of_the_push():
+    """[heading] Sec. 4.1: an axis, up to half a turn."""
     found = acceleration_axis(swaying(np.full(len(TIME), 2.3)), STEP)
     assert np.mod(found.axis, np.pi) == pytest.approx(2.3, abs=0.02)
     assert np.abs(found.heading).max() < 0.05
 
 
 def test_the_principal_component_lags_by_half_its_window():
-    """[heading] names it as the method's defect: a turn shows 1.3 s late, by half of 2.6 s."""
+    """[heading] names this defect of the method: a turn appears 1.3 s late, half of 2.6 s."""
     turn = 1.2 * (TIME > 20.0)
     found = acceleration_axis(swaying(turn), STEP)
     half_way = TIME[np.argmax(found.heading > 0.6)]
@@ -120,7 +120,7 @@ def test_the_principal_component_lags_by_half_its_window():
 
 
 def test_the_second_component_of_the_rate_is_the_direction_of_a_swing():
-    """[heading] Sec. 4.2: an arm turns about the line across the way, and a little about the way itself."""
+    """[heading] Sec. 4.2: an arm rotates about the axis across the walking direction, and a little about it."""
     course = 0.7
     rate = 1.5 * np.cos(2 * np.pi * TIME)[:, None] * [np.sin(course), -np.cos(course), 0.0]
     rate += 0.2 * np.cos(4 * np.pi * TIME)[:, None] * [np.cos(course), np.sin(course), 0.0]

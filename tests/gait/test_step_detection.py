@@ -1,4 +1,4 @@
-"""Our step detector: every step once, and nothing else."""
+"""The step detector finds every step once, and no steps in other motion."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def walking(cadence, amplitude, seconds=30.0, rate=RATE, seed=0):
 
 
 def in_hand(up, seed=0):
-    """Samples of a phone that is held steadily and feels ``up (n,)`` [m/s²] besides gravity."""
+    """Samples of a phone held steadily, with a vertical acceleration ``up (n,)`` [m/s²] in addition to gravity."""
     random, n = np.random.default_rng(seed), len(up)
     t = np.arange(n) / RATE
     return t, np.array([0.5, 3.0, 9.3]) + up[:, None] * [0.0, 0.3, 0.95] + random.normal(0, 0.1, (n, 3))
@@ -54,7 +54,7 @@ def quarter_car(speed, roughness, seconds=240, seed=0):
 @pytest.mark.parametrize("cadence", [1.2, 1.6, 2.0, 2.4])
 @pytest.mark.parametrize("amplitude", [1.0, 2.0, 4.0])
 @pytest.mark.parametrize("rate", [25.0, 50.0, 200.0])
-def test_every_step_counts_once(cadence, amplitude, rate):
+def test_every_step_is_found_once(cadence, amplitude, rate):
     t, a = walking(cadence, amplitude, rate=rate)
     landings = walking_steps(t, a)
     assert len(landings) == pytest.approx(30 * cadence, abs=1)
@@ -63,8 +63,8 @@ def test_every_step_counts_once(cadence, amplitude, rate):
 
 
 @pytest.mark.parametrize("hold", HOLDS)
-def test_however_the_phone_is_carried(hold):
-    """Normal to browsing, with a stop: within 2 % over four walkers."""
+def test_steps_are_found_in_every_hold(hold):
+    """From normal walking to browsing, with a stop; within 2 % over four walkers."""
     found, true = 0, 0
     for seed, manner in enumerate(("normal", "fast", "slow", "normal")):
         route = [[0, 0], {"stand": 4}, {"to": [[40, 0]], "manner": manner}, {"stand": 6}, {"to": [[40, 30]]}]
@@ -77,7 +77,7 @@ def test_however_the_phone_is_carried(hold):
 
 @settings(max_examples=20, deadline=None)
 @given(st.tuples(*[st.floats(-np.pi, np.pi)] * 3))
-def test_it_does_not_matter_how_the_phone_is_turned(angles):
+def test_the_orientation_of_the_phone_does_not_matter(angles):
     t, a = walking(1.9, 3.0)
     turned = walking_steps(t, Rotation.from_euler("xyz", angles).apply(a))
     assert turned.time == pytest.approx(walking_steps(t, a).time)
@@ -85,8 +85,8 @@ def test_it_does_not_matter_how_the_phone_is_turned(angles):
 
 @settings(max_examples=10, deadline=None)
 @given(st.lists(st.integers(1, 400), min_size=1), st.sampled_from([0.0, 0.5, 2.0]))
-def test_live_steps_are_the_same(chunks, look_ahead):
-    """However the samples come in: one by one, in packets, all at once."""
+def test_live_steps_equal_those_of_the_whole_recording(chunks, look_ahead):
+    """With samples one by one, in packets or all at once."""
     route = [
         [0, 0],
         {"stand": 3},
@@ -105,23 +105,23 @@ def test_live_steps_are_the_same(chunks, look_ahead):
     assert np.concatenate(amplitude) == pytest.approx(whole.amplitude)
 
 
-def test_live_steps_come_in_time():
-    """A step is certain FUTURE after the look-ahead."""
+def test_live_steps_are_certain_in_time():
+    """A step is certain 3 s after the look-ahead."""
     _, a = walking(2.0, 3.0, seconds=20)
     detector = StepDetector(1 / RATE, look_ahead=0.5)
     found, _ = detector.update(a[: round(15 * RATE)])
     assert found[-1] == pytest.approx(15 - 3.5, abs=0.6)
 
 
-def test_nobody_walks_while_standing():
-    """With a hand's tremor and a body's sway, up to 0.3 m/s²."""
+def test_standing_gives_no_steps():
+    """With the tremor of a hand and the sway of a body, up to 0.3 m/s²."""
     sway = gaussian_filter1d(np.random.default_rng(1).normal(size=round(300 * RATE)), 0.1 * RATE)
     t, a = in_hand(0.1 * sway / sway.std())
     assert len(walking_steps(t, a)) == 0
 
 
-def test_a_gesture_is_no_step():
-    """Every few seconds the phone is lifted to look at it, or tapped."""
+def test_gestures_are_not_steps():
+    """Every few seconds the phone is lifted to read it, or tapped."""
     up, random = np.zeros(round(300 * RATE)), np.random.default_rng(2)
     for n in np.arange(5, 295, 5.0):
         k = round((n + random.uniform(0, 2)) * RATE)
@@ -132,15 +132,15 @@ def test_a_gesture_is_no_step():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_shaken_phone_takes_no_steps(seed):
-    """The figures of eight that apps want for their compass."""
+def test_shaking_gives_no_steps(seed):
+    """The figures of eight with which a compass is calibrated."""
     route = [[0, 0], {"shake": 30}, {"stand": 10}]
     a = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"rate": 50}})).signals["accelerometer"]
     assert len(walking_steps(a.time, a.values)) == 0
 
 
 @pytest.mark.parametrize("speed", [8.0, 14.0, 30.0])
-def test_a_passenger_takes_no_steps(speed):
+def test_a_passenger_makes_no_steps(speed):
     """Four minutes on a good road (class A); on a rough one (class C) one step in ten seconds at most."""
     t, a = in_hand(quarter_car(speed, 16e-6))
     assert len(walking_steps(t, a)) == 0
@@ -148,7 +148,7 @@ def test_a_passenger_takes_no_steps(speed):
     assert len(walking_steps(t, a)) < 24
 
 
-def test_a_stop_gives_no_steps_and_the_first_step_after_it_a_usual_period():
+def test_a_stop_has_no_steps_and_the_step_after_it_a_usual_duration():
     t, a = walking(2.0, 3.0, seconds=20)
     a[(t > 8) & (t < 13)] = [0, 0, 9.81]
     landings = walking_steps(t, a)
@@ -158,8 +158,8 @@ def test_a_stop_gives_no_steps_and_the_first_step_after_it_a_usual_period():
 
 
 @pytest.mark.parametrize("rate", [3.0, 8.0, 12.0])
-def test_a_slow_sensor_is_no_obstacle(rate):
-    """Below 7 Hz nothing can be said; it is not refused."""
+def test_low_sampling_rates_are_accepted(rate):
+    """Below 7 Hz there are no steps, and no error."""
     t, a = walking(1.8, 3.0, rate=rate)
     assert len(walking_steps(t, a)) == (0 if rate < 7 else pytest.approx(54, abs=2))
 

@@ -47,15 +47,15 @@ def test_by_cadence():
     assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == step_length.SHORTEST_LENGTH, "clipped at 89°"
 
 
-def test_the_default_is_shorter_in_bends():
+def test_the_default_model_is_shorter_in_bends():
     """[map-matching] Eq. (2): by 11.24 % in a bend of 10° a step, to either side."""
     straight, left, right = (step_length.inverted_pendulum(features(bend=[np.radians(v)]))[0] for v in (0, 10, -10))
     assert left == pytest.approx(straight * (1 - 0.1124))
     assert right == left
 
 
-def test_by_amplitude_is_learnt_from_a_walk():
-    """[gps-dr] Sec. 2.3: slope, intercept and the variance that is left."""
+def test_regression_fits_the_constants_of_by_amplitude():
+    """[gps-dr] Sec. 2.3: slope, intercept and residual variance."""
     random = np.random.default_rng(0)
     amplitude = random.uniform(2, 10, 4000)
     constants = step_length.regression(amplitude, 0.4 + 0.05 * amplitude + random.normal(0, 0.03, 4000))
@@ -71,7 +71,7 @@ def test_weinberg():
     assert step_length.weinberg(features(vertical=[16.0]), k=0.4)[0] == pytest.approx(0.8)
 
 
-def test_lasso_has_the_five_terms():
+def test_lasso_uses_the_five_terms_of_the_paper():
     """[calibration-walk] Eq. (7)."""
     terms = step_length.lasso_features(features(power=[[1, 2, 3, 4]]), 1.8)
     assert terms[0] == pytest.approx([1.8 / 0.3, 1, 2, 3, 4])
@@ -96,8 +96,8 @@ def test_every_model_gives_plausible_lengths_and_a_sigma(walked, name):
     assert np.all((sigma > 0.02) & (sigma < 0.5))
 
 
-def test_the_default_follows_from_browsing_to_hurrying(walked):
-    """Each quarter within 42 %: steps from 0.42 to 0.78 m, of which a constant length would err by 80 %."""
+def test_the_default_model_follows_from_browsing_to_hurrying(walked):
+    """Each quarter within 42 %: steps from 0.42 to 0.78 m, for which a constant length errs by 80 %."""
     walk, steps = walked
     found, _ = step_length.inverted_pendulum(steps, walk.walker.height)
     ends = np.interp([20, 40, 60, 80], np.cumsum(walk.body.lengths), walk.body.landings)
@@ -106,8 +106,8 @@ def test_the_default_follows_from_browsing_to_hurrying(walked):
     assert sums == pytest.approx([20] * 4, rel=0.42)
 
 
-def test_lift_and_power_are_of_the_step(walked):
-    """The foot is lifted for less than a step lasts; power falls towards 5 Hz."""
+def test_lift_is_shorter_than_a_step_and_power_falls_with_frequency(walked):
+    """Up to 5 Hz."""
     _, steps = walked
     assert np.all((steps.lift > 0) & (steps.lift < 1.2 * steps.period))
     assert steps.power[:, 1].mean() > steps.power[:, 3].mean() > 0

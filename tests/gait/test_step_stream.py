@@ -1,4 +1,4 @@
-"""Steps as the samples come in: those of the whole recording, whatever a phone does meanwhile."""
+"""Live steps equal those of the whole recording, with gaps, clock resets and damaged samples."""
 
 from functools import cache, reduce
 from itertools import pairwise
@@ -13,7 +13,7 @@ from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, append_steps, detect_ste
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
-from pdr_graph.inertial.attitude_stream import VALIDATION
+from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
@@ -41,7 +41,7 @@ def sent(recording, packet=0.1, sensors=INERTIAL):
 
 
 def live(packets, walker=None, gait=None):
-    """Certain chunks, tails and the gait after all packets."""
+    """Certain chunks, provisional steps and the stream after all packets."""
     gait = gait or StepStream(walker)
     chunks, tails = [], []
     for packet in packets:
@@ -64,14 +64,14 @@ def heading(steps, time):
 
 
 def same(one, other):
-    """Equal to the bit."""
+    """True if all columns are equal bit by bit."""
     names = ("start", "end", "time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
     return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in (*names, "final_turn", "unknown"))
 
 
 @pytest.mark.parametrize(("hold", "degrees"), [("hand", 4), ("trouser pocket", 4), ("swinging arm", 10)])
-def test_certain_steps_are_those_of_the_whole_recording(hold, degrees):
-    """Times to a sample, for the grid is another; turns to what a filter knows less of a bias than a smoother."""
+def test_certain_steps_equal_those_of_the_whole_recording(hold, degrees):
+    """Times to a sample, as the grid differs; turns to the difference between filtered and smoothed bias."""
     steps, found = detect_steps(walk(hold)), whole(live(sent(walk(hold)))[0])
     assert len(found) == len(steps)
     assert found.time == pytest.approx(steps.time, abs=0.02)
@@ -79,8 +79,8 @@ def test_certain_steps_are_those_of_the_whole_recording(hold, degrees):
     assert np.ptp(heading(found, steps.time) - heading(steps, steps.time)) < np.radians(degrees)
 
 
-def test_with_the_walkers_own_stride_and_profile():
-    """All stride models of features work on the last seconds, and a profile corrects live steps as any."""
+def test_stride_model_and_profile_apply_to_live_steps():
+    """All stride models work on the last seconds, and the profile corrects live steps."""
     for stride in ("weinberg", "amplitude", "cadence", "height"):
         profile = Profile(0.1, 0.002, -0.02, np.eye(3) * 1e-4, 1.0, 1.2)
         walker = Walker(height=1.8, stride=stride, profile=profile)
@@ -95,8 +95,8 @@ def test_packets_of_any_size_give_the_same_steps(packet):
     assert same(whole(live(sent(walk(), packet))[0]), whole(live(sent(walk()))[0]))
 
 
-def test_chunks_join_and_cover_the_walk():
-    """From the first sample to the last, none begins before the one before has ended; standing too becomes certain."""
+def test_chunks_follow_one_another_and_cover_the_walk():
+    """From the first sample to the last; standing becomes certain too."""
     chunks, _, _ = live(sent(walk()))
     assert all(one.end == then.start for one, then in pairwise(chunks))
     end = walk().signals["accelerometer"].time[-1]
@@ -105,7 +105,7 @@ def test_chunks_join_and_cover_the_walk():
 
 
 def test_a_step_is_certain_in_time():
-    """Five seconds after it, twelve more where the phone turned fast; standing, a few more for who sets out late."""
+    """After five seconds, twelve more if the phone turned fast, a few more after standing."""
     gait, end, delays = StepStream(), 0.0, []
     for packet in sent(walk()):
         gait.push(*packet)
@@ -116,8 +116,8 @@ def test_a_step_is_certain_in_time():
     assert max(delays) < 18
 
 
-def test_the_tail_tells_what_becomes_certain():
-    """It begins where the certain ends, and has about as many steps as come true."""
+def test_provisional_steps_predict_the_certain_ones():
+    """They begin at the end of the certain steps, and about as many become certain."""
     chunks, tails, _ = live(sent(walk()))
     ends = {chunk.end for chunk in chunks} | {chunks[0].start}
     assert all(tail.start in ends for tail in tails)
@@ -128,8 +128,8 @@ def test_the_tail_tells_what_becomes_certain():
 
 
 @pytest.mark.parametrize("at", [0.4, 9.0, 22.0, 30.0])
-def test_a_restored_state_goes_on_to_the_bit(at):
-    """Encoded and decoded: walking, standing, and before anything is known."""
+def test_a_restored_stream_continues_bit_by_bit(at):
+    """The checkpoint is encoded and decoded while walking, while standing, and before the first sample."""
     packets = sent(walk())
     before = next(n for n, (_, time, _) in enumerate(packets) if time[-1] > at)
     first = StepStream()
@@ -145,8 +145,8 @@ def test_a_restored_state_goes_on_to_the_bit(at):
     assert all(same(a, b) for a, b in zip(one[1], other[1], strict=True))
 
 
-def test_what_is_kept_does_not_grow():
-    """An hour's standing and walking fits where a minute's does."""
+def test_the_state_does_not_grow():
+    """An hour of standing and walking has the state of a minute."""
     packets, gait, sizes = sent(walk(), 1.0), StepStream(), []
     length = packets[-1][1][-1] + 0.02
     for turn in range(12):
@@ -160,7 +160,7 @@ def test_what_is_kept_does_not_grow():
 # What a phone does
 
 
-def test_nothing_yet():
+def test_without_samples_there_are_no_steps():
     gait = StepStream()
     assert gait.advance() == (None, None)
     assert np.isnan(gait.latest)
@@ -172,7 +172,7 @@ def test_nothing_yet():
 
 
 def test_bad_samples_are_dropped_and_counted():
-    """NaN, infinite and absurd ones, repeated and late ones: the steps are those without them."""
+    """Not a number, infinite, out of range, repeated or late: the steps are those without them."""
     packets = sent(walk())
     bad = []
     for n, (sensor, time, values) in enumerate(packets):
@@ -191,8 +191,8 @@ def test_bad_samples_are_dropped_and_counted():
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -1e6])
-def test_a_clock_that_is_put_back(jump):
-    """The walk goes on: as many steps, and health says by how much the times are later now."""
+def test_a_walk_continues_after_a_clock_reset(jump):
+    """The number of steps is the same, and `health` states the offset of the times."""
     packets = [(s, time + jump * (time[0] > 10.05), values) for s, time, values in sent(walk())]
     chunks, _, gait = live(packets)
     steps = detect_steps(walk())
@@ -205,16 +205,16 @@ def test_a_clock_that_is_put_back(jump):
     assert offsets[0] == offsets[1]
 
 
-def test_a_few_late_packets_put_no_clock_back():
+def test_a_few_late_packets_are_not_a_clock_reset():
     packets = sent(walk())
     mixed = packets[:400] + packets[360:400] + packets[400:]
-    assert len(packets[360:400]) * 0.05 <= VALIDATION.clock_reset
+    assert len(packets[360:400]) * 0.05 <= SENSOR_VALIDATION.clock_reset
     assert same(whole(live(mixed)[0]), whole(live(packets)[0]))
 
 
 @pytest.mark.parametrize("silence", [3.0, 3600.0])
-def test_both_sensors_stop_and_return(silence):
-    """A row of length 0, over which the walker may have gone anywhere; steps before and after."""
+def test_a_pause_of_both_sensors_is_a_gap(silence):
+    """A row of length 0 with a wide sigma, and steps before and after it."""
     packets = [(s, time + silence * (time[0] > 10.05), values) for s, time, values in sent(walk())]
     found, steps = whole(live(packets)[0]), detect_steps(walk())
     (row,) = np.flatnonzero(found.is_gap)
@@ -223,8 +223,8 @@ def test_both_sensors_stop_and_return(silence):
     assert len(found) == pytest.approx(len(steps) + 1, abs=3)  # a step or two at the edges
 
 
-def test_gaps_are_those_of_the_whole_recording():
-    """The row is the same as offline."""
+def test_gaps_equal_those_of_the_whole_recording():
+    """The row is the same as in batch."""
     keep = {sensor: (signal.time < 10) | (signal.time > 14) for sensor, signal in walk().signals.items()}
     signals = {s: Signal(signal.time[keep[s]], signal.values[keep[s]]) for s, signal in walk().signals.items()}
     recording = Recording("with a gap", 0.0, None, **signals)
@@ -236,8 +236,8 @@ def test_gaps_are_those_of_the_whole_recording():
         assert other == pytest.approx(one, abs=0.05)
 
 
-def test_the_gyroscope_stops_in_mid_walk_and_returns():
-    """Steps go on; turns are 0 and unsure meanwhile, as the result says; afterwards they are known again."""
+def test_turns_are_unknown_while_the_gyroscope_pauses():
+    """Steps continue; turns have a wide sigma during the pause, and `unknown` names it."""
     lost = (6.0, 14.0)
     packets = [p for p in sent(walk()) if p[0] == "accelerometer" or not lost[0] < p[1][0] < lost[1]]
     found, steps = whole(live(packets)[0]), detect_steps(walk())
@@ -251,7 +251,7 @@ def test_the_gyroscope_stops_in_mid_walk_and_returns():
     assert found.unknown
 
 
-def test_without_a_gyroscope_from_the_start():
+def test_steps_are_found_without_a_gyroscope():
     found = whole(live(sent(walk(), sensors=("accelerometer",)))[0])
     steps = detect_steps(walk())
     assert len(found) == len(steps)
@@ -259,8 +259,8 @@ def test_without_a_gyroscope_from_the_start():
     assert np.all(found.sigma_turn == SIGMA_UNMEASURED_TURN)
 
 
-def test_a_recorder_that_removed_gravity():
-    """The axis that shook most stands for the vertical: as many steps, and the result says so."""
+def test_steps_are_found_without_gravity_in_the_samples():
+    """The axis of the largest motion is used as the vertical, and `unknown` names it."""
     packets = sent(walk())
     attitude = attitude_of(walk())
     gravity = attitude.R_world_device.inv().apply([0, 0, 9.81])
@@ -278,14 +278,14 @@ def test_a_recorder_that_removed_gravity():
     assert same(whole(live(both)[0]), whole(live(packets)[0]))  # where there is an accelerometer it is not asked
 
 
-def test_without_an_accelerometer_nothing_is_known():
+def test_there_are_no_steps_without_an_accelerometer():
     chunks, tails, gait = live(sent(walk(), sensors=("gyroscope",)))
     assert (chunks, tails) == ([], [])
     assert gait.health["gyroscope"].samples > 1000
 
 
-def test_a_flood_is_thinned_out():
-    """Ten thousand samples a second, from the start or in between: the same steps, and no more is kept."""
+def test_a_high_sampling_rate_is_reduced():
+    """Ten thousand samples a second, always or for a while: the same steps, and the state does not grow."""
     recording = walk()
     for begin in (-1.0, 8.0):
         flood = []
@@ -301,7 +301,7 @@ def test_a_flood_is_thinned_out():
 
 
 @pytest.mark.parametrize("values", [(0.0, 0.0, 0.0), (0.0, 0.0, 9.81), (1e-300, 0.0, 0.0), (900.0, 900.0, 900.0)])
-def test_a_sensor_that_says_always_the_same(values):
+def test_constant_samples_give_no_steps(values):
     time = np.arange(1500) / 50
     chunks, _, _ = live([(sensor, time, np.tile(values, (len(time), 1))) for sensor in INERTIAL])
     assert len(whole(chunks)) == 0
@@ -309,8 +309,8 @@ def test_a_sensor_that_says_always_the_same(values):
 
 
 @pytest.mark.parametrize("rate", [3.0, 0.5])
-def test_a_slow_sensor_is_no_obstacle(rate):
-    """Nothing can be said of steps; the walk goes on, or is one gap after the other."""
+def test_low_sampling_rates_are_accepted(rate):
+    """There are no steps, or only gaps."""
     time = np.arange(0, 60, 1 / rate)
     chunks, _, _ = live([(sensor, time, np.tile([0.0, 0.0, 9.81], (len(time), 1))) for sensor in INERTIAL])
     assert not any(chunk.length.any() for chunk in chunks)
@@ -322,8 +322,8 @@ def test_samples_of_another_shape_are_refused():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_whatever_comes_the_chunks_are_a_walk(seed):
-    """Clocks that jump to and fro, lost, repeated and swapped packets, floods, wild values and times: all at random."""
+def test_chunks_are_a_valid_walk_for_any_packets(seed):
+    """With random clock jumps, lost, repeated and swapped packets, high rates, and wrong values and times."""
     random, shift, packets = np.random.default_rng(seed), 0.0, []
     for sensor, time, values in sent(walk(), 10 ** random.uniform(-2, 1)):
         time, values = time.copy(), values.copy()

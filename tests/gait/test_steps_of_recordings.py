@@ -30,8 +30,8 @@ def steps(walk):
     return detect_steps(recorded(walk))
 
 
-def test_steps_cover_the_way(walk, steps):
-    """Every landing but the first and last weak ones; a stride model that was not fitted to this, within a quarter."""
+def test_all_steps_are_found_with_plausible_lengths(walk, steps):
+    """All landings but the weak first and last ones; lengths within 25 %, by a stride model not fitted to them."""
     way = np.hypot(*np.diff(walk.position, axis=0).T).sum()
     assert len(steps) == pytest.approx(len(walk.landings), abs=2)
     assert steps.length.sum() == pytest.approx(way, rel=0.25)
@@ -40,7 +40,7 @@ def test_steps_cover_the_way(walk, steps):
 
 
 def test_turns_add_up_to_the_turns_of_the_route(walk, steps):
-    """Two left turns make π; the simulated gyro's bias and the phone's wander leave a few degrees."""
+    """Two left turns make π, up to a few degrees of gyroscope bias and of the phone's motion."""
     turned = steps.turn.sum() + steps.final_turn
     assert turned == pytest.approx(np.pi, abs=0.15)
 
@@ -53,8 +53,8 @@ def test_the_track_has_the_shape_of_the_route(walk, steps):
     assert np.hypot(*(scale * track.position - truth).T).max() < 4.0
 
 
-def test_a_gyroscopes_bias_is_learnt_at_rest(walk):
-    """0.02 rad/s about all axes would turn this walk by a whole radian more; ten seconds on a table tell."""
+def test_the_gyroscopes_bias_is_estimated_at_rest(walk):
+    """0.02 rad/s about all axes would turn this walk by a radian; ten seconds on a table determine it."""
     rest, random = 500, np.random.default_rng(0)
 
     def on_a_table_first(values, there, noise):
@@ -67,8 +67,8 @@ def test_a_gyroscopes_bias_is_learnt_at_rest(walk):
     assert biased.turn.sum() == pytest.approx(plain.turn.sum(), abs=0.15)
 
 
-def test_a_recording_that_begins_in_mid_step_counts_what_it_saw_of_it(walk, steps):
-    """Cut at 60 % of a step: its length and duration are the rest."""
+def test_a_recording_that_begins_in_mid_step_has_the_rest_of_the_step(walk, steps):
+    """Cut at 60 % of a step: its length and duration are those of the remaining 40 %."""
     n = 12
     begin = steps.time[n] - 0.4 * steps.duration[n]
     first = Signal(walk.time, walk.acceleration), Signal(walk.time, walk.angular_rate)
@@ -78,8 +78,8 @@ def test_a_recording_that_begins_in_mid_step_counts_what_it_saw_of_it(walk, step
     assert found.length[0] == pytest.approx(0.4 * steps.length[n], rel=0.35)
 
 
-def test_turning_after_the_last_step_is_not_lost(walk):
-    """Somebody stops, then turns by a right angle on the spot."""
+def test_a_turn_after_the_last_step_is_the_final_turn(walk):
+    """The walker stops, then turns by 90° on the spot."""
     turning = (walk.time > walk.time[-1] - 1.5) & (walk.time < walk.time[-1] - 0.5)
     up = walk.acceleration[-1] / np.linalg.norm(walk.acceleration[-1])
     rate = walk.angular_rate + np.outer(turning, up) * np.pi / 2
@@ -87,8 +87,8 @@ def test_turning_after_the_last_step_is_not_lost(walk):
     assert turned.final_turn - plain.final_turn == pytest.approx(np.pi / 2, abs=0.15)
 
 
-def test_the_gaits_sway_is_no_turn():
-    """A heading that swings once per step about a slow curve: the curve is left."""
+def test_the_sway_of_the_gait_is_removed():
+    """A heading that sways once per step about a slow curve: only the curve remains."""
     n = np.arange(600)
     curve = 0.3 * np.sin(2 * np.pi * n / 600)
     assert without_gait(curve + 0.2 * np.sin(2 * np.pi * n / 25), 25)[30:-30] == pytest.approx(curve[30:-30], abs=0.01)
@@ -99,12 +99,12 @@ def test_taller_walkers_take_longer_steps(walk):
     assert tall / short == pytest.approx(1.9 / 1.5, rel=0.01)
 
 
-def test_without_an_accelerometer_there_are_no_steps(walk):
+def test_a_missing_accelerometer_is_refused(walk):
     with pytest.raises(InputError, match="accelerometer: found no samples"):
         detect_steps(recorded(walk, accelerometer=None))
 
 
-def test_without_a_gyroscope_the_steps_are_the_same_and_their_turns_unknown(walk):
+def test_without_a_gyroscope_turns_are_unknown_and_steps_the_same(walk):
     complete, deaf = detect_steps(recorded(walk)), detect_steps(recorded(walk, gyroscope=None))
     assert deaf.time == pytest.approx(complete.time)
     straight = np.abs(complete.turn + np.roll(complete.turn, 1)) < 0.02
@@ -114,7 +114,7 @@ def test_without_a_gyroscope_the_steps_are_the_same_and_their_turns_unknown(walk
     assert deaf.unknown == ("turns: there is no gyroscope",)
 
 
-def test_removed_gravity_is_put_back_along_the_axis_that_shook_most(walk):
+def test_removed_gravity_is_restored_along_the_axis_of_the_largest_motion(walk):
     linear = Signal(walk.time, walk.acceleration - 9.80665 * walk.up)
     complete, found = (
         detect_steps(recorded(walk)),
@@ -143,7 +143,7 @@ def holed(walk, start, end):
     )
 
 
-def test_a_gap_is_a_row_of_no_length_that_leads_anywhere(walk, steps):
+def test_a_gap_is_a_row_of_length_0_with_a_wide_sigma(walk, steps):
     found = detect_steps(holed(walk, 10.0, 20.0))
     gap = np.flatnonzero(found.is_gap)
     assert len(gap) == 1
@@ -155,21 +155,21 @@ def test_a_gap_is_a_row_of_no_length_that_leads_anywhere(walk, steps):
     assert len(found) - 1 == pytest.approx(outside.sum(), abs=2)
 
 
-def test_a_stray_sample_a_year_later_is_no_part_of_the_walk(walk, steps):
+def test_a_stray_sample_a_year_later_is_ignored(walk, steps):
     late = np.append(walk.time[:-1], 3e7)
     stray = recorded(walk, accelerometer=Signal(late, walk.acceleration), gyroscope=Signal(late, walk.angular_rate))
     assert detect_steps(stray).time == pytest.approx(steps.time)
 
 
 def test_a_recording_that_is_all_gaps_is_refused(walk):
-    """A sample each three seconds: no step can be seen, and nothing is interpolated over days between two."""
+    """With a sample every three seconds no step can be detected, and gaps are not interpolated."""
     rare = Signal(np.arange(0.0, 60.0, 3.0), np.tile([0.0, 0.0, 9.81], (20, 1)))
     with pytest.raises(InputError, match=r"19 gaps.*expected samples more often"):
         detect_steps(recorded(walk, accelerometer=rare, gyroscope=None))
 
 
-def test_across_a_gap_the_fixes_say_where_the_walk_went_on(walk):
-    """A walker unrecorded for ten seconds round a corner, a fix every five: found again behind it, honestly."""
+def test_fixes_determine_the_walk_after_a_gap(walk):
+    """Ten seconds around a corner are missing, with a fix every five: the walk after it is within its covariance."""
     at = np.arange(0.0, walk.time[-1], 5.0)
     truth = interpolate(at, walk.time, walk.position)
     fixes = Fixes(at, truth, np.full(len(at), 0.5), ("",) * len(at))[(at < 16.0) | (at > 26.0)]
@@ -182,7 +182,7 @@ def test_across_a_gap_the_fixes_say_where_the_walk_went_on(walk):
     assert (error < 3.5 * sigma)[recorded_rows].all()
 
 
-def test_a_standing_phone_takes_no_steps():
+def test_a_standing_person_makes_no_steps():
     t = np.arange(0, 20, 0.02)
     quiet = Signal(t, np.random.default_rng(0).normal(0, 0.01, (len(t), 3)))
     gravity = Signal(t, quiet.values * 5 + [0, 0, 9.81])

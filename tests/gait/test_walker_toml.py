@@ -42,7 +42,7 @@ def written(tmp_path, text):
     return path
 
 
-def test_what_is_saved_is_loaded(tmp_path):
+def test_a_saved_walker_is_loaded_unchanged(tmp_path):
     walker = Walker(1.83, 0.03, "cadence", {"normal_step": 0.72}, PROFILE)
     walker.save(tmp_path / "w.toml", "a walk")
     again = Walker.load(tmp_path / "w.toml")
@@ -54,13 +54,13 @@ def test_what_is_saved_is_loaded(tmp_path):
     assert (tmp_path / "w.toml").read_text().startswith("# a walk")
 
 
-def test_a_table_of_constants(tmp_path):
+def test_constants_of_a_stride_model_are_read_from_a_table(tmp_path):
     walker = Walker.load(written(tmp_path, GOOD))
     assert walker.constants == {"normal_step": 0.75, "normal_cadence": 112.0}
     assert Walker.load(written(tmp_path, 'stride = "height"')).stride == "height"
 
 
-def test_the_papers_equations():
+def test_the_profile_corrects_by_the_papers_equations():
     """[calibration-walk] Eqs. (8), (9): L' = (1 + E_length) L, θ' = θ'₋₁ + (1 + E_corner) Δθ + E_straight L."""
     found = PROFILE.corrected(STEPS)
     assert found.length == pytest.approx([1.05 * 0.7, 0.0, 1.05 * 0.8])
@@ -70,7 +70,7 @@ def test_the_papers_equations():
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ('"cadence"', '"moonwalk"', "stride"),
         ("normal_step", "abnormal_step", "stride.abnormal_step"),
@@ -85,12 +85,12 @@ def test_the_papers_equations():
         ("speed = 1.3", "speed = 0", "calibration.speed"),
     ],
 )
-def test_what_cannot_be_used_is_named(tmp_path, old, new, said):
+def test_invalid_entries_are_refused_with_their_names(tmp_path, old, new, message):
     assert old in GOOD
-    with pytest.raises(InputError, match=said.replace(".", r"\.")):
+    with pytest.raises(InputError, match=message.replace(".", r"\.")):
         Walker.load(written(tmp_path, GOOD.replace(old, new)))
 
 
-def test_a_calibration_that_is_no_table(tmp_path):
+def test_a_calibration_that_is_not_a_table_is_refused(tmp_path):
     with pytest.raises(InputError, match="a table"):
         Walker.load(written(tmp_path, "calibration = 3"))

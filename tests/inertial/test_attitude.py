@@ -1,9 +1,9 @@
-"""Rest and what a gyroscope says then."""
+"""Rest detection, and the gyroscope's bias at rest."""
 
 import numpy as np
 import pytest
 
-from pdr_graph.inertial.attitude import at_rest, below_threshold, bias_from_rests, learnt_threshold
+from pdr_graph.inertial.attitude import at_rest, bias_from_rests
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -23,7 +23,7 @@ def table_then_walk(random, still=500, moving=500):
     return rate, force
 
 
-def test_rest_is_found_whatever_the_bias(random):
+def test_rest_is_detected_with_any_bias(random):
     rate, force = table_then_walk(random)
     for bias in (0.0, 0.05):
         rest = at_rest(rate + bias, 1.02 * force, PERIOD)
@@ -31,20 +31,20 @@ def test_rest_is_found_whatever_the_bias(random):
         assert not rest[520:].any()
 
 
-def test_a_hand_is_not_a_table():
-    """Somebody who stands and holds the phone moves it more than any sensor's noise."""
+def test_a_phone_in_a_hand_is_not_at_rest():
+    """A standing person moves the phone by more than the noise of its sensors."""
     walk = simulate(Scenario.of({"route": [[0, 0], {"stand": 30}, [5, 0]], "phone": {"rate": 50, "lost": 0}}))
     standing = slice(0, 1400)
     acceleration, rate = (walk.signals[name].values[standing] for name in ("accelerometer", "gyroscope"))
     assert at_rest(rate, acceleration, PERIOD).mean() < 0.05
 
 
-def test_a_moments_calm_is_no_rest(random):
+def test_a_calm_moment_is_not_rest(random):
     rate, force = table_then_walk(random, still=50)
     assert not at_rest(rate, force, PERIOD).any()
 
 
-def test_a_bias_is_followed_from_rest_to_rest(random):
+def test_the_bias_is_linear_between_rests(random):
     """It drifts by 0.01 rad/s between two rests half an hour apart; half-way it is half of that."""
     n = 90_000
     drift = np.linspace(0.01, 0.02, n)[:, None] * [1.0, -1.0, 0.5]
@@ -55,13 +55,5 @@ def test_a_bias_is_followed_from_rest_to_rest(random):
     assert bias == pytest.approx(drift, abs=0.0005)
 
 
-def test_without_a_rest_nothing_is_taken_off(random):
+def test_without_a_rest_the_bias_is_zero(random):
     assert not bias_from_rests(random.normal(0, 1, (100, 3)), np.zeros(100, bool), PERIOD).any()
-
-
-def test_the_papers_threshold_is_the_largest_rate_at_rest(random):
-    """[stationary-switch] Sec. 2.5: none of the samples it was learnt from counts as moving."""
-    rate, _ = table_then_walk(random)
-    threshold = learnt_threshold(rate[:500])
-    assert below_threshold(rate[:500], threshold).all()
-    assert below_threshold(rate[500:], threshold).mean() < 0.01

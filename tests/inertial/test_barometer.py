@@ -1,4 +1,4 @@
-"""Heights from air pressure: what is a climb, what is weather, a gust or noise."""
+"""Climbs from air pressure, in weather, gusts and noise."""
 
 import numpy as np
 import pytest
@@ -43,14 +43,14 @@ def test_a_climb_is_found_and_measured(corners, rate, noise, seed):
     (start, end), risen = (corners[1][0], corners[2][0]), corners[2][1] * WARMER
     assert len(found) == 1
     assert found.height[0] == pytest.approx(risen, abs=4 * found.sigma[0])
-    assert found.sigma[0] < 0.6, "half a metre tells a landing from a floor"
-    assert found.start[0] == pytest.approx(start, abs=5), "as near as noise lets it be seen"
+    assert found.sigma[0] < 0.6, "half a metre distinguishes a landing from a floor"
+    assert found.start[0] == pytest.approx(start, abs=5), "as accurate as the noise permits"
     assert found.end[0] == pytest.approx(end, abs=5)
 
 
 @pytest.mark.parametrize("weather", [-1.0, 1.0])
 @pytest.mark.parametrize(("rate", "noise"), [(1.0, 0.01), (10.0, 0.03), (20.0, 0.1)])
-def test_weather_and_gusts_are_no_climbs(rate, noise, weather):
+def test_weather_and_gusts_are_not_climbs(rate, noise, weather):
     for seed in range(5):
         signal = barometer(*FLAT, rate=rate, noise=noise, seed=seed, weather=weather, gusts=(100, 200, 300, 550))
         assert not len(climbs(signal))
@@ -62,13 +62,13 @@ def test_an_hour_of_weather_between_two_climbs_is_not_counted():
     assert found.height == pytest.approx([3.6 * WARMER, -3.6 * WARMER], abs=0.3)
 
 
-def test_a_gust_on_the_stairs_does_not_break_them():
+def test_a_gust_on_the_stairs_does_not_split_the_climb():
     (height,) = climbs(barometer(*STAIRS, gusts=(66,))).height
     assert height == pytest.approx(3.6 * WARMER, abs=0.5)
 
 
 @pytest.mark.parametrize("at", [0.0, 598.0])
-def test_a_gust_where_a_recording_begins_or_ends_is_no_climb(at):
+def test_a_gust_at_either_end_of_a_recording_is_not_a_climb(at):
     assert not len(climbs(barometer(*FLAT, gusts=(at,))))
 
 
@@ -77,7 +77,7 @@ def test_a_stop_on_the_landing_makes_two_climbs():
     assert found.height == pytest.approx([1.8 * WARMER, 1.8 * WARMER], abs=0.3)
 
 
-def test_a_pocket_is_not_a_floor():
+def test_a_phone_taken_from_a_pocket_is_not_a_climb():
     assert not len(climbs(barometer((0, 0), (60, 0), (61, 0.6), (140, 0.6))))
 
 
@@ -88,7 +88,7 @@ def test_a_gap_in_the_barometer_hides_no_climb():
     assert height == pytest.approx(3.6 * WARMER, abs=0.4)
 
 
-def test_how_much_of_a_climb_was_done_rises_from_none_to_all():
+def test_the_share_of_a_climb_rises_from_0_to_1():
     signal = barometer(*STAIRS)
     found = climbs(signal)
     at = np.linspace(0, 140, 500)
@@ -100,9 +100,9 @@ def test_how_much_of_a_climb_was_done_rises_from_none_to_all():
 
 
 @pytest.mark.parametrize("samples", [0, 1, 3])
-def test_too_little_tells_nothing(samples):
+def test_a_few_samples_give_no_climbs(samples):
     assert not len(climbs(Signal(np.arange(samples, dtype=float), np.full((samples, 1), 1000.0))))
 
 
-def test_a_barometer_that_never_changes_tells_nothing():
+def test_constant_pressure_gives_no_climbs():
     assert not len(climbs(Signal(np.arange(100.0), np.full((100, 1), 1000.0))))

@@ -1,4 +1,4 @@
-"""The magnetometer against fields that are known exactly."""
+"""The magnetometer in exactly known fields."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ HARD = np.array([30.0, -120.0, 60.0])
 
 
 def measured(turned, noise=0.5):
-    """What a phone with iron of its own says of a constant field."""
+    """Samples of a phone with hard and soft iron in a constant field."""
     field = turned.inv().apply(EARTH.vector) @ np.linalg.inv(SOFT) + HARD
     return field + np.random.default_rng(0).normal(0, noise, field.shape)
 
 
 def walk_with(yaw, disturbance=0.0):
-    """A level phone that turns so, its attitude by a gyroscope alone (its world is 0.7 rad off), and the field."""
+    """Attitude of a level phone with this yaw, in a world rotated by 0.7 rad, and the field in device axes."""
     truth = Rotation.from_euler("z", np.asarray(yaw)[:, None])
     attitude = Attitude(
         PERIOD * np.arange(len(yaw)), PERIOD, Rotation.from_euler("z", 0.7) * truth, np.zeros((len(yaw), 3)), None
@@ -36,7 +36,7 @@ def walk_with(yaw, disturbance=0.0):
     return attitude, truth.inv().apply(EARTH.vector + disturbance)
 
 
-def test_the_models_field_is_noaas():
+def test_the_earths_field_is_that_of_noaas_calculator():
     """Nuremberg at the end of 2026, by NOAA's calculator: 48.9 µT, 65.3° down, 4.2° east."""
     field = earth_field(49.45, 11.08, 1.797e9)
     assert field.magnitude == pytest.approx(48.9, abs=0.3)
@@ -50,7 +50,7 @@ def test_any_date_has_a_field(epoch):
     assert 20 < earth_field(35.0, 135.0, epoch).magnitude < 70
 
 
-def test_iron_is_found_when_the_phone_is_turned_all_ways():
+def test_iron_is_determined_by_all_orientations():
     iron = fit_iron(measured(Rotation.random(3000, random_state=1)), EARTH.magnitude)
     assert iron.reliable
     assert iron.hard == pytest.approx(HARD, abs=4 * iron.sigma.max())
@@ -59,14 +59,14 @@ def test_iron_is_found_when_the_phone_is_turned_all_ways():
     assert np.linalg.norm(iron.corrected(measured(Rotation.random(50))), axis=1) == pytest.approx(48.0, abs=3.0)
 
 
-def test_iron_survives_a_magnet_in_passing():
+def test_a_passing_magnet_does_not_bias_the_fit_of_iron():
     field = measured(Rotation.random(3000, random_state=1))
     field[:300] += [90.0, 0.0, 0.0]
     assert fit_iron(field, EARTH.magnitude).hard == pytest.approx(HARD, abs=3.0)
 
 
-def test_iron_stays_unknown_to_a_phone_that_turns_about_one_axis():
-    """What lies along that axis is anybody's guess (the field may point up or down), and the fit says so."""
+def test_iron_is_unreliable_after_rotation_about_one_axis():
+    """The component along that axis is not determined, since the field may point up or down."""
     iron = fit_iron(measured(Rotation.from_euler("z", np.linspace(0, 20, 2000)[:, None])), EARTH.magnitude)
     assert not iron.reliable
     assert iron.hard[:2] == pytest.approx(HARD[:2], abs=3.0)
@@ -88,13 +88,13 @@ def test_an_undisturbed_field_passes_both_tests_however_the_phone_turns():
     assert prediction_error(world, PERIOD).max() < 1e-6
 
 
-def test_the_dip_is_counted_from_the_horizon_not_from_gravity():
-    """A field that dips by 1.0 rad and is taken for one of 0.4."""
+def test_the_dip_is_measured_from_the_horizon():
+    """A field that dips by 1.0 rad where 0.4 rad is expected."""
     world = np.tile(EARTH.vector, (5, 1))
     assert dip_error(world, 0.4) == pytest.approx(0.6)
 
 
-def test_a_field_that_turns_by_itself_fails_the_prediction():
+def test_a_field_that_turns_without_the_phone_fails_the_prediction():
     attitude, device = walk_with(np.zeros(1000))
     passing = Rotation.from_euler("z", np.clip(np.arange(1000) - 500, 0, 50)[:, None] * 0.02)  # a radian in a second
     error = prediction_error(field_in_world(attitude, passing.apply(device)), PERIOD)
@@ -103,15 +103,15 @@ def test_a_field_that_turns_by_itself_fails_the_prediction():
 
 
 def test_north_is_true_north():
-    """The declination is taken off: magnetic north lies 0.1 rad to the right of true north."""
+    """With declination: magnetic north is 0.1 rad to the right of true north."""
     attitude, device = walk_with(np.linspace(0, 6, 3000))
     north = magnetic_north(attitude, device, EARTH)
     assert north.direction == pytest.approx(np.pi / 2 + 0.7, abs=1e-6)
     assert np.all(north.sigma < 0.2)
 
 
-def test_the_gyroscope_carries_north_past_steel():
-    """A third of the walk in a field that dips too much: left out, and less sure there."""
+def test_north_is_bridged_past_steel():
+    """In a third of the walk the field dips too much; its observations are not used, and sigma grows."""
     yaw = np.linspace(0, 6, 6000)
     attitude, device = walk_with(yaw)
     _, bent = walk_with(yaw, np.array([25.0, 0.0, -60.0]))
@@ -121,20 +121,20 @@ def test_the_gyroscope_carries_north_past_steel():
     assert north.sigma[60] > north.sigma[30]
 
 
-def test_a_compass_that_is_never_right_says_nothing():
+def test_a_field_that_is_always_disturbed_gives_no_north():
     attitude, device = walk_with(np.linspace(0, 6, 3000), np.array([0.0, 0.0, 60.0]))
     assert len(magnetic_north(attitude, device, EARTH)) == 0
 
 
-def test_a_dead_magnetometer_says_nothing():
-    """All zeros, on the magnetic equator too, where no dip gives it away."""
+def test_a_dead_magnetometer_gives_no_north():
+    """All zeros, also on the magnetic equator, where the dip is right."""
     attitude, device = walk_with(np.linspace(0, 6, 3000))
     for dip in (0.0, 1.0):
         assert len(magnetic_north(attitude, np.zeros_like(device), EarthField(40.0, 0.0, dip))) == 0
 
 
-def test_north_is_as_sure_as_it_says():
-    """Two hundred walks past steel that changes every few metres: errors in sigmas have a spread of about one."""
+def test_the_sigma_of_north_is_honest():
+    """Over 200 walks past steel that changes every few metres, errors in sigmas have a spread of about 1."""
     errors = []
     for seed in range(200):
         random = np.random.default_rng(seed)

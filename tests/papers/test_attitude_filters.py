@@ -160,3 +160,13 @@ def test_an_hour_takes_a_second(recording, name):
     begun = time.process_time()
     ALL[name](long)
     assert time.process_time() - begun < 0.3
+
+
+def test_the_rest_threshold_is_the_largest_rate_at_rest():
+    """The rate of a walk exceeds it except for single samples."""
+    random = np.random.default_rng(0)
+    rate = random.normal(0, 0.002, (1000, 3))
+    rate[500:] += random.normal(0, 0.5, (500, 3))
+    threshold = attitude_filters.rest_threshold(rate[:500])
+    assert attitude_filters.below_threshold(rate[:500], threshold).all()
+    assert attitude_filters.below_threshold(rate[500:], threshold).mean() < 0.01

@@ -1,4 +1,4 @@
-"""What a climb was, by the steps that were made on it."""
+"""The kind of a climb, from its height, duration and steps."""
 
 import numpy as np
 import pytest
@@ -36,15 +36,15 @@ STANDING = walk(*np.arange(1, 49, 0.5), *np.arange(150, 190, 0.5))
         (WALKING, 3.0, 1.5, "draught"),  # 1 m a step: a door
     ],
 )
-def test_kinds(steps, height, seconds, kind):
+def test_the_kind_of_a_climb(steps, height, seconds, kind):
     assert climb_kinds(steps, climb(height, seconds)) == (kind,)
 
 
-def test_some_shuffling_in_a_lift_is_no_stairs():
+def test_a_few_steps_in_a_lift_are_not_stairs():
     assert climb_kinds(walk(*np.arange(1, 51, 0.5), 55), climb(7.0, 8.0)) == ("lift",)
 
 
-def test_without_steps_somebody_was_carried():
+def test_a_climb_without_steps_is_a_lift():
     assert climb_kinds(walk(), climb(7.0, 8.0)) == ("lift",)
 
 
