@@ -1,4 +1,4 @@
-"""What all data types share: a `repr` of one line, and checks of their columns when an object is made."""
+"""Base of the data types: a `repr` of one line, and checks of their columns when an object is made."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Table = TypeVar("Table", bound=Any)
 class OneLineRepr:
     """Base of data types: their `repr` is ``Name(part, part)`` on one line, never a dump of arrays.
 
-    row: what one row is, in the singular.
+    row: the noun for one row, in the singular.
     """
 
     _row: ClassVar[str] = "row"

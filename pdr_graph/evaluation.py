@@ -1,7 +1,7 @@
-"""How good a trajectory is: the metrics of the PDR Benchmark Standardization Committee (draft ISO/IEC 21134).
+"""Accuracy metrics of the PDR Benchmark Standardization Committee (draft ISO/IEC 21134).
 
-Each metric is one function of paired samples. CE, HE, EAG and VE equal the committee's evaluation-tools under
-``nearest`` pairing; ``docs/accuracy.md`` says where CA and OE follow the definition and the tool does not.
+Each metric is one function of paired samples. CE, HE, EAG and VE equal the committee's evaluation-tools with
+``nearest`` pairing; ``docs/accuracy.md`` lists where CA and OE follow the definition and the tool does not.
 """
 
 from __future__ import annotations
@@ -11,26 +11,22 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import expect
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
 from pdr_graph.types import Array, Mask, Trajectory
 
-TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it
-SPEED_WINDOW = 0.5  # [s] to either side
-SHORTEST_ELAPSED = 1.0  # [s] from the nearer end, below which EAG divides by too little
-MOST_KERNELS = 1000
-MOST_SHIFTS, SETTLED = 500, 1e-6  # of the mode; in kernel widths
-FLAT = 1e-12  # ratio of variances of errors that are on one line
-ANOTHER_CLOCK = 86_400.0  # [s] between a truth and an estimate of one walk: Unix times beside those from its start
+TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools
 
 
 @dataclass(frozen=True)
-class Pairs:
-    """Truth samples and the estimate at the same time: time ``(n,)``, positions ``(n, 2)``, headings ``(n,)``, floors.
+class Pairs(OneLineRepr, row="pair"):
+    """Truth samples and the estimate at the same times.
 
-    start, end: of the truth, [s].
+    time: ``(n,)`` [s]; truth, estimate: positions ``(n, 2)`` [m]; truth_heading, estimate_heading: ``(n,)`` [rad];
+    truth_floor, estimate_floor: labels ``(n,)``; start, end: of the whole truth [s].
     """
 
     time: Array
@@ -44,7 +40,7 @@ class Pairs:
     end: float
 
     def where(self, mask: Mask) -> Pairs:
-        """The pairs with ``mask (n,)``."""
+        """The pairs where ``mask (n,)`` is True."""
         columns: dict[str, Any] = {n: value[mask] for n, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **columns)
 
@@ -56,10 +52,10 @@ class Pairs:
 
 
 def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pairs:
-    """Give each truth sample its estimate; samples with none within 0.5 s are left out.
+    """Pair each truth sample with the estimate; samples without an estimate within 0.5 s are left out.
 
-    pairing: ``linear`` interpolates between the estimate's rows, as our trajectories are meant (at most 0.5 s beyond
-        its ends: the end's row); ``nearest`` takes the row nearest in time, the earlier of two, as the tools do.
+    pairing: ``linear`` interpolates between the rows of the estimate, and uses the end rows up to 0.5 s beyond its
+        ends; ``nearest`` uses the row nearest in time, the earlier of two, as the committee's tools do.
     """
     if pairing not in ("linear", "nearest"):
         raise ValueError(f"evaluate, pairing: found {pairing!r}, expected 'linear' or 'nearest'")
@@ -74,7 +70,7 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
         heading = np.arctan2(sine, cosine)
         within = (t >= estimate.time[0] - TOLERANCE) & (t <= estimate.time[-1] + TOLERANCE)
     floors = np.array(estimate.floor, dtype=object)[row]
-    everything = Pairs(
+    paired = Pairs(
         t,
         truth.position,
         position,
@@ -85,7 +81,7 @@ def pair(estimate: Trajectory, truth: Trajectory, pairing: str = "linear") -> Pa
         float(t[0]),
         float(t[-1]),
     )
-    return everything.where(within)
+    return paired.where(within)
 
 
 def circular_error(pairs: Pairs) -> Array:
@@ -94,33 +90,37 @@ def circular_error(pairs: Pairs) -> Array:
 
 
 def heading_error(pairs: Pairs) -> Array:
-    """HE ``(n,)`` [rad]: absolute heading difference, of samples whose headings are known."""
+    """HE ``(n,)`` [rad]: absolute heading difference of the samples with both headings."""
     error = np.abs(wrap_angle(pairs.estimate_heading - pairs.truth_heading))
     return error[np.isfinite(error)]
 
 
 def error_accumulation_gradient(pairs: Pairs) -> Array:
-    """EAG ``(n,)`` [m/s]: error over the time to the nearer end of the stretch without absolute position.
+    """EAG ``(n,)`` [m/s]: error divided by the time to the nearer end of the segment without absolute position.
 
-    The stretch is the whole truth, s to f: EAG = CE / min(t − s, f − t). Samples nearer than 1 s to an end, where it
-    divides by too little, are left out. The error at s is not subtracted.
+    The segment is the whole truth, from s to f: EAG = CE / min(t − s, f − t). Samples within 1 s of an end are left
+    out, where the divisor is too small. The error at s is not subtracted.
     """
     elapsed = np.minimum(pairs.time - pairs.start, pairs.end - pairs.time)
-    used = elapsed >= SHORTEST_ELAPSED
+    used = elapsed >= 1.0
     return circular_error(pairs)[used] / elapsed[used]
 
 
 def velocity_error(pairs: Pairs) -> Array:
     """VE ``(n,)`` [m/s]: |speed of the truth − speed of the estimate|, each the mean over t ± 0.5 s.
 
-    As in the committee's tool, speeds are between paired samples and the first sample's is 0.
+    As in the committee's tool, speeds are between consecutive pairs, and 0 for the first.
     """
     return np.abs(_speed(pairs.time, pairs.truth) - _speed(pairs.time, pairs.estimate))
 
 
+SPEED_WINDOW = 0.5  # [s] to either side
+
+
 def _speed(time: Array, position: Array) -> Array:
-    way = np.hypot(*np.diff(position, axis=0, prepend=position[:1]).T)
-    speed = way / np.diff(time, prepend=time[0] - 1.0)
+    """Mean speed over the window around each sample ``(n,)`` [m/s]."""
+    distance = np.hypot(*np.diff(position, axis=0, prepend=position[:1]).T)
+    speed = distance / np.diff(time, prepend=time[0] - 1.0)
     total = np.concatenate([[0.0], np.cumsum(speed)])
     first = np.searchsorted(time, time - SPEED_WINDOW, side="left")
     last = np.searchsorted(time, time + SPEED_WINDOW, side="right")
@@ -128,60 +128,68 @@ def _speed(time: Array, position: Array) -> Array:
 
 
 def circular_accuracy(pairs: Pairs) -> float:
-    """CA [m]: distance from 0 of the most frequent error, in the walker's own axes (forward, left).
+    """CA [m]: distance from 0 of the most frequent error, in the walker's axes (forward, left).
 
-    The mode of a Gaussian kernel density of the errors (of a thousand of them, evenly taken, where there are more).
-    NaN with fewer than three samples, or where headings are unknown.
+    The mode of a Gaussian kernel density of the errors, of at most a thousand of them, evenly spaced. NaN with fewer
+    than three samples with a heading.
     """
     known = np.isfinite(pairs.estimate_heading)
-    turned = rotation(-pairs.estimate_heading[known])
-    errors = np.einsum("nij,nj->ni", turned, (pairs.truth - pairs.estimate)[known])
+    to_walker = rotation(-pairs.estimate_heading[known])
+    errors = np.einsum("nij,nj->ni", to_walker, (pairs.truth - pairs.estimate)[known])
     if len(errors) < 3:
         return float("nan")
-    return float(np.hypot(*_mode(errors[:: -(-len(errors) // MOST_KERNELS)])))
+    return float(np.hypot(*_mode(errors[:: -(-len(errors) // MAXIMUM_KERNELS)])))
+
+
+MAXIMUM_KERNELS = 1000  # errors of which the density is the sum: time grows with their square
+MAXIMUM_SHIFTS, CONVERGED = 500, 1e-6  # iterations of mean shift; [kernel widths] shift at convergence
 
 
 def _mode(points: Array) -> Array:
-    """The densest place ``(2,)`` of some points ``(n, 2)``: mean shift (Fukunaga and Hostetler 1975) from the densest
-    of them, kernels as wide as Scott's rule says. Their mean where all are on one line.
+    """The mode ``(2,)`` of the kernel density of points ``(n, 2)``; their mean if all are on one line.
+
+    Mean shift (Fukunaga and Hostetler 1975) from the point of the highest density, kernel width by Scott's rule.
     """
     width = np.cov(points.T) * len(points) ** (-1 / 3)
     variance, axes = np.linalg.eigh(width)
-    if variance[0] <= FLAT * variance[1]:
+    if variance[0] <= 1e-12 * variance[1]:
         return points.mean(axis=0)
     white = points @ axes / np.sqrt(variance)
     square = np.sum(white**2, axis=1)
-    apart = square[:, None] + square - 2 * white @ white.T
-    place = white[np.argmax(np.exp(-0.5 * apart).sum(axis=1))]
-    for _ in range(MOST_SHIFTS):
-        before, weight = place, np.exp(-0.5 * np.sum((white - place) ** 2, axis=1))
-        place = weight @ white / weight.sum()
-        if np.hypot(*(place - before)) < SETTLED:
+    distance = square[:, None] + square - 2 * white @ white.T
+    mode = white[np.argmax(np.exp(-0.5 * distance).sum(axis=1))]
+    for _ in range(MAXIMUM_SHIFTS):
+        before, weight = mode, np.exp(-0.5 * np.sum((white - mode) ** 2, axis=1))
+        mode = weight @ white / weight.sum()
+        if np.hypot(*(mode - before)) < CONVERGED:
             break
-    return axes @ (place * np.sqrt(variance))
+    return axes @ (mode * np.sqrt(variance))
 
 
 def obstacle_error(estimate: Trajectory, floor: FloorPlan | Building) -> float:
-    """OE, 0–1: share of rows from which the way to the next leaves the walkable area of its floor."""
+    """OE, 0–1: share of rows from which the line to the next leaves the walkable area of the floor."""
     rows = np.append(np.arange(len(estimate)), len(estimate) - 1)
     labels = [estimate.floor[row] for row in rows.tolist()]
     return float(np.mean(Building.around(floor).crosses_wall(estimate.position[rows], labels)))
 
 
 def floor_share(pairs: Pairs) -> float:
-    """FE, 0–1: share of samples on the right floor, of those whose true floor is known; NaN if none is."""
+    """FE, 0–1: share of samples on the correct floor, of those with a known true floor; NaN if there are none."""
     known = pairs.truth_floor != ""
     return float(np.mean(pairs.truth_floor[known] == pairs.estimate_floor[known])) if known.any() else float("nan")
+
+
+ANOTHER_CLOCK = 86_400.0  # [s] between truth and estimate; more means Unix times beside times from the start
 
 
 def evaluate(
     estimate: Trajectory, truth: Trajectory, floor: FloorPlan | Building | None = None, pairing: str = "linear"
 ) -> dict[str, Any]:
-    """All metrics, as ``pdr-graph evaluate --json`` prints them; None where one cannot be computed.
+    """All metrics by name, as ``pdr-graph evaluate --json`` prints them; None where one cannot be computed.
 
-    estimate, truth: in one frame and one clock; floor: the plan, for what needs its walls; pairing: "linear" or
-    "nearest", see `pair`. CE, EAG and CA are of samples on the right floor, as far as floors are known; ``n``, how
-    many samples of the truth have an estimate, may be 0. Raises ValueError if the clocks differ.
+    estimate, truth: in one frame and on one clock; floor: the plan, for OE; pairing: "linear" or "nearest", see `pair`.
+    CE, EAG and CA use the samples on the correct floor, as far as floors are known. ``n`` is the number of truth
+    samples with an estimate; it may be 0. Raises ValueError if the clocks differ.
     """
     expect("evaluate, estimate", estimate, Trajectory, instead="smooth(graph).trajectory")
     expect("evaluate, truth", truth, Trajectory, instead="read_trajectory(path, recording)")
@@ -204,6 +212,7 @@ def evaluate(
 
 
 def _statistics(errors: Array) -> dict[str, float] | None:
+    """Percentiles, mean and maximum of errors; None without errors."""
     if not len(errors):
         return None
     p50, p75, p95 = np.percentile(errors, [50, 75, 95])
@@ -220,7 +229,7 @@ def _or_none(value: float) -> float | None:
 
 
 def table(scores: dict[str, Any]) -> str:
-    """The scores of ``evaluate`` for people to read."""
+    """The scores of ``evaluate`` as a text of one line per metric."""
 
     def row(name: str, unit: str, statistics: dict[str, float] | None) -> str:
         values = "—" if statistics is None else "  ".join(f"{k} {v:.3f}" for k, v in statistics.items())

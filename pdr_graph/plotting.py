@@ -1,4 +1,4 @@
-"""Pictures of plans and walks."""
+"""Figures of plans and walks."""
 
 from __future__ import annotations
 
@@ -20,22 +20,23 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory
 
+# Colours, which reports use too
 SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
 ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
-CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # kinds of cells that have a colour
+CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # colours of kinds of cells
 TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
-MANY = 50  # points above which their marks must not hide the track
+MANY = 50  # points above which marks are smaller, so that the track stays visible
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 
 
 def plot(
     estimate: Estimate, floor: FloorPlan | Building | None = None, truth: Trajectory | None = None, title: str = ""
 ) -> Figure:
-    """One walk: dead reckoning in grey, the estimate with its 95 % region, fixes by weight.
+    """Draw a walk: dead reckoning in grey, the estimate with its 95 % region, fixes by weight.
 
-    floor: the plan, drawn below; truth: drawn above; title: of the picture, a `matplotlib.figure.Figure`.
-    A walk over several floors of a building has axes for each, the lowest at the lower left.
+    floor: the plan, drawn below; truth: drawn on top. Returns a `matplotlib.figure.Figure`; a walk over several floors
+    of a building has axes for each, the lowest at the lower left.
     """
     expect("plot, estimate", estimate, Estimate, instead="smooth(graph)")
     expect("plot, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
@@ -60,7 +61,7 @@ def plot(
 
 
 def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[FloorPlan, ...]:
-    """The floors that a walk was on, the lowest first."""
+    """The floors of a walk, the lowest first; the lowest of the building if none is known."""
     if floor is None:
         return ()
     floors = Building.around(floor).floors
@@ -68,7 +69,7 @@ def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[Flo
 
 
 def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: str | None) -> None:
-    """What of a walk was on the floor of that label, or all of it."""
+    """Draw the part of a walk on the floor with this label; all of it without a label."""
     track = _on(estimate.trajectory, label)
     axes.plot(
         *_on(estimate.dead_reckoning, label).T,
@@ -92,13 +93,13 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
 
 
 def _on(track: Trajectory, label: str | None) -> Array:
-    """Positions ``(n, 2)``, NaN where the walk is known to be on another floor. [m]"""
+    """Positions ``(n, 2)`` [m], NaN where the walk is on another floor."""
     elsewhere = np.array([label is not None and floor not in ("", label) for floor in track.floor], dtype=bool)
     return np.where(elsewhere[:, None], np.nan, track.position)
 
 
 def plot_plan(*floors: FloorPlan) -> Figure:
-    """All floors, the lowest at the lower left: where one can walk, and what is solid."""
+    """Draw all floors, the lowest at the lower left: walkable and solid areas."""
     figure, canvases = _canvas(
         np.concatenate([floor.corners for floor in floors]), around=0.02, bottom=0.6, count=len(floors)
     )
@@ -109,7 +110,7 @@ def plot_plan(*floors: FloorPlan) -> Figure:
 
 
 def draw_plan(axes: Axes, floor: FloorPlan) -> None:
-    """What is walkable and what is solid, in metres, with the names that fit into what is shown."""
+    """Draw the walkable and solid areas of a plan [m], with the names that fit."""
     solid = [area for area in floor.of_kind(*SOLID) if area.is_polygon]
     drawn = [area for area in floor.areas if area.is_polygon and area.kind != LINK]
     axes.set_facecolor(OUTSIDE)
@@ -130,7 +131,7 @@ def draw_plan(axes: Axes, floor: FloorPlan) -> None:
 
 
 def _lines(axes: Axes, geometry: shapely.Geometry, **style: Any) -> None:
-    """Lines as one collection."""
+    """Draw lines as one collection."""
     parts = [shapely.get_coordinates(p) for p in shapely.get_parts(geometry) if shapely.get_dimensions(p) == 1]
     axes.add_collection(LineCollection(parts, **style))
 
@@ -146,7 +147,7 @@ def _patches(geometry: shapely.Geometry, **style: object) -> PatchCollection:
 
 
 def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
-    """Write a name into its polygon, where both are shown and it fits."""
+    """Write a name into the visible part of its polygon, if it fits."""
     (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
     shown = shapely.intersection(polygon, shapely.box(west, south, east, north))
     letter = 0.06 * (east - west) / LONGEST_SIDE  # [m] wide, at 6 points
@@ -158,13 +159,13 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
 
 
 def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
-    """The 95 % ellipses of the steps, joined to a band."""
+    """Draw the union of the 95 % ellipses of the steps."""
     region = shapely.union_all(confidence_band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
     axes.add_collection(_patches(region, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
 
 
 def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
-    """Fixes, the paler the less they were trusted, with a line to where the walk was at their time."""
+    """Draw fixes, paler with less weight, each with a line to the walk at its time."""
     if not estimate.fixes:
         return
     track, time = estimate.trajectory, np.array([f.time for f in estimate.fixes])
@@ -183,7 +184,7 @@ def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
 
 
 def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
-    """Where the walk has the beacons that were heard, by name; in colour those that are not where their list says."""
+    """Draw the estimated positions of the beacons with their names, misplaced ones in another colour."""
     for colour, moved, label in ((RADIO, False, "beacons"), (FIX, True, "misplaced beacons")):
         group = [b for b in estimate.beacons if b.misplaced == moved]
         if group:
@@ -196,11 +197,10 @@ def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
 
 
 def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure with ``count`` axes in the shape of some points ``(n, 2)`` [m] and their surroundings, axes equal.
+    """A figure with ``count`` axes of equal scale that show points ``(n, 2)`` [m] and their surroundings.
 
-    Several fill rows from the lower left, about as wide as high. bottom: room for labels and legend [inch].
-
-    Without the pyplot machinery, which is slow to load and keeps every figure alive.
+    Axes fill rows from the lower left. around: margin as a share of the size; bottom: space for labels and legend
+    [inch]. pyplot is not used: it is slow to import and keeps all figures in memory.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     shown = high - low + 2 * max(2.0, around * float(np.max(high - low)))

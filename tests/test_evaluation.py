@@ -1,4 +1,4 @@
-"""The metrics, against answers known by hand and a plain loop over the definitions."""
+"""The metrics, compared with answers by hand and with plain loops over the definitions."""
 
 from itertools import pairwise
 
@@ -31,7 +31,7 @@ def changed(truth, shift=(0.0, 0.0), turn=0.0, drift=0.0):
 
 @pytest.mark.parametrize("pairing", ["linear", "nearest"])
 def test_the_published_check_values(pairing):
-    """../shared/metrics.md, section 5: the truth itself; (3, 4) m and 0.3 rad off; a drift of 0.1 m/s along x."""
+    """The truth itself; (3, 4) m and 0.3 rad off; a drift of 0.1 m/s along x."""
     truth = track()
     same = evaluate(truth, truth, pairing=pairing)
     assert same["ce"]["p95"] == same["he"]["max"] == same["eag"] == same["ve"] == 0
@@ -39,14 +39,14 @@ def test_the_published_check_values(pairing):
     assert off["ce"]["mean"] == pytest.approx(5.0, abs=1e-9)
     assert off["he"]["p50"] == pytest.approx(0.3, abs=1e-9)
     drifting = evaluate(changed(truth, drift=0.1), truth, pairing=pairing)
-    # 0.1 throughout if measured from the start; to the nearer end, the second half grows as its time shrinks
+    # 0.1 in the first half; in the second the time to the end shrinks while the error grows
     elapsed = np.minimum(truth.time - truth.time[0], truth.time[-1] - truth.time)
     expected = np.median((0.1 * (truth.time - truth.time[0]) / np.maximum(elapsed, 1e-9))[elapsed >= 1])
     assert drifting["eag"] == pytest.approx(expected, abs=1e-6)
 
 
 def loops(estimate, truth):
-    """CE, HE, EAG, VE by the definitions of ../shared/metrics.md section 1, sample by sample."""
+    """CE, HE, EAG and VE by their definitions, sample by sample."""
     pairs = []
     for t, g, h in zip(truth.time, truth.position, truth.heading, strict=True):
         gaps = np.abs(estimate.time - t)
@@ -70,7 +70,7 @@ def loops(estimate, truth):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_nearest_pairing_equals_the_definitions(seed):
-    """An estimate of uneven rows, with a gap longer than the half second that pairing allows."""
+    """For an estimate with uneven rows and a gap longer than the tolerance of 0.5 s."""
     random = np.random.default_rng(seed)
     truth = track(60.0, 10.0, seed)
     source = track(66.0, 30.0, seed + 10, start=truth.time[0] - 2.0)
@@ -95,7 +95,7 @@ def test_linear_pairing_interpolates_position_and_heading_over_the_wrap():
 
 
 def test_circular_accuracy_is_the_mode_in_the_walkers_axes():
-    """Errors 1 m to the walker's left whatever the heading, and a tenth of them wild: CA is 1 m, the mean is not."""
+    """Errors of 1 m to the walker's left at any heading, a tenth of them outliers: CA is 1 m, the mean is not."""
     truth = track()
     random = np.random.default_rng(0)
     left = rotation(truth.heading)[:, :, 1]
@@ -113,8 +113,8 @@ def test_obstacle_error_is_the_share_of_steps_through_walls():
     assert evaluate(estimate, estimate, plan)["oe"] == pytest.approx(1 / 4)
 
 
-def test_floors():
-    """FE counts right floors; CE leaves out samples on a wrong one; an unknown floor is not a wrong one."""
+def test_wrong_floors_lower_fe_and_are_left_out_of_ce():
+    """An unknown floor does not count as wrong."""
     truth = track(10.0, 1.0, floor="F1")
     half = tuple("F2" if n < 5 else "F1" for n in range(10))
     estimate = Trajectory(truth.time, truth.position + np.outer(np.array(half) == "F2", [7, 0]), truth.heading, half)
@@ -126,7 +126,7 @@ def test_floors():
     assert evaluate(truth, nameless)["fe"] is None
 
 
-def test_what_cannot_be_computed_is_none():
+def test_metrics_that_cannot_be_computed_are_none():
     truth = track(10.0, 1.0)
     headless = Trajectory(truth.time, truth.position, np.full(10, np.nan), truth.floor)
     scores = evaluate(headless, truth)

@@ -18,7 +18,7 @@ from pdr_graph.errors import DegradedExit, RefusedExit, first_look
 lifelog = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Recordings of many days and people: places, activities, exports.",
+    help="Recordings of many days: places, activities, exports.",
 )
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]

@@ -1,1 +1,1 @@
-"""One HTML page of a walk or a day that needs nothing else: what was found, how sure it is, and why."""
+"""Self-contained HTML reports of walks and days: results, their uncertainty, and the reasons."""

@@ -27,13 +27,13 @@ from pdr_graph.types import (
     Trajectory,
 )
 
-CHART_RESOLUTION = 1e-4  # in the unit of the chart: finer than anybody can read it
+CHART_RESOLUTION = 1e-4  # in the unit of the chart; finer than a screen shows
 UNITS = {"R_s": "", "R_d": "", "b": "°/s"}
 MEANING = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 SCALE_HEIGHT = 8434.0  # [m] of air at 15 °C: pressure falls to 1/e over this height
 BAROMETER_RATE = 1.0  # [Hz] of the chart: faster changes are noise
-LONGEST_PAUSE = 2.0  # [s] between steps over which a line is drawn
-MANY = 50  # points above which a line without markers is clearer
+LONGEST_PAUSE = 2.0  # [s] between steps; a line is broken at longer pauses
+MANY = 50  # points above which a line has no markers
 
 
 def line(name: str, colour: str, time: Array, y: Array, **style: Any) -> dict[str, Any]:
@@ -201,11 +201,11 @@ def health(name: str, signal: Signal) -> Health:
     axes = signal.values.T.copy()  # contiguous, for speed
     moved = np.append(True, np.logical_or.reduce(axes[:, 1:] != axes[:, :-1]))
     since = signal.time[np.maximum.accumulate(np.where(moved, np.arange(len(moved)), 0))]
-    still, lasted = float(np.max(signal.time - since)), float(np.ptp(signal.time))
+    still, duration = float(np.max(signal.time - since)), float(np.ptp(signal.time))
     return Health(
         samples=len(signal),
         rate=rate,
-        recorded=1.0 - float(interval[gap].sum()) / lasted if lasted else 1.0,
+        recorded=1.0 - float(interval[gap].sum()) / duration if duration else 1.0,
         gaps=int(gap.sum()),
         longest_gap=float(interval[gap].max(initial=0.0)),
         stuck=still if still > (STUCK_INERTIAL if inertial else STUCK) else 0.0,
@@ -231,13 +231,15 @@ def sensor_rows(walk: Recording) -> tuple[list[str], list[list[str]]]:
         missing.remove("accelerometer")
     rows = [_row(name, signal, walk.notes) for name, signal in walk.signals.items()]
     rows += [[name, "no data", "", "", f"required for {PURPOSE[name]}"] for name in missing]
-    rows += [_radio(name, heard) for name, heard in (("Bluetooth", walk.bluetooth), ("Wi-Fi", walk.wifi)) if heard]
+    radios = (("Bluetooth", walk.bluetooth), ("Wi-Fi", walk.wifi))
+    rows += [_radio(name, received) for name, received in radios if received]
     if len(walk.fixes):
         rows.append(["fixes in the recording", f"{len(walk.fixes):,}", _rate(walk.fixes.time), "", ""])
     return ["sensor", "samples", "rate", "recorded", "remarks"], rows
 
 
 def _row(name: str, signal: Signal, notes: tuple[str, ...]) -> list[str]:
+    """The table row of one sensor, with its issues and the notes of the reader."""
     quality = health(name, signal)
     noted = [note.removeprefix(f"{name}: ") for note in notes if note.startswith(f"{name}: ") and " gaps, " not in note]
     remarks = "; ".join([*quality.issues, *noted]) or "ok"
@@ -245,13 +247,13 @@ def _row(name: str, signal: Signal, notes: tuple[str, ...]) -> list[str]:
     return [plain, f"{quality.samples:,}", f"{quality.rate:.1f} Hz", f"{quality.recorded:.1%}", remarks]
 
 
-def _radio(name: str, heard: Sightings) -> list[str]:
-    return [name, f"{len(heard):,}", _rate(heard.time), "", f"{len(set(heard.transmitter))} transmitters"]
+def _radio(name: str, received: Sightings) -> list[str]:
+    return [name, f"{len(received):,}", _rate(received.time), "", f"{len(set(received.transmitter))} transmitters"]
 
 
 def _rate(time: Array) -> str:
-    lasted = float(np.ptp(time))
-    return f"{len(time) / lasted:.2g} Hz" if lasted else ""
+    duration = float(np.ptp(time))
+    return f"{len(time) / duration:.2g} Hz" if duration else ""
 
 
 SCORES = {  # key in the result of `evaluate` -> label, unit
@@ -268,8 +270,8 @@ SCORES = {  # key in the result of `evaluate` -> label, unit
 }
 ESTIMATED, PRIOR_KEPT = "estimated", "not observable from this walk; prior kept"
 OWN_TABLE = ("fixes", "beacons")  # kinds of measurement with a table of their own
-MOST_OPEN = 30  # rows up to which a table is shown open
-MOST_REPORTS = 200  # rows shown of a kind of measurement
+OPEN_ROWS = 30  # rows up to which a table is shown open
+MAXIMUM_REPORTS = 200  # rows shown of a kind of measurement
 HALF = 0.5  # weight below which a measurement is mostly ignored
 Table = dict[str, Any]
 
@@ -283,7 +285,7 @@ def table(
     note: str = "",
 ) -> Table:
     """A table of text cells; moments: time of each row for the slider [s]; closed: folded at first; note: above it."""
-    closed = closed or len(rows) > MOST_OPEN
+    closed = closed or len(rows) > OPEN_ROWS
     return {"title": title, "note": note, "head": head, "rows": rows, "moments": moments, "open": not closed}
 
 
@@ -300,7 +302,9 @@ def walk_tables(
     tables += [table("Sensors", *sensor_rows(walk))]
     tables += [_fixes(fixes)] if fixes else []
     tables += [_beacons(estimate.beacons)] if estimate.beacons else []
-    tables += [measurement_table(kind, own) for kind, own in estimate.reports.items() if own and kind not in OWN_TABLE]
+    tables += [
+        measurement_table(kind, rows) for kind, rows in estimate.reports.items() if rows and kind not in OWN_TABLE
+    ]
     tables += [_climbs(summary["climbs"], walk.clock_origin)] if summary["climbs"] else []
     return [*tables, _processing(summary)]
 
@@ -310,7 +314,7 @@ def scored(tracks: Mapping[str, Trajectory], truth: Trajectory, building: Buildi
     scores = [_evaluated(path, truth, building) for path in tracks.values()]
     if not scores[0]["n"]:
         return None
-    rows = [[label, unit, *(_score(own, key) for own in scores)] for key, (label, unit) in SCORES.items()]
+    rows = [[label, unit, *(_score(values, key) for values in scores)] for key, (label, unit) in SCORES.items()]
     return table("Accuracy against ground truth", ["metric", "unit", *tracks], [row for row in rows if any(row[2:])])
 
 
@@ -360,11 +364,11 @@ def measurement_table(kind: str, reports: Sequence[Any]) -> Table:
     has the mean absolute ``residual`` and the share of measurements of a ``weight`` below a half.
     """
     names = sorted((field.name for field in fields(reports[0])), key=lambda name: name != "time")
-    shown = reports[:MOST_REPORTS]
+    shown = reports[:MAXIMUM_REPORTS]
     rows = [[_cell(name, getattr(report, name)) for name in names] for report in shown]
     moments = [round(float(report.time), 2) for report in shown] if names[0] == "time" else []
     notes = [
-        f"{len(reports)} measurements" + (f", the first {MOST_REPORTS} shown" if len(reports) > len(shown) else "")
+        f"{len(reports)} measurements" + (f", the first {MAXIMUM_REPORTS} shown" if len(reports) > len(shown) else "")
     ]
     if "residual" in names:
         residual = np.abs([report.residual for report in reports])

@@ -33,9 +33,9 @@ PLACE = re.compile(rb"\{\{(\w+)\}\}")  # placeholder of a part in the template
 
 def page(content: dict[str, Any]) -> bytes:
     """The HTML file; content: in the form documented in ``web/content.js``."""
-    own = files("pdr_graph.report").joinpath("web")
-    template, style = own.joinpath("page.html").read_bytes(), own.joinpath("page.css").read_bytes()
-    script = b'"use strict";\n' + b"".join(own.joinpath(f"{name}.js").read_bytes() for name in SCRIPTS)
+    web = files("pdr_graph.report").joinpath("web")
+    template, style = web.joinpath("page.html").read_bytes(), web.joinpath("page.css").read_bytes()
+    script = b'"use strict";\n' + b"".join(web.joinpath(f"{name}.js").read_bytes() for name in SCRIPTS)
     library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
     policy = f"default-src 'none'; script-src {_hash(library)} {_hash(script)}; style-src 'unsafe-inline'; "
     text = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -57,8 +57,8 @@ def _hash(script: bytes) -> str:
 
 
 CENTIMETRE, CENTISECOND, CENTIRADIAN, PERCENT = 0.01, 0.01, 0.01, 0.01  # resolution of numbers on the page
-MOST_ROWS = 20_000  # of one track or line: 20 per pixel of a wide screen
-MOST_MARKS = 4_000  # fixes on a map: each is an SVG element
+MAXIMUM_ROWS = 20_000  # of one track or line: 20 per pixel of a wide screen
+MAXIMUM_MARKS = 4_000  # fixes on a map: each is an SVG element
 
 
 def column(values: Array, unit: float) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def runs(values: Sequence[int]) -> list[list[int]]:
     return [[value, len(list(same))] for value, same in groupby(values)]
 
 
-def thinned(rows: int, most: int = MOST_ROWS) -> Index:
+def thinned(rows: int, most: int = MAXIMUM_ROWS) -> Index:
     """Indices of at most ``most`` of ``rows`` rows, evenly spaced, with the first and the last."""
     return np.unique(np.linspace(0, rows - 1, min(rows, most)).round().astype(np.intp))
 
@@ -112,6 +112,7 @@ def plan_drawing(floor: FloorPlan) -> dict[str, Any]:
 
 
 def _name(name: str, polygon: shapely.Geometry) -> dict[str, Any]:
+    """A name with a point in its polygon and the width of the polygon [m]."""
     x, y = shapely.get_coordinates(shapely.point_on_surface(polygon))[0].tolist()
     west, _, east, _ = shapely.bounds(polygon).tolist()
     return {"text": name, "x": round(x, 2), "y": round(y, 2), "width": round(east - west, 2)}
@@ -130,6 +131,7 @@ def _path(
 
 
 def _points(line: Array) -> str:
+    """The points ``(n, 2)`` [m] of a line in SVG syntax, where y points down."""
     return " ".join(f"{x:.2f},{-y:.2f}" for x, y in line.tolist())
 
 

@@ -1,4 +1,4 @@
-"""The report of one walk."""
+"""The content of the report of one walk."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.plotting import FIX, GREY, RADIO, SURROUNDINGS, TRACK, TRUTH
@@ -18,7 +19,7 @@ from pdr_graph.report.page import (
     CENTIRADIAN,
     CENTISECOND,
     EVERYWHERE,
-    MOST_MARKS,
+    MAXIMUM_MARKS,
     PERCENT,
     bands,
     column,
@@ -38,7 +39,7 @@ MANY = 2000  # rows above which lines are drawn thinner
 
 
 @dataclass(frozen=True)
-class WalkReport:
+class WalkReport(OneLineRepr):
     """The data of a walk report.
 
     method: of ``pdr-graph smooth``; summary: the content of ``summary.json``; steps: None if there are none;
@@ -54,6 +55,9 @@ class WalkReport:
     steps: Steps | None = None
     causal: Mapping[str, Trajectory] = field(default_factory=dict)
     truth: Trajectory | None = None
+
+    def _summary(self) -> list[str]:
+        return [repr(self.walk.source), self.name, *time_span(self.estimate.trajectory)]
 
     @property
     def name(self) -> str:
@@ -82,7 +86,7 @@ def content(report: WalkReport) -> dict[str, Any]:
     estimate, summary, labels = report.estimate, report.summary, report.labels
     paths = {name: path for name, (_, path) in report.tracks.items()}
     scores = None if report.truth is None else charts_and_tables.scored(paths, report.truth, report.building)
-    fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MOST_MARKS).tolist()]
+    fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MAXIMUM_MARKS).tolist()]
     fix_labels = [_fix_label(fix) for fix in fixes]
     return {
         "title": report.walk.source,
@@ -165,12 +169,14 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
 
 
 def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:
+    """The truth as a line, or as markers if it has few points."""
     few = len(truth) <= FEW
     style = {"mode": "markers", "symbol": "x-thin"} if few else {"width": 1.0}
     return track("surveyed" if few else "truth", TRUTH, truth, maps_of(truth.floor, labels), **style)
 
 
 def _fix_label(fix: FixReport) -> str:
+    """The hover text of a fix."""
     residual = f"residual {fix.residual:.2f} m, " if np.isfinite(fix.residual) else ""
     return f"{residual}sigma {fix.sigma:.2f} m; weight {fix.weight:.2f}\n{fix.reason}"
 
@@ -193,11 +199,11 @@ def _beacons(estimate: Estimate) -> list[dict[str, Any]]:
     """Estimated places of the beacons; those far from their listed place in another colour."""
     drawn = []
     for name, colour, moved in (("beacons", RADIO, False), ("misplaced beacons", FIX, True)):
-        own = [b for b in estimate.beacons if b.misplaced == moved and np.isfinite([b.x, b.y]).all()]
-        if own:
-            place = np.array([(b.x, b.y) for b in own])
-            drawn.append(_marks(name, colour, place, [f"{b.label}\n{b.reason}" for b in own]))
-            drawn[-1] |= {"on": [[EVERYWHERE, len(own)]], "symbol": "diamond-open"}
+        group = [b for b in estimate.beacons if b.misplaced == moved and np.isfinite([b.x, b.y]).all()]
+        if group:
+            place = np.array([(b.x, b.y) for b in group])
+            drawn.append(_marks(name, colour, place, [f"{b.label}\n{b.reason}" for b in group]))
+            drawn[-1] |= {"on": [[EVERYWHERE, len(group)]], "symbol": "diamond-open"}
     return drawn
 
 
@@ -207,12 +213,12 @@ def _headings(report: WalkReport) -> list[dict[str, Any]]:
     if not headings:
         return []
     path = report.estimate.trajectory
-    time = np.array([one["time"] for one in headings]) - report.walk.clock_origin
-    heading = np.array([one["heading"] for one in headings])
+    time = np.array([row["time"] for row in headings]) - report.walk.clock_origin
+    heading = np.array([row["heading"] for row in headings])
     floors = [path.floor[row] for row in nearest(path.time, time).tolist()]
     labels = [
-        f"magnetic heading, residual {np.degrees(one['residual']):+.0f}°, sigma {np.degrees(one['sigma']):.0f}°"
-        for one in headings
+        f"magnetic heading, residual {np.degrees(row['residual']):+.0f}°, sigma {np.degrees(row['sigma']):.0f}°"
+        for row in headings
     ]
     marks = _marks("magnetic headings", RADIO, interpolate(time, path.time, path.position), labels)
     marks |= {"on": runs(maps_of(floors, report.labels)), "symbol": "arrow", "heading": column(heading, CENTIRADIAN)}
@@ -220,5 +226,6 @@ def _headings(report: WalkReport) -> list[dict[str, Any]]:
 
 
 def _marks(name: str, colour: str, place: Array, labels: Sequence[str]) -> dict[str, Any]:
+    """Marks on a map at positions ``(n, 2)`` [m], with hover texts."""
     x, y = (column(axis, CENTIMETRE) for axis in place.T)
     return {"name": name, "colour": colour, "x": x, "y": y, "text": list(labels)}

@@ -1,4 +1,4 @@
-"""What a report does in a browser that has no network."""
+"""A report in a browser without network."""
 
 import csv
 import json
@@ -63,7 +63,7 @@ def begins(report):
     return report.run("return +document.getElementById('slider').min")
 
 
-def test_it_opens_from_disk_without_an_error_or_a_request(browser, walk):
+def test_a_report_opens_from_disk_without_an_error_or_a_request(browser, walk):
     for folder in ("out", "live"):
         report = Page(browser, walk / folder / "report.html")
         report.slide(20.0)
@@ -73,7 +73,7 @@ def test_it_opens_from_disk_without_an_error_or_a_request(browser, walk):
         assert all_ > 0, "a control: requests are seen"
 
 
-def test_a_request_would_be_seen_and_an_error_too(browser, tmp_path):
+def test_requests_and_errors_are_detected(browser, tmp_path):
     """Control of the test above."""
     mark = "<script>performance.mark('whole'); fetch('https://example.org/'); throw new Error('no')</script>"
     (tmp_path / "bad.html").write_text(mark)
@@ -83,7 +83,7 @@ def test_a_request_would_be_seen_and_an_error_too(browser, tmp_path):
     assert report.asked_for[0] == ["https://example.org/"]
 
 
-def test_the_slider_moves_the_walker_to_where_the_trajectory_was(browser, walk):
+def test_the_slider_moves_the_walker_along_the_trajectory(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     time, position, _ = trajectory(walk / "out" / "trajectory.csv")
     start, metre = begins(report), report.metre
@@ -94,7 +94,7 @@ def test_the_slider_moves_the_walker_to_where_the_trajectory_was(browser, walk):
         assert np.hypot(*np.subtract(report.walker, there)) * metre < ARROW, f"after {when:.1f} s"
 
 
-def test_the_walker_points_where_the_trajectory_pointed(browser, walk):
+def test_the_walker_has_the_heading_of_the_trajectory(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     time, _, heading = trajectory(walk / "out" / "trajectory.csv")
     for row in (10, 30, 50):
@@ -111,7 +111,7 @@ def test_the_charts_cursor_and_the_clock_follow_the_slider(browser, walk):
     assert report.run("return document.getElementById('clock').textContent") == "0:25"
 
 
-def test_play_and_the_keyboard_move_it_too(browser, walk):
+def test_play_and_the_keyboard_move_the_walker(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     at = "return document.getElementById('slider').valueAsNumber"
     before = report.run(at)
@@ -125,7 +125,7 @@ def test_play_and_the_keyboard_move_it_too(browser, walk):
     assert report.run(at) > stopped
 
 
-def test_a_replay_shows_what_was_known_live_beside_what_is_known_now(browser, walk):
+def test_a_replay_shows_the_causal_track_beside_the_smoothed_one(browser, walk):
     report = Page(browser, walk / "live" / "report.html")
     time, position, _ = trajectory(walk / "live" / "causal.csv")
     when, later = (
@@ -138,7 +138,7 @@ def test_a_replay_shows_what_was_known_live_beside_what_is_known_now(browser, wa
     assert [dot["xanchor"], dot["yanchor"]] == pytest.approx(there, abs=0.03), "a centimetre per row and 10 ms of time"
 
 
-def test_nothing_offers_to_send_the_walk_anywhere(browser, walk):
+def test_no_control_sends_the_walk_anywhere(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     titles = report.run("return [...document.querySelectorAll('.modebar-btn')].map(b => b.dataset.title)")
     assert len(titles) > 3
@@ -146,7 +146,7 @@ def test_nothing_offers_to_send_the_walk_anywhere(browser, walk):
 
 
 @pytest.mark.parametrize("width", [360, 390, 1280, 1920])
-def test_it_fits_a_phone_and_a_screen(browser, walk, width):
+def test_the_page_fits_a_phone_and_a_screen(browser, walk, width):
     report = Page(browser, walk / "out" / "report.html", width, 800)
     report.slide(10.0)
     assert report.run("return document.documentElement.scrollWidth") <= width
@@ -157,15 +157,15 @@ def test_it_fits_a_phone_and_a_screen(browser, walk, width):
     )
 
 
-def test_an_hours_walk_is_seen_within_two_seconds(browser, tmp_path):
-    """The best of three: other processes take their share of the machine."""
+def test_an_hours_walk_is_drawn_within_two_seconds(browser, tmp_path):
+    """The best of three, since other processes use the machine too."""
     path = written(tmp_path, content(estimated(*laps(HOUR))))
     seconds = [Page(browser, path).picture for _ in range(3)]
     assert min(seconds) < FIRST_PICTURE, seconds
 
 
 def two_floors():
-    """A walk straight on for 20 s on floor 1, and 20 s on floor 2."""
+    """A straight walk: 20 s on floor 1, then 20 s on floor 2."""
     time = np.arange(41.0)
     position = np.stack([5.0 + 0.5 * time, np.full(41, 9.0)], axis=1)
     floors = ("1",) * 21 + ("2",) * 20
@@ -191,7 +191,7 @@ def test_floors_switch_with_the_slider_and_by_hand(browser, tmp_path):
     assert report.errors == []
 
 
-def test_names_stay_text_whatever_they_are(browser, tmp_path):
+def test_hostile_names_are_shown_as_text(browser, tmp_path):
     building = Building.load(MAPS / "two_floors.geojson")
     named = tuple(
         replace(f, areas=tuple(replace(a, name=HOSTILE if a.name else "") for a in f.areas)) for f in building.floors
@@ -220,7 +220,7 @@ def test_names_stay_text_whatever_they_are(browser, tmp_path):
     assert "<img" not in beacon_text
 
 
-def test_tables_say_what_the_summary_says(browser, walk):
+def test_tables_agree_with_the_summary(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     summary = json.loads((walk / "out" / "summary.json").read_text())
     rows = report.run(

@@ -1,4 +1,4 @@
-"""Content of a report, without a browser."""
+"""The content of a report, without a browser."""
 
 import base64
 import hashlib
@@ -22,7 +22,7 @@ from pdr_graph.evaluation import evaluate
 from pdr_graph.pipeline import Options, smooth_recording
 from pdr_graph.report import page as page_module
 from pdr_graph.report.charts_and_tables import health, measurement_table, sensor_rows
-from pdr_graph.report.page import MOST_ROWS, column, page, runs, thinned
+from pdr_graph.report.page import MAXIMUM_ROWS, column, page, runs, thinned
 from pdr_graph.report.walk import content
 from pdr_graph.types import Estimate, FixReport, Recording, Signal, Trajectory
 
@@ -40,25 +40,25 @@ def decoded(said):
 
 
 @given(st.lists(st.one_of(st.floats(-1e9, 1e9), st.just(np.nan)), max_size=40), st.sampled_from([0.01, 1e-4, 1.0]))
-def test_a_column_holds_its_numbers_to_half_a_unit(values, unit):
+def test_a_column_keeps_numbers_to_half_a_unit(values, unit):
     back = decoded(json.loads(json.dumps(column(np.array(values), unit))))
     # half a unit, and the rounding of doubles of 1e9
     np.testing.assert_allclose(back, values, rtol=1e-12, atol=0.5 * unit * (1 + 1e-6))
 
 
-def test_runs_are_their_values():
+def test_runs_decode_to_their_values():
     values = [0, 0, -1, 2, 2, 2, 0]
     assert [value for value, count in runs(values) for _ in range(count)] == values
 
 
-def test_long_tracks_are_thinned_from_end_to_end():
+def test_long_tracks_are_thinned_and_keep_both_ends():
     assert list(thinned(5)) == [0, 1, 2, 3, 4]
-    rows = thinned(10 * MOST_ROWS)
-    assert (len(rows), rows[0], rows[-1]) == (MOST_ROWS, 0, 10 * MOST_ROWS - 1)
+    rows = thinned(10 * MAXIMUM_ROWS)
+    assert (len(rows), rows[0], rows[-1]) == (MAXIMUM_ROWS, 0, 10 * MAXIMUM_ROWS - 1)
 
 
-def test_the_band_holds_nineteen_positions_of_twenty():
-    """Of a walk that stays where it is the band is one ellipse: 20 000 draws, within 4 sigma of their share."""
+def test_the_band_contains_95_percent_of_positions():
+    """For a walk at one place the band is one ellipse: the share of 20 000 draws, within 4 sigma."""
     covariance = np.array([[4.0, 1.5, 0], [1.5, 1.0, 0], [0, 0, 0.1]])
     still = Trajectory(np.arange(2.0), np.ones((2, 2)), np.zeros(2), ("", ""), np.stack([covariance, covariance]))
     (region,) = geometry.confidence_band(still, np.ones(2, dtype=bool))
@@ -86,7 +86,7 @@ def test_a_good_sensor_has_no_issues():
     assert found.rate == pytest.approx(100.0)
 
 
-def test_gaps_are_counted_and_are_no_recorded_time():
+def test_gaps_are_counted_and_reduce_the_recorded_share():
     whole = signal(noise())
     late = replace(whole, time=whole.time + 5.0 * (np.arange(1000) >= 400))
     found = health("gyroscope", late)
@@ -95,7 +95,7 @@ def test_gaps_are_counted_and_are_no_recorded_time():
     assert found.issues == ("1 gap, longest 5.0 s",)
 
 
-def test_a_sensor_that_hangs_is_stuck():
+def test_a_sensor_at_a_constant_value_is_stuck():
     values = noise()
     values[300:500] = values[300]
     assert health("gyroscope", signal(values)).stuck == pytest.approx(1.99)
@@ -111,7 +111,7 @@ def test_samples_at_the_end_of_a_range_are_clipped():
     assert health("magnetometer", signal(cut)).clipped == 0
 
 
-def test_the_table_says_what_a_missing_sensor_is_required_for():
+def test_the_table_states_the_purpose_of_a_missing_sensor():
     walk = Recording("w", 0.0, None, accelerometer=signal(noise()), notes=("accelerometer: it was shaken",))
     rows = {row[0]: row for row in sensor_rows(walk)[1]}
     assert rows["gyroscope"][1:] == ["no data", "", "", "required for turns"]
@@ -123,7 +123,7 @@ def hour():
     return estimated(*laps(HOUR))
 
 
-def test_an_hour_is_smaller_than_8_mb_and_made_in_a_moment(hour):
+def test_the_report_of_an_hour_is_fast_and_smaller_than_8_mb(hour):
     made, seconds = b"", []
     for _ in range(3):
         started = time.process_time()
@@ -134,8 +134,8 @@ def test_an_hour_is_smaller_than_8_mb_and_made_in_a_moment(hour):
     assert min(seconds) < 0.3, f"{seconds} s of processor: what a report may add to an hour's walk"
 
 
-def test_a_days_march_with_a_fix_a_second_is_smaller_than_8_mb():
-    """Twelve hours: 80 000 steps and 43 200 fixes; all tracks have a covariance."""
+def test_the_report_of_twelve_hours_with_a_fix_per_second_is_smaller_than_8_mb():
+    """80 000 steps and 43 200 fixes; all tracks have a covariance."""
     time = np.linspace(0.0, 43_200.0, 80_000)
     random = np.random.default_rng(6)
     position = np.cumsum(random.normal(0, 0.7, (len(time), 2)), axis=0)
@@ -148,7 +148,7 @@ def test_a_days_march_with_a_fix_a_second_is_smaller_than_8_mb():
     assert len(page(content(march))) < MOST_BYTES
 
 
-def test_a_page_has_nothing_left_to_fill_and_asks_for_nothing(hour):
+def test_a_page_has_no_placeholder_left_and_no_url_to_load(hour):
     text = page(content(hour)).decode()
     head = text[: text.index("<style>")]
     assert "{{" not in head
@@ -157,8 +157,8 @@ def test_a_page_has_nothing_left_to_fill_and_asks_for_nothing(hour):
     assert not re.search(r"<(link|img|iframe|object|embed)\b|<script[^>]* src=|url\(", markup)
 
 
-def test_the_policy_knows_each_script_by_its_hash(hour):
-    """The hashes of what stands between the tags, as a browser takes them."""
+def test_the_policy_has_the_hash_of_each_script(hour):
+    """The hashes of the texts between the tags, as a browser computes them."""
     text = page(content(hour)).decode()
     scripts = re.findall(r"<script>(.*?)</script>", text, flags=re.DOTALL)
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
@@ -170,7 +170,7 @@ def test_the_policy_knows_each_script_by_its_hash(hour):
     "name",
     ["</script><script>alert(1)</script>", "{{library}}{{style}}", "\udcff\x00\u2028", "\\", "<!--<script>", "]]>"],
 )
-def test_whatever_a_name_is_it_stays_in_the_content(name):
+def test_hostile_names_stay_in_the_content(name):
     steps, fixes = laps(1)
     said = content(estimated(steps, fixes, warnings=[name]))
     made = page(said | {"title": name}).decode("utf-8")
@@ -179,7 +179,7 @@ def test_whatever_a_name_is_it_stays_in_the_content(name):
     assert made.count("<script") - page(said).decode().count("<script") == 0
 
 
-def test_truth_is_scored_as_evaluate_does_and_changes_no_estimate():
+def test_truth_is_scored_as_by_evaluate_and_changes_no_estimate():
     steps, fixes = laps(2)
     truth = estimated(steps, fixes).estimate.trajectory
     truth = replace(truth, position=truth.position + 1.0, covariance=None)
@@ -196,7 +196,7 @@ def test_truth_is_scored_as_evaluate_does_and_changes_no_estimate():
     assert list(named) == ["truth"]
 
 
-def test_estimated_and_prior_values_are_drawn_apart():
+def test_estimated_and_prior_values_are_separate_lines():
     charts = {chart["title"]: chart for chart in content(estimated(*laps(4)))["charts"]}
     assert [line["name"] for line in charts["stride scale R_s"]["lines"]] == ["estimated"]
     assert "prior kept" in [line["name"] for line in charts["gyro drift b"]["lines"]]
@@ -204,7 +204,7 @@ def test_estimated_and_prior_values_are_drawn_apart():
 
 @dataclass(frozen=True)
 class EchoReport:
-    """A report of a kind of measurement that the package does not know."""
+    """A report of a kind of measurement from outside the package."""
 
     anchor: str
     time: float
@@ -213,7 +213,7 @@ class EchoReport:
     blocked: bool
 
 
-def test_a_kind_of_measurement_that_is_new_gets_a_table():
+def test_a_new_kind_of_measurement_gets_a_table():
     echoes = tuple(
         EchoReport(f"A{n}", float(n), (-1) ** n * 0.5, 0.1 if n % 4 == 0 else 1.0, n == 1) for n in range(300)
     )
@@ -261,7 +261,7 @@ def test_each_sensor_of_a_recording_is_in_its_table():
     assert rows == [*SENSORS, "barometer"]
 
 
-def test_a_report_that_fails_costs_nothing_else(tmp_path, monkeypatch):
+def test_a_report_that_fails_leaves_all_other_files(tmp_path, monkeypatch):
     folder = simulated.indoor_location(tmp_path / "walk", np.array([(0.0, 0.0), (12.0, 0.0)]))
 
     def broken(_):
