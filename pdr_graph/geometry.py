@@ -49,8 +49,11 @@ def turn_between(before: Array, after: Array) -> float:
 
 def rotation(angle: Array | float) -> Array:
     """Rotation matrices ``(…, 2, 2)`` by angles ``(…,)`` [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    R = np.empty((*np.shape(angle), 2, 2))
+    R[..., 0, 0] = R[..., 1, 1] = np.cos(angle)
+    R[..., 1, 0] = np.sin(angle)
+    R[..., 0, 1] = -R[..., 1, 0]
+    return R
 
 
 def pose_rotation(heading: Array) -> Array:

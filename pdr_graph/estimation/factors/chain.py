@@ -42,6 +42,27 @@ class Chain:
         numbers = np.arange(len(segment) + 1), np.arange(segment[-1] + 1)
         return cls(pieces, bridge(pieces, increments), delta, segment, *numbers)
 
+    @classmethod
+    def keyframe_alone(cls, time: float, number: int, segment: int) -> Chain:
+        """A chain of a single keyframe at a time [s], with no steps; segment: number of its calibration."""
+        numbers = np.array([number]), np.array([segment])
+        return cls(Pieces.none(time), Bridge.none(), np.empty((0, 3)), np.empty(0, dtype=np.intp), *numbers)
+
+    def after(self, first: int) -> Chain:
+        """The part of the chain from keyframe ``first`` on, by its place in order."""
+        m = self.pieces.first[first] if first < len(self.segment) else len(self.pieces.length)
+        row = self.segment[first] if first < len(self.segment) else max(len(self.segment_number) - 1, 0)
+        return Chain(
+            pieces=self.pieces.after(first),
+            bridge=Bridge(self.bridge.root[first:], self.bridge.gain[m:], self.bridge.spread[m:]),
+            delta=self.delta[first:],
+            segment=self.segment[first:] - row,
+            number=self.number[first:],
+            segment_number=self.segment_number[row:],
+            begins=self.begins and first == 0,
+            ends=self.ends,
+        )
+
     @property
     def time(self) -> Array:
         """When the keyframes are ``(k + 1,)``. [s]"""

@@ -79,20 +79,35 @@ class Pieces:
         turns = np.empty((2, 0))
         return cls(none, turns, turns, np.empty((0, 3)), numbers, numbers, numbers, np.array([time]), numbers)
 
+    def after(self, first: int) -> Pieces:
+        """The intervals from number ``first`` on."""
+        m = self.first[first] if first < len(self.first) else len(self.length)
+        return Pieces(
+            length=self.length[m:],
+            to_middle=self.to_middle[:, m:],
+            to_end=self.to_end[:, m:],
+            variance=self.variance[m:],
+            interval=self.interval[m:] - first,
+            first=self.first[first:] - m,
+            last=self.last[first:] - m,
+            keyframe_time=self.keyframe_time[first:],
+            row_end=self.row_end[self.row_end >= m] - m,
+        )
+
     @classmethod
-    def together(cls, one_by_one: Sequence[Pieces]) -> Pieces:
-        """Intervals, one each, as many; their keyframes need not follow one another."""
-        sizes = [len(pieces.length) for pieces in one_by_one]
+    def together(cls, parts: Sequence[Pieces]) -> Pieces:
+        """Concatenate intervals that follow one another; without rows of a trajectory."""
+        sizes = np.concatenate([part.last + 1 - part.first for part in parts])
         last = np.cumsum(sizes) - 1
         return cls(
-            length=np.concatenate([pieces.length for pieces in one_by_one]),
-            to_middle=np.concatenate([pieces.to_middle for pieces in one_by_one], axis=1),
-            to_end=np.concatenate([pieces.to_end for pieces in one_by_one], axis=1),
-            variance=np.concatenate([pieces.variance for pieces in one_by_one]),
+            length=np.concatenate([part.length for part in parts]),
+            to_middle=np.concatenate([part.to_middle for part in parts], axis=1),
+            to_end=np.concatenate([part.to_end for part in parts], axis=1),
+            variance=np.concatenate([part.variance for part in parts]),
             interval=np.repeat(np.arange(len(sizes)), sizes),
-            first=(last + 1 - sizes).astype(np.intp),
+            first=last + 1 - sizes,
             last=last,
-            keyframe_time=np.array([one_by_one[0].keyframe_time[0], *(p.keyframe_time[1] for p in one_by_one)]),
+            keyframe_time=np.concatenate([parts[0].keyframe_time[:1], *(part.keyframe_time[1:] for part in parts)]),
             row_end=np.empty(0, dtype=np.intp),
         )
 
@@ -217,9 +232,9 @@ class Bridge:
         return cls(*(np.empty((0, 3, 3)) for _ in range(3)))
 
     @classmethod
-    def together(cls, one_by_one: Sequence[Bridge]) -> Bridge:
-        """Those of many intervals."""
-        columns = zip(*((b.root, b.gain, b.spread) for b in one_by_one), strict=True)
+    def together(cls, parts: Sequence[Bridge]) -> Bridge:
+        """Concatenate the bridges of intervals that follow one another."""
+        columns = zip(*((part.root, part.gain, part.spread) for part in parts), strict=True)
         return cls(*(np.concatenate(column) for column in columns))
 
 

@@ -81,7 +81,7 @@ class LiveGraph:
         self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
         self._current: tuple[Part, list[Measurement]] | None = None
         self._last: tuple[Any, gtsam.Values, Evaluation] | None = None  # the latest evaluation, and of what
-        self._leaving = 0  # keyframes that the solver has marginalised, and the window still has
+        self._leaving = 0  # keyframes that the solver has marginalised or is about to, and the window still has
         self._looked: Array | None = None  # the poses where the factors were last looked at
 
     # What comes in
@@ -126,7 +126,11 @@ class LiveGraph:
                 self.append(data)
         window.finished = at_end
         reached = [time for time in self._arrivals if time <= covered + CLOSE or at_end]
-        new = window.cut(reached + [covered] * at_end)
+        ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
+        if ends:
+            self._leaving = self._older_than(ends[-1] - self.isam.lag)
+            self.let_go()
+        new = window.cut(ends)
         within = [time for time in reached if window.times[0] <= time <= window.times[-1]]
         for time in within:
             if not window.has_keyframe(time):
@@ -281,7 +285,7 @@ class LiveGraph:
                 if new:
                     insert(values, symbol, key, vector)
                 if new or symbol != "x":
-                    times[key] = now if np.isinf(time) else time
+                    times[key] = min(time, now) if time > -np.inf else now
         return values, times
 
     def _segment_ends(self, state: State) -> Array:
@@ -301,8 +305,12 @@ class LiveGraph:
         self._leaving = next((n for n, number in enumerate(self.window.keyframes) if X(number) in self.isam), 0)
         self.window.read(self.isam.values, self._leaving)
 
+    def _older_than(self, time: float) -> int:
+        """How many keyframes but the last are from before a moment [s]: the solver marginalises them in this update."""
+        return int(np.searchsorted(self.window.times[:-1], time))
+
     def let_go(self) -> None:
-        """Let go of the keyframes that the solver has marginalised, and of what was measured there."""
+        """Let go of the keyframes that leave, and of what was measured there."""
         gone, window = self._leaving, self.window
         if not gone:
             return

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -23,6 +22,7 @@ from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.types import Array, Index
 
 ALL = 10**9  # pieces
+LINKED = 300  # intervals whose chain is kept from one keyframe to the next
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ class Window:
         self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
         self.intervals, self.c = list[Interval](), dict[int, Array]()
         self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
+        self._chain: Chain | None = None  # of the last intervals
 
     def begin(self) -> None:
         """Set the first keyframe."""
@@ -67,10 +68,10 @@ class Window:
         """Whether all of the walk is still in it."""
         return bool(self.keyframes) and self.keyframes[0] == 0
 
-    def cut(self, marks: list[float]) -> list[Interval]:
-        """Close the intervals that are complete since the last keyframe, and return them."""
+    def cut(self, ends: Iterable[float]) -> list[Interval]:
+        """Close the intervals since the last keyframe that end at these times [s], and return them."""
         new: list[Interval] = []
-        for end in self.steps.keyframe_ends(self.times[-1], marks):
+        for end in ends:
             segment = self._segment_until(end)
             new.append(self._interval(self.keyframes[-1], self._number(), self.times[-1], end, segment, self.floor))
             ahead = self._led(self.pose[-1], new[-1], self.c[segment])
@@ -78,6 +79,8 @@ class Window:
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
             self.intervals.append(new[-1])
+        if self._chain is not None and new:
+            self._chain = _extended(self._chain.after(max(0, len(self._chain.segment) - LINKED)), new)
         return new
 
     def has_keyframe(self, time: float) -> bool:
@@ -100,13 +103,19 @@ class Window:
         between = (1 - share) * self.pose[at - 1] + share * self.pose[at]
         between[2] = self.pose[at - 1, 2] + share * wrap_angle(self.pose[at, 2] - self.pose[at - 1, 2])
         self.intervals[at - 1 : at] = halves
+        self._chain = None
         self.keyframes.insert(at, number)
         self.times.insert(at, time)
         self.pose = np.insert(self.pose, at, between, axis=0)
 
     def part(self, last: int) -> Part:
         """The last so many intervals, as the factors take them."""
-        return Part(self, self.intervals[-last:] if last < len(self.intervals) else self.intervals)
+        count = min(last, len(self.intervals))
+        first = len(self.intervals) - count
+        if self._chain is None or len(self._chain.segment) < count:
+            at = Chain.keyframe_alone(self.times[first], self.keyframes[first], self.segment)
+            self._chain = _extended(at, self.intervals[first:])
+        return Part(self, self.intervals[first:], self._chain.after(len(self._chain.segment) - count))
 
     @property
     def known_plan(self) -> Building | None:
@@ -155,6 +164,8 @@ class Window:
     def forget(self, count: int) -> None:
         """Let go of the first so many keyframes."""
         del self.keyframes[:count], self.times[:count], self.intervals[:count]
+        if self._chain is not None and len(self._chain.segment) > len(self.intervals):
+            self._chain = self._chain.after(len(self._chain.segment) - len(self.intervals))
         self.pose = self.pose[count:]
         self.steps.forget(self.times[0])
         kept = {*self.segments, self.segment}
@@ -208,37 +219,37 @@ class Window:
         return self.segment
 
 
+def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
+    """A chain and the intervals that follow it."""
+    if not new:
+        return chain
+    of_segment = [*chain.segment_number[chain.segment].tolist(), *(one.segment for one in new)]
+    segment_number, segment = np.unique(np.array(of_segment, dtype=np.intp), return_inverse=True)
+    return Chain(
+        pieces=Pieces.together([chain.pieces, *(one.pieces for one in new)]),
+        bridge=Bridge.together([chain.bridge, *(one.bridge for one in new)]),
+        delta=np.concatenate([chain.delta, [one.delta for one in new]]),
+        segment=segment.astype(np.intp),
+        number=np.append(chain.number, [one.j for one in new]),
+        segment_number=segment_number,
+    )
+
+
 class Part:
     """The last intervals of a window, as a chain of keyframes with their state.
 
     intervals: in order; the window must not change while it is used.
     """
 
-    def __init__(self, window: Window, intervals: list[Interval]):
+    def __init__(self, window: Window, intervals: list[Interval], chain: Chain):
         self.window, self.intervals = window, intervals
         self.first = len(window.keyframes) - len(intervals) - 1
+        self.chain = replace(chain, begins=self.first == 0, ends=window.finished)
 
-    @cached_property
-    def chain(self) -> Chain:
-        """Its keyframes and steps."""
-        segments, own = self.segments, self.intervals
-        pieces = Pieces.together([one.pieces for one in own]) if own else Pieces.none(self.window.times[-1])
-        return Chain(
-            pieces=pieces,
-            bridge=Bridge.together([one.bridge for one in own]) if own else Bridge.none(),
-            delta=np.array([one.delta for one in own]).reshape(-1, 3),
-            segment=np.searchsorted(segments, [one.segment for one in own]).astype(np.intp),
-            number=np.array(self.window.keyframes[self.first :], dtype=np.intp),
-            segment_number=segments,
-            begins=self.first == 0,
-            ends=self.window.finished,
-        )
-
-    @cached_property
+    @property
     def segments(self) -> Index:
         """The numbers ``(s,)`` of its calibrations."""
-        own = {one.segment for one in self.intervals} or {self.window.segment}
-        return np.array(sorted(own), dtype=np.intp)
+        return self.chain.segment_number
 
     def state(self, values: gtsam.Values, measurements: Iterable[Measurement]) -> State:
         """All its variables: poses and calibrations of the window, others as in ``values``, or initial."""
