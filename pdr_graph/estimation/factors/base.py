@@ -398,8 +398,8 @@ class Measurement:
         """Take over what was decided about instances that are still there."""
         return self
 
-    def reports(self, at: Evaluation) -> tuple[Any, ...]:
-        """Residual, weight and reason of each instance."""
+    def reports(self, at: Evaluation, which: Index | None = None) -> tuple[Any, ...]:
+        """Residual, weight and reason of each instance, or of the instances ``which``."""
         return ()
 
     @property

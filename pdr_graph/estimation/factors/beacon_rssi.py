@@ -196,7 +196,7 @@ class BeaconRssiFactor(Measurement):
         position[moved] = np.nan
         return replace(self, position=position).initialized(at.state.poses)
 
-    def reports(self, at: Evaluation) -> tuple[BeaconReport, ...]:
+    def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """What the walk tells of each beacon that was heard on it."""
         [block] = at.blocks_of(self.name)
         off, of_beacon = np.abs(LEVEL_SIGMA * block.residual), self.listed.beacon[self.keyframe >= 0]

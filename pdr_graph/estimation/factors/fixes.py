@@ -218,16 +218,19 @@ class FixFactor(Measurement):
             weight[order[np.searchsorted(self.number[order], block.number)]] = block.weight
         return weight
 
-    def reports(self, at: Evaluation) -> tuple[FixReport, ...]:
+    def reports(self, at: Evaluation, which: Index | None = None) -> tuple[FixReport, ...]:
         """Residual, weight and reason of every fix."""
         reached = self.keyframe >= 0
         distance = np.where(reached, self.distance(at), np.nan)
-        return self.reported(distance, distance / self.sigma, self.weight(at), "the walk")
+        return self.reported(distance, distance / self.sigma, self.weight(at), "the walk", which)
 
-    def reported(self, distance: Array, sigmas: Array, weight: Array, origin: str) -> tuple[FixReport, ...]:
-        """Reports of all fixes, at ``distance (f,)`` [m], in ``sigmas (f,)``, from ``origin`` ("the walk")."""
+    def reported(
+        self, distance: Array, sigmas: Array, weight: Array, origin: str, which: Index | None = None
+    ) -> tuple[FixReport, ...]:
+        """Reports of fixes, all or ``which``, at ``distance (f,)`` [m], in ``sigmas (f,)``, from ``origin``."""
         reports = []
-        for n, (x, y) in enumerate(self.fixes.position.tolist()):
+        for n in np.arange(len(self)) if which is None else which:
+            x, y = self.fixes.position[n].tolist()
             if self.duplicate[n]:
                 reason = DUPLICATE
             elif self.approximate:

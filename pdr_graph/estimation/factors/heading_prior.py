@@ -75,11 +75,12 @@ class HeadingFactor(Measurement):
         which = np.flatnonzero(self.keyframe >= 0)
         return self.number[which], self.headings.time[which]
 
-    def reports(self, at: Evaluation) -> tuple[HeadingReport, ...]:
-        """Residual, weight and reason of every heading."""
-        which = np.flatnonzero(self.keyframe >= 0)
-        [block] = at.blocks_of(self.name)
-        return heading_reports(take(self.headings, which), at.state.poses[self.keyframe[which], 2], block.weight)
+    def reports(self, at: Evaluation, which: Index | None = None) -> tuple[HeadingReport, ...]:
+        """Residual, weight and reason of every heading that has a keyframe."""
+        reached, [block] = np.flatnonzero(self.keyframe >= 0), at.blocks_of(self.name)
+        which = np.arange(len(reached)) if which is None else which
+        heading = at.state.poses[self.keyframe[reached[which]], 2]
+        return heading_reports(take(self.headings, reached[which]), heading, block.weight[which])
 
 
 def heading_reports(headings: Headings, heading: Array, weight: Array) -> tuple[HeadingReport, ...]:

@@ -183,12 +183,13 @@ class RangeFactor(Measurement):
         """Numbers and times of the ranges."""
         return self.number, self.ranges.time
 
-    def reports(self, at: Evaluation) -> tuple[RangeReport, ...]:
+    def reports(self, at: Evaluation, which: Index | None = None) -> tuple[RangeReport, ...]:
         """Residual, weight and reason of every range."""
         [block] = at.blocks_of(self.name)
         place = {number: n for n, number in enumerate(block.number.tolist())}
         reports = []
-        for n, number in enumerate(self.number.tolist()):
+        for n in np.arange(len(self.number)) if which is None else which:
+            number = int(self.number[n])
             label, sigma = self.ranges.label[self.ranges.anchor[n]], float(self.ranges.sigma[n])
             residual, weight, reason = np.nan, 0.0, "outside the recording: not used"
             if number in place:

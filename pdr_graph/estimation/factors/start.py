@@ -93,7 +93,9 @@ class CalibrationFactor(Measurement):
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """A factor for each segment with which a walk begins, one for each that follows another."""
         c, first = at.state.c, np.array(sorted(self.begins), dtype=np.intp)
-        later = np.setdiff1d(np.arange(1, len(c)), first)
+        follows = np.arange(len(c)) > 0
+        follows[first] = False
+        later = np.flatnonzero(follows)
         number, sigma = at.state.number("c"), np.array(self.change)
         mean, covariance, root = self._priors
         keys = at.state.keys("c").tolist()

@@ -80,6 +80,7 @@ class LiveGraph:
         self._arrivals = list[float]()
         self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
         self._current: tuple[Part, list[Measurement]] | None = None
+        self._outdated = False  # whether measurements or intervals have come since `_current` was made
         self._last: tuple[Any, gtsam.Values, Evaluation] | None = None  # the latest evaluation, and of what
         self._leaving = 0  # keyframes that the solver has marginalised or is about to, and the window still has
         self._looked: Array | None = None  # the poses where the factors were last looked at
@@ -104,7 +105,7 @@ class LiveGraph:
         if len(times):
             self.log.append(data, number)
             self._arrivals += times.ravel().tolist()
-            self._current = None
+            self._outdated = True
 
     @property
     def overhangs(self) -> dict[str, float]:
@@ -137,8 +138,7 @@ class LiveGraph:
                 window.split(time)
         if reached:
             self._arrivals = [time for time in self._arrivals if not (time <= covered + CLOSE or at_end)]
-        if new or reached:
-            self._current = None
+        self._outdated |= bool(new or reached)
         return new, bool(reached)
 
     # The graph at the estimate
@@ -153,13 +153,16 @@ class LiveGraph:
         """The last intervals, or all, and the measurements on them."""
         if everything and len(self.window.intervals) > RECENT:
             return self._measured(self.window.part(ALL))
-        if self._current is None or self.log.changed:
-            self._current = self._measured(self.window.part(RECENT))
+        if self._current is None or self._outdated or self.log.changed:
+            self._current, self._outdated = self._measured(self.window.part(RECENT)), False
         return self._current
 
     def evaluate(self, everything: bool = False) -> Evaluation:
         """The window's factors at the estimate."""
-        current, values = self.current(everything), self.isam.values
+        return self._evaluate(self.current(everything))
+
+    def _evaluate(self, current: tuple[Part, list[Measurement]]) -> Evaluation:
+        values = self.isam.values
         if self._last is None or self._last[0] is not current or self._last[1] is not values:
             part, measurements = current
             at = part.chain.evaluate(part.state(values, measurements), measurements)
@@ -226,7 +229,7 @@ class LiveGraph:
 
     def _unmoved(self) -> bool:
         """Whether no pose has moved since the factors were last looked at by as much as would matter to any."""
-        if self._looked is None or self._current is None or len(self._looked) != len(self.window.pose):
+        if self._looked is None or self._outdated or len(self._looked) != len(self.window.pose):
             return False
         apart = np.abs(self.window.pose - self._looked)
         apart[:, 2] = np.abs(wrap_angle(apart[:, 2]))
@@ -236,7 +239,7 @@ class LiveGraph:
         """Find the walls about the last so many pieces; returns what it costs to lead there."""
         self._looked = None
         price = self.window.associate_walls(pieces)
-        if self._current is not None:
+        if self._current is not None and not self._outdated:
             part, measurements = self._current
             walls = part.walls()
             self._current = part, [walls if isinstance(one, WallFactor) and walls else one for one in measurements]
@@ -315,7 +318,9 @@ class LiveGraph:
         if not gone:
             return
         self._leaving, until = 0, window.times[gone]
-        at = self.evaluate(everything=True)
+        complete = self._current is not None and len(self._current[0].intervals) == len(window.intervals)
+        late = self._outdated and min(self._arrivals, default=until) < until
+        at = self._evaluate(self._current) if complete and not late else self.evaluate(everything=True)
         self._report_until(until, at)
         self.past.take(window.intervals[:gone], at, window.pose[0].copy() if window.complete else None)
         window.forget(gone)
@@ -332,10 +337,13 @@ class LiveGraph:
     def _report_until(self, until: float, at: Evaluation) -> None:
         """Keep the reports of instances from before a moment [s]."""
         for one in at.measurements:
-            if one.instances is not None and bool((one.instances[1] < until).any()):
-                numbers, times = one.instances
-                kept, reports = self.past.reports.setdefault(one.name, {}), one.reports(at)
-                kept |= {int(numbers[n]): reports[n] for n in np.flatnonzero(times < until).tolist()}
+            if one.instances is None:
+                continue
+            numbers, times = one.instances
+            early = np.flatnonzero(times < until)
+            if len(early):
+                reports = zip(numbers[early].tolist(), one.reports(at, early), strict=True)
+                self.past.reports.setdefault(one.name, {}).update(reports)
 
     def covariance(self, n: int) -> Array:
         """Covariance ``(3, 3)`` of a keyframe, by its place in order, in the output axes."""
