@@ -204,12 +204,14 @@ def test_what_was_marginalised_is_not_forgotten():
     """Linear factors: a window of twelve keyframes, and all of them at once, agree to rounding."""
     window, whole, A = TransactionalISAM(LAG), TransactionalISAM(), np.eye(3)
     for i in range(100):
-        values = gtsam.Values()
+        values, origin = gtsam.Values(), gtsam.Values()
         values.insert(C(i), np.zeros(3))
+        for k in range(i + 1):
+            origin.insert(C(k), np.zeros(3))
         measured = np.random.default_rng(i).normal(0, 1, 3)
-        factors = {("seen", i): linear_factor([C(i)], [A / 2.0], -measured / 2.0, np.zeros((1, 3)))}
+        factors = {("seen", i): linear_factor([C(i)], [A / 2.0], -measured / 2.0, origin)}
         if i:
-            factors["moved", i] = linear_factor([C(i - 1), C(i)], [-A, A], -np.ones(3), np.zeros((2, 3)))
+            factors["moved", i] = linear_factor([C(i - 1), C(i)], [-A, A], -np.ones(3), origin)
         for isam in (window, whole):
             isam.update(named(factors), values=values, times={C(i): SECONDS * i})
     assert window.values.size() < 20

@@ -270,21 +270,24 @@ def _linear(
     """Some factors of a block, linearised at ``state``."""
     residual, jacobian = block.weighted
     first, weight, found = np.searchsorted(block.row_of, np.arange(len(block) + 1)), block.weight, dict[Name, Linear]()
+    variables, where = np.unique(keys[which], return_index=True)
+    values = gtsam.Values()
+    for key, numbers in zip(variables.tolist(), point[which].reshape(-1, 3)[where], strict=True):
+        _insert(values, key, numbers)
     for n in which.tolist():
         rows, own = slice(first[n], first[n + 1]), tuple(keys[n].tolist())
-        factor = linear_factor(own, [by[rows] for by in jacobian], residual[rows], point[n].reshape(-1, 3))
+        factor = linear_factor(own, [by[rows] for by in jacobian], residual[rows], values)
         found[block.name, int(block.number[n])] = Linear(factor, own, point[n], float(weight[n]), float(signature[n]))
     return found
 
 
-def linear_factor(keys: Sequence[int], blocks: Sequence[Array], residual: Array, at: Array) -> gtsam.NonlinearFactor:
-    """A factor linearised ``at (v, 3)``: whitened residuals ``(r,)``, and derivatives ``(r, 3)`` by each variable."""
+def linear_factor(
+    keys: Sequence[int], blocks: Sequence[Array], residual: Array, values: gtsam.Values
+) -> gtsam.NonlinearFactor:
+    """A factor linearised at ``values``: whitened residuals ``(r,)``, and derivatives ``(r, 3)`` by each variable."""
     terms: list[Any] = [side for pair in zip(keys, blocks, strict=True) for side in pair]
     make: Any = gtsam.JacobianFactor  # its overloads are of one, two and three variables
-    factor, point = make(*terms, -residual, UNIT[len(residual)]), gtsam.Values()
-    for one, numbers in zip(keys, at, strict=True):
-        _insert(point, one, numbers)
-    return gtsam.LinearContainerFactor(factor, point)
+    return gtsam.LinearContainerFactor(make(*terms, -residual, UNIT[len(residual)]), values)
 
 
 def _packed(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> PackedFactor:
@@ -304,7 +307,7 @@ def _unpacked(packed: PackedFactor, values: gtsam.Values) -> gtsam.NonlinearFact
         for m in range(n + 1, len(keys)):
             across = information[block[n], block[m]]
             graph.push_back(gtsam.HessianFactor(key, keys[m], zero, across, nothing, zero, nothing, 0.0))
-    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(gtsam.HessianFactor(graph)), _some(values, keys))
+    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(gtsam.HessianFactor(graph)), values)
 
 
 def _anchored(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.NonlinearFactor:
@@ -315,15 +318,7 @@ def _anchored(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.Nonli
     if not isinstance(factor, gtsam.LinearContainerFactor):
         return factor
     linear = factor.toJacobian() if factor.isJacobian() else factor.toHessian()
-    return gtsam.LinearContainerFactor(linear, _some(point, factor.keys()))
-
-
-def _some(values: gtsam.Values, keys: Iterable[int]) -> gtsam.Values:
-    """Some of the variables."""
-    some = gtsam.Values()
-    for key in keys:
-        _insert(some, key, _numbers(values, key))
-    return some
+    return gtsam.LinearContainerFactor(linear, point)
 
 
 def _numbers(values: gtsam.Values, key: int) -> Array:
