@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 
@@ -119,28 +118,23 @@ def join(parts: Sequence[Steps]) -> Steps:
 
 
 def append_steps(first: Steps, then: Steps) -> Steps:
-    """Join two chunks of a walk; the second starts where the first ends."""
-    turn, pause_turn, final_turn = then.turn.copy(), then.pause_turn.copy(), then.final_turn
-    if len(then):
-        turn[0] += first.final_turn
-        pause_turn[0] += first.final_turn
-    else:
-        final_turn += first.final_turn
-    names = ("time", "duration", "length", "sigma_length", "sigma_turn")
-    columns = {name: np.concatenate([getattr(first, name), getattr(then, name)]) for name in names}
-    columns |= {"turn": np.append(first.turn, turn), "pause_turn": np.append(first.pause_turn, pause_turn)}
-    unknown = (*first.unknown, *(line for line in then.unknown if line not in first.unknown))
-    return Steps(first.start, then.end, **columns, final_turn=final_turn, unknown=unknown)
+    """Concatenate two chunks of a walk; the second starts where the first ends."""
+    return concatenate_steps((first, then))
 
 
 def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
-    """Join at least one chunk of a walk; each starts where the previous one ends.
-
-    Neighbours are joined pairwise, since a walk may have many chunks.
-    """
-    while len(chunks) > 1:
-        chunks = [reduce(append_steps, chunks[n : n + 2]) for n in range(0, len(chunks), 2)]
-    return chunks[0]
+    """Concatenate at least one chunk of a walk; each starts where the one before ends."""
+    names = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+    columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names}
+    row, turned = 0, 0.0  # [rad] since the last step
+    for chunk in chunks:
+        if len(chunk):
+            columns["turn"][row] += turned
+            columns["pause_turn"][row] += turned
+            turned = 0.0
+        row, turned = row + len(chunk), turned + chunk.final_turn
+    unknown = tuple(dict.fromkeys(line for chunk in chunks for line in chunk.unknown))
+    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown)
 
 
 def shifted(steps: Steps, by: float) -> Steps:

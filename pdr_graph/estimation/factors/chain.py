@@ -209,10 +209,9 @@ def step_residuals(pose_i: Array, pose_j: Array, increments: Increments, pieces:
     x, y, turn = (pose_j - pose_i).T
     cos, sin = np.cos(pose_i[:, 2]), np.sin(pose_i[:, 2])
     way_x, way_y = cos * x + sin * y, cos * y - sin * x
-    r = np.stack([way_x, way_y, turn], axis=1) - increments.delta[pieces.last]
+    r = np.array([way_x, way_y, turn]).T - increments.delta[pieces.last]
     r[:, 2] = wrap_angle(r[:, 2])
 
-    zero, one, cos, sin = np.zeros_like(turn), np.ones_like(turn), np.cos(turn), np.sin(turn)
-    by_i = np.stack([-one, zero, way_y, zero, -one, -way_x, zero, zero, -one], axis=1).reshape(-1, 3, 3)
-    by_j = np.stack([cos, -sin, zero, sin, cos, zero, zero, zero, one], axis=1).reshape(-1, 3, 3)
-    return Linearized(r, by_i, by_j, -increments.by_c[pieces.last])
+    by_i = np.tile(-np.eye(3), (len(r), 1, 1))
+    by_i[:, 0, 2], by_i[:, 1, 2] = way_y, -way_x
+    return Linearized(r, by_i, pose_rotation(turn), -increments.by_c[pieces.last])

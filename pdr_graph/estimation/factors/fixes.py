@@ -260,6 +260,8 @@ def duplicates(fixes: Fixes) -> Mask:
 
 def by_source(fixes: Fixes, used: Mask) -> list[Index]:
     """The used fixes of each source that has a name, in order of time."""
+    if not any(fixes.source):
+        return []
     names = np.where(used, np.array(fixes.source, dtype=str), "")
     order = np.argsort(fixes.time, kind="stable")
     return [order[names[order] == name] for name in np.unique(names[names != ""])]

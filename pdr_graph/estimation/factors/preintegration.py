@@ -204,13 +204,19 @@ def preintegrate(pieces: Pieces, c: Array) -> Increments:
     R_s, R_d, b = c[pieces.interval].T
     turn, time = pieces.to_middle
     course = R_d * turn + b * time
-    forward_x, forward_y = pieces.length * np.cos(course), pieces.length * np.sin(course)
-    left_x, left_y = -R_s * forward_y, R_s * forward_x
-    sums = pieces.running(np.stack([forward_x, left_x * turn, left_x * time, forward_y, left_y * turn, left_y * time]))
+    per_piece = np.empty((2, 3, len(course)))  # of x and y, derivatives by R_s, R_d and b
+    per_piece[0, 0], per_piece[1, 0] = pieces.length * np.cos(course), pieces.length * np.sin(course)
+    per_piece[:, 1] = R_s * per_piece[::-1, 0]
+    per_piece[0, 1] *= -1
+    per_piece[:, 2] = per_piece[:, 1] * time
+    per_piece[:, 1] *= turn
     turn, time = pieces.to_end
-    nothing = np.zeros_like(turn)
-    by_c = np.stack([*sums, nothing, turn, time]).reshape(3, 3, -1).transpose(2, 0, 1)
-    return Increments(np.stack([R_s * sums[0], R_s * sums[3], R_d * turn + b * time], axis=1), by_c)
+    by_c = np.zeros((len(course), 3, 3))
+    by_c[:, :2] = pieces.running(per_piece).transpose(2, 0, 1)
+    by_c[:, 2, 1], by_c[:, 2, 2] = turn, time
+    delta = R_s[:, None] * by_c[:, :, 0]
+    delta[:, 2] = R_d * turn + b * time
+    return Increments(delta, by_c)
 
 
 @dataclass(frozen=True)
@@ -250,24 +256,17 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
     with all sums over the pieces up to k, for any o that ends no earlier.
     """
     x, y = increments.delta[:, :2].T
-    move_x, move_y = np.diff(x, prepend=0.0), np.diff(y, prepend=0.0)
+    move_x, move_y = x.copy(), y.copy()
+    move_x[1:] -= x[:-1]
+    move_y[1:] -= y[:-1]
     move_x[pieces.first], move_y[pieces.first] = x[pieces.first], y[pieces.first]
     u_x, u_y = x - move_x / 2, y - move_y / 2
     along, across = pieces.variance[:, 0] + SIGMA_STILL**2, pieces.variance[:, 1] + SIGMA_STILL**2
     course = np.arctan2(move_y, move_x)
     cos, sin, s = np.cos(course), np.sin(course), pieces.variance[:, 2]
-    A_xx, A_xy, A_yy, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(
-        np.stack(
-            [
-                *(
-                    along * cos**2 + across * sin**2,
-                    (along - across) * cos * sin,
-                    along * sin**2 + across * cos**2,
-                ),
-                *(s, s * u_x, s * u_y, s * u_x * u_x, s * u_x * u_y, s * u_y * u_y),
-            ]
-        )
-    )
+    A = (along * cos**2 + across * sin**2, (along - across) * cos * sin, along * sin**2 + across * cos**2)
+    swings = (s, s * u_x, s * u_y, s * u_x * u_x, s * u_x * u_y, s * u_y * u_y)
+    A_xx, A_xy, A_yy, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(np.array([*A, *swings]))
 
     def covariance(o_x: Array, o_y: Array) -> Array:
         """Cov(Δ_k, Δ_o) ``(m, 3, 3)`` for each piece k and one at ``o`` that ends no earlier."""
@@ -276,7 +275,7 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
         yx = A_xy - (S * x * o_y - x * Su_y - Su_x * o_y + Su_xy)
         yy = A_yy + S * x * o_x - x * Su_x - Su_x * o_x + Su_xx
         columns = [xx, xy, Su_y - S * y, yx, yy, S * x - Su_x, Su_y - S * o_y, S * o_x - Su_x, S]
-        return np.stack(columns, axis=1).reshape(-1, 3, 3)
+        return np.ascontiguousarray(np.array(columns).T).reshape(-1, 3, 3)
 
     own = covariance(x, y)
     end = pieces.last[pieces.interval]

@@ -80,7 +80,8 @@ class LiveGraph:
         self._arrivals = list[float]()
         self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
         self._current: tuple[Part, list[Measurement]] | None = None
-        self._outdated = False  # whether measurements or intervals have come since `_current` was made
+        self._outdated, self._version = False, 0  # whether rows or intervals have come since `_current` was made
+        self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not on a chain yet
         self._last: tuple[Any, gtsam.Values, Evaluation] | None = None  # the latest evaluation, and of what
         self._leaving = 0  # keyframes that the solver has marginalised or is about to, and the window still has
         self._looked: Array | None = None  # the poses where the factors were last looked at
@@ -129,8 +130,8 @@ class LiveGraph:
         reached = [time for time in self._arrivals if time <= covered + CLOSE or at_end]
         ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
         if ends:
-            self._leaving = self._older_than(ends[-1] - self.isam.lag)
-            self.let_go()
+            self._leaving = int(np.searchsorted(window.times[:-1], ends[-1] - self.isam.lag))
+            self.let_go()  # of what the update with these keyframes marginalises
         new = window.cut(ends)
         within = [time for time in reached if window.times[0] <= time <= window.times[-1]]
         for time in within:
@@ -139,6 +140,7 @@ class LiveGraph:
         if reached:
             self._arrivals = [time for time in self._arrivals if not (time <= covered + CLOSE or at_end)]
         self._outdated |= bool(new or reached)
+        self.log.version += bool(reached)
         return new, bool(reached)
 
     # The graph at the estimate
@@ -153,8 +155,9 @@ class LiveGraph:
         """The last intervals, or all, and the measurements on them."""
         if everything and len(self.window.intervals) > RECENT:
             return self._measured(self.window.part(ALL))
-        if self._current is None or self._outdated or self.log.changed:
+        if self._current is None or self._outdated or self._version != self.log.version:
             self._current, self._outdated = self._measured(self.window.part(RECENT)), False
+            self._version = self.log.version
         return self._current
 
     def evaluate(self, everything: bool = False) -> Evaluation:
@@ -181,11 +184,15 @@ class LiveGraph:
 
     def _measured(self, part: Part) -> tuple[Part, list[Measurement]]:
         window, chain = self.window, part.chain
-        end = np.inf if window.finished else window.times[-1]
-        told = []
-        if window.steps.chunks:
-            told = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
-        return part, [StepFactor(), *(one.on(chain) for one in told), *self._held(part), *self._on_plan(part)]
+        state = self.log.version, chain.time[0] if part.first else -np.inf, window.finished
+        if self._measured_at != state:
+            end = np.inf if window.finished else window.times[-1]
+            found = list[Measurement]()
+            if window.steps.chunks:
+                found = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
+            self._measured_at, self._measurements = state, found
+        measured = [one.on(chain) for one in self._measurements]
+        return part, [StepFactor(), *measured, *self._held(part), *self._on_plan(part)]
 
     def _held(self, part: Part) -> list[Measurement]:
         """What is believed of calibration and start, while these are in the window."""
@@ -308,10 +315,6 @@ class LiveGraph:
         self._leaving = next((n for n, number in enumerate(self.window.keyframes) if X(number) in self.isam), 0)
         self.window.read(self.isam.values, self._leaving)
 
-    def _older_than(self, time: float) -> int:
-        """How many keyframes but the last are from before a moment [s]: the solver marginalises them in this update."""
-        return int(np.searchsorted(self.window.times[:-1], time))
-
     def let_go(self) -> None:
         """Let go of the keyframes that leave, and of what was measured there."""
         gone, window = self._leaving, self.window
@@ -426,6 +429,8 @@ def _same(one: Mapping[str, AnyArray], other: Mapping[str, AnyArray]) -> bool:
 def _merged(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
     """Decisions about instances by number: the new ones, and the old ones about others."""
     if "number" not in new or not old:
+        return new
+    if np.array_equal(old["number"], new["number"]):
         return new
     kept = ~np.isin(old["number"], new["number"])
     joined = {name: np.concatenate([old[name][kept], column]) for name, column in new.items()}

@@ -228,7 +228,7 @@ class LiveSmoother(LiveOutput):
         at = graph.evaluate()
         again = [one.reclassified(at) for one in at.measurements]
         if graph.decide(again):
-            graph.log.changed = True
+            graph.log.version += 1
             graph.update()
         astray = any(one.astray for one in again)
         if astray and graph.window.times[-1] >= self.next_batch:
@@ -245,7 +245,7 @@ class LiveSmoother(LiveOutput):
         corrected = [one for one in (kind.corrected(at) for kind in at.measurements) if one is not None]
         if corrected:
             self.graph.decide(corrected)
-            self.graph.log.changed = True
+            self.graph.log.version += 1
             self.graph.update(everything=True)
 
     # Where else it may be

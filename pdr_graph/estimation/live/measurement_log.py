@@ -68,7 +68,7 @@ class MeasurementLog:
 
     def __init__(self) -> None:
         self._tables: dict[type, Table] = {}
-        self.changed = False  # since `measurements` was last asked
+        self.version = 0  # of what `measurements` returns
 
     def append(self, data: Any, number: Index | None = None) -> None:
         """Append rows; number: ``(n,)`` of these, the next ones by default; rows of known numbers are replaced."""
@@ -76,7 +76,7 @@ class MeasurementLog:
         known = self._tables.get(type(data))
         count = 0 if known is None else known.count
         number = count + np.arange(len(data)) if number is None else number
-        self.changed = True
+        self.version += 1
         if known is not None:
             kept = np.flatnonzero(~np.isin(known.number, number))
             number = np.concatenate([known.number[kept], number])
@@ -125,7 +125,7 @@ class MeasurementLog:
         table = self._tables.get(kind)
         if table is not None:
             self._keep(kind, table, table.number != number)
-            self.changed = True
+            self.version += 1
 
     def rows(self, kind: type) -> Any | None:
         """All rows of one type, None if there never was one."""
@@ -136,7 +136,7 @@ class MeasurementLog:
         self, steps: Steps, prior: Prior, begin: float, end: float, decisions: Mapping[str, Mapping[str, AnyArray]]
     ) -> list[Measurement]:
         """All kinds, from the rows between two moments [s], with what was decided about them; not yet on a chain."""
-        self.changed, found = False, list[Measurement]()
+        found = list[Measurement]()
         for kind in KINDS:
             table = self._tables.get(kind)
             if table is None:
@@ -152,7 +152,10 @@ class MeasurementLog:
         """Drop the rows from before a moment [s]."""
         for kind, table in list(self._tables.items()):
             time = table.data.time
-            self._keep(kind, table, (time if time.ndim == 1 else time.min(axis=1)) >= before - INSTANT)
+            kept = (time if time.ndim == 1 else time.min(axis=1)) >= before - INSTANT
+            if not kept.all():
+                self._keep(kind, table, kept)
+                self.version += 1
 
     def checkpoint(self) -> list[TableCheckpoint]:
         """All tables."""

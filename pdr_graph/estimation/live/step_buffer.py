@@ -104,7 +104,7 @@ class StepBuffer:
     def keyframe_ends(self, last: float, marks: list[float]) -> list[float]:
         """The times of the next keyframes after ``last`` [s]: ``marks``, ends of gaps, and after so many pieces."""
         after = self.whole[:, END] > last + CLOSE
-        if not after.any():
+        if np.count_nonzero(after) < PIECES_PER_KEYFRAME and not marks and not self.whole[after, GAP].any():
             return []
         gaps = np.flatnonzero(after & (self.whole[:, GAP] > 0))
         begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
