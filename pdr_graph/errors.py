@@ -49,7 +49,7 @@ def one_line(text: str) -> str:
     return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
 
 
-RefusedExit, DegradedExit = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
+EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
 PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open, the most complete first
 
 

@@ -8,11 +8,12 @@ from tables import publish, table
 
 from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
-from pdr_graph.gait.heading import braking_axis, forward_axis, principal_axis, reading_axis, walking_direction
+from pdr_graph.gait.heading import braking_axis, forward_axis, reading_axis, walking_direction
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io import load
+from pdr_graph.papers.heading_methods import principal_axis
 from pdr_graph.simulation.carrying import with_grip_change
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

@@ -7,11 +7,17 @@ from tables import DOCS, publish, table
 
 from pdr_graph import detect_steps
 from pdr_graph.frames import enu
-from pdr_graph.gait.heading import acceleration_axis, accumulate_turn, angular_rate_axis, walking_direction
+from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.signals import uninterrupted
 from pdr_graph.inertial.attitude import vqf_offline
 from pdr_graph.io import load
 from pdr_graph.papers.attitude_filters import imu_filter
+from pdr_graph.papers.heading_methods import (
+    PrincipalDirection,
+    acceleration_axis,
+    accumulate_turn,
+    angular_rate_axis,
+)
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import LONLAT
@@ -57,7 +63,7 @@ def errors(walk, method):
     walking = np.interp(attitude.time, walk.body.time, walk.body.step_length) > 0.3
     first = int(np.flatnonzero(walking)[0])
     heading = direction.heading - direction.heading[first] + truth[first]
-    if direction.axis is not None:
+    if isinstance(direction, PrincipalDirection):
         x, y, _ = walk.world_of(attitude)[first].inv().apply([1.0, 0.0, 0.0])  # the paper starts with both worlds alike
         there = direction.axis + direction.heading[first] + np.arctan2(y, x) - truth[first]
         heading += np.angle(np.exp(2j * there)) / 2  # of the two ways the one nearer to the given direction

@@ -31,7 +31,7 @@ from pdr_graph.cli.options import (
     WalkerPath,
 )
 from pdr_graph.cli.plans import maps
-from pdr_graph.errors import DegradedExit, InputError, RefusedExit, first_look
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, first_look
 
 
 class Commands(TyperGroup):
@@ -325,7 +325,7 @@ def evaal(
     if not ending.normal:
         for part in ending.missing:
             typer.echo(f"pdr-graph: without {part}", err=True)
-        raise typer.Exit(DegradedExit)
+        raise typer.Exit(EXIT_DEGRADED)
 
 
 @app.command()
@@ -416,7 +416,7 @@ def _path_named_after(recording: Path, ending: str) -> Path:
 
 
 def _report_end(missing: tuple[str, ...], out: Path) -> None:
-    """Print key figures, warnings and the file to open; exit with DegradedExit if something is missing."""
+    """Print key figures, warnings and the file to open; exit with EXIT_DEGRADED if something is missing."""
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     steps = f"{summary['steps']} steps, " if summary["steps"] else ""
     typer.echo(f"{steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
@@ -425,7 +425,7 @@ def _report_end(missing: tuple[str, ...], out: Path) -> None:
     typer.echo(f"-> {first_look(out)}")
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
-        raise typer.Exit(DegradedExit)
+        raise typer.Exit(EXIT_DEGRADED)
 
 
 def main() -> None:
@@ -434,10 +434,10 @@ def main() -> None:
         app()
     except InputError as error:
         typer.echo(f"pdr-graph: {error}", err=True)
-        sys.exit(RefusedExit)
+        sys.exit(EXIT_REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
         typer.echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
-        sys.exit(RefusedExit)
+        sys.exit(EXIT_REFUSED)
     except OSError as error:
         typer.echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
-        sys.exit(RefusedExit)
+        sys.exit(EXIT_REFUSED)

@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
-from pdr_graph.errors import DegradedExit, RefusedExit, first_look
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, first_look
 
 lifelog = typer.Typer(
     no_args_is_help=True,
@@ -204,7 +204,7 @@ def _end(refused: Sequence[str], none: bool = False) -> None:
     for line in refused:
         typer.echo(f"pdr-graph: {line}", err=True)
     if refused:
-        raise typer.Exit(RefusedExit if none else DegradedExit)
+        raise typer.Exit(EXIT_REFUSED if none else EXIT_DEGRADED)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pdr_graph.errors import DegradedExit
+from pdr_graph.errors import EXIT_DEGRADED
 
 maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Draw and check floor plans.")
 PlanPath = Annotated[
@@ -66,5 +66,5 @@ def map_check(plan: PlanPath) -> None:
     for problem in found:
         typer.echo(f"problem: {problem}")
     if found:
-        raise typer.Exit(DegradedExit)
+        raise typer.Exit(EXIT_DEGRADED)
     typer.echo("no problems found")

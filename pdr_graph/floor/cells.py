@@ -165,15 +165,6 @@ class Cells(OneLineRepr):
     def _wide_barriers(self) -> shapely.Geometry:
         return shapely.buffer(self.barriers, CRACK, cap_style="flat")
 
-    @cached_property
-    def parts(self) -> Index:
-        """Number of the connected component of each cell ``(n,)``."""
-        n = len(self.cells)
-        i, j = self.passages.T
-        return connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)[1].astype(
-            np.intp
-        )
-
 
 def _drawn(areas: tuple[Area, ...]) -> list[Area]:
     """The areas that are cells; on a floor with only stairs, lifts and doors also the outline around them."""

@@ -7,7 +7,7 @@ ahead. A grip change turns the phone, while the walker turns less or not at all.
 A forward-axis method takes an `Attitude`, the walker's heading since the first sample ``(n,)`` (which is removed, so
 that the walk need not be straight), the mask of walking samples ``(n,)``, and the typical duration of a step [s]; it
 returns a `Forward`. A direction method takes an `Attitude` and the typical duration of a step and returns a
-`Direction`.
+`Direction`. Published methods for comparison are in `papers.heading_methods`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import compose, wrap_angle
-from pdr_graph.inertial.attitude import Attitude, running_mean, runs
+from pdr_graph.inertial.attitude import Attitude, runs
 from pdr_graph.types import Array, Complex, Mask
 
 
@@ -121,25 +121,6 @@ def braking_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     return Forward(float(np.angle(mean)), float(np.hypot(FORWARD.gait_sigma, np.std(aside) / np.sqrt(len(windows)))))
 
 
-def principal_axis(attitude: Attitude, heading: Array, walking: Mask, step: float) -> Forward:
-    """[gps-dr] Sec. 2: the first principal component of the level acceleration over a short straight walk.
-
-    Its half turn, which the paper does not mention, is resolved by the step pattern of its Sec. 2.2 (after the
-    vertical + → − the forward − → +), by the lead as in `braking_axis`.
-    """
-    if not walking.any():
-        return UNKNOWN
-    level = _acceleration(attitude, heading)[0][walking]
-    level = level - level.mean()
-    doubled = np.mean(level**2)  # the axis of the largest variance, at twice its angle
-    roundness = 1 - np.abs(doubled) / np.mean(np.abs(level) ** 2)  # 1 if the variance is equal in all directions
-    axis = np.exp(0.5j * np.angle(doubled))
-    harmonic, vertical = (signal[walking] for signal in at_step_frequency(attitude, heading, step))
-    ahead = np.real(push(harmonic, vertical) / axis)
-    angle = np.angle(axis * (1 if ahead > 0 else -1))
-    return Forward(float(angle), float(np.hypot(FORWARD.gait_sigma, roundness * np.pi / 4)))
-
-
 def push(level: Complex, vertical: Complex) -> complex:
     """Coherence of level and vertical acceleration, the latter shifted by the lead: a vector ahead, of length 0–1."""
     ahead = np.real(vertical.conj() * np.exp(-1j * FORWARD.lead))
@@ -148,7 +129,7 @@ def push(level: Complex, vertical: Complex) -> complex:
 
 def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[Complex, Complex]:
     """Level (complex, ahead real) and analytic vertical acceleration at the step frequency, both ``(n,)``. [m/s²]"""
-    level, up = _acceleration(attitude, heading)
+    level, up = level_and_vertical(attitude, heading)
     count = fft.next_fast_len(len(up)) or len(up)
     ratio = np.fft.fftfreq(count, attitude.period) * step
     window = np.cos(np.pi / 2 * np.clip((np.abs(ratio) - 1) / FORWARD.band, -1, 1)) ** 2
@@ -160,8 +141,8 @@ def at_step_frequency(attitude: Attitude, heading: Array, step: float) -> tuple[
     return filtered(level, window), filtered(up, 2 * window * (ratio > 0))
 
 
-def _acceleration(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
-    """Level (complex, ahead real) and vertical acceleration, both ``(n,)``. [m/s²]"""
+def level_and_vertical(attitude: Attitude, heading: Array) -> tuple[Complex, Array]:
+    """Level (complex, real along ``heading (n,)``) and vertical acceleration, both ``(n,)``. [m/s²]"""
     world = attitude.R_world_device.apply(attitude.acceleration)
     return _level(world) * np.exp(-1j * heading), world[:, 2]
 
@@ -173,7 +154,7 @@ def _level(vectors: Array) -> Complex:
 
 def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -> Array:
     """Acceleration along the walking direction ``(n,)``. [m/s²]"""
-    return (_acceleration(attitude, heading)[0] * np.exp(-1j * forward.angle)).real
+    return (level_and_vertical(attitude, heading)[0] * np.exp(-1j * forward.angle)).real
 
 
 @dataclass(frozen=True)
@@ -306,9 +287,6 @@ def _overlaps(span: tuple[int, int], others: Spans) -> bool:
     return any(span[0] < other[1] and other[0] < span[1] for other in others)
 
 
-PRINCIPAL_WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz
-
-
 @dataclass(frozen=True)
 class Direction:
     """The walking direction over time.
@@ -316,13 +294,10 @@ class Direction:
     heading: ``(n,)`` since the first sample, not wrapped [rad].
     variance: ``(n,)`` cumulative variance of the method's own errors [rad²], never falling; the difference of two is
         the variance of the turn between them, in addition to the errors of gyroscope and walker.
-    axis: the first sample's heading in the attitude's world, up to half a turn [rad]; None if a method gives turns
-    only.
     """
 
     heading: Array
     variance: Array
-    axis: float | None = None
 
 
 def walking_direction(attitude: Attitude, step: float) -> Direction:
@@ -336,7 +311,7 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     samples = max(1, round(step / attitude.period))
     steady = _mean_attitude(attitude.R_world_device, 2 * samples)
     turned = np.concatenate([[0.0], np.cumsum(compose(steady[1:], steady[:-1].inv()).as_rotvec()[:, 2])])
-    rate_integral = _rate_integral(attitude)
+    rate_integral = integrated_rate(attitude)
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
     heading = without_gait(rate_integral, samples) - coning
     heading -= heading[0]
@@ -344,35 +319,6 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
         heading, grip_changes(attitude, steady.inv().apply([0.0, 0.0, 1.0]), heading, step)
     )
     return Direction(np.cumsum(turn), np.cumsum(variance))
-
-
-def accumulate_turn(attitude: Attitude, step: float) -> Direction:
-    """The angular rate about gravity, added up: [heading] Sec. 4.3, Eq. (1): θ_i = θ_{i-1} + ω_{z,i} ΔT_i.
-
-    As in the paper it includes the sway of the gait; `step` is not used.
-    """
-    heading = _rate_integral(attitude)
-    return Direction(heading, np.zeros(len(heading)))
-
-
-def acceleration_axis(attitude: Attitude, step: float, window: float = PRINCIPAL_WINDOW, axes: int = 2) -> Direction:
-    """[heading] Sec. 4.1, [gps-dr] Sec. 2: the first principal component of the last seconds' acceleration.
-
-    Its half-turn ambiguity is resolved towards the sample before, so that one wrong side persists. It lags by half the
-    window; `step` is not used.
-
-    window [s]; axes: 2 for level components, as [gps-dr] has it and the figure of [heading] draws it; 3 as the text of
-    [heading] says, where the first component of most walks is their bounce.
-    """
-    samples = attitude.R_world_device.apply(attitude.acceleration)
-    return _principal(samples[:, :axes], 0, round(window / attitude.period))
-
-
-def angular_rate_axis(attitude: Attitude, step: float, window: float = PRINCIPAL_WINDOW, axes: int = 2) -> Direction:
-    """[heading] Sec. 4.2: the second principal component of the last seconds' angular rate; as `acceleration_axis`."""
-    assert attitude.angular_rate is not None, "there is a gyroscope"
-    samples = attitude.R_world_device.apply(attitude.angular_rate)
-    return _principal(samples[:, :axes], 1, round(window / attitude.period))
 
 
 def without_gait(heading: Array, samples_per_step: int) -> Array:
@@ -384,24 +330,8 @@ def without_gait(heading: Array, samples_per_step: int) -> Array:
     return uniform_filter1d(heading, max(1, samples_per_step), mode="nearest")
 
 
-def _principal(samples: Array, component: int, window: int) -> Direction:
-    """The horizontal direction of a principal component of trailing windows of samples ``(n, 2 or 3)``."""
-    axes, window = samples.shape[1], max(2, min(window, len(samples)))
-    products = np.einsum("ni,nj->nij", samples, samples).reshape(-1, axes**2)
-    mean, square = _trailing_mean(samples, window), _trailing_mean(products, window)
-    covariance = square.reshape(-1, axes, axes) - np.einsum("ni,nj->nij", mean, mean)
-    axis = np.linalg.eigh(covariance)[1][:, :, axes - 1 - component]
-    course = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]), period=np.pi)
-    return Direction(course - course[0], np.zeros(len(course)), float(course[0]))
-
-
-def _trailing_mean(values: Array, window: int) -> Array:
-    """Means ``(n, k)`` of the last ``window`` samples; the first window's mean before it is full."""
-    full = running_mean(values, window)
-    return np.concatenate([np.repeat(full[:1], window - 1, axis=0), full])
-
-
-def _rate_integral(attitude: Attitude) -> Array:
+def integrated_rate(attitude: Attitude) -> Array:
+    """The angular rate about gravity, integrated from the first sample on ``(n,)``. [rad]"""
     assert attitude.angular_rate is not None, "there is a gyroscope"
     rate_z = attitude.R_world_device.apply(attitude.angular_rate)[:, 2]
     turned = np.cumsum(rate_z) * attitude.period

@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
-from pdr_graph.gait.heading import FORWARD, braking_axis, forward_axis, principal_axis, reading_axis, walking_direction
+from pdr_graph.gait.heading import FORWARD, braking_axis, forward_axis, reading_axis, walking_direction
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, attitude_of
+from pdr_graph.papers.heading_methods import principal_axis
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
