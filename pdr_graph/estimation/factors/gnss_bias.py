@@ -88,10 +88,7 @@ class GnssBias(Measurement):
 
     def on(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and ask the steps how fast the walker went there."""
-        fixes = self.fixes.on(chain)
-        if not len(self.fix):
-            return replace(self, fixes=fixes)
-        return replace(self, fixes=fixes, velocity=velocities(*chain.track, chain.time))
+        return replace(self, fixes=self.fixes.on(chain), velocity=velocities(*chain.track, chain.time))
 
     def variables(self, poses: Array) -> Sequence[Variables]:
         """A node (g_x, g_y [-], lag [s]) every NODE seconds in which there are fixes."""
