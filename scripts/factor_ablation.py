@@ -159,7 +159,7 @@ def chained(beside):
 
 def closure():
     tied = chained("plan, field")
-    with patch.object(sessions, "_stops", lambda parts, shift: Closures.of([])):
+    with patch.object(sessions, "_restart_closures", lambda parts, offsets: Closures.of([])):
         free = chained("plan, field")
     return f"twelve mall recordings as three walks, their six ends and the plan given: {free}; with closures {tied}."
 

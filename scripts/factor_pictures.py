@@ -36,8 +36,8 @@ from pdr_graph.estimation.optimizer import _rotated, solutions
 from pdr_graph.gait.compass import COMPASS_SIGMA
 from pdr_graph.gait.steps import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
-from pdr_graph.lifelog.multi_day import Carried, encounters
-from pdr_graph.lifelog.sessions import STOOD
+from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
+from pdr_graph.lifelog.sessions import STANDING_SIGMA
 from pdr_graph.measurements import Closures, Levels, take
 from pdr_graph.plotting import draw_plan
 from pdr_graph.simulation.scenario import Scenario
@@ -634,13 +634,13 @@ def closure():
     for name, firmly, colour in (("firm: Gaussian", True, PALE), ("doubted: Geman–McClure", False, BLUE)):
         law.plot(metres, [cost_apart(d, firmly) for d in metres], color=colour, label=name)
     law.axhline(CLOSURE_WIDTH**2 / 2, color=GREY, lw=1, ls=":", label="8: the most that it costs")
-    law.set(ylim=(0, 14), xlabel=f"apart [m], σ = {STOOD} m", title="cost")
+    law.set(ylim=(0, 14), xlabel=f"apart [m], σ = {STANDING_SIGMA} m", title="cost")
     law.legend(loc="lower right", fontsize=11.5)
 
     steps = rectangle()
     first = fixes_at(dead_reckon(steps), [0], 0.3)
     felt = replace(steps, turn=steps.turn + 0.006)
-    tie = Closures.of([(0.0, steps.end, STOOD)])
+    tie = Closures.of([(0.0, steps.end, STANDING_SIGMA)])
     ahead = Headings(np.zeros(1), np.zeros(1), np.array([0.05]))
     for name, closures, colour in (("without", None, ORANGE), ("with the closure", tie, BLUE)):
         found = smooth(WalkGraph(felt, first, headings=ahead, closures=closures)).trajectory
@@ -656,7 +656,7 @@ def closure():
 def cost_apart(metres, firmly):
     """What a stop costs whose two moments are so far apart."""
     poses = np.array([[0.0, 0.0, 0.0], [metres, 0.0, 0.0]])
-    closures, hold = Closures.of([(0.0, 1.0, STOOD)]), FIRM if firmly else DOUBTED
+    closures, hold = Closures.of([(0.0, 1.0, STANDING_SIGMA)]), FIRM if firmly else DOUBTED
     return cost_of(LoopClosureFactor(closures, np.zeros(1, dtype=np.intp), np.array([[0, 1]]), hold), poses)
 
 
@@ -665,7 +665,10 @@ def encounter():
     figure, (law, above) = canvas(ratios=[1, 1.3])
     levels = np.arange(-85.0, -45.0)
     heard = [Sightings(np.array([1.0]), ("hers",), np.array([level])) for level in levels]
-    met = [encounters([Carried("he", 0, 0, 2, one), Carried("she", 0, 0, 2, None)], {"hers": "she"}) for one in heard]
+    met = [
+        encounters([CarriedPhone("he", 0, 0, 2, one), CarriedPhone("she", 0, 0, 2, None)], {"hers": "she"})
+        for one in heard
+    ]
     law.plot(levels, [one.sigma[0] for one in met], color=BLUE)
     law.set(xlabel="level at which one heard the other [dBm]", ylabel="σ per axis [m]", ylim=(0, None))
 

@@ -10,8 +10,8 @@ from pdr_graph import io
 from pdr_graph.estimation.fingerprinting import revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import walked
-from pdr_graph.lifelog.sessions import Group
+from pdr_graph.lifelog.reconstruct import estimate_walk
+from pdr_graph.lifelog.sessions import Session
 from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.types import Fixes, Trajectory
 
@@ -48,7 +48,7 @@ def by_ends(pieces, plan):
     end = given(pieces[-1][1].truth, [-1])
     both = Fixes.concatenate([ones[-1].fixes, end])
     ones[-1] = replace(ones[-1], fixes=both)
-    return Group(tuple((str(n), one) for n, one in enumerate(ones)))
+    return Session(tuple((str(n), one) for n, one in enumerate(ones)))
 
 
 def aware(group):
@@ -58,7 +58,7 @@ def aware(group):
 
 def unaware(group):
     """The same, were nothing known of the time between two recordings."""
-    return Group(tuple((name, replace(one, ends=None, epoch=one.epoch)) for name, one in group.parts))
+    return Session(tuple((name, replace(one, ends=None, epoch=one.epoch)) for name, one in group.parts))
 
 
 def as_one(data):
@@ -71,7 +71,7 @@ def as_one(data):
         length = np.hypot(*np.diff(truth.position, axis=0).T).sum()
         said = f"{name}, {len(pieces)} recordings, {length:.0f} m"
         for beside, plan, of in (("field", False, aware), ("plan", True, unaware), ("plan, field", True, aware)):
-            yield said, beside, walked(of(by_ends(pieces, plan)), None, None), rest(truth, [0, -1])
+            yield said, beside, estimate_walk(of(by_ends(pieces, plan)), None, None), rest(truth, [0, -1])
 
 
 def chains(data):
@@ -96,7 +96,7 @@ def together(data):
                 ones = [
                     replace(one, fixes=given(walk.truth, which), plan=one.plan if plan else "") for one, walk in walks
                 ]
-                found = [walked(Group((("", one),)), None, None) for one in ones]
+                found = [estimate_walk(Session((("", one),)), None, None) for one in ones]
                 scans = [scans_of(walk) for _, walk in walks]
                 estimates = [walk.estimate for walk in found]
                 closures = revisits([(e.trajectory, s) for e, s in zip(estimates, scans, strict=True)])

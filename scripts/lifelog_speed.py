@@ -100,13 +100,13 @@ def timed(log, **options):
     """Time [s] that days take once all is observed, and most memory [MB] of this process; ``build`` must be whole."""
     began = time.perf_counter()
 
-    def told(stage, done, of):
+    def progress(stage, done, total):
         nonlocal began
         if stage == "recordings":
             began = time.perf_counter()
 
     drawing = import_module(Path(__file__).stem).drawn  # by a name that is the same in every process
-    result = build(log, told=told, observe=drawing, **options)
+    result = build(log, progress=progress, observe=drawing, **options)
     took = time.perf_counter() - began
     if result.failures or result.refusals:
         raise SystemExit("\n".join([*result.failures, *result.refusals]))

@@ -19,8 +19,8 @@ from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.lifelog.day import Stay
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import walked
-from pdr_graph.lifelog.sessions import Group
+from pdr_graph.lifelog.reconstruct import estimate_walk
+from pdr_graph.lifelog.sessions import Session
 from pdr_graph.lifelog.stays import stays_of
 from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.simulation.itinerary import FRONT
@@ -130,7 +130,7 @@ def estimated(walk, plan, seed):
         entrance = Path(folder) / "entrance.csv"
         entrance.write_text(f"time,x,y,sigma\n{time:.3f},{place[0]:.3f},{place[1]:.3f},{SIGMA_ENTRANCE}\n")
         seen = observe(Path(folder), RecordingOptions(plan=plan, fixes=entrance))
-    found = walked(Group((("", seen),)), None, None)
+    found = estimate_walk(Session((("", seen),)), None, None)
     return found.graph.steps, found.estimate.trajectory, found.looks, seen.epoch
 
 

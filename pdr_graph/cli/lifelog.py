@@ -13,7 +13,8 @@ from typing import Annotated
 import typer
 
 from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, first_look
+from pdr_graph.columns import count
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, first_look, one_line
 
 lifelog = typer.Typer(
     no_args_is_help=True,
@@ -123,11 +124,11 @@ def build(
 
     with _progress_bar() as advance:
         result = built(store, zone, workers, scheduler, advance)
-    typer.echo(f"{result.built} days built, {result.kept} up to date, {len(result.failures)} failed -> {store}")
+    typer.echo(f"{result.built} days built, {result.up_to_date} up to date, {len(result.failures)} failed -> {store}")
     if together:
-        from pdr_graph.lifelog.multi_day import bind
+        from pdr_graph.lifelog.multi_day import estimate_together
 
-        typer.echo(f"{bind(store)} days estimated together -> {store}")
+        typer.echo(f"{estimate_together(store)} days estimated together -> {store}")
     _end((*result.refusals, *result.failures))
 
 
@@ -152,14 +153,24 @@ def show(
     pdr-graph lifelog show days.db
     pdr-graph lifelog show days.db --date 2024-05-01 --out monday
     """
-    from pdr_graph.lifelog.show import listed, show_day
-
     if all_:
-        typer.echo(listed(store), nl=False)
+        _list_days(store)
         return
+    from pdr_graph.lifelog.report import show_day  # imports matplotlib, which is slow
+
     folder = out or Path(f"{store.stem}-shown")
     typer.echo(show_day(store, person, date, folder), nl=False)
     typer.echo(f"-> {first_look(folder)}")
+
+
+def _list_days(path: Path) -> None:
+    """Print a line per person and day of a lifelog."""
+    from pdr_graph.lifelog.store import Store
+
+    with Store(path) as log:
+        days = log.days()
+    for (person, date), day in days.items():
+        typer.echo(f"{one_line(person)}  {date}  {count(len(day.recordings), 'recording')}")
 
 
 @lifelog.command()
@@ -191,9 +202,9 @@ def export(
     \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200
     """
-    from pdr_graph.lifelog.export import give
+    from pdr_graph.lifelog.export import export_days
 
-    written, notes = give(store, out, str(format_), person, from_, to, cut or (), blur or ())
+    written, notes = export_days(store, out, str(format_), person, from_, to, cut or (), blur or ())
     for line in notes:
         typer.echo(f"pdr-graph: {line}", err=True)
     typer.echo(f"{len(written)} files -> {out}")

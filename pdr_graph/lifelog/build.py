@@ -2,7 +2,8 @@
 
 Two stages: each recording is observed independently; then the days of each person are reconstructed in order. A task
 for a worker has paths and keys, no objects. The file of a result is named by its key, the hash of its inputs, which the
-store keeps with the day. Hence a day is computed once, a new day costs one day, and a build after kill -9 continues.
+store keeps with the day. Hence a day is computed once, a new day costs one day, and a build after kill -9 continues
+where it stopped.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
 from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observed
-from pdr_graph.lifelog.store import ZONE, Built, DayRows, Entry, Rows, Store, profile_of, profile_row, rows_of
-from pdr_graph.lifelog.workers import Fleet, Lost, Work, fleet, packed
+from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
+from pdr_graph.lifelog.store import ZONE, DayRows, Entry, Rows, Store, StoredDay, profile_of, profile_row, rows_of
+from pdr_graph.lifelog.workers import CrashedItem, Fleet, Work, fleet, pack
 from pdr_graph.storage import decode, encode, fingerprint
 
 if TYPE_CHECKING:
@@ -37,29 +38,28 @@ Reconstruct = Callable[[str, str, "Mapping[str, Observation]", Profile | None], 
 
 
 @dataclass(frozen=True)
-class Planned:
-    """A day to reconstruct; recordings: (hash, key of the observation), in time order.
-
-    built: the day in the store, None if there is none.
+class PlannedDay:
+    """A day to reconstruct. recordings: (hash, key of the observation), in time order; built: the day in the store,
+    None if there is none.
     """
 
     date: str
     recordings: tuple[tuple[str, str], ...]
-    built: Built | None
+    built: StoredDay | None
 
 
 @dataclass(frozen=True)
-class Chain:
+class DayChain:
     """Consecutive days of a person that are still to be reconstructed.
 
-    profile: of the walker before the first of them; folder: ``STORE.d``; made_by: version of this package.
+    profile: of the walker before the first day; folder: ``STORE.d``; version: `cache.RESULT_VERSION` of the build.
     """
 
     person: str
-    days: tuple[Planned, ...]
+    days: tuple[PlannedDay, ...]
     profile: Profile | None
     folder: str
-    made_by: str
+    version: str
 
     @property
     def key(self) -> str:
@@ -72,14 +72,14 @@ class Chain:
         """File of the rows of the first day."""
         return Path(self.folder) / cache.DAYS / self.key
 
-    def after(self, profile: Profile | None) -> Chain:
+    def after(self, profile: Profile | None) -> DayChain:
         """The chain without its first day, and with the profile after it."""
         return replace(self, days=self.days[1:], profile=profile)
 
 
 @dataclass(frozen=True)
-class Done:
-    """Result for a day. file: of its rows, "" if they are in the store already; failure: reason, "" if none."""
+class DayResult:
+    """Result for a day. file: of its rows, "" if they are in the store already; failure: its reason, "" if none."""
 
     person: str
     date: str
@@ -87,88 +87,91 @@ class Done:
     failure: str = ""
 
 
-def reconstructed(chains: Sequence[Chain], reconstruct: Reconstruct | None = None) -> Iterator[Done]:
-    """Reconstruct days and write each to its file. reconstruct: a replacement for `reconstruct.reconstruct`, for tests.
+def reconstruct_days(chains: Sequence[DayChain], reconstruct: Reconstruct | None = None) -> Iterator[DayResult]:
+    """Reconstruct days and write each to its file; yields a result per day.
 
-    A day that fails is as if it had taught nothing. Raises OSError if a file cannot be written.
+    reconstruct: a replacement for `reconstruct.reconstruct`, for tests. A day that fails leaves the profile unchanged.
+    Raises OSError if a file cannot be written.
     """
     for chain in chains:
         while chain.days:
-            day, chain = _ready(chain) or _made(chain, reconstruct)
+            day, chain = _existing_result(chain) or _reconstruct_first(chain, reconstruct)
             yield day
 
 
-def unmade(chain: Chain) -> Chain:
+def outdated_part(chain: DayChain) -> DayChain:
     """The chain from its first day that is not up to date in the store."""
     while chain.days and (built := chain.days[0].built) is not None and built.key == chain.key:
         chain = chain.after(built.profile)
     return chain
 
 
-def past(chain: Chain, said: str) -> tuple[list[Done], Chain]:
-    """Results of a chain whose process crashed, last the day that crashed it; and the chain after that day."""
-    days: list[Done] = []
-    while chain.days and (ready := _ready(chain)) is not None:
+def skip_crashed(chain: DayChain, reason: str) -> tuple[list[DayResult], DayChain]:
+    """Results of a chain whose process crashed, up to the day that crashed it; and the chain after that day."""
+    days: list[DayResult] = []
+    while chain.days and (ready := _existing_result(chain)) is not None:
         day, chain = ready
         days.append(day)
     if chain.days:
-        days.append(Done(chain.person, chain.days[0].date, failure=said))
+        days.append(DayResult(chain.person, chain.days[0].date, failure=reason))
         chain = chain.after(chain.profile)
     return days, chain
 
 
-def rows_in(file: Path) -> Rows | None:
+def read_rows(file: Path) -> Rows | None:
     """Read the rows of a day from its file; None if it is missing or damaged."""
     return cache.read(file, lambda blob: decode(blob, DayRows).tables)
 
 
-def _ready(chain: Chain) -> tuple[Done, Chain] | None:
-    """Result of the first day and the chain after it, if the day is up to date already; else None."""
-    rest = unmade(replace(chain, days=chain.days[:1]))
+def _existing_result(chain: DayChain) -> tuple[DayResult, DayChain] | None:
+    """Result of the first day and the chain after it, if the day is up to date; else None."""
+    rest = outdated_part(replace(chain, days=chain.days[:1]))
     if not rest.days:
-        return Done(chain.person, chain.days[0].date), chain.after(rest.profile)
-    rows = rows_in(chain.file)
-    return None if rows is None else _done(chain, rows)
+        return DayResult(chain.person, chain.days[0].date), chain.after(rest.profile)
+    rows = read_rows(chain.file)
+    return None if rows is None else _result(chain, rows)
 
 
-def _made(chain: Chain, reconstruct: Reconstruct | None) -> tuple[Done, Chain]:
-    """Reconstruct the first day; returns its result and the chain after it."""
+def _reconstruct_first(chain: DayChain, reconstruct: Reconstruct | None) -> tuple[DayResult, DayChain]:
+    """Reconstruct the first day and write its rows; returns its result and the chain after it."""
     recordings = [name for name, _ in chain.days[0].recordings]
     try:
-        rows = rows_of(_day(chain, reconstruct), chain.key, recordings)
+        rows = rows_of(_reconstructed_day(chain, reconstruct), chain.key, recordings)
         blob = encode(DayRows(rows))
     except Exception as error:  # a failure of one day must not stop the others
-        return Done(chain.person, chain.days[0].date, failure=observation.error_text(error)), chain.after(chain.profile)
+        failure = observation.error_text(error)
+        return DayResult(chain.person, chain.days[0].date, failure=failure), chain.after(chain.profile)
     cache.write(chain.file, blob)
-    return _done(chain, rows)
+    return _result(chain, rows)
 
 
-def _done(chain: Chain, rows: Rows) -> tuple[Done, Chain]:
+def _result(chain: DayChain, rows: Rows) -> tuple[DayResult, DayChain]:
+    """Result of the first day, whose rows are in its file, and the chain after it with the profile of that day."""
     profile = next((profile_of(row[2:]) for row in rows["profile"]), None)
-    return Done(chain.person, chain.days[0].date, str(chain.file)), chain.after(profile)
+    return DayResult(chain.person, chain.days[0].date, str(chain.file)), chain.after(profile)
 
 
-def _day(chain: Chain, reconstruct: Reconstruct | None) -> Day:
-    """Reconstruct the first day. Raises InputError if an observation is missing."""
-    cache.check_maker(chain.made_by)
+def _reconstructed_day(chain: DayChain, reconstruct: Reconstruct | None) -> Day:
+    """Reconstruct the first day. Raises InputError if an observation is missing or the worker has another version."""
+    cache.check_version(chain.version)
     if reconstruct is None:
         from pdr_graph.lifelog.reconstruct import reconstruct  # imports all of estimation, which is slow
-    observations = observation.observations_in(Path(chain.folder), chain.days[0].recordings)
+    observations = observation.read_observations(Path(chain.folder), chain.days[0].recordings)
     return reconstruct(chain.person, chain.days[0].date, observations, chain.profile)
 
 
-PACKAGES = ("pdr_graph", "gtsam", "numpy", "scipy")  # packages whose versions are stored
-Told = Callable[[str, int, int], None]
+PACKAGES = ("pdr_graph", "gtsam", "numpy", "scipy")  # whose versions are stored with a build
+Progress = Callable[[str, int, int], None]  # called with the name of a stage, the tasks done, and all tasks
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Result of a build. built: number of days built; kept: number up to date; failures: reasons of failed days,
-    and refusals: why recordings could not be observed, a line each.
+class BuildResult:
+    """Result of a build. built: number of days built; up_to_date: number of days that needed no work; failures: why
+    days failed; refusals: why recordings could not be observed, a line each.
     """
 
     built: int
-    kept: int
+    up_to_date: int
     failures: tuple[str, ...]
     refusals: tuple[str, ...]
 
@@ -178,35 +181,40 @@ def build(
     zone: str | None = None,
     workers: int = 1,
     scheduler: str = "",
-    told: Told = lambda stage, done, of: None,
+    progress: Progress = lambda stage, done, total: None,
     observe: Observe | None = None,
     reconstruct: Reconstruct | None = None,
-) -> Outcome:
-    """Bring a lifelog up to date.
+) -> BuildResult:
+    """Bring a lifelog up to date: observe recordings and reconstruct days where an input changed.
 
-    zone: whose midnights part the days, from now on; workers: processes on this machine; scheduler: address of a Dask
-    cluster, whose workers see the same paths; told: stage, how many are done, of how many.
-    observe, reconstruct: as of `observation.observe` and `reconstruct.reconstruct`, which they are by default.
+    zone: time zone whose midnights separate the days, stored for later builds; workers: processes on this machine;
+    scheduler: address of a Dask cluster whose workers see the same paths. observe, reconstruct: replacements for
+    `observation.observe` and `reconstruct.reconstruct`, for tests.
 
     Raises InputError if the lifelog, the zone or the scheduler cannot be used; OSError of the disk.
     """
     with Store(store) as log, fleet(workers, scheduler) as crew:
         if zone is not None:
             zone_of(zone)
-            log.set(ZONE, zone)
-        seeing, making = partial(observed, observe=observe), partial(reconstructed, reconstruct=reconstruct)
-        _observe(log, crew, seeing, _not_observed(log), told)
-        days = _days(log)
-        log.begin([own for own, built in log.days().items() if not set(built.recordings) <= set(days.get(own, ()))])
+            log.put_setting(ZONE, zone)
+        observe_work, reconstruct_work = (
+            partial(observe_all, observe=observe),
+            partial(reconstruct_days, reconstruct=reconstruct),
+        )
+        _observe(log, crew, observe_work, _outdated_observations(log), progress)
+        days = _recordings_by_day(log)
+        log.begin_build(
+            [own for own, built in log.days().items() if not set(built.recordings) <= set(days.get(own, ()))]
+        )
         chains = _chains(log, days)
-        _observe(log, crew, seeing, _not_there(log, chains), told)
-        built = _reconstruct(log, crew, making, chains, told)
+        _observe(log, crew, observe_work, _missing_observations(log, chains), progress)
+        built = _reconstruct(log, crew, reconstruct_work, chains, progress)
         if built:
-            log.built_with({name: version(name) for name in PACKAGES} | {"python": platform.python_version()})
-        _tidy(log)
-        failures = tuple(f"{person}, {date}: {said}" for person, date, said in log.failures())
+            log.put_versions({name: version(name) for name in PACKAGES} | {"python": platform.python_version()})
+        _remove_unused_files(log)
+        failures = tuple(f"{person}, {date}: {reason}" for person, date, reason in log.failures())
         refusals = tuple(entry.refusal for entry in log.entries() if entry.refusal)
-    return Outcome(built, len(days) - built - len(failures), failures, refusals)
+    return BuildResult(built, len(days) - built - len(failures), failures, refusals)
 
 
 def zone_of(name: str) -> tzinfo:
@@ -219,10 +227,10 @@ def zone_of(name: str) -> tzinfo:
         raise InputError("--zone", "", repr(name), "a time zone, as Europe/Berlin") from None
 
 
-def _not_observed(log: Store) -> list[ObservationTask]:
-    """Tasks for recordings whose observation is missing or out of date."""
+def _outdated_observations(log: Store) -> list[ObservationTask]:
+    """Tasks for recordings whose observation is missing or out of date; refusals are stored."""
     sought: list[ObservationTask] = []
-    for entry, found in _looked_at(log, log.entries()):
+    for entry, found in _tasks_of(log, log.entries()):
         if isinstance(found, str):
             log.put(replace(entry, refusal=found))
         elif found.key != entry.observation:
@@ -232,25 +240,25 @@ def _not_observed(log: Store) -> list[ObservationTask]:
     return sought
 
 
-def _not_there(log: Store, chains: Sequence[Chain]) -> list[ObservationTask]:
+def _missing_observations(log: Store, chains: Sequence[DayChain]) -> list[ObservationTask]:
     """Tasks for recordings of out-of-date days whose observation files are missing."""
     keys = {key for chain in chains for day in chain.days for _, key in day.recordings}
     gone = {key for key in keys if not (log.folder / cache.OBSERVATIONS / key).exists()}
     entries = [entry for entry in log.entries() if entry.observation in gone]
-    return [found for _, found in _looked_at(log, entries) if isinstance(found, ObservationTask) and found.key in gone]
+    return [found for _, found in _tasks_of(log, entries) if isinstance(found, ObservationTask) and found.key in gone]
 
 
-def _looked_at(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, ObservationTask | str]]:
-    """Each recording with its task, or with the reason for which there is none."""
+def _tasks_of(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, ObservationTask | str]]:
+    """Each recording with its task, or with the reason why it has none."""
     hashes = {"plan": lru_cache(None)(plan_fingerprint), "": lru_cache(None)(fingerprint)}  # each file once
     for entry in entries:
         try:
-            yield entry, _sought(log, entry, hashes)
+            yield entry, _task(log, entry, hashes)
         except InputError as error:
             yield entry, str(error)
 
 
-def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:
+def _task(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:
     """The task of a recording; its key covers the content of every file that is read."""
     options, read = entry.options, dict(entry.options.files)
     listed = Path(entry.path).with_name(BEACON_LIST)
@@ -259,83 +267,85 @@ def _sought(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]
     content = [(name, _hash(hashes, name, path, entry)) for name, path in read.items()]
     key = cache.key_of(entry.hash, options.floor or "", options.begins, str(options.plan or ""), content)
     file = str(log.folder / cache.OBSERVATIONS / key)
-    return ObservationTask(entry.hash, key, file, entry.path, options, cache.MADE_BY)
+    return ObservationTask(entry.hash, key, file, entry.path, options, cache.RESULT_VERSION)
 
 
 def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, path: Path, entry: Entry) -> str:
-    """Content hash of a file that belongs to a recording."""
+    """Content hash of a file that is read with a recording; plans have a hash of their own."""
     try:
         return hashes.get(name, hashes[""])(path)
     except OSError as error:
         raise InputError(path, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
 
 
-def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], told: Told) -> None:
+def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], progress: Progress) -> None:
     """Let workers observe recordings, and store each result."""
     entries = {entry.hash: entry for entry in log.entries()}
-    tasks = packed(sought, [1] * len(sought), crew.workers)
+    tasks = pack(sought, [1] * len(sought), crew.workers)
     for done, seen in enumerate(crew.run(work, tasks), start=1):
-        if isinstance(seen, Lost):
+        if isinstance(seen, CrashedItem):
             seen = ObservationResult(seen.item.hash, "", refusal=f"{seen.item.path}: {seen.reason}")
-        log.put(_noted(entries[seen.hash], seen))
-        told("recordings", done, len(sought))
+        log.put(_updated(entries[seen.hash], seen))
+        progress("recordings", done, len(sought))
 
 
-def _noted(entry: Entry, seen: ObservationResult) -> Entry:
-    """Update a recording with the result; a refusal keeps the earlier observation."""
+def _updated(entry: Entry, seen: ObservationResult) -> Entry:
+    """The entry with the result of an observation; a refusal keeps the earlier observation."""
     if seen.refusal:
         return replace(entry, refusal=seen.refusal)
     found = {"epoch": seen.epoch, "duration": seen.duration, "steps": seen.steps}
     return replace(entry, observation=seen.key, refusal="", **found)
 
 
-def _days(log: Store) -> dict[tuple[str, str], dict[str, str]]:
-    """Map (person, date) -> recordings that began on that day, both in order."""
+def _recordings_by_day(log: Store) -> dict[tuple[str, str], dict[str, str]]:
+    """Map (person, date) -> {hash: key of the observation} of recordings that began on that day, both in order."""
     zone, days = zone_of(log.setting(ZONE)), defaultdict[tuple[str, str], dict[str, str]](dict)
-    observed = [(entry.epoch, entry) for entry in log.entries() if entry.epoch is not None]
-    for epoch, entry in sorted(observed, key=lambda pair: (pair[0], pair[1].hash)):
+    observe_all = [(entry.epoch, entry) for entry in log.entries() if entry.epoch is not None]
+    for epoch, entry in sorted(observe_all, key=lambda pair: (pair[0], pair[1].hash)):
         date = datetime.fromtimestamp(epoch, zone).date().isoformat()
         days[entry.person, date][entry.hash] = entry.observation
     return dict(sorted(days.items()))
 
 
-def _chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) -> list[Chain]:
-    """Chain of each person, from the first day that is not up to date."""
-    built, planned = log.days(), defaultdict[str, list[Planned]](list)
+def _chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) -> list[DayChain]:
+    """The chain of each person, from the first day that is not up to date."""
+    built, planned = log.days(), defaultdict[str, list[PlannedDay]](list)
     for (person, date), recordings in days.items():
-        planned[person].append(Planned(date, tuple(recordings.items()), built.get((person, date))))
-    chains = [Chain(person, tuple(its), None, str(log.folder), cache.MADE_BY) for person, its in planned.items()]
-    return [chain for whole in chains if (chain := unmade(whole)).days]
+        planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date))))
+    chains = [
+        DayChain(person, tuple(its), None, str(log.folder), cache.RESULT_VERSION) for person, its in planned.items()
+    ]
+    return [chain for whole in chains if (chain := outdated_part(whole)).days]
 
 
-def _reconstruct(log: Store, crew: Fleet, work: Work, chains: Sequence[Chain], told: Told) -> int:
-    """Let workers reconstruct days and store them; returns their number."""
+def _reconstruct(log: Store, crew: Fleet, work: Work, chains: Sequence[DayChain], progress: Progress) -> int:
+    """Let workers reconstruct days, and store them; returns the number of days built."""
     built, seen, total = 0, 0, sum(len(chain.days) for chain in chains)
     while chains:
-        left: list[Chain] = []
-        for made in crew.run(work, packed(chains, [len(chain.days) for chain in chains], crew.workers)):
-            days, rest = past(made.item, made.reason) if isinstance(made, Lost) else ([made], None)
+        left: list[DayChain] = []
+        for made in crew.run(work, pack(chains, [len(chain.days) for chain in chains], crew.workers)):
+            days, rest = skip_crashed(made.item, made.reason) if isinstance(made, CrashedItem) else ([made], None)
             left += [rest] if rest is not None and rest.days else []
             for day in days:
-                built, seen = built + _taken(log, day), seen + 1
-                told("days", seen, total)
+                built, seen = built + _store_day(log, day), seen + 1
+                progress("days", seen, total)
         chains = left
     return built
 
 
-def _taken(log: Store, day: Done) -> bool:
-    """Store a day or the reason for its failure; True if a new day was stored."""
-    rows = rows_in(Path(day.file)) if day.file else None
+def _store_day(log: Store, day: DayResult) -> bool:
+    """Store a day or the reason of its failure; True if a day was stored."""
+    rows = read_rows(Path(day.file)) if day.file else None
     if rows is not None:
-        log.take(rows)
+        log.put_day(rows)
         Path(day.file).unlink()
     elif day.failure or day.file:
-        log.failed(day.person, day.date, day.failure or f"{day.file}: damaged on its way")
+        log.put_failure(day.person, day.date, day.failure or f"{day.file}: damaged on its way")
     return rows is not None
 
 
-def _tidy(log: Store) -> None:
+def _remove_unused_files(log: Store) -> None:
     """Remove unused files, and temporary files of processes that were killed."""
-    cache.keep(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
-    cache.keep(log.folder / cache.DAYS, set())
-    cache.keep_whole(log.folder / cache.COPIES)
+    cache.remove_all_but(log.folder / cache.OBSERVATIONS, {entry.observation for entry in log.entries()})
+    cache.remove_all_but(log.folder / cache.DAYS, set())
+    cache.remove_partial_copies(log.folder / cache.COPIES)

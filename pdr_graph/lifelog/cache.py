@@ -1,7 +1,7 @@
-"""Files beside a lifelog's store: their owner's alone, whole or not there, named by the hash of their inputs.
+"""Files beside a lifelog's store: readable by their owner alone, written atomically, named by the hash of their inputs.
 
-The name of such a file is its key, the hash of all that goes into it. So who finds it there need not make it: a build
-that follows one that was killed, or a worker that is given the task of one that died.
+The name of such a file is its key, the hash of all its inputs. A file that exists is therefore up to date: a build that
+follows a killed one, or a worker that takes over a task, need not compute it again.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from pdr_graph.io.source import Source
 
 
 def content_hash(path: Path) -> str:
-    """SHA-256 of a file's content; of a folder's, of the names and contents of what a reader sees in it."""
+    """SHA-256 of a file's content; for a folder, of the names and contents of the files that a reader sees in it."""
     if path.is_file():
         return _file_hash(path)
     return _joint_hash({name: path / name for name in Source(path).names})
 
 
 def _joint_hash(files: dict[str, Path]) -> str:
+    """SHA-256 of the names and contents of files."""
     digest = hashlib.sha256()
     for name, file in files.items():
         digest.update(f"{name}\0{_file_hash(file)}\n".encode(errors="surrogateescape"))
@@ -35,39 +36,40 @@ def _joint_hash(files: dict[str, Path]) -> str:
 
 
 def _file_hash(path: Path) -> str:
+    """SHA-256 of a file's content."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-MADE_BY = f"{version('pdr_graph')}, 3"  # raise the number whenever observations or days come out otherwise
+RESULT_VERSION = f"{version('pdr_graph')}, 3"  # raise the number whenever observations or days change
 OBSERVATIONS, DAYS, COPIES = "observations", "days", "recordings"  # folders in STORE.d
-UNDER_WAY = ".part"  # how a name ends while the file is being written
-Made = TypeVar("Made")
+PARTIAL = ".part"  # suffix of a file while it is being written
+Value = TypeVar("Value")
 
 
-def key_of(*of: Any) -> str:
-    """The name of what this version makes of these numbers, texts and lists of them."""
-    return hashlib.sha256(json.dumps([MADE_BY, *of]).encode()).hexdigest()
+def key_of(*inputs: Any) -> str:
+    """Hash of inputs (numbers, texts, and lists of them) and of this version: the name of the file of a result."""
+    return hashlib.sha256(json.dumps([RESULT_VERSION, *inputs]).encode()).hexdigest()
 
 
-def check_maker(version: str) -> None:
-    """Raise InputError in a worker of another version than that which is to make something."""
-    if version != MADE_BY:
-        raise InputError("--scheduler", "a worker", f"pdr_graph {MADE_BY}", f"{version}, as here")
+def check_version(version: str) -> None:
+    """Raise InputError in a worker whose version differs from that of the build."""
+    if version != RESULT_VERSION:
+        raise InputError("--scheduler", "a worker", f"pdr_graph {RESULT_VERSION}", f"{version}, as here")
 
 
-def read(file: Path, made: Callable[[bytes], Made]) -> Made | None:
-    """What is made of a file's bytes; None if there is none, or `made` raises ValueError: a power cut damaged it."""
+def read(file: Path, decode: Callable[[bytes], Value]) -> Value | None:
+    """Decode a file's bytes; None if there is no file, or `decode` raises ValueError because a power cut damaged it."""
     try:
-        return made(file.read_bytes())
+        return decode(file.read_bytes())
     except (FileNotFoundError, ValueError):
         return None
 
 
 def write(path: Path, content: bytes) -> None:
-    """Write a file. Raises OSError of the disk; then there is none, or the one that was there."""
+    """Write a file atomically, with its folders. Raises OSError of the disk; an earlier file is then unchanged."""
     make_folder(path.parent)
-    handle, name = tempfile.mkstemp(UNDER_WAY, dir=path.parent)  # 0600, and of this process alone
+    handle, name = tempfile.mkstemp(PARTIAL, dir=path.parent)  # mode 0600; a name of this process alone
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
@@ -78,9 +80,9 @@ def write(path: Path, content: bytes) -> None:
 
 
 def copy(files: Mapping[str, Path], folder: Path) -> None:
-    """Copies of files under their new names, in a folder that is not there yet. Raises OSError of the disk."""
+    """Copy files under new names into a folder, which must not exist. Raises OSError of the disk."""
     make_folder(folder.parent)
-    part = Path(tempfile.mkdtemp(UNDER_WAY, dir=folder.parent))
+    part = Path(tempfile.mkdtemp(PARTIAL, dir=folder.parent))
     try:
         for name, source in files.items():
             make_folder((part / name).parent)
@@ -93,20 +95,20 @@ def copy(files: Mapping[str, Path], folder: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """A folder and those that it is in, each its owner's alone where it is new."""
+    """Create a folder and its parents, accessible to the owner alone."""
     if not path.is_dir():
         make_folder(path.parent)
         path.mkdir(mode=0o700, exist_ok=True)
 
 
-def keep(folder: Path, names: set[str]) -> None:
-    """Remove all files but these from a folder, if there is one."""
+def remove_all_but(folder: Path, names: set[str]) -> None:
+    """Remove all files but those of these names from a folder, if it exists."""
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.name not in names:
             path.unlink(missing_ok=True)
 
 
-def keep_whole(folder: Path) -> None:
-    """Remove the copies that were being made when their process was killed."""
-    for path in folder.glob(f"*{UNDER_WAY}"):
+def remove_partial_copies(folder: Path) -> None:
+    """Remove copies that were not finished because their process was killed."""
+    for path in folder.glob(f"*{PARTIAL}"):
         shutil.rmtree(path, ignore_errors=True)

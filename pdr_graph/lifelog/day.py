@@ -18,7 +18,7 @@ from pdr_graph.geometry import interpolate, length_along, nearest, wrap_angle
 from pdr_graph.types import INSTANT, Array, Trajectory
 
 WALKING, STANDING, VEHICLE, GAP = "walking", "standing", "vehicle", "gap"
-KINDS = (STANDING, WALKING, VEHICLE, GAP)  # numbered as in `estimation.positions`
+KINDS = (STANDING, WALKING, VEHICLE, GAP)  # in the order of the numbers in `estimation.transport_mode`
 
 
 @dataclass(frozen=True)
@@ -113,12 +113,12 @@ class Day(OneLineRepr):
 
 
 PRIVATE = "private"  # kind of a segment that is hidden in an export
-UNSEEN = (GAP, PRIVATE)
+KINDS_WITHOUT_DATA = (GAP, PRIVATE)
 Timed = TypeVar("Timed", Segment, Stay)
 
 
 @dataclass(frozen=True)
-class Part(OneLineRepr):
+class ExportedPart(OneLineRepr):
     """A part of an outing as it is exported; all times are Unix times [s]."""
 
     start: float
@@ -131,12 +131,12 @@ class Part(OneLineRepr):
         return [f"{self.start:.1f} to {self.end:.1f} s", repr(self.track)]
 
 
-def later(what: Timed, by: float) -> Timed:
-    """Shift a segment or stay by ``by`` [s]."""
-    return replace(what, start=what.start + by, end=what.end + by)
+def shift(item: Timed, by: float) -> Timed:
+    """The segment or stay ``by`` seconds later."""
+    return replace(item, start=item.start + by, end=item.end + by)
 
 
-def stretches(outing: Outing) -> list[tuple[Trajectory, tuple[Segment, ...]]]:
+def split_at_gaps(outing: Outing) -> list[tuple[Trajectory, tuple[Segment, ...]]]:
     """Split an outing at its gaps: the rows and segments of each part without a gap."""
     found: list[list[Segment]] = [[]]
     for segment in outing.segments:
@@ -146,11 +146,11 @@ def stretches(outing: Outing) -> list[tuple[Trajectory, tuple[Segment, ...]]]:
             found.append([])
         else:
             found[-1].append(segment)
-    runs = [(_rows_of(outing.trajectory, segments), tuple(segments)) for segments in found if segments]
-    return [(track, segments) for track, segments in runs if len(track)]
+    parts = [(_rows_of(outing.trajectory, segments), tuple(segments)) for segments in found if segments]
+    return [(track, segments) for track, segments in parts if len(track)]
 
 
-def recorded(outing: Outing) -> Trajectory:
+def without_gap_rows(outing: Outing) -> Trajectory:
     """The rows of an outing's trajectory, without those inside gaps."""
     track = outing.trajectory
     bridge = np.zeros(len(track), dtype=bool)
@@ -162,23 +162,23 @@ def recorded(outing: Outing) -> Trajectory:
 def _rows_of(track: Trajectory, segments: Sequence[Segment]) -> Trajectory:
     """Rows of consecutive segments; a private segment shares no row with its neighbours."""
     inside = 2 * INSTANT if segments[0].kind == PRIVATE else 0.0
-    return within(track, segments[0].start + inside, segments[-1].end - inside)
+    return rows_between(track, segments[0].start + inside, segments[-1].end - inside)
 
 
-def within(track: Trajectory, start: float, end: float) -> Trajectory:
+def rows_between(track: Trajectory, start: float, end: float) -> Trajectory:
     """Rows from ``start`` to ``end`` [s], both included."""
     first, last = np.searchsorted(track.time, [start - INSTANT, end + INSTANT])
     return track[int(first) : int(last)]
 
 
-def part(track: Trajectory, start: float, end: float) -> Trajectory:
+def clipped(track: Trajectory, start: float, end: float) -> Trajectory:
     """Clip a trajectory to ``start`` to ``end`` [s], with interpolated rows at both."""
     start, end = max(start, float(track.time[0])), min(end, float(track.time[-1]))
     between = track.time[(track.time > start + INSTANT) & (track.time < end - INSTANT)]
-    return at(track, np.unique([start, *between, end])) if start <= end else track[:0]
+    return sampled(track, np.unique([start, *between, end])) if start <= end else track[:0]
 
 
-def at(track: Trajectory, time: Array) -> Trajectory:
+def sampled(track: Trajectory, time: Array) -> Trajectory:
     """Sample a trajectory at times ``(m,)`` [s]: linear between rows, heading and floor of the nearest row."""
     near = nearest(track.time, time)
     covariance = track.covariance
@@ -189,19 +189,19 @@ def at(track: Trajectory, time: Array) -> Trajectory:
     return Trajectory(time, position, wrap_angle(track.heading[near]), floor, covariance)
 
 
-def shares(track: Trajectory, time: Sequence[float]) -> Array:
+def path_shares(track: Trajectory, time: Sequence[float]) -> Array:
     """Shares ``(m - 1,)`` of the path length in each interval between times ``(m,)`` [s], summing to 1."""
     way = np.interp(time, track.time, length_along(track.position))
     way = way if way[-1] > way[0] else np.asarray(time)
     return np.diff(way) / (way[-1] - way[0])
 
 
-def floors_along(track: Trajectory) -> tuple[str, ...]:
+def floors_visited(track: Trajectory) -> tuple[str, ...]:
     """Labels of the floors visited, in order, without unknown ones and immediate repetitions."""
     known = [label for label in track.floor if label]
     return tuple(label for label, before in zip(known, ["", *known], strict=False) if label != before)
 
 
-def sigma(covariance: Array) -> Array:
+def horizontal_sigma(covariance: Array) -> Array:
     """Standard deviation per axis ``(n,)`` [m] of covariances ``(n, 2, 2)`` or larger: root mean variance."""
     return np.sqrt((covariance[..., 0, 0] + covariance[..., 1, 1]) / 2)

@@ -21,18 +21,18 @@ from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
 from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, floors_along, part, sigma, stretches
-from pdr_graph.lifelog.privacy import shared
+from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, clipped, floors_visited, horizontal_sigma, split_at_gaps
+from pdr_graph.lifelog.privacy import without_private_places
 from pdr_graph.lifelog.private_places import PrivatePlace, private_places
 from pdr_graph.lifelog.store import ZONE, Store
-from pdr_graph.lifelog.timeline import PASSING, STAY, table, timeline
+from pdr_graph.lifelog.timeline import PASSING, STAY, timeline, timeline_csv
 from pdr_graph.types import Array, Trajectory
 
 HEADER = f"outing,{TRAJECTORY_HEADER},latitude,longitude"
 
 
-def notes(days: Sequence[Day]) -> list[str]:
-    """A line per outing that GPX and GeoJSON cannot represent."""
+def not_exported(days: Sequence[Day]) -> list[str]:
+    """A line per outing without an absolute position, which GPX and GeoJSON cannot represent."""
     return [
         f"{day.person}, {day.date}: outing {n} left out: no absolute position"
         for day in days
@@ -44,33 +44,35 @@ def notes(days: Sequence[Day]) -> list[str]:
 def as_gpx(days: Sequence[Day]) -> bytes:
     """GPX: a track per outing, a track segment per part without a gap, a waypoint per stay."""
     tracks, places = [], []
-    for day, number, outing in _outings(days):
+    for day, number, outing in _numbered_outings(days):
         if not outing.frame.georeferenced:
             continue
-        lines = tuple(_points(outing, track) for track, _ in stretches(outing))
+        lines = tuple(_points(outing, track) for track, _ in split_at_gaps(outing))
         tracks.append(gpx.Track(f"{day.person} {day.date}, {number}", lines))
-        places += [(_name(stay), _place(outing, stay)) for stay in outing.stays if not stay.passing]
+        places += [(_stay_name(stay), _stay_point(outing, stay)) for stay in outing.stays if not stay.passing]
     return gpx.document(tracks, places)
 
 
-def _outings(days: Sequence[Day]) -> Iterator[tuple[Day, int, Outing]]:
+def _numbered_outings(days: Sequence[Day]) -> Iterator[tuple[Day, int, Outing]]:
     """All outings as (day, number within the day, outing)."""
     return ((day, n, outing) for day in days for n, outing in enumerate(day.outings, 1))
 
 
 def _points(outing: Outing, track: Trajectory) -> gpx.Points:
-    radius = None if track.covariance is None else RADIUS_68 * sigma(track.covariance)
+    radius = None if track.covariance is None else RADIUS_68 * horizontal_sigma(track.covariance)
     return gpx.Points(outing.frame.to_lonlat(track.position), outing.epoch + track.time, radius)
 
 
-def _place(outing: Outing, stay: Stay) -> gpx.Points:
-    """Where a stay was, at its start."""
+def _stay_point(outing: Outing, stay: Stay) -> gpx.Points:
+    """The position of a stay, at the time of its start."""
     lonlat = outing.frame.to_lonlat(stay.position[None])
-    return gpx.Points(lonlat, np.array([outing.epoch + stay.start]), RADIUS_68 * sigma(stay.covariance[None]))
+    return gpx.Points(
+        lonlat, np.array([outing.epoch + stay.start]), RADIUS_68 * horizontal_sigma(stay.covariance[None])
+    )
 
 
-def _name(stay: Stay) -> str:
-    """What a stay is called: the most probable place."""
+def _stay_name(stay: Stay) -> str:
+    """The name of the most probable place of a stay, with its probability."""
     return f"{stay.facing[0][0]} ({stay.facing[0][1]:.0%})" if stay.facing else STAY
 
 
@@ -78,7 +80,7 @@ def as_geojson(days: Sequence[Day]) -> bytes:
     """A LineString for each segment, with the times and covariances of its points, and a Point for each stay."""
     features = [
         feature
-        for day, number, outing in _outings(days)
+        for day, number, outing in _numbered_outings(days)
         if outing.frame.georeferenced
         for feature in _features(outing, {"person": day.person, "date": day.date, "outing": number})
     ]
@@ -87,9 +89,9 @@ def as_geojson(days: Sequence[Day]) -> bytes:
 
 
 def _features(outing: Outing, about: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for track, segments in stretches(outing):
+    for track, segments in split_at_gaps(outing):
         for segment in segments:
-            line = part(track, segment.start, segment.end)
+            line = clipped(track, segment.start, segment.end)
             if len(line):
                 yield _line(outing, segment, line, about)
     for stay in outing.stays:
@@ -97,10 +99,10 @@ def _features(outing: Outing, about: dict[str, Any]) -> Iterator[dict[str, Any]]
 
 
 def _line(outing: Outing, segment: Segment, line: Trajectory, about: dict[str, Any]) -> dict[str, Any]:
-    """A segment; as a Point if no more of it is known."""
+    """A segment as a LineString, or as a Point if it has a single row."""
     lonlat = np.round(outing.frame.to_lonlat(line.position), 8).tolist()
     properties = about | {"kind": segment.kind, **_times(outing, segment), "distance": round(segment.distance, 2)}
-    properties |= {"floors": list(floors_along(line)), "times": np.round(outing.epoch + line.time, 3).tolist()}
+    properties |= {"floors": list(floors_visited(line)), "times": np.round(outing.epoch + line.time, 3).tolist()}
     if line.covariance is not None:
         properties["covariances"] = [_covariance(own) for own in line.covariance]
     if len(lonlat) == 1:
@@ -118,7 +120,7 @@ def _point(outing: Outing, stay: Stay, about: dict[str, Any]) -> dict[str, Any]:
 
 
 def _times(outing: Outing, what: Segment | Stay) -> dict[str, Any]:
-    """Start and end in words, and how long [s]."""
+    """Start and end in ISO 8601, and the duration [s]."""
     moments = {"start": _utc(outing.epoch + what.start), "end": _utc(outing.epoch + what.end)}
     return {**moments, "duration": round(what.end - what.start, 3)}
 
@@ -128,7 +130,7 @@ def _utc(time: float) -> str:
 
 
 def _covariance(matrix: Array) -> list[float]:
-    """Variance east, covariance, variance north. [m²]"""
+    """Variance east, covariance and variance north [m²], to six digits."""
     return [float(f"{value:.6g}") for value in (matrix[0, 0], matrix[0, 1], matrix[1, 1])]
 
 
@@ -137,13 +139,14 @@ def _feature(kind: str, coordinates: list[Any], properties: dict[str, Any]) -> d
 
 
 def as_csv(day: Day) -> bytes:
-    """All rows of a day: ``trajectory.csv`` in Unix time, each with its outing's number, in whose frame x and y are.
+    """All rows of a day as CSV: ``trajectory.csv`` in Unix time with the number of the outing.
 
-    Latitude and longitude are empty where nobody knows them; rows stand on either side of a gap, none in it.
+    x and y are in the frame of the outing. Latitude and longitude are empty without an absolute position; gaps have no
+    rows.
     """
     lines = [HEADER]
-    for _, number, outing in _outings([day]):
-        for track, _ in stretches(outing):
+    for _, number, outing in _numbered_outings([day]):
+        for track, _ in split_at_gaps(outing):
             lines += _rows(number, outing, track)
     return ("\n".join(lines) + "\n").encode()
 
@@ -156,63 +159,70 @@ def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
 
 GPX, GEOJSON, CSV = "gpx", "geojson", "csv"
 DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
-SECRET, SECRET_BYTES = "secret", 32  # name of the setting that keys the hiding of private places, and its length
+SECRET, SECRET_BYTES = "secret", 32  # setting that determines how private areas are moved, and its length
 
 
-def give(
+def export_days(
     path: Path,
     out: Path,
-    form: str,
+    file_format: str,
     person: str | None = None,
     since: str = "",
     until: str = "",
     cut: Sequence[str] = (),
     blur: Sequence[str] = (),
 ) -> tuple[list[Path], list[str]]:
-    """Write a lifelog's days to one file or, CSV always, to a folder with files for each.
+    """Write days of a lifelog to one file, or to a folder with files per day (always for CSV).
 
-    form: GPX, GEOJSON or CSV; out: a file if its name ends in that; person, since, until: whose days and which, all
-    if it is not said; cut, blur: places to be kept private, as of `private_places`.
-    Returns the files, and what a user must know, a line each. Raises InputError.
+    file_format: GPX, GEOJSON or CSV; out: a file if its suffix is the format, else a folder; person: None for all;
+    since, until: first and last date, "" for all; cut, blur: places to keep private, as of `private_places`.
+    Returns the files, and notes on what was left out, a line each. Raises InputError if a choice cannot be used.
     """
-    single = out.suffix.lower() == f".{form}" and not out.is_dir()
-    if single and form == CSV:
+    single = out.suffix.lower() == f".{file_format}" and not out.is_dir()
+    if single and file_format == CSV:
         raise InputError("--out", "", str(out), "a folder: CSV has two files per day")
-    said, written = list[str](), list[Path]()
+    notes, written = list[str](), list[Path]()
     with Store(path) as log:
-        zone, wanted = ZoneInfo(log.setting(ZONE)), _wanted(log, person, _day("--from", since), _day("--to", until))
-        places = _places(log, cut), _places(log, blur)
-        days = _shown(log, wanted, form, places, said)
-        for target, content in _whole(out, form, list(days)) if single else _by_day(out, form, days, zone):
+        zone, wanted = (
+            ZoneInfo(log.setting(ZONE)),
+            _selected_days(log, person, _checked_date("--from", since), _checked_date("--to", until)),
+        )
+        places = _private_places(log, cut), _private_places(log, blur)
+        days = _public_days(log, wanted, file_format, places, notes)
+        for target, content in (
+            _one_file(out, file_format, list(days)) if single else _files_by_day(out, file_format, days, zone)
+        ):
             cache.write(target, content)
             written.append(target)
-    return written, said
+    return written, notes
 
 
-def _day(option: str, text: str) -> str:
+def _checked_date(option: str, text: str) -> str:
+    """The date in ISO 8601, "" if none is given. Raises InputError for another text."""
     try:
         return date.fromisoformat(text).isoformat() if text else ""
     except ValueError:
         raise InputError(option, "", repr(text), "a date such as 2024-05-01") from None
 
 
-def _wanted(log: Store, person: str | None, since: str, until: str) -> list[tuple[str, str]]:
-    """(person, date) of the days selected. Raises InputError if there is none."""
+def _selected_days(log: Store, person: str | None, since: str, until: str) -> list[tuple[str, str]]:
+    """Person and date of the days of a choice. Raises InputError if there is none."""
     days = [key for key in log.days() if person in (None, key[0])]
     if not days:
         expected = "a built lifelog: run pdr-graph lifelog build" if person is None else "a person with days"
         raise InputError(log.path, "" if person is None else person, "no day", expected)
     wanted = [key for key in days if (not since or key[1] >= since) and (not until or key[1] <= until)]
     if not wanted:
-        there = sorted(day for _, day in days)
+        dates = sorted(date for _, date in days)
         raise InputError(
-            log.path, f"{since or '…'} to {until or '…'}", "no day", f"days from {there[0]} to {there[-1]}"
+            log.path, f"{since or '…'} to {until or '…'}", "no day", f"days from {dates[0]} to {dates[-1]}"
         )
     return wanted
 
 
-def _places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...]:
-    plans = sorted({entry.plan for entry in log.entries() if entry.plan})
+def _private_places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...]:
+    """The places that some texts describe; names are looked up on all plans of the lifelog."""
+    plans = sorted({str(entry.options.plan) for entry in log.entries() if entry.options.plan})
     return private_places(texts, plans, _secret(log)) if texts else ()
 
 
@@ -221,38 +231,38 @@ def _secret(log: Store) -> bytes:
     try:
         return bytes.fromhex(log.setting(SECRET))
     except IndexError:  # its first export
-        log.set(SECRET, secrets.token_hex(SECRET_BYTES))
+        log.put_setting(SECRET, secrets.token_hex(SECRET_BYTES))
         return _secret(log)
 
 
-def _shown(
+def _public_days(
     log: Store,
     wanted: Sequence[tuple[str, str]],
-    form: str,
+    file_format: str,
     places: tuple[Sequence[PrivatePlace], Sequence[PrivatePlace]],
-    said: list[str],
+    notes: list[str],
 ) -> Iterator[Day]:
-    """Yield the days with private places removed, if anything is left; notes are appended to ``said``."""
+    """Yield the days with private places removed, if anything is left; notes are appended to ``notes``."""
     for person, day in wanted:
-        there = log.day(person, day)
-        left, lines = shared([there] if there else [], *places)
-        said += lines if form == CSV else [*lines, *notes(left)]
-        if any(form == CSV or outing.frame.georeferenced for own in left for outing in own.outings):
+        stored = log.day(person, day)
+        left, lines = without_private_places([stored] if stored else [], *places)
+        notes += lines if file_format == CSV else [*lines, *not_exported(left)]
+        if any(file_format == CSV or outing.frame.georeferenced for own in left for outing in own.outings):
             yield from left
         else:
-            said.append(f"{person}, {day}: nothing left to export")
+            notes.append(f"{person}, {day}: nothing left to export")
 
 
-def _whole(out: Path, form: str, days: Sequence[Day]) -> Iterator[tuple[Path, bytes]]:
+def _one_file(out: Path, file_format: str, days: Sequence[Day]) -> Iterator[tuple[Path, bytes]]:
     if days:
-        yield out, DOCUMENTS[form](days)
+        yield out, DOCUMENTS[file_format](days)
 
 
-def _by_day(out: Path, form: str, days: Iterator[Day], zone: tzinfo) -> Iterator[tuple[Path, bytes]]:
+def _files_by_day(out: Path, file_format: str, days: Iterator[Day], zone: tzinfo) -> Iterator[tuple[Path, bytes]]:
     for day in days:
         name = f"{quote(day.person, safe=' ')}_{day.date}"
-        if form == CSV:
+        if file_format == CSV:
             yield out / f"{name}_trajectory.csv", as_csv(day)
-            yield out / f"{name}_timeline.csv", table(timeline(day), zone).encode()
+            yield out / f"{name}_timeline.csv", timeline_csv(timeline(day), zone).encode()
         else:
-            yield out / f"{name}.{form}", DOCUMENTS[form]([day])
+            yield out / f"{name}.{file_format}", DOCUMENTS[file_format]([day])

@@ -18,7 +18,7 @@ from pdr_graph.io.source import Source
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
-from pdr_graph.lifelog.observation import check_tells
+from pdr_graph.lifelog.observation import check_usable
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.types import Fixes
 
@@ -66,7 +66,7 @@ def add(
         raise InputError("--begins", "", f"{len(found)} recordings", "a single recording: add them one by one")
     with Store(store, new=True) as log:
         if phone is not None:
-            log.carries(person or DEFAULT_PERSON, phone)
+            log.put_phone(person or DEFAULT_PERSON, phone)
         known = {entry.hash: entry for entry in log.entries()}
         result = AddResult(skipped=skipped, refused=tuple(refused))
         for done, path in enumerate(found):
@@ -169,7 +169,7 @@ def _check(path: Path, options: RecordingOptions) -> None:
     if options.ranges is not None:
         read(path, Options(**options.files))
     fixes = read_fixes(options.fixes, walk) if options.fixes else Fixes.none()
-    check_tells(path, walk, len(walk.fixes) + len(fixes))
+    check_usable(path, walk, len(walk.fixes) + len(fixes))
 
 
 def _checked(person: str | None, options: RecordingOptions) -> RecordingOptions:

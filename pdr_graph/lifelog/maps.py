@@ -1,6 +1,6 @@
-"""The maps that show a day: one for each floor, one of all that was outdoors, and larger ones of small places.
+"""The maps of a day: one per floor, one of everything outdoors, and enlarged ones of small places.
 
-Colours, letters and words that the parts of a day's picture have in common are here too.
+The colours, fonts and labels that the parts of a day's picture share are here too.
 """
 
 from __future__ import annotations
@@ -18,23 +18,27 @@ from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.errors import one_line
 from pdr_graph.frames import Frame, enu
-from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Day, Outing, Stay, part, stretches
+from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Day, Outing, Stay, clipped, split_at_gaps
 from pdr_graph.lifelog.timeline import PASSING, STAY
 from pdr_graph.plotting import FIX, GREY, RADIO, TRACK
 from pdr_graph.types import Array, Trajectory
 
-SURROUNDINGS = 0.12  # share of what is shown around it
-SMALLEST, SMALLEST_OUTDOORS = 40.0, 150.0  # [m] shown, however little was walked
-APART = 300.0  # [m] between places that have maps of their own
-TOO_SMALL = 0.3  # share of the whole map's width below which a place is drawn again, larger
-LEAST_TIME = 300.0  # [s] in a place that is drawn again
-MOST_PLACES = 4  # that are, those with the longest time in them
-LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+# Chosen by hand
+MARGIN_SHARE = 0.12  # of the size of the content, on each side of a map
+MIN_SIZE_INDOORS, MIN_SIZE_OUTDOORS = 40.0, 150.0  # [m] of a map
+PLACE_DISTANCE = 300.0  # [m] between places with maps of their own
+ENLARGED_SHARE = 0.3  # of the whole map's width, below which a place is drawn again on a larger map
+MIN_PLACE_TIME = 300.0  # [s] in a place that is drawn again
+MAX_PLACES = 4  # that are drawn again: those with the longest time in them
+PANEL_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """A part of an outing on a map: of one kind, on one floor; of a GAP the two rows about it. Times are Unix times."""
+class DrawnPart:
+    """A part of an outing on a map, of one kind and on one floor; a gap has the rows before and after it.
+
+    Times of the track are Unix times [s].
+    """
 
     kind: str
     floor: str
@@ -43,10 +47,11 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Panel:
-    """One map. letter: its name, "" of the only one; plan: path, "" without one; floor: label, "" of any.
+    """One map of a day.
 
-    ways: of each outing, each stretch without a break; drawn: the same by kinds, and the gaps; stays. All that there
-    is in its frame, of which it shows what lies in ``corners (2, 2)`` [m].
+    frame: of all positions; plan: path, "" without one; floor: label, "" for any; corners: ``(2, 2)`` of the shown area
+    [m]; ways: of each outing, the tracks without gaps; drawn: these tracks by kind and floor, and the gaps; stays;
+    letter: name of the map, "" if it is the only one. Tracks and stays may lie outside the shown area.
     """
 
     frame: Frame
@@ -54,13 +59,13 @@ class Panel:
     floor: str
     corners: Array
     ways: tuple[tuple[Trajectory, ...], ...]
-    drawn: tuple[Drawn, ...]
+    drawn: tuple[DrawnPart, ...]
     stays: tuple[Stay, ...]
     letter: str = ""
 
     @property
     def width(self) -> float:
-        """The longer side. [m]"""
+        """The longer side of the shown area [m]."""
         return float(np.max(self.corners[1] - self.corners[0]))
 
     @property
@@ -70,107 +75,115 @@ class Panel:
 
 
 def panels(day: Day) -> tuple[Panel, ...]:
-    """The maps of a day, that of all that was outdoors first."""
-    outings = [outing for outing in day.outings if stretches(outing)]
+    """The maps of a day, first the map of everything outdoors."""
+    outings = [outing for outing in day.outings if split_at_gaps(outing)]
     outdoors = [o for o in outings if not o.plan]
     located = [o for o in outdoors if o.frame.georeferenced]
-    whole = [_panel([o for o in outings if o.frame.georeferenced], _about(located[0]))] if located else []
+    whole = [_panel([o for o in outings if o.frame.georeferenced], _local_frame(located[0]))] if located else []
     nowhere = [_panel([o], o.frame) for o in outdoors if not o.frame.georeferenced]
-    found = [*whole, *(place for panel in whole for place in _places(panel)), *nowhere, *_floors(outings)]
-    letters = LETTERS[: len(found)] if len(found) > 1 else ("",)
+    found = [
+        *whole,
+        *(place for panel in whole for place in _enlarged_places(panel)),
+        *nowhere,
+        *_floor_panels(outings),
+    ]
+    letters = PANEL_LETTERS[: len(found)] if len(found) > 1 else ("",)
     return tuple(replace(panel, letter=letter) for panel, letter in zip(found, letters, strict=False))
 
 
-def _about(outing: Outing) -> Frame:
-    """East-north about where an outing began."""
+def _local_frame(outing: Outing) -> Frame:
+    """The east-north frame about the start of an outing."""
     lon, lat = outing.frame.to_lonlat(outing.trajectory.position[:1])[0].tolist()
     return enu(lat, lon)
 
 
 def _panel(outings: Sequence[Outing], frame: Frame, plan: str = "", floor: str = "") -> Panel:
-    """A map of some outings; floor: only what was on it."""
-    ways = [[_in(frame, o, track) for track, _ in stretches(o)] for o in sorted(outings, key=lambda o: o.epoch)]
+    """A map of some outings; floor: label of the only floor shown, "" for all."""
+    ways = [
+        [_in_frame(frame, o, track) for track, _ in split_at_gaps(o)] for o in sorted(outings, key=lambda o: o.epoch)
+    ]
     every = [way for own in ways for way in own]
-    drawn = [d for o in outings for d in _drawn(o, frame) if floor in ("", d.floor)]
+    drawn = [d for o in outings for d in _drawn_parts(o, frame) if floor in ("", d.floor)]
     drawn += [d for pair in pairwise(every) if floor in ("", (d := _gap(*pair)).floor)]
-    stays = tuple(_moved(s, o.frame, frame) for o in outings for s in o.stays if floor in ("", s.floor))
-    least = SMALLEST if plan else SMALLEST_OUTDOORS
-    corners = _around(np.concatenate([d.track.position for d in drawn]), least)
+    stays = tuple(_converted_stay(s, o.frame, frame) for o in outings for s in o.stays if floor in ("", s.floor))
+    least = MIN_SIZE_INDOORS if plan else MIN_SIZE_OUTDOORS
+    corners = _corners_around(np.concatenate([d.track.position for d in drawn]), least)
     return Panel(frame, plan, floor, corners, tuple(map(tuple, ways)), tuple(drawn), stays)
 
 
-def _floors(outings: Sequence[Outing]) -> Iterator[Panel]:
+def _floor_panels(outings: Sequence[Outing]) -> Iterator[Panel]:
     """A map for each floor of each plan."""
     for plan in dict.fromkeys(outing.plan for outing in outings if outing.plan):
         own = [outing for outing in outings if outing.plan == plan]
-        for floor in dict.fromkeys(d.floor for o in own for d in _drawn(o, o.frame)):
+        for floor in dict.fromkeys(d.floor for o in own for d in _drawn_parts(o, o.frame)):
             yield _panel(own, own[0].frame, plan, floor)
 
 
-def _places(whole: Panel) -> list[Panel]:
-    """What lies together on a map and is small on it, without what was ridden."""
+def _enlarged_places(whole: Panel) -> list[Panel]:
+    """Enlarged maps of the small places on a map, without rides."""
     own = [d for d in whole.drawn if d.kind not in (VEHICLE, GAP)]
     if not own:
         return []
     low, high = (np.array([end(d.track.position, axis=0) for d in own]) for end in (np.min, np.max))
-    gaps = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=2)  # < 0 of boxes that overlap
-    _, group = connected_components(coo_array(gaps < APART))
+    gaps = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=2)  # < 0 for boxes that overlap
+    _, group = connected_components(coo_array(gaps < PLACE_DISTANCE))
     found = [[d for d, g in zip(own, group, strict=True) if g == n] for n in range(int(group.max()) + 1)]
-    found = [g for g in found if not any(d.floor for d in g)]  # what is on a plan is drawn there
+    found = [g for g in found if not any(d.floor for d in g)]  # places on a plan are drawn on the plan
     positions = [np.concatenate([d.track.position for d in g]) for g in found]
-    close = [replace(whole, corners=_around(own, SMALLEST_OUTDOORS)) for own in positions]
+    close = [replace(whole, corners=_corners_around(own, MIN_SIZE_OUTDOORS)) for own in positions]
     times = [sum(float(np.ptp(d.track.time)) for d in g) for g in found]
     order = sorted(range(len(found)), key=lambda n: -times[n])
-    small = [n for n in order if close[n].width < TOO_SMALL * whole.width and times[n] > LEAST_TIME]
-    return [close[n] for n in sorted(small[:MOST_PLACES])]
+    small = [n for n in order if close[n].width < ENLARGED_SHARE * whole.width and times[n] > MIN_PLACE_TIME]
+    return [close[n] for n in sorted(small[:MAX_PLACES])]
 
 
-def _drawn(outing: Outing, frame: Frame) -> Iterator[Drawn]:
-    """What an outing is made of on a map."""
-    for track, segments in stretches(outing):
-        line = _in(frame, outing, track)
+def _drawn_parts(outing: Outing, frame: Frame) -> Iterator[DrawnPart]:
+    """The tracks of an outing by kind and floor."""
+    for track, segments in split_at_gaps(outing):
+        line = _in_frame(frame, outing, track)
         for segment in segments:
-            own = part(line, segment.start + outing.epoch, segment.end + outing.epoch)
+            own = clipped(line, segment.start + outing.epoch, segment.end + outing.epoch)
             for piece in _by_floor(own):
-                yield Drawn(segment.kind, piece.floor[-1], piece)
+                yield DrawnPart(segment.kind, piece.floor[-1], piece)
 
 
-def _gap(before: Trajectory, after: Trajectory) -> Drawn:
-    """From the last row of one to the first of the other."""
+def _gap(before: Trajectory, after: Trajectory) -> DrawnPart:
+    """The gap between two tracks: the last row of one and the first row of the other."""
     ends = before[-1], after[0]
     time, position, heading = (np.concatenate([getattr(e, n) for e in ends]) for n in ("time", "position", "heading"))
     (one,), (other,) = (end.floor for end in ends)
-    return Drawn(GAP, one if one == other else "", Trajectory(time, position, heading, (one, other)))
+    return DrawnPart(GAP, one if one == other else "", Trajectory(time, position, heading, (one, other)))
 
 
-def _in(frame: Frame, outing: Outing, track: Trajectory) -> Trajectory:
+def _in_frame(frame: Frame, outing: Outing, track: Trajectory) -> Trajectory:
+    """A track of an outing in another frame, with Unix times [s]."""
     return replace(track, time=track.time + outing.epoch, position=frame.from_frame(outing.frame, track.position))
 
 
-def _moved(stay: Stay, old: Frame, new: Frame) -> Stay:
+def _converted_stay(stay: Stay, old: Frame, new: Frame) -> Stay:
     return replace(stay, position=new.from_frame(old, stay.position[None])[0])
 
 
 def _by_floor(track: Trajectory) -> Iterator[Trajectory]:
-    """Parts on one floor; a change of floor belongs to both."""
+    """The parts of a track on one floor each; both parts share the row of a change."""
     changes = [n for n, (one, other) in enumerate(pairwise(track.floor), 1) if one != other]
     for first, last in pairwise([0, *changes, len(track)]):
         if last > first:
             yield track[max(first - 1, 0) : last]
 
 
-def _around(position: Array, least: float) -> Array:
-    """Corners ``(2, 2)`` of what is shown of a map with positions ``(n, 2)``, and of at least so much. [m]"""
+def _corners_around(position: Array, least: float) -> Array:
+    """Corners ``(2, 2)`` of the shown area about positions ``(n, 2)``, with sides of at least `least` [m]."""
     low, high = position.min(axis=0), position.max(axis=0)
-    half = np.maximum((high - low) * (0.5 + SURROUNDINGS), least / 2)
+    half = np.maximum((high - low) * (0.5 + MARGIN_SHARE), least / 2)
     return np.stack([(low + high) / 2 - half, (low + high) / 2 + half])
 
 
 COLOURS = {WALKING: TRACK, VEHICLE: FIX, STANDING: "#3f9c8f", STAY: RADIO, PASSING: "#b9a3d0", GAP: GREY, PRIVATE: GREY}
 INK, HALO = "#2b2440", [Stroke(linewidth=2.2, foreground="white", alpha=0.85), Normal()]
-LABEL = 7.5  # [pt]
-LETTER = 0.6 * LABEL  # [pt] width of one, on average and a little more
-FONTS = (  # that have Chinese, Japanese or Korean names, where there are any
+LABEL_SIZE = 7.5  # [pt]
+LETTER_WIDTH = 0.6 * LABEL_SIZE  # [pt] slightly more than the average
+CJK_FONTS = (  # with Chinese, Japanese and Korean letters; those that are installed are used
     "Noto Sans CJK JP",
     "Noto Sans JP",
     "Hiragino Sans",
@@ -180,21 +193,21 @@ FONTS = (  # that have Chinese, Japanese or Korean names, where there are any
     "WenQuanYi Zen Hei",
     "Malgun Gothic",
 )
-WIDE_LETTERS = 0x2E80  # from which on they are twice as wide: Chinese, Japanese, Korean
-LONGEST_NAME = 26  # letters
+FIRST_WIDE_LETTER = 0x2E80  # code point from which letters are twice as wide: Chinese, Japanese, Korean
+MAX_NAME_LENGTH = 26  # letters of a label
 
 
-def families() -> list[str]:
-    """The fonts to draw with: the usual one, and those that there are for what it lacks."""
-    return [*rcParams["font.family"], *(name for name in FONTS if name in set(fontManager.get_font_names()))]
+def font_families() -> list[str]:
+    """The font families to draw with: the default, and the installed ones for letters that it lacks."""
+    return [*rcParams["font.family"], *(name for name in CJK_FONTS if name in set(fontManager.get_font_names()))]
 
 
-def short(name: str) -> str:
-    """A name on one line, cut where it is too long for a label."""
+def short_name(name: str) -> str:
+    """A name on one line, shortened to MAX_NAME_LENGTH letters."""
     plain = one_line(name)
-    return plain if len(plain) <= LONGEST_NAME else f"{plain[: LONGEST_NAME - 1]}…"
+    return plain if len(plain) <= MAX_NAME_LENGTH else f"{plain[: MAX_NAME_LENGTH - 1]}…"
 
 
-def width(text: str) -> float:
-    """About how wide a label is. [pt]"""
-    return LETTER * sum(1 + (ord(letter) > WIDE_LETTERS) for letter in text)
+def label_width(text: str) -> float:
+    """Approximate width of a label [pt]."""
+    return LETTER_WIDTH * sum(1 + (ord(letter) > FIRST_WIDE_LETTER) for letter in text)

@@ -1,8 +1,8 @@
 """One graph for many days and a group of people: walks bound by place recognition and by encounters.
 
-Two people whose phones heard each other were near each other then ([calibration-walk] Sec. 2). The days are built
-already, each by itself. What was observed of all of them is read again and estimated together; so this costs as much as
-the whole history, and is done when it is asked for.
+Two people whose phones received each other were near each other at that time ([calibration-walk] Sec. 2). The days are
+built before, each by itself. Their observations are read again and estimated together; the cost grows with the length
+of the history, so this is done on request only.
 """
 
 from __future__ import annotations
@@ -24,62 +24,65 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache, observation
 from pdr_graph.lifelog.day import Day, Outing
 from pdr_graph.lifelog.observation import Observation
-from pdr_graph.lifelog.reconstruct import Walked, outings_of, walked
-from pdr_graph.lifelog.store import TOGETHER, Built, Store, rows_of
+from pdr_graph.lifelog.reconstruct import EstimatedWalk, estimate_walk, reconstruct_outings
+from pdr_graph.lifelog.store import TOGETHER, Store, StoredDay, rows_of
 from pdr_graph.measurements import Closures
 from pdr_graph.types import Index, Recording, Sightings
 
-FAINTEST = -85.0  # [dBm] beyond which bodies and reflections say more than the distance, some ten metres
-NEAREST = 1.5  # [m] per axis: nobody is told apart nearer than that
-EVERY = 15.0  # [s] in which one encounter counts: what shades two people stays for as long
+# Chosen by hand
+MIN_RSSI = -85.0  # [dBm] about ten metres; weaker levels depend more on bodies and reflections than on the distance
+MIN_SIGMA = 1.5  # [m] per axis of the distance of two people who meet
+ENCOUNTER_PERIOD = 15.0  # [s] with one encounter at most: the shadowing by bodies is the same for as long
 
 
 @dataclass(frozen=True)
-class Carried:
-    """A phone on a walk. person: whose; epoch: Unix time at 0 [s]; start, end: of the walk [s]; heard: by Bluetooth."""
+class CarriedPhone:
+    """A phone on a walk. person: its owner; epoch: Unix time at 0 [s]; start, end: of the walk [s]; received: Bluetooth
+    receptions, None if there are none.
+    """
 
     person: str
     epoch: float
     start: float
     end: float
-    heard: Sightings | None
+    received: Sightings | None
 
 
-def encounters(walks: Sequence[Carried], phones: Mapping[str, str]) -> Closures:
-    """Moments at which people met, on walks of any days.
+def encounters(walks: Sequence[CarriedPhone], phones: Mapping[str, str]) -> Closures:
+    """Loop closures between walks of people who met, on any days.
 
-    phones: whose phone or tag a transmitter is, by the name that others' logs have of it. Where it is heard loudly, its
-    owner is as far as a usual phone's path loss says.
+    phones: owner of each phone or tag, by its name in the logs of others. The distance of a strong reception follows
+    from the path loss of a typical phone.
     """
     rows, which = list[tuple[float, float, float]](), list[tuple[int, int]]()
     for (n, one), (m, other) in permutations(enumerate(walks), 2):
-        if one.person != other.person and one.heard is not None:
-            met = list(_met(one, one.heard, other, phones))
+        if one.person != other.person and one.received is not None:
+            met = list(_pair_encounters(one, one.received, other, phones))
             rows += met
             which += [(n, m)] * len(met)
     return Closures.of(rows, which)
 
 
-def _met(
-    one: Carried, heard: Sightings, other: Carried, phones: Mapping[str, str]
+def _pair_encounters(
+    one: CarriedPhone, received: Sightings, other: CarriedPhone, phones: Mapping[str, str]
 ) -> Iterator[tuple[float, float, float]]:
-    """Both moments and a sigma [m] of each time at which one phone heard the other, the loudest of a while."""
-    own = np.array([phones.get(name) == other.person for name in heard.transmitter], dtype=bool)
-    later = one.epoch - other.epoch
-    during = (heard.time + later >= other.start) & (heard.time + later <= other.end)
-    rows = np.flatnonzero(own & during & (heard.rssi >= FAINTEST) & (heard.time >= one.start) & (heard.time <= one.end))
-    loudest = rows[np.argsort(-heard.rssi[rows], kind="stable")]
-    for row in loudest[np.unique(heard.time[loudest] // EVERY, return_index=True)[1]]:
-        time, distance = float(heard.time[row]), 10 ** ((PATH_LOSS[0] - heard.rssi[row]) / (10 * PATH_LOSS[1]))
-        yield time, time + later, max(NEAREST, distance / np.sqrt(2))
+    """Both times and a sigma [m] of the strongest reception of the other's phone in each ENCOUNTER_PERIOD."""
+    theirs = np.array([phones.get(name) == other.person for name in received.transmitter], dtype=bool)
+    later, time = one.epoch - other.epoch, received.time
+    during = (time + later >= other.start) & (time + later <= other.end) & (time >= one.start) & (time <= one.end)
+    rows = np.flatnonzero(theirs & during & (received.rssi >= MIN_RSSI))
+    loudest = rows[np.argsort(-received.rssi[rows], kind="stable")]
+    for row in loudest[np.unique(time[loudest] // ENCOUNTER_PERIOD, return_index=True)[1]]:
+        moment, distance = float(time[row]), 10 ** ((PATH_LOSS[0] - received.rssi[row]) / (10 * PATH_LOSS[1]))
+        yield moment, moment + later, max(MIN_SIGMA, distance / np.sqrt(2))
 
 
-FARTHEST = 10_000.0  # [m] from one another that walks without a plan begin in one frame
+AREA_RADIUS = 10_000.0  # [m] from an area's centre within which walks without a plan share a frame; chosen by hand
 
 
 @dataclass(frozen=True)
 class PersonDay:
-    """What a day is made of, as of `reconstruct.reconstruct`."""
+    """The inputs of a day, as of `reconstruct.reconstruct`."""
 
     person: str
     date: str
@@ -88,24 +91,24 @@ class PersonDay:
 
 
 @dataclass(frozen=True)
-class _Place:
-    """Where a walk stands among the days: of which day, which outing."""
+class _WalkIndex:
+    """Numbers of a walk's day and of its outing in that day."""
 
     day: int
     outing: int
 
 
 def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -> list[Day]:
-    """Days of any people, each as it is by itself but for the walks that closures bind: these are of one graph.
+    """Reconstruct days of any people: walks that closures connect in one graph, all others by themselves.
 
-    phones: whose phone or tag a Bluetooth transmitter is. Raises InputError as `reconstruct.reconstruct` does.
+    phones: owner of each Bluetooth transmitter. Raises InputError as `reconstruct.reconstruct` does.
     """
-    made = [outings_of(day.observations, day.profile) for day in days]
-    outings: list[list[Walked | Outing]] = [list(own) for own, _ in made]
-    for places in _on_common_ground(outings):
+    made = [reconstruct_outings(day.observations, day.profile) for day in days]
+    outings: list[list[EstimatedWalk | Outing]] = [list(own) for own, _ in made]
+    for places in _grouped_by_area(outings):
         walks = _in_one_frame([_walk(outings, place) for place in places])
         people = [days[place.day].person for place in places]
-        for number, walk in _bound(walks, people, phones):
+        for number, walk in _estimate_bound(walks, people, phones):
             outings[places[number].day][places[number].outing] = walk
     return [
         Day(day.person, day.date, tuple(one if isinstance(one, Outing) else one.outing for one in own), profile)
@@ -113,53 +116,60 @@ def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -
     ]
 
 
-def _on_common_ground(outings: Sequence[Sequence[Walked | Outing]]) -> Iterator[list[_Place]]:
-    """The walks on each plan, and those without a plan that are not far from one another."""
-    grounds: defaultdict[object, list[_Place]] = defaultdict(list)
+def _grouped_by_area(outings: Sequence[Sequence[EstimatedWalk | Outing]]) -> Iterator[list[_WalkIndex]]:
+    """The walks on each plan, and walks without a plan whose starts are within AREA_RADIUS; groups of two or more."""
+    grounds: defaultdict[object, list[_WalkIndex]] = defaultdict(list)
     centres: list[np.ndarray] = []
     for d, own in enumerate(outings):
         for n, one in enumerate(own):
-            if isinstance(one, Walked):
-                ground: object = one.group.parts[0][1].plan or _neighbourhood(one, centres)
+            if isinstance(one, EstimatedWalk):
+                ground: object = one.session.parts[0][1].plan or _area_of(one, centres)
                 if ground is not None:
-                    grounds[ground].append(_Place(d, n))
+                    grounds[ground].append(_WalkIndex(d, n))
     yield from (places for places in grounds.values() if len(places) > 1)
 
 
-def _neighbourhood(walk: Walked, centres: list[np.ndarray]) -> int | None:
-    """Which of the centres (longitude, latitude) a walk begins near, a new one if none; None if it is nowhere."""
+def _area_of(walk: EstimatedWalk, centres: list[np.ndarray]) -> int | None:
+    """Number of the area in which a walk begins; None without an absolute position.
+
+    centres: longitude and latitude of each area [deg], to which a new area is appended.
+    """
     frame = walk.joined.frame
     if not frame.georeferenced:
         return None
     begin = walk.estimate.trajectory.position[:1]
     for number, centre in enumerate(centres):
-        if np.hypot(*(frame.from_lonlat(centre[None]) - begin)[0]) < FARTHEST:
+        if np.hypot(*(frame.from_lonlat(centre[None]) - begin)[0]) < AREA_RADIUS:
             return number
     centres.append(frame.to_lonlat(begin)[0])
     return len(centres) - 1
 
 
-def _walk(outings: Sequence[Sequence[Walked | Outing]], place: _Place) -> Walked:
+def _walk(outings: Sequence[Sequence[EstimatedWalk | Outing]], place: _WalkIndex) -> EstimatedWalk:
     found = outings[place.day][place.outing]
-    assert isinstance(found, Walked), "chosen for being one"
+    assert isinstance(found, EstimatedWalk), "only walks have an index"
     return found
 
 
-def _in_one_frame(walks: Sequence[Walked]) -> list[Walked]:
-    """Walks that are not in the first one's frame are estimated again in it."""
+def _in_one_frame(walks: Sequence[EstimatedWalk]) -> list[EstimatedWalk]:
+    """The walks in the frame of the first; those in another frame are estimated again."""
     frame = walks[0].joined.frame
-    return [walk if walk.joined.frame == frame else walked(walk.group, None, walk.profile, frame) for walk in walks]
+    return [
+        walk if walk.joined.frame == frame else estimate_walk(walk.session, None, walk.profile, frame) for walk in walks
+    ]
 
 
-def _bound(walks: Sequence[Walked], people: Sequence[str], phones: Mapping[str, str]) -> Iterator[tuple[int, Walked]]:
-    """The walks that closures bind to others, each as all that are bound together have it."""
+def _estimate_bound(
+    walks: Sequence[EstimatedWalk], people: Sequence[str], phones: Mapping[str, str]
+) -> Iterator[tuple[int, EstimatedWalk]]:
+    """Estimate connected walks together; yields the number and the new estimate of each walk that closures connect."""
     carried = [
-        Carried(person, walk.joined.epoch, walk.graph.steps.start, walk.graph.steps.end, walk.joined.bluetooth)
+        CarriedPhone(person, walk.joined.epoch, walk.graph.steps.start, walk.graph.steps.end, walk.joined.bluetooth)
         for person, walk in zip(people, walks, strict=True)
     ]
     seen_again = revisits([(walk.estimate.trajectory, _scans(walk)) for walk in walks])
     closures = Closures.concatenate([seen_again, encounters(carried, phones)])
-    for group in _connected(closures, len(walks)):
+    for group in _connected_walks(closures, len(walks)):
         own = np.isin(closures.walk[:, 0], group)
         number = np.searchsorted(group, closures.walk[own])
         bound = Closures(closures.time[own], closures.sigma[own], number)
@@ -169,8 +179,8 @@ def _bound(walks: Sequence[Walked], people: Sequence[str], phones: Mapping[str, 
             yield n, replace(walk, estimate=estimate)
 
 
-def _connected(closures: Closures, walks: int) -> Iterator[Index]:
-    """The walks that are bound, directly or by others, by what binds them, in order."""
+def _connected_walks(closures: Closures, walks: int) -> Iterator[Index]:
+    """The numbers of the walks in each connected component of two or more walks, in increasing order."""
     one, other = closures.walk.T
     _, group = connected_components(
         coo_array((np.ones(len(closures)), (one, other)), shape=(walks, walks)), directed=False
@@ -179,17 +189,17 @@ def _connected(closures: Closures, walks: int) -> Iterator[Index]:
     yield from (np.flatnonzero(group == number) for number in bound)
 
 
-def _scans(walk: Walked) -> Scans:
-    """What a walk heard."""
+def _scans(walk: EstimatedWalk) -> Scans:
+    """The radio scans of a walk."""
     own = walk.joined
-    return scans_of(Recording(walk.group.parts[0][1].source, 0.0, own.epoch, bluetooth=own.bluetooth, wifi=own.wifi))
+    return scans_of(Recording(walk.session.parts[0][1].source, 0.0, own.epoch, bluetooth=own.bluetooth, wifi=own.wifi))
 
 
-def bind(store: Path) -> int:
-    """Put all walks of a lifelog that places or encounters bind into one graph; how many days have such walks now.
+def estimate_together(store: Path) -> int:
+    """Estimate all walks of a lifelog that places or encounters connect in one graph; returns the number of days.
 
-    Nothing is done where nothing has changed since the last time. Raises InputError if the lifelog cannot be used, or
-    something that was observed is not there.
+    Returns 0 if nothing has changed since the last time. Raises InputError if the lifelog cannot be used, or an
+    observation is missing.
     """
     with Store(store.resolve()) as log:
         built, phones = log.days(), log.phones()
@@ -197,21 +207,21 @@ def bind(store: Path) -> int:
         if log.setting(TOGETHER) == key:
             return 0
         keys = {entry.hash: entry.observation for entry in log.entries()}
-        days = [_day(log.folder, built, keys, *own) for own in built]
+        days = [_inputs_of_day(log.folder, built, keys, *own) for own in built]
         made = reconstruct_together(days, phones)
         for day in made:
             own = built[day.person, day.date]
-            log.take(rows_of(day, own.key, own.recordings))
-        log.set(TOGETHER, key)
+            log.put_day(rows_of(day, own.key, own.recordings))
+        log.put_setting(TOGETHER, key)
     return len(made)
 
 
-def _day(
-    folder: Path, days: Mapping[tuple[str, str], Built], keys: Mapping[str, str], person: str, date: str
+def _inputs_of_day(
+    folder: Path, days: Mapping[tuple[str, str], StoredDay], keys: Mapping[str, str], person: str, date: str
 ) -> PersonDay:
-    """What a day was made of. keys: by recording, of what was observed of it."""
+    """The inputs of a stored day. keys: of the observation, by content hash of the recording."""
     recordings = [(name, keys[name]) for name in days[person, date].recordings]
-    observations = observation.observations_in(folder, recordings)
+    observations = observation.read_observations(folder, recordings)
     before = [day.profile for (who, when), day in days.items() if who == person and when < date]
     known = [profile for profile in before if profile is not None]
     return PersonDay(person, date, observations, known[-1] if known else None)

@@ -1,4 +1,4 @@
-"""Observation of one recording: steps, headings, fixes, radio scans.
+"""Observation of one recording: steps, headings, fixes, radio scans and other measurements.
 
 This is the expensive part of a lifelog. A worker does it once per recording and writes the result to a file, from which
 all later stages start.
@@ -28,10 +28,11 @@ from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
 
-AT_ENDS = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
-SHORTEST_LOOK = 1.0  # [s] of standing: shorter pauses are part of the gait
-FEWEST = 2  # positions required for an outing without steps
-PRESSURE_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
+# Chosen by hand
+END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
+SHORTEST_PAUSE = 1.0  # [s] of standing in which the walker may turn; shorter pauses are part of the gait
+MIN_POSITIONS = 2  # positions required for an outing without steps
+BAROMETER_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
 
 
 @dataclass(frozen=True)
@@ -133,13 +134,13 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
     epoch = walk.epoch if options.begins is None else options.begins
     if epoch is None:
         raise InputError(recording, "", "no date", "a start time: give --begins")
-    check_tells(recording, walk, len(inputs.fixes))
+    check_usable(recording, walk, len(inputs.fixes))
     steps, looks, headings, ends = None, np.empty(0), Headings.none(), None
     last = [s.time[-1] for s in walk.signals.values()] or [inputs.fixes.time[-1]]
     if walk.has_acceleration:
         gaits = gait_signals(walk)
         steps, headings = detect_steps(gaits, walker), magnetic_headings(gaits, inputs.frame, inputs.near)
-        looks, ends = _looks(gaits, steps), _ends(gaits)
+        looks, ends = _turns_in_pauses(gaits, steps), _fields_at_ends(gaits)
     return Observation(
         source=walk.source,
         epoch=epoch,
@@ -151,7 +152,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
         looks=looks,
         headings=headings,
         fixes=inputs.fixes,
-        barometer=_thinned(walk.barometer),
+        barometer=_downsampled(walk.barometer),
         bluetooth=walk.bluetooth,
         wifi=walk.wifi,
         beacons=inputs.beacons,
@@ -162,45 +163,45 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
     )
 
 
-def check_tells(recording: Path, walk: Recording, positions: int) -> None:
-    """Raise InputError for a recording without acceleration and with fewer than two positions."""
-    if not walk.has_acceleration and positions < FEWEST:
+def check_usable(recording: Path, walk: Recording, positions: int) -> None:
+    """Raise InputError for a recording without acceleration and with fewer than MIN_POSITIONS positions."""
+    if not walk.has_acceleration and positions < MIN_POSITIONS:
         raise InputError(
             recording,
             "",
             f"no acceleration and {positions} positions",
-            f"an accelerometer, or at least {FEWEST} positions",
+            f"an accelerometer, or at least {MIN_POSITIONS} positions",
         )
 
 
-def _looks(gaits: list[GaitSignals], steps: Steps) -> Array:
-    """Direction of the walker in each pause ``(n + 1,)`` relative to the direction of the step before [rad]."""
+def _turns_in_pauses(gaits: list[GaitSignals], steps: Steps) -> Array:
+    """Direction of the walker in each pause ``(n + 1,)``, relative to the step before [rad]; 0 in short pauses."""
     landed = np.concatenate([[steps.start], steps.time])
     set_off = np.append(steps.time - steps.duration, steps.end)
     looks = np.zeros(len(landed))
     for gait in gaits:
         time, heading = gait.attitude.time, gait.direction.heading
-        here = (set_off - landed > SHORTEST_LOOK) & (landed >= time[0] - INSTANT) & (set_off <= time[-1] + INSTANT)
+        here = (set_off - landed > SHORTEST_PAUSE) & (landed >= time[0] - INSTANT) & (set_off <= time[-1] + INSTANT)
         for n in np.flatnonzero(here).tolist():
             first, after = np.searchsorted(time, [landed[n], set_off[n]])
             looks[n] = np.median(heading[first:after]) - heading[first]
     return looks
 
 
-def _ends(gaits: list[GaitSignals]) -> Ends | None:
-    """Magnetic field at both ends of a recording in the walker's axes; None if unknown."""
+def _fields_at_ends(gaits: list[GaitSignals]) -> Ends | None:
+    """Magnetic field at both ends of a recording, in the walker's axes; None if it was not measured there."""
     if gaits[0].recording.magnetometer is None:
         return None
-    start = _field(gaits[0], gaits[0].attitude.time[0], gaits[0].attitude.time[0] + AT_ENDS, 0)
-    end = _field(gaits[-1], gaits[-1].attitude.time[-1] - AT_ENDS, gaits[-1].attitude.time[-1], -1)
+    start = _mean_field(gaits[0], gaits[0].attitude.time[0], gaits[0].attitude.time[0] + END_DURATION, 0)
+    end = _mean_field(gaits[-1], gaits[-1].attitude.time[-1] - END_DURATION, gaits[-1].attitude.time[-1], -1)
     field = np.array([start, end])
     return Ends(field[:, :2], field[:, 2]) if np.isfinite(field).all() else None
 
 
-def _field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
+def _mean_field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
     """Mean field ``(3,)`` [µT] from ``begin`` to ``end`` [s]: forward, left, up for the walker at sample ``at``."""
     attitude = gait.attitude
-    assert gait.recording.magnetometer is not None, "asked for with one"
+    assert gait.recording.magnetometer is not None, "the caller has checked it"
     held = attitude[slice(*np.searchsorted(attitude.time, [begin, end]).tolist())]
     field = measured_field(gait.recording.magnetometer, held.time)
     measured = np.count_nonzero(field.any(axis=1))
@@ -211,24 +212,24 @@ def _field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
     return np.array([cos * x + sin * y, cos * y - sin * x, z])
 
 
-def _thinned(barometer: Signal | None) -> Signal | None:
+def _downsampled(barometer: Signal | None) -> Signal | None:
     """Downsample a barometer to 5 Hz by averaging."""
-    if barometer is None or barometer.rate <= PRESSURE_RATE:
+    if barometer is None or barometer.rate <= BAROMETER_RATE:
         return barometer
-    bins = np.floor(barometer.time * PRESSURE_RATE).astype(np.int64)
+    bins = np.floor(barometer.time * BAROMETER_RATE).astype(np.int64)
     _, first, count = np.unique(bins, return_index=True, return_counts=True)
     time = np.add.reduceat(barometer.time, first) / count
     return Signal(time, np.add.reduceat(barometer.values, first, axis=0) / count[:, None])
 
 
-LATEST = 7_258_118_400.0  # [s] Unix time of the year 2200: a clock beyond that, or before 1970, was not set
+LATEST_EPOCH = 7_258_118_400.0  # [s] Unix time of the year 2200; a clock beyond it, or before 1970, was never set
 Observe = Callable[[Path, RecordingOptions], Observation]  # as `observe`
 
 
 @dataclass(frozen=True)
 class ObservationTask:
     """A recording to observe. hash: of its content; key, file: of the observation; path, options: as in `Entry`;
-    made_by: version of this package.
+    version: `cache.RESULT_VERSION` of the build.
     """
 
     hash: str
@@ -236,12 +237,12 @@ class ObservationTask:
     file: str
     path: str
     options: RecordingOptions
-    made_by: str
+    version: str
 
 
 @dataclass(frozen=True)
 class ObservationResult:
-    """Result for a recording. epoch, duration [s], steps: as in `Entry`; refusal: reason for a failure, else ""."""
+    """Result for a recording. epoch, duration [s], steps: as in `Entry`; refusal: reason of a failure, else ""."""
 
     hash: str
     key: str
@@ -251,48 +252,46 @@ class ObservationResult:
     refusal: str = ""
 
 
-def observed(sought: Sequence[ObservationTask], observe: Observe | None = None) -> Iterator[ObservationResult]:
-    """Observe recordings and write each observation to its file; yields a result per recording.
+def observe_all(tasks: Sequence[ObservationTask], observe: Observe | None = None) -> Iterator[ObservationResult]:
+    """Observe recordings and write each observation to its file, unless it exists; yields a result per recording.
 
-    observe: a replacement for `observe`, for tests.
-
-    Raises OSError if a file cannot be written.
+    observe: a replacement for `observe`, for tests. Raises OSError if a file cannot be written.
     """
-    for one in sought:
-        found = observation_in(Path(one.file))
-        if found is None:
+    for task in tasks:
+        observation = read_observation(Path(task.file))
+        if observation is None:
             try:
-                found = _observed(one, observe)
+                observation = _observe_task(task, observe)
             except Exception as error:  # a failure of one recording must not stop the others
-                where = "" if isinstance(error, InputError) else f"{one.path}: "
-                yield ObservationResult(one.hash, one.key, refusal=f"{where}{error_text(error)}")
+                where = "" if isinstance(error, InputError) else f"{task.path}: "
+                yield ObservationResult(task.hash, task.key, refusal=f"{where}{error_text(error)}")
                 continue
-            cache.write(Path(one.file), to_bytes(found))
-        steps = 0 if found.steps is None else int((~found.steps.is_gap).sum())
-        yield ObservationResult(one.hash, one.key, found.epoch, found.duration, steps)
+            cache.write(Path(task.file), to_bytes(observation))
+        steps = 0 if observation.steps is None else int((~observation.steps.is_gap).sum())
+        yield ObservationResult(task.hash, task.key, observation.epoch, observation.duration, steps)
 
 
-def observation_in(file: Path) -> Observation | None:
+def read_observation(file: Path) -> Observation | None:
     """Read an observation from its file; None if it is missing or damaged."""
     return cache.read(file, from_bytes)
 
 
-def observations_in(folder: Path, recordings: Sequence[tuple[str, str]]) -> dict[str, Observation]:
+def read_observations(folder: Path, recordings: Sequence[tuple[str, str]]) -> dict[str, Observation]:
     """Read observations by recording hash; recordings: (hash, key of the observation); folder: ``STORE.d``.
 
     Raises InputError if one is missing or damaged.
     """
-    found: dict[str, Observation] = {}
+    observations: dict[str, Observation] = {}
     for name, key in recordings:
         file = folder / cache.OBSERVATIONS / key
-        one = observation_in(file)
-        if one is None:
-            file.unlink(missing_ok=True)  # so that the next build makes it again
+        observation = read_observation(file)
+        if observation is None:
+            file.unlink(missing_ok=True)  # so that the next build creates it again
             raise InputError(
                 file, "", "no observation, or a damaged one", "an intact file: run pdr-graph lifelog build again"
             )
-        found[name] = one
-    return found
+        observations[name] = observation
+    return observations
 
 
 def error_text(error: Exception) -> str:
@@ -300,15 +299,15 @@ def error_text(error: Exception) -> str:
     return str(error) if isinstance(error, InputError) else one_line(f"{type(error).__name__}: {error}")
 
 
-def _observed(sought: ObservationTask, observer: Observe | None) -> Observation:
-    """Observe a recording. Raises InputError if it is missing or has changed since it was added."""
-    cache.check_maker(sought.made_by)
-    path = Path(sought.path)
+def _observe_task(task: ObservationTask, observer: Observe | None) -> Observation:
+    """Observe the recording of a task. Raises InputError if it is missing or has changed since it was added."""
+    cache.check_version(task.version)
+    path = Path(task.path)
     if not path.exists():
         raise InputError(path, "", "no such file", "the recording: add it again from its present place")
-    if content_hash(path) != sought.hash:
+    if content_hash(path) != task.hash:
         raise InputError(path, "", "changed content", "the content that was added: add it again")
-    found = (observer or observe)(path, sought.options)
-    if not 0 <= found.epoch < LATEST:
-        raise InputError(path, "time", f"{found.epoch:g} s since 1970", "a time since 1970: give --begins")
-    return found
+    observation = (observer or observe)(path, task.options)
+    if not 0 <= observation.epoch < LATEST_EPOCH:
+        raise InputError(path, "time", f"{observation.epoch:g} s since 1970", "a time since 1970: give --begins")
+    return observation

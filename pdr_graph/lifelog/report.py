@@ -1,40 +1,123 @@
-"""The HTML report of a day of a lifelog: maps, hours, timeline.
+"""Show a day of a lifelog: as text, and as files that only their owner can read.
 
-Privacy: it has the same content as ``timeline.csv`` and ``day.png``; no names or paths of recordings and plans.
+The page ``report.html`` has maps, hours and the timeline: the content of ``timeline.csv`` and ``day.png``, without
+names or paths of recordings and plans.
 """
 
 from __future__ import annotations
 
+import io
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime, tzinfo
 from itertools import groupby
+from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import confidence_band
-from pdr_graph.lifelog.day import UNSEEN, Day, Stay, sigma
-from pdr_graph.lifelog.maps import COLOURS, Drawn, Panel, panels
-from pdr_graph.lifelog.timeline import PASSING, STAY, WORDS, Entry, Totals, cells, spoken, timeline, totals
+from pdr_graph.lifelog import cache
+from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay, horizontal_sigma
+from pdr_graph.lifelog.export import as_geojson, not_exported
+from pdr_graph.lifelog.maps import COLOURS, DrawnPart, Panel, panels
+from pdr_graph.lifelog.picture import picture
+from pdr_graph.lifelog.store import ZONE, Store
+from pdr_graph.lifelog.timeline import (
+    KIND_NAMES,
+    PASSING,
+    STAY,
+    DayTotals,
+    TimelineEntry,
+    as_text,
+    duration_text,
+    entry_texts,
+    timeline,
+    timeline_csv,
+    totals,
+)
 from pdr_graph.plotting import TRACK
 from pdr_graph.report import charts_and_tables, page
 from pdr_graph.report.charts_and_tables import Table, table
 from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, rings, runs, track
 from pdr_graph.types import Array, Trajectory
 
-QUARTER = 900.0  # [s]: daylight saving time starts and ends at multiples of it
+PICTURE_DPI = 130
+
+
+def show_day(path: Path, person: str | None = None, date: str | None = None, out: Path | None = None) -> str:
+    """Return the timeline of a day as text, and write its files to the folder ``out`` if one is given.
+
+    Files: ``timeline.csv``, ``day.geojson``, ``day.png`` and ``report.html``. person: optional if there is only one;
+    date: the last day by default. Raises InputError if there is no such day.
+    """
+    with Store(path) as log:
+        zone = ZoneInfo(log.setting(ZONE))
+        day = log.day(*_selected_day(log, person, date))
+    assert day is not None, "_selected_day returns existing days only"
+    entries = timeline(day)
+    missing = [line for outing in day.outings for line in outing.missing]
+    notes = [*not_exported([day]), *(line for outing in day.outings for line in outing.notes)]
+    missing, notes = ([one_line(line) for line in dict.fromkeys(lines)] for lines in (missing, notes))
+    if out is not None:
+        cache.write(out / "timeline.csv", timeline_csv(entries, zone).encode())
+        cache.write(out / "day.geojson", as_geojson([day]))
+        cache.write(out / "day.png", _picture_bytes(day, zone))
+        missing += _write_page(out / "report.html", day, zone, missing, notes)
+    remarks = [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
+    return as_text(day, entries, zone) + "".join(f"{line}\n" for line in remarks)
+
+
+def _picture_bytes(day: Day, zone: ZoneInfo) -> bytes:
+    """The picture of a day as PNG."""
+    buffer = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # letters that no font has are drawn as boxes
+        picture(day, zone).savefig(buffer, format="png", dpi=PICTURE_DPI)
+    return buffer.getvalue()
+
+
+def _write_page(path: Path, day: Day, zone: ZoneInfo, missing: Sequence[str], notes: Sequence[str]) -> tuple[str, ...]:
+    """Write the HTML page of a day; returns a line for a failure, else nothing."""
+    try:
+        cache.write(path, page.page(content(day, zone, missing, notes)))
+    except Exception as error:  # a failing report must not lose the result
+        return (one_line(f"{path.name} ({type(error).__name__}: {error})"),)
+    return ()
+
+
+def _selected_day(log: Store, person: str | None, date: str | None) -> tuple[str, str]:
+    """The person and date of an existing day. Raises InputError if the choice is ambiguous or there is no such day."""
+    days = list(log.days())
+    if not days:
+        raise InputError(log.path, "", "no day", "a built lifelog: run pdr-graph lifelog build")
+    people = sorted({name for name, _ in days})
+    if person is None and len(people) > 1:
+        raise InputError("--person", "", f"no choice, {len(people)} persons", f"one of {', '.join(people)}")
+    person = people[0] if person is None else person
+    dates = [day for name, day in days if name == person]
+    if not dates:
+        raise InputError("--person", "", repr(person), f"one of {', '.join(people)}")
+    if date is not None and date not in dates:
+        raise InputError("--date", "", repr(date), f"a recorded day from {dates[0]} to {dates[-1]}")
+    return person, date or dates[-1]
+
+
+OFFSET_PERIOD = 900.0  # [s]; daylight saving time starts and ends at multiples of it
+# Chosen by hand
 SMALLEST_DOT, LARGEST_DOT = 7.0, 22.0  # [px] diameter of the mark of a slow pass or short stay, of the longest stay
-LONGEST = 7200.0  # [s] duration of a stay with the largest mark
-BLOCK, LANE = 14, 26  # [px] height of a block and of a lane in the chart of the day
+LONGEST_STAY = 7200.0  # [s] duration of a stay with the largest mark
+BLOCK_HEIGHT, LANE_HEIGHT = 14, 26  # [px] in the chart of the day
 
 
 def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str]) -> dict[str, Any]:
     """The content of the page, in the form documented in ``web/content.js``; missing, warnings: a line each."""
     entries, maps = timeline(day), panels(day)
     start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
-    ways = [_way(panel) for panel in maps]
+    ways = [_joined_track(panel) for panel in maps]
     return {
         "title": f"{day.person}   {day.date}",
         "subtitle": f"times of {zone}",
@@ -46,29 +129,29 @@ def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[s
         "end": end,
         "maps": [_map(panel, n) for n, panel in enumerate(maps)],
         "tracks": [line for n, panel in enumerate(maps) for line in _tracks(panel, ways[n], n, len(maps))],
-        "marks": [marks for n, panel in enumerate(maps) for marks in _stays(panel, n)],
-        "charts": [_hours(entries), *([_sigma(ways[0])] if ways else [])] if entries else [],
+        "marks": [marks for n, panel in enumerate(maps) for marks in _stay_marks(panel, n)],
+        "charts": [_hours_chart(entries), *([_sigma_chart(ways[0])] if ways else [])] if entries else [],
         "phases": [{"start": e.start, "end": e.end, "text": _entry_label(e)} for e in entries],
-        "tables": [_timeline(entries, zone)],
+        "tables": [_timeline_table(entries, zone)],
     }
 
 
-def _headline(sums: Totals) -> list[list[str]]:
-    figures = [["walked", f"{_far(sums.walked)} in {spoken(sums.walking)}"]]
-    figures += [["ridden", f"{_far(sums.ridden)} in {spoken(sums.riding)}"]] if sums.riding else []
-    figures += [["stayed", spoken(sums.staying)]] if sums.staying else []
+def _headline(sums: DayTotals) -> list[list[str]]:
+    figures = [["walked", f"{_distance_text(sums.walked)} in {duration_text(sums.walking)}"]]
+    figures += [["ridden", f"{_distance_text(sums.ridden)} in {duration_text(sums.riding)}"]] if sums.riding else []
+    figures += [["stayed", duration_text(sums.staying)]] if sums.staying else []
     figures += [["steps", f"{sums.steps:,}"]] if sums.steps else []
-    figures += [["no data", spoken(sums.unknown)]] if sums.unknown else []
-    return figures + [[name, spoken(time)] for name, time in sums.places[:3]]
+    figures += [["no data", duration_text(sums.unknown)]] if sums.unknown else []
+    return figures + [[name, duration_text(time)] for name, time in sums.places[:3]]
 
 
-def _far(metres: float) -> str:
+def _distance_text(metres: float) -> str:
     return f"{metres / 1000:.2f} km" if metres >= 1000 else f"{metres:.0f} m"
 
 
 def _offsets(start: float, end: float, zone: tzinfo) -> list[list[float]]:
-    """Offsets of local time from UTC [s], as [Unix time from which it holds, offset]."""
-    times = np.arange(QUARTER * np.floor(start / QUARTER), end + QUARTER, QUARTER).tolist()
+    """Offsets of local time from UTC [s], each with the Unix time from which it holds."""
+    times = np.arange(OFFSET_PERIOD * np.floor(start / OFFSET_PERIOD), end + OFFSET_PERIOD, OFFSET_PERIOD).tolist()
     ahead = [(time, datetime.fromtimestamp(time, zone).utcoffset()) for time in times]
     changes = [next(same) for _, same in groupby(ahead, key=lambda one: one[1])]
     return [[time, by.total_seconds() if by is not None else 0.0] for time, by in changes]
@@ -90,22 +173,22 @@ def _plan(panel: Panel) -> dict[str, Any] | None:
     return page.plan_drawing(next((floor for floor in floors if floor.label == panel.floor), floors[0]))
 
 
-def _way(panel: Panel) -> Trajectory:
+def _joined_track(panel: Panel) -> Trajectory:
     """All tracks on a map as one, with a row of NaN after each."""
-    return _joined(path for own in panel.ways for path in own)
+    return _concatenated(path for own in panel.ways for path in own)
 
 
-def _joined(paths: Iterable[Trajectory]) -> Trajectory:
+def _concatenated(paths: Iterable[Trajectory]) -> Trajectory:
     """Concatenate paths in time order, with a row of NaN after each."""
     ordered = sorted(paths, key=lambda path: float(path.time[0]))
-    parts = [_broken(path) for path in ordered]
+    parts = [_with_nan_row(path) for path in ordered]
     time, position, heading, covariance = (
         np.concatenate(column) for column in zip(*(p[:4] for p in parts), strict=True)
     )
     return Trajectory(time, position, heading, tuple(label for p in parts for label in p[4]), covariance)
 
 
-def _broken(path: Trajectory) -> tuple[Any, ...]:
+def _with_nan_row(path: Trajectory) -> tuple[Any, ...]:
     """The columns of a path with a row of NaN appended."""
     covariance = np.full((len(path), 3, 3), np.nan) if path.covariance is None else path.covariance
     return (
@@ -122,9 +205,9 @@ def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[d
     for kind in COLOURS:
         own = [drawn for drawn in panel.drawn if drawn.kind == kind and len(drawn.track) > 1]
         if own:
-            unseen = kind in UNSEEN
+            unseen = kind in KINDS_WITHOUT_DATA
             style = {"dash": "dot" if unseen else "solid", "width": 1.2 if unseen else 2.4}
-            yield _kind(WORDS.get(kind, kind), COLOURS[kind], own, number) | style
+            yield _activity_track(KIND_NAMES.get(kind, kind), COLOURS[kind], own, number) | style
     on = [number if panel.floor in ("", label) else NOWHERE for label in way.floor]
     regions: list[Any] = [None] * maps
     regions[number] = rings(np.concatenate([_region(panel, path) for own in panel.ways for path in own]))
@@ -132,63 +215,68 @@ def _tracks(panel: Panel, way: Trajectory, number: int, maps: int) -> Iterator[d
 
 
 def _region(panel: Panel, path: Trajectory) -> Array:
+    """The 95 % region of a path, of the rows on the map's floor."""
     return confidence_band(path, np.array([panel.floor in ("", label) for label in path.floor]))
 
 
-def _kind(name: str, colour: str, drawn: Sequence[Drawn], number: int) -> dict[str, Any]:
-    path = _joined(one.track for one in drawn)
+def _activity_track(name: str, colour: str, drawn: Sequence[DrawnPart], number: int) -> dict[str, Any]:
+    """The parts of one kind of activity as one track, on the map of a number."""
+    path = _concatenated(one.track for one in drawn)
     bare = Trajectory(path.time, path.position, path.heading, path.floor)
     return track(name, colour, bare, [number] * len(bare))
 
 
-def _stays(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
+def _stay_marks(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
+    """The marks of the stays and of the slow passes on a map."""
     for kind in (STAY, PASSING):
         own = [stay for stay in panel.stays if stay.passing == (kind == PASSING)]
         if own:
             x, y = (column(axis, CENTIMETRE) for axis in np.array([stay.position for stay in own]).T)
-            marks = {"name": WORDS.get(kind, kind), "colour": COLOURS[kind], "symbol": "circle", "x": x, "y": y}
-            dots = {"size": [_dot(stay) for stay in own], "text": [_stay_label(stay) for stay in own]}
+            marks = {"name": KIND_NAMES.get(kind, kind), "colour": COLOURS[kind], "symbol": "circle", "x": x, "y": y}
+            dots = {"size": [_dot_diameter(stay) for stay in own], "text": [_stay_label(stay) for stay in own]}
             yield marks | dots | {"on": runs([number] * len(own))}
 
 
-def _dot(stay: Stay) -> float:
+def _dot_diameter(stay: Stay) -> float:
     """Diameter [px] of the mark of a stay, by its duration."""
-    share = 0.0 if stay.passing else min((stay.end - stay.start) / LONGEST, 1.0)
+    share = 0.0 if stay.passing else min((stay.end - stay.start) / LONGEST_STAY, 1.0)
     return round(float(np.sqrt(SMALLEST_DOT**2 + share * (LARGEST_DOT**2 - SMALLEST_DOT**2))), 1)
 
 
 def _stay_label(stay: Stay) -> str:
     named = [f"{name} {probability:.0%}" for name, probability in stay.facing]
-    return "\n".join([f"{spoken(stay.end - stay.start)}, ± {float(sigma(stay.covariance)):.1f} m", *named])
+    return "\n".join(
+        [f"{duration_text(stay.end - stay.start)}, ± {float(horizontal_sigma(stay.covariance)):.1f} m", *named]
+    )
 
 
-def _entry_label(entry: Entry) -> str:
-    _, what, _, floor, place = cells(entry)
+def _entry_label(entry: TimelineEntry) -> str:
+    _, what, _, floor, place = entry_texts(entry)
     return ", ".join(part for part in (what, floor, place) if part)
 
 
-def _hours(entries: Sequence[Entry]) -> dict[str, Any]:
+def _hours_chart(entries: Sequence[TimelineEntry]) -> dict[str, Any]:
     """Chart of the day: a lane per kind of activity, the first on top."""
     kinds = [kind for kind in COLOURS if any(entry.kind == kind for entry in entries)][::-1]
     lanes = [_lane(kind, [e for e in entries if e.kind == kind], n) for n, kind in enumerate(kinds)]
-    labels = [WORDS.get(kind, kind) for kind in kinds]
-    return {"title": "the day", "unit": "", "lines": lanes, "labels": labels, "height": 40 + LANE * len(kinds)}
+    labels = [KIND_NAMES.get(kind, kind) for kind in kinds]
+    return {"title": "the day", "unit": "", "lines": lanes, "labels": labels, "height": 40 + LANE_HEIGHT * len(kinds)}
 
 
-def _lane(kind: str, entries: Sequence[Entry], lane: int) -> dict[str, Any]:
+def _lane(kind: str, entries: Sequence[TimelineEntry], lane: int) -> dict[str, Any]:
     """The blocks of one lane; each has a point in its middle for the hover text."""
     time = np.array([(e.start, (e.start + e.end) / 2, e.end, e.end) for e in entries]).ravel()
     y = np.tile([lane, lane, lane, np.nan], len(entries))
-    text = [f"{spoken(e.end - e.start)}\n{_entry_label(e)}" for e in entries for _ in range(4)]
-    block = {"name": kind, "colour": COLOURS[kind], "width": BLOCK, "text": text}
+    text = [f"{duration_text(e.end - e.start)}\n{_entry_label(e)}" for e in entries for _ in range(4)]
+    block = {"name": kind, "colour": COLOURS[kind], "width": BLOCK_HEIGHT, "text": text}
     return block | {"time": column(time, CENTISECOND), "y": column(y, 1.0)}
 
 
-def _sigma(way: Trajectory) -> dict[str, Any]:
+def _sigma_chart(way: Trajectory) -> dict[str, Any]:
     return charts_and_tables.sigma({"where": (TRACK, way)})
 
 
-def _timeline(entries: Sequence[Entry], zone: tzinfo) -> Table:
-    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *cells(e)] for e in entries]
+def _timeline_table(entries: Sequence[TimelineEntry], zone: tzinfo) -> Table:
+    rows = [[f"{datetime.fromtimestamp(e.start, zone):%H:%M:%S}", *entry_texts(e)] for e in entries]
     head = ["from", "for", "what", "distance", "floor", "where"]
     return table("The day", head, rows, [round(e.start, 2) for e in entries])

@@ -1,8 +1,8 @@
-"""Group recordings of a day into outings, and join the recordings of an outing to one walk with gaps.
+"""Group the recordings of a day into sessions, one per outing, and join a session's recordings to one walk with gaps.
 
-Consecutive recordings with short gaps and compatible frames are one outing. If a recorder restarts within seconds, the
-walker usually stood still. This is a robust loop closure, which is rejected if the rest of the walk contradicts it. The
-turn of the walker during the gap follows from the magnetic field, which does not change at one place.
+Consecutive recordings with short gaps and compatible frames are one session. If a recorder is restarted within seconds,
+the walker usually stood still: this is a robust loop closure, which is rejected if the rest of the walk contradicts it.
+The turn of the walker during the gap follows from the magnetic field, which does not change at one place.
 """
 
 from __future__ import annotations
@@ -15,38 +15,40 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.steps import GAP_SIGMA_TURN, append_steps, gap, shifted
-from pdr_graph.lifelog.observation import FEWEST, Observation
+from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation
 from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
-from pdr_graph.types import Array, Beacons, Fixes, Headings, Sightings, Signal, Steps
+from pdr_graph.types import Array, Beacons, Fixes, Headings, Index, Sightings, Signal, Steps
 
-LONGEST_GAP = 600.0  # [s] between recordings of one outing: after more, the walker may be anywhere
-OVERLAP = 1.0  # [s] by which consecutive recordings may overlap
+# Chosen by hand
+LONGEST_GAP = 600.0  # [s] between two recordings of one session; after a longer one the walker may be anywhere
+LONGEST_OVERLAP = 1.0  # [s] of two consecutive recordings
 
-Named = tuple[str, Observation]
-Located = TypeVar("Located", bound=Any)
+Hashed = tuple[str, Observation]  # an observation with the content hash of its recording
+Located = TypeVar("Located", bound=Any)  # a table with positions
 
 
 @dataclass(frozen=True)
-class Group:
+class Session(OneLineRepr):
     """The recordings of one outing, in order of time, each with its content hash.
 
-    beside: recordings with positions only from the same time; notes: recordings left out.
+    parts: the recordings that follow one another; beside: recordings of positions alone from the same time; notes:
+    which recordings were left out.
     """
 
-    parts: tuple[Named, ...]
-    beside: tuple[Named, ...] = ()
+    parts: tuple[Hashed, ...]
+    beside: tuple[Hashed, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
     def observations(self) -> list[Observation]:
-        """Observations of the recordings, in time order."""
-        return [one for _, one in self.parts]
+        """Observations of the recordings that follow one another, in time order."""
+        return [observation for _, observation in self.parts]
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def hashes(self) -> tuple[str, ...]:
         """Content hashes of all recordings."""
         return tuple(dict.fromkeys(name for name, _ in (*self.parts, *self.beside)))
 
@@ -60,91 +62,97 @@ class Group:
         """Unix time of its end [s]."""
         return end_of(self.parts[-1][1])
 
+    def _summary(self) -> list[str]:
+        beside = [f"{len(self.beside)} beside"] if self.beside else []
+        return [count(len(self.parts), "recording"), *beside, f"{self.end - self.epoch:.1f} s"]
 
-def groups_of(observations: Mapping[str, Observation]) -> list[Group]:
-    """Group the recordings of a day into outings, in time order.
 
-    Recordings with positions only (a watch) during a walk become fixes of that walk. Of recordings with steps that
-    overlap in time, the earlier one is used.
+def sessions_of(observations: Mapping[str, Observation]) -> list[Session]:
+    """Group the recordings of a day into sessions, in time order; observations: by content hash.
+
+    Positions of a recording without steps (a watch) from the time of a walk become fixes of that walk. Of recordings
+    with steps that overlap in time, the earlier one is used.
     """
     ordered = sorted(observations.items(), key=lambda item: (item[1].epoch, item[0]))
     walks = list(_consecutive([item for item in ordered if item[1].steps is not None]))
-    alone: list[Named] = []
-    for name, one in ordered:
-        if one.steps is None:
-            walks, rest = _shared_out(name, one, walks)
-            alone += rest
+    rest: list[Hashed] = []
+    for name, observation in ordered:
+        if observation.steps is None:
+            walks, unassigned = _assign_positions(name, observation, walks)
+            rest += unassigned
     begins = [walk.epoch for walk in walks]
-    between = groupby(sorted(alone, key=lambda item: item[1].epoch), lambda item: bisect(begins, item[1].epoch))
-    return sorted([*walks, *(group for _, own in between for group in _consecutive(list(own)))], key=_epoch)
+    between = groupby(sorted(rest, key=lambda item: item[1].epoch), lambda item: bisect(begins, item[1].epoch))
+    tracks = [session for _, parts in between for session in _consecutive(list(parts))]
+    return sorted([*walks, *tracks], key=lambda session: session.epoch)
 
 
-def _epoch(group: Group) -> float:
-    return group.epoch
-
-
-def end_of(one: Observation) -> float:
+def end_of(observation: Observation) -> float:
     """Unix time of a recording's end [s]."""
-    return one.epoch + one.duration
+    return observation.epoch + observation.duration
 
 
-def _consecutive(parts: Sequence[Named]) -> Iterator[Group]:
+def _consecutive(parts: Sequence[Hashed]) -> Iterator[Session]:
     """Group consecutive recordings with short gaps, on one plan or without a plan."""
-    group: Group | None = None
-    for name, one in parts:
-        if group is not None and one.epoch < group.end - OVERLAP and one.steps is not None:
-            note = f"{one.source}: left out: it overlaps {group.parts[-1][1].source} in time"
-            group = replace(group, notes=(*group.notes, note))
-        elif group is not None and _follows(group, one):
-            group = replace(group, parts=(*group.parts, (name, one)))
+    session: Session | None = None
+    for name, observation in parts:
+        if session is not None and observation.epoch < session.end - LONGEST_OVERLAP and observation.steps is not None:
+            note = f"{observation.source}: left out: it overlaps {session.parts[-1][1].source} in time"
+            session = replace(session, notes=(*session.notes, note))
+        elif session is not None and _continues(session, observation):
+            session = replace(session, parts=(*session.parts, (name, observation)))
         else:
-            if group is not None:
-                yield group
-            group = Group(((name, one),))
-    if group is not None:
-        yield group
+            if session is not None:
+                yield session
+            session = Session(((name, observation),))
+    if session is not None:
+        yield session
 
 
-def _follows(group: Group, one: Observation) -> bool:
-    last = group.parts[-1][1]
-    placed = [part for part in (*group.observations, one) if is_located(part)]
-    one_frame = all(part.frame.georeferenced for part in placed) or all(part.frame == one.frame for part in placed)
-    return one.epoch - group.end <= LONGEST_GAP and last.plan == one.plan and one_frame
+def _continues(session: Session, observation: Observation) -> bool:
+    """True if a recording follows within LONGEST_GAP, on the same plan, in a frame that can be converted."""
+    frames = [part.frame for part in (*session.observations, observation) if is_located(part)]
+    convertible = all(frame.georeferenced for frame in frames) or all(frame == observation.frame for frame in frames)
+    same_plan = session.parts[-1][1].plan == observation.plan
+    return observation.epoch - session.end <= LONGEST_GAP and same_plan and convertible
 
 
-def _shared_out(name: str, one: Observation, walks: Sequence[Group]) -> tuple[list[Group], list[Named]]:
-    """Positions given to the walks of their time, and the stretches that are left."""
-    time = one.epoch + one.fixes.time
+def _assign_positions(
+    name: str, observation: Observation, walks: Sequence[Session]
+) -> tuple[list[Session], list[Hashed]]:
+    """Assign positions to the walks of their time; returns the walks, and the positions between walks."""
+    time = observation.epoch + observation.fixes.time
     spans = np.array([(walk.epoch, walk.end) for walk in walks]).reshape(-1, 2)
     during = [np.flatnonzero((time >= begin) & (time <= end)) for begin, end in spans]
-    given = [
-        replace(walk, beside=(*walk.beside, (name, replace(one, fixes=one.fixes[own])))) if len(own) else walk
-        for walk, own in zip(walks, during, strict=True)
+    assigned = [
+        replace(walk, beside=(*walk.beside, (name, replace(observation, fixes=observation.fixes[rows]))))
+        if len(rows)
+        else walk
+        for walk, rows in zip(walks, during, strict=True)
     ]
-    left = np.setdiff1d(np.arange(len(time)), np.concatenate([np.empty(0, int), *during]))
-    before = np.searchsorted(spans[:, 0], time[left])
-    stretches = np.split(left, np.flatnonzero(np.diff(before)) + 1)
-    return given, [(name, _stretch(one, rows)) for rows in stretches if len(rows) >= FEWEST]
+    rest = np.setdiff1d(np.arange(len(time)), np.concatenate([np.empty(0, int), *during]))
+    walks_before = np.searchsorted(spans[:, 0], time[rest])
+    runs = np.split(rest, np.flatnonzero(np.diff(walks_before)) + 1)
+    return assigned, [(name, _with_fixes(observation, rows)) for rows in runs if len(rows) >= MIN_POSITIONS]
 
 
-def _stretch(one: Observation, rows: np.ndarray) -> Observation:
-    """Some of a recording's positions as one of its own."""
-    fixes = one.fixes[rows]
+def _with_fixes(observation: Observation, rows: Index) -> Observation:
+    """Some rows of a recording of positions, as a recording that begins with the first of them."""
+    fixes = observation.fixes[rows]
     begin, end = float(fixes.time[0]), float(fixes.time[-1])
-    shifted = replace(fixes, time=fixes.time - begin)
-    return replace(one, epoch=one.epoch + begin, duration=end - begin, fixes=shifted)
+    return replace(observation, epoch=observation.epoch + begin, duration=end - begin, fixes=fixes.shifted(-begin))
 
 
-RESTART = 20.0  # [s] within which a recorder was started again by somebody who stood still
-STOOD = 0.5  # [m] per axis by which a person moves on one spot
-ALIKE = 0.3  # share of the field by which it may differ at two moments on one spot, half a metre apart indoors
-FIELD_SIGMA = 0.2  # [rad] of a turn by the field: 9° rms over 9 restarts in malls, and one in ten may have walked on
-LEAST_FIELD = 10.0  # [µT] horizontally, below which it points nowhere
+# A recorder that was restarted by somebody who stood still
+LONGEST_RESTART = 20.0  # [s] between the recordings; chosen by hand
+STANDING_SIGMA = 0.5  # [m] per axis by which a person moves on one spot; chosen by hand
+FIELD_TOLERANCE = 0.3  # relative difference of the field at two moments on one spot, half a metre apart indoors
+TURN_SIGMA = 0.2  # [rad] of a turn by the field: 9° rms over 9 restarts in malls, and one in ten may have walked on
+MIN_FIELD = 10.0  # [µT] horizontally; a weaker field has no direction
 
 
 @dataclass(frozen=True)
-class Joined(OneLineRepr):
-    """Recordings as one walk, times from the first one's start; fields as of `Observation`.
+class JoinedRecordings(OneLineRepr):
+    """The recordings of a session as one walk, times from the start of the first; fields as of `Observation`.
 
     closures: between recordings of a recorder that was restarted on the spot.
     """
@@ -168,36 +176,44 @@ class Joined(OneLineRepr):
         return [f"{self.duration:.1f} s", repr(self.steps), repr(self.fixes), *others]
 
 
-def joined(parts: Sequence[Observation], fixes: Sequence[Observation] = (), in_frame: Frame | None = None) -> Joined:
-    """Recordings with steps, one after the other, and others with positions alone of the same time.
+def join(
+    parts: Sequence[Observation], beside: Sequence[Observation] = (), frame: Frame | None = None
+) -> JoinedRecordings:
+    """Join recordings with steps, one after the other, and recordings of positions alone from the same time.
 
-    parts: at least one, in order of time, none overlapping, in frames that can be brought into one; in_frame: that
-    one, if it is not to be their own.
+    parts: at least one, in order of time, without overlap, in frames that can be converted to one; frame: of the
+    result, by default as of `frame_of`.
     """
-    first, frame = parts[0], in_frame or frame_of([*parts, *fixes])
-    shift = [part.epoch - first.epoch for part in parts]
+    first, frame = parts[0], frame or frame_of([*parts, *beside])
+    offsets = [part.epoch - first.epoch for part in parts]
     steps = shifted(_steps(first), 0.0)
-    for (before, after), by in zip(pairwise(parts), shift[1:], strict=True):
-        own = shifted(_steps(after), by)
-        steps = append_steps(append_steps(steps, _between(before, after, steps.end, own.start)), own)
-    return Joined(
+    for (before, after), offset in zip(pairwise(parts), offsets[1:], strict=True):
+        later = shifted(_steps(after), offset)
+        steps = append_steps(append_steps(steps, _gap_between(before, after, steps.end, later.start)), later)
+    return JoinedRecordings(
         epoch=first.epoch,
         duration=max(part.epoch - first.epoch + part.duration for part in parts),
         frame=frame,
         steps=steps,
-        looks=np.concatenate([part.looks for part in parts]),  # what ends one is before its gap
-        headings=_headings([(part.headings, by) for part, by in zip(parts, shift, strict=True)]),
-        fixes=_fixes([*parts, *fixes], frame),
-        closures=_stops(parts, shift),
-        barometer=_signal([(part.barometer, by) for part, by in zip(parts, shift, strict=True)]),
-        bluetooth=_sightings([(part.bluetooth, by) for part, by in zip(parts, shift, strict=True)]),
-        wifi=_sightings([(part.wifi, by) for part, by in zip(parts, shift, strict=True)]),
+        looks=np.concatenate([part.looks for part in parts]),  # the last value of a part is that before the gap
+        headings=_headings([(part.headings, by) for part, by in zip(parts, offsets, strict=True)]),
+        fixes=_fixes([*parts, *beside], frame),
+        closures=_restart_closures(parts, offsets),
+        barometer=_signal([(part.barometer, by) for part, by in zip(parts, offsets, strict=True)]),
+        bluetooth=_sightings([(part.bluetooth, by) for part, by in zip(parts, offsets, strict=True)]),
+        wifi=_sightings([(part.wifi, by) for part, by in zip(parts, offsets, strict=True)]),
         beacons=_beacons(parts, frame),
-        measurements=_measurements([*parts, *fixes], frame),
+        measurements=_measurements([*parts, *beside], frame),
     )
 
 
-def is_located(part: Observation | Joined) -> bool:
+def join_fixes(parts: Sequence[Observation]) -> tuple[Frame, Fixes]:
+    """Fixes of recordings one after the other in one frame, times from the start of the first; and that frame."""
+    frame = frame_of(parts)
+    return frame, _fixes(parts, frame)
+
+
+def is_located(part: Observation | JoinedRecordings) -> bool:
     """True if there are fixes, or measurements of positions in the frame, as ranges to anchors are."""
     return len(part.fixes) > 0 or any(hasattr(table, "position") for table in part.measurements)
 
@@ -237,76 +253,76 @@ def _measurements(parts: Sequence[Observation], frame: Frame) -> tuple[Any, ...]
     return tuple(take(table, np.argsort(last_time(table), kind="stable")) for table in by_type(tables))
 
 
-def joined_fixes(parts: Sequence[Observation]) -> tuple[Frame, Fixes]:
-    """The positions of recordings one after the other, in one frame, times from the first one's start."""
-    frame = frame_of(parts)
-    return frame, _fixes(parts, frame)
-
-
 def _steps(part: Observation) -> Steps:
     assert part.steps is not None, "a recording with steps"
     return part.steps
 
 
-def _between(before: Observation, after: Observation, start: float, end: float) -> Steps:
-    """Duration of the gap between two recordings [s]."""
-    if end - start > RESTART:
+def _gap_between(before: Observation, after: Observation, start: float, end: float) -> Steps:
+    """The gap between two recordings as a row of steps, from `start` to `end` [s]."""
+    if end - start > LONGEST_RESTART:
         return gap(start, end)
     turn = turn_by_field(before, after)
-    known = (0.0, GAP_SIGMA_TURN) if turn is None else (turn, FIELD_SIGMA)
-    return gap(start, end, *known)
+    turn_and_sigma = (0.0, GAP_SIGMA_TURN) if turn is None else (turn, TURN_SIGMA)
+    return gap(start, end, *turn_and_sigma)
 
 
 def turn_by_field(before: Observation, after: Observation) -> float | None:
-    """How far somebody turned on the spot between two recordings [rad]; None if the field cannot tell."""
+    """Turn of a person on the spot between two recordings [rad]; None if the field does not determine it."""
     if before.ends is None or after.ends is None:
         return None
-    one, other = _field(before, 1), _field(after, 0)
-    level = np.hypot(*one[:2]), np.hypot(*other[:2])
-    usual = (np.linalg.norm(one) + np.linalg.norm(other)) / 2
-    apart = np.hypot(level[0] - level[1], one[2] - other[2])
-    if min(level) < LEAST_FIELD or apart > ALIKE * usual:
+    first, second = _field_at(before, 1), _field_at(after, 0)
+    horizontal = np.hypot(*first[:2]), np.hypot(*second[:2])
+    mean = (np.linalg.norm(first) + np.linalg.norm(second)) / 2
+    difference = np.hypot(horizontal[0] - horizontal[1], first[2] - second[2])
+    if min(horizontal) < MIN_FIELD or difference > FIELD_TOLERANCE * mean:
         return None
-    return float(np.angle((one[0] + 1j * one[1]) * (other[0] - 1j * other[1])))
+    return float(np.angle((first[0] + 1j * first[1]) * (second[0] - 1j * second[1])))
 
 
-def _field(part: Observation, end: int) -> Array:
-    """Ahead, to the left and up ``(3,)`` at a recording's start (0) or end (1). [µT]"""
-    assert part.ends is not None, "asked for with one"
+def _field_at(part: Observation, end: int) -> Array:
+    """Field ``(3,)`` forward, left and up at a recording's start (0) or end (1) [µT]."""
+    assert part.ends is not None, "the caller has checked it"
     return np.append(part.ends.field[end], part.ends.vertical[end])
 
 
-def _stops(parts: Sequence[Observation], shift: Sequence[float]) -> Closures:
-    """Where the recorder was started again by somebody who stood."""
-    found = []
-    for (before, after), begin, end in zip(pairwise(parts), shift, shift[1:], strict=False):
-        ends, begins = begin + _steps(before).end, end + _steps(after).start
-        if begins - ends <= RESTART:
-            found.append((ends, begins, STOOD))
-    return Closures.of(found)
+def _restart_closures(parts: Sequence[Observation], offsets: Sequence[float]) -> Closures:
+    """Loop closures between recordings of a recorder that was restarted within LONGEST_RESTART."""
+    rows = []
+    for (before, after), begin, end in zip(pairwise(parts), offsets, offsets[1:], strict=False):
+        stopped, started = begin + _steps(before).end, end + _steps(after).start
+        if started - stopped <= LONGEST_RESTART:
+            rows.append((stopped, started, STANDING_SIGMA))
+    return Closures.of(rows)
 
 
 def _headings(parts: Sequence[tuple[Headings, float]]) -> Headings:
-    """Those of all recordings. They share most of their error, so that all together weigh as the best recording's."""
-    told = [own.shifted(by) for own, by in parts if len(own)]
-    return Headings.concatenate([replace(own, sigma=own.sigma * np.sqrt(len(told))) for own in told])
+    """Headings of all recordings, with offsets [s].
+
+    Headings of different recordings share most of their error, so those of n recordings get √n times the sigma.
+    """
+    some = [headings.shifted(by) for headings, by in parts if len(headings)]
+    return Headings.concatenate([replace(headings, sigma=headings.sigma * np.sqrt(len(some))) for headings in some])
 
 
 def _signal(parts: Sequence[tuple[Signal | None, float]]) -> Signal | None:
-    told = [(own, by) for own, by in parts if own is not None]
-    if not told:
+    """Signals of all recordings, with offsets [s], as one; None without any."""
+    some = [(signal, by) for signal, by in parts if signal is not None]
+    if not some:
         return None
-    return Signal(np.concatenate([own.time + by for own, by in told]), np.concatenate([own.values for own, _ in told]))
+    time = np.concatenate([signal.time + by for signal, by in some])
+    return Signal(time, np.concatenate([signal.values for signal, _ in some]))
 
 
 def _sightings(parts: Sequence[tuple[Sightings | None, float]]) -> Sightings | None:
-    told = [(own, by) for own, by in parts if own is not None]
-    if not told:
+    """Sightings of all recordings, with offsets [s], as one; None without any."""
+    some = [(sightings, by) for sightings, by in parts if sightings is not None]
+    if not some:
         return None
-    minor = tuple(m for own, _ in told for m in (own.minor or ("",) * len(own)))
+    minor = tuple(m for sightings, _ in some for m in (sightings.minor or ("",) * len(sightings)))
     return Sightings(
-        np.concatenate([own.time + by for own, by in told]),
-        tuple(name for own, _ in told for name in own.transmitter),
-        np.concatenate([own.rssi for own, _ in told]),
+        np.concatenate([sightings.time + by for sightings, by in some]),
+        tuple(name for sightings, _ in some for name in sightings.transmitter),
+        np.concatenate([sightings.rssi for sightings, _ in some]),
         minor if any(minor) else (),
     )

@@ -20,22 +20,26 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import length_along, row_times, unit, wrap_angle
-from pdr_graph.lifelog.day import STANDING, Segment, Stay, at
+from pdr_graph.lifelog.day import STANDING, Segment, Stay, sampled
 from pdr_graph.types import INSTANT, Array, Index, Mask, Steps, Trajectory
 
-FRONTS = ("shop", "place")  # what is solid and looked at; a wall is not, though it may have a name
-STAND = 0.5  # [m] half of a stand's width, of which a plan draws the middle
-STANDS = 0.5  # [m] per axis by which people shuffle where they "stand", unseen by a step detector
-CLOSE, FALL = 1.5, 1.0  # [m] windows and shelves are read from 0.5 to 1.5 m; farther off ever fewer linger for them
-SIGHT = 7.0  # [m] where these are one in 250: what is farther is scenery
-BODY = 0.6  # [rad] between where the body faces and what is looked at: heads turn by 30-40 degrees without the trunk
-ASKEW = 0.1  # of those who linger: the body faces anywhere, as when one talks, or the heading is wrong
-NOTHING = 0.05  # stops for nothing with a name, at any place, to one for what is close: a call, a friend, a rest
-PLACES, RAYS = 96, 24
-LEAST = 1e-3  # probability that is told
-ANYWHERE = 20.0  # [m] per axis: who knows no better cannot tell shops apart
-INSIDE = 0.01  # [m]
-AT_ONCE = 0.05  # [m] within which a front is as near as the wall that it is drawn on
+FRONT_KINDS = ("shop", "place")  # kinds of areas that are solid and looked at; walls are not, even if they have names
+
+# The model of facing; chosen by hand
+STAND_HALF_WIDTH = 0.5  # [m] of a stand, which a plan draws as its middle
+SHUFFLE_SIGMA = 0.5  # [m] per axis by which a standing person moves without a detected step
+NEAR_DISTANCE = 1.5  # [m] up to which people linger at the full rate: windows and shelves are read from 0.5 to 1.5 m
+DECAY_DISTANCE = 1.0  # [m] over which the rate falls to 1/e beyond
+MAX_DISTANCE = 7.0  # [m] at which the rate is 1/250; farther places are scenery
+LOOK_SIGMA = 0.6  # [rad] of the look from the body's direction: heads turn by 30 to 40 degrees without the trunk
+RANDOM_LOOK_SHARE = 0.1  # of people who linger and face anywhere: they talk, or the heading is wrong
+UNNAMED_RATE = 0.05  # of stops for no named place (a call, a friend, a rest), relative to stops for a near place
+POINTS, RAYS = 96, 24  # sample points of the position; rays from each
+MIN_PROBABILITY = 1e-3  # of a place that is reported
+MAX_POSITION_SIGMA = 20.0  # [m] per axis; a less certain position does not determine a place
+INSET = 0.01  # [m] by which a position off the plan is moved into it
+WALL_OFFSET = 0.05  # [m] that walls are moved back, so that a front drawn on a wall is hit first
+
 Facing = tuple[tuple[str, float], ...]  # as of `Stay`
 
 
@@ -43,9 +47,10 @@ Facing = tuple[tuple[str, float], ...]  # as of `Stay`
 class VisiblePlaces:
     """Visible places on a floor.
 
-    names; start, way: ``(e, 2)`` edges of all that stops a look [m]; owner: ``(e,)`` whose, -1 of nothing with a name;
-    solid: ``(e,)`` True where nobody walks through. rooms: polygons with names [m]; room: ``(r,)`` which names.
-    walkable: where one can stand [m].
+    names: of the places; start, way: ``(e, 2)`` start and vector of all edges that stop a look [m]; owner: ``(e,)``
+    number of the edge's place, -1 without a name; solid: ``(e,)`` True for edges that nobody walks through; rooms:
+    polygons with names [m]; room: ``(r,)`` number of each room's place; walkable: the area in which people stand [m];
+    tree: of the edges.
     """
 
     names: tuple[str, ...]
@@ -61,7 +66,7 @@ class VisiblePlaces:
     @classmethod
     def of(cls, floor: FloorPlan) -> VisiblePlaces:
         """Construct from a floor plan; places with the same name are one place."""
-        fronts = [a for a in floor.of_kind(*FRONTS) if a.name]
+        fronts = [a for a in floor.of_kind(*FRONT_KINDS) if a.name]
         rooms = [a for a in floor.of_kind(*CLOSED) if a.name and a.is_polygon]
         names = tuple(dict.fromkeys(a.name for a in (*fronts, *rooms)))
         drawn = [(_outline(a), names.index(a.name), a.is_polygon) for a in fronts]
@@ -81,69 +86,69 @@ class VisiblePlaces:
             tree=shapely.STRtree(shapely.get_parts(shapely.linestrings(edge))),
         )
 
-    def facing(self, position: Array, heading: float, covariance: Array, sideways: float = BODY) -> Facing:
+    def facing(self, position: Array, heading: float, covariance: Array, sideways: float = LOOK_SIGMA) -> Facing:
         """Probabilities of the places faced, most probable first; the remainder to 1 is no named place.
 
         position ``(2,)`` [m]; heading, NaN if unknown [rad]; covariance ``(3, 3)`` of both; sideways: standard
         deviation of the direction of the look from the heading's [rad].
         """
-        standing = covariance + STANDS**2 * np.diag([1.0, 1.0, 0.0])
-        middle, spread = self._on_foot(position, standing[:2, :2])
-        if np.trace(spread) > 2 * ANYWHERE**2:
+        standing = covariance + SHUFFLE_SIGMA**2 * np.diag([1.0, 1.0, 0.0])
+        middle, spread = self._on_walkable(position, standing[:2, :2])
+        if np.trace(spread) > 2 * MAX_POSITION_SIGMA**2:
             return ()
-        reach = 3 * np.sqrt(np.trace(spread)) + SIGHT
+        reach = 3 * np.sqrt(np.trace(spread)) + MAX_DISTANCE
         near = self.tree.query(shapely.box(*(middle - reach), *(middle + reach)))
-        places = self._reachable(middle, middle + SPREAD @ np.linalg.cholesky(spread).T, near)
-        distance, owner = self._seen(places, near)
-        weight = _looks(places - position, heading, standing, sideways) * _lingers(distance)
+        places = self._reachable(middle, middle + NORMAL_POINTS @ np.linalg.cholesky(spread).T, near)
+        distance, owner = self._first_hits(places, near)
+        weight = _look_probability(places - position, heading, standing, sideways) * _linger_rate(distance)
         rates = np.bincount(owner.ravel() + 1, weight.ravel(), minlength=len(self.names) + 1)[1:]
         inside, room = self.rooms.query(shapely.points(places), predicate="intersects")
-        rates += NOTHING * np.bincount(self.room[room], minlength=len(self.names))
-        nothing = NOTHING * (len(places) - len(np.unique(inside)))
+        rates += UNNAMED_RATE * np.bincount(self.room[room], minlength=len(self.names))
+        nothing = UNNAMED_RATE * (len(places) - len(np.unique(inside)))
         probability = rates / (rates.sum() + nothing)
         order = np.argsort(-probability, kind="stable")
-        return tuple((self.names[n], float(probability[n])) for n in order if probability[n] > LEAST)
+        return tuple((self.names[n], float(probability[n])) for n in order if probability[n] > MIN_PROBABILITY)
 
-    def _on_foot(self, position: Array, covariance: Array) -> tuple[Array, Array]:
-        """The position, or the nearest place to it where one can stand, and its covariance with what that is off."""
+    def _on_walkable(self, position: Array, covariance: Array) -> tuple[Array, Array]:
+        """The nearest walkable position, and the covariance enlarged by the distance to it."""
         line = shapely.shortest_line(self.walkable, shapely.Point(position))
         middle = shapely.get_coordinates(line)[0]
         off = middle - position
         if not off.any():
             return position, covariance
-        return middle + INSIDE * off / np.hypot(*off), covariance + np.outer(off, off)
+        return middle + INSET * off / np.hypot(*off), covariance + np.outer(off, off)
 
     def _reachable(self, middle: Array, places: Array, near: Index) -> Array:
-        """The places to which one can go straight from the middle; the middle if there is none."""
+        """The points that no solid wall separates from the middle; the middle if there is none."""
         walls, way = near[self.solid[near]], places - middle
-        hit = _hits(middle[None], way, self.start[walls], self.way[walls])
+        hit = _ray_distances(middle[None], way, self.start[walls], self.way[walls])
         clear = places[~np.any(hit < 1, axis=(0, 2))]
         return clear if len(clear) else middle[None]
 
-    def _seen(self, places: Array, near: Index) -> tuple[Array, Index]:
-        """How far it is to what stops each ray from each place, and whose that is; both ``(k, RAYS)``."""
+    def _first_hits(self, places: Array, near: Index) -> tuple[Array, Index]:
+        """Distance [m] to the first edge on each ray from each point, and the number of its place; ``(k, RAYS)``."""
         owner = np.append(-1, self.owner[near])
-        hit = _hits(places, unit(DIRECTIONS), self.start[near], self.way[near])
-        hit += np.where(owner[1:] < 0, AT_ONCE, 0.0)
+        hit = _ray_distances(places, unit(DIRECTIONS), self.start[near], self.way[near])
+        hit += np.where(owner[1:] < 0, WALL_OFFSET, 0.0)
         hit = np.concatenate([np.full((*hit.shape[:2], 1), np.inf), hit], axis=2)
         first = np.argmin(hit, axis=2)
         return np.take_along_axis(hit, first[:, :, None], axis=2)[:, :, 0], owner[first]
 
 
 def _outline(area: Area) -> shapely.Geometry:
-    """What is seen of a front; of a stand that is drawn as a point, its sides."""
-    return area.shape if area.is_polygon else shapely.buffer(area.shape, STAND)
+    """The visible outline of a front; a stand drawn as a point or a line gets a width."""
+    return area.shape if area.is_polygon else shapely.buffer(area.shape, STAND_HALF_WIDTH)
 
 
 def _edges(shape: shapely.Geometry) -> Array:
-    """The straight pieces ``(e, 2, 2)`` of lines, or of the border of polygons. [m]"""
+    """The straight pieces ``(e, 2, 2)`` of lines, or of the boundary of polygons [m]."""
     lines = shapely.get_parts(shapely.boundary(shape) if shapely.get_dimensions(shape) == 2 else shape)
     corner, line = shapely.get_coordinates(lines, return_index=True)
     return np.stack([corner[:-1], corner[1:]], axis=1)[line[:-1] == line[1:]]
 
 
-def _hits(origin: Array, ray: Array, start: Array, way: Array) -> Array:
-    """Where rays meet edges, in lengths of each ray; infinity where they do not.
+def _ray_distances(origin: Array, ray: Array, start: Array, way: Array) -> Array:
+    """Distance at which rays meet edges, in lengths of each ray; infinity where they do not.
 
     origin ``(k, 2)``, ray ``(r, 2)``, edges from ``start (e, 2)`` along ``way (e, 2)``. Returns ``(k, r, e)``.
     """
@@ -155,57 +160,59 @@ def _hits(origin: Array, ray: Array, start: Array, way: Array) -> Array:
     return np.where((along > 0) & (share >= 0) & (share <= 1), along, np.inf)
 
 
-def _looks(off: Array, heading: float, covariance: Array, sideways: float) -> Array:
-    """How probable it is that one looks along each ray ``(k, RAYS)`` from each place, ``off (k, 2)`` the position."""
+def _look_probability(off: Array, heading: float, covariance: Array, sideways: float) -> Array:
+    """Probability ``(k, RAYS)`` of looking along each ray from each point; off: ``(k, 2)`` from the position [m]."""
     if np.isnan(heading):
         return np.full((len(off), RAYS), 1 / RAYS)
-    gain = np.linalg.solve(covariance[:2, :2], covariance[:2, 2])  # who stands farther left was heading farther left
+    gain = np.linalg.solve(covariance[:2, :2], covariance[:2, 2])  # the heading at a point, given the position there
     variance = sideways**2 + covariance[2, 2] - gain @ covariance[:2, 2]
     apart = wrap_angle(DIRECTIONS - (heading + off @ gain)[:, None])
     ahead = np.exp(-0.5 * apart**2 / variance)
-    return (1 - ASKEW) * ahead / ahead.sum(axis=1, keepdims=True) + ASKEW / RAYS
+    return (1 - RANDOM_LOOK_SHARE) * ahead / ahead.sum(axis=1, keepdims=True) + RANDOM_LOOK_SHARE / RAYS
 
 
-def _lingers(distance: Array) -> Array:
-    """How many linger before what is so far away, to one before what is close."""
-    return np.where(distance < SIGHT, np.exp(-np.maximum(distance - CLOSE, 0.0) / FALL), 0.0)
+def _linger_rate(distance: Array) -> Array:
+    """Rate of lingering at a distance [m], relative to that at a near place."""
+    return np.where(distance < MAX_DISTANCE, np.exp(-np.maximum(distance - NEAR_DISTANCE, 0.0) / DECAY_DISTANCE), 0.0)
 
 
-def _spread(count: int) -> Array:
-    """Points ``(n, 2)`` that share out a normal distribution evenly, in a spiral by the golden angle."""
+def _normal_points(count: int) -> Array:
+    """Points ``(n, 2)`` of equal weight that represent a standard normal distribution: a golden-angle spiral."""
     rank = np.arange(count)
     radius = np.sqrt(-2 * np.log1p(-(rank + 0.5) / count))
     return radius[:, None] * unit(rank * np.pi * (3 - np.sqrt(5)))
 
 
-SPREAD, DIRECTIONS = _spread(PLACES), np.arange(RAYS) * 2 * np.pi / RAYS
+NORMAL_POINTS, DIRECTIONS = _normal_points(POINTS), np.arange(RAYS) * 2 * np.pi / RAYS
 
 
-SHORTEST = 5.0  # [s] of a stay: who lets somebody pass or looks about is sooner off again
-ON_THE_WAY = 60.0  # [s] of waiting where no plan has a name for anything: at a crossing, for a bus
-MOMENT = 1.0  # [s] of standing between steps that is more than their rhythm
-SHUFFLE, BACK = 1.5, 20.0  # [m] and [s] at most between two halts of one stay: a shift along a shelf, a restarted log
-UNSEEN_LOOK = 1.2  # [rad] of which way one turned while standing where nobody measured it
-USUAL = 0.75  # quantile of a walk's speeds that is its usual one: much of it may be slow
-SLOW = 0.7  # of that speed: people stroll at 0.8 of it and browse at half
-STEADY = 4.0  # [s] under way over which speed is taken: several strides
-PIECE = 3.0  # [m] of a slow way that are looked at at a time: half of a small shop's front
-PASSING = 1.2  # [rad] between the way and the look of who passes fronts on either side
-NAMED = 0.5  # probability that a slow way led past something with a name; else it is just slow
+# Detection of stays and slow passes; chosen by hand
+SHORTEST_STAY = 5.0  # [s]; shorter halts are for letting somebody pass or for looking around
+SHORTEST_UNNAMED_STAY = 60.0  # [s] on a floor without names; shorter ones are at crossings
+SHORTEST_HALT = 1.0  # [s] between two steps; shorter pauses are part of the gait
+SHUFFLE_DISTANCE = 1.5  # [m] between two halts of one stay, along a shelf
+SHUFFLE_DURATION = 20.0  # [s] between two halts of one stay, or of a restarted recorder
+UNKNOWN_TURN_SIGMA = 1.2  # [rad] of the turn during a stay where it was not measured
+USUAL_SPEED_QUANTILE = 0.75  # of a walk's speeds, since much of the walk may be slow
+SLOW_SHARE = 0.7  # of the usual speed: people stroll at 0.8 of it and browse at half of it
+SPEED_WINDOW = 4.0  # [s] of walking over which a speed is measured: several strides
+PASS_PIECE = 3.0  # [m] of a slow pass with one result: half of a small shop's front
+PASSING_LOOK_SIGMA = 1.2  # [rad] of the look from the walking direction during a slow pass
+MIN_NAMED_PROBABILITY = 0.5  # that a slow pass led past a named place; otherwise it is just slow
 
 
 def stays_of(
     steps: Steps, trajectory: Trajectory, building: Building | None, looks: Array | None = None
 ) -> tuple[Stay, ...]:
-    """Stays and slow passes of a walk, in order of time.
+    """Stays and slow passes of a walk, in time order.
 
-    trajectory: of these steps with covariance, rows as of `row_times`. looks: ``(n + 1,)`` how far the walker had
-    turned while standing before each step and after the last, since the step before [rad]; None if nobody knows.
+    trajectory: of these steps with covariance, rows as of `row_times`. looks: ``(n + 1,)`` turn of the walker while
+    standing before each step and after the last, relative to the step before [rad]; None if it was not measured.
 
-    Raises ValueError where rows do not belong together.
+    Raises ValueError if the numbers of rows do not match.
     """
     _check(steps, trajectory, looks)
-    fronts = _fronts(building, trajectory)
+    fronts = _visible_places(building, trajectory)
     found = _stays(steps, trajectory, fronts, looks) + _passes(steps, trajectory, fronts)
     return tuple(sorted(found, key=lambda stay: stay.start))
 
@@ -213,23 +220,24 @@ def stays_of(
 def stays_of_positions(
     trajectory: Trajectory, segments: tuple[Segment, ...], building: Building | None
 ) -> tuple[Stay, ...]:
-    """The stays of a day of positions alone: its segments of standing. Which way somebody faced is not known.
+    """Stays of a day of positions alone: its segments of standing, with unknown heading.
 
     trajectory: with covariance.
     """
-    fronts, found = _fronts(building, trajectory), list[Stay]()
+    fronts, found = _visible_places(building, trajectory), list[Stay]()
     for segment in segments:
         if segment.kind != STANDING:
             continue
         first, after = np.searchsorted(trajectory.time, [segment.start, segment.end + INSTANT])
-        track = at(trajectory, np.append(trajectory.time[first:after], (segment.start + segment.end) / 2))
+        track = sampled(trajectory, np.append(trajectory.time[first:after], (segment.start + segment.end) / 2))
         pose = track.position.mean(axis=0), np.nan, _covariance(track).mean(axis=0)
         stay = _stay(segment.start, segment.end, False, *pose, track.floor[-1], fronts)
-        found += [stay] if _lasts(stay, fronts) else []
+        found += [stay] if _is_long_enough(stay, fronts) else []
     return tuple(found)
 
 
 def _check(steps: Steps, trajectory: Trajectory, looks: Array | None) -> None:
+    """Raise ValueError unless there are two more rows and one more look than steps."""
     if len(trajectory) != len(steps) + 2:
         raise ValueError(f"trajectory: found {len(trajectory)} rows, expected {len(steps) + 2}, two more than steps")
     if looks is not None and len(looks) != len(steps) + 1:
@@ -237,13 +245,14 @@ def _check(steps: Steps, trajectory: Trajectory, looks: Array | None) -> None:
 
 
 def _covariance(trajectory: Trajectory) -> Array:
+    """The covariance of each row. Raises ValueError without any."""
     if trajectory.covariance is None:
         raise ValueError("trajectory: found no covariance, expected one of each row")
     return trajectory.covariance
 
 
-def _fronts(building: Building | None, trajectory: Trajectory) -> dict[str, VisiblePlaces]:
-    """What can be looked at, by the labels of the trajectory's floors; none of a floor where nothing has a name."""
+def _visible_places(building: Building | None, trajectory: Trajectory) -> dict[str, VisiblePlaces]:
+    """The visible places by the labels of the trajectory's floors, without floors on which nothing has a name."""
     if building is None:
         return {}
     labels, only = set(trajectory.floor), len(building.labels) == 1
@@ -264,38 +273,39 @@ def _stay(
     floor: str,
     fronts: dict[str, VisiblePlaces],
 ) -> Stay:
-    """A stay at a pose, covariance ``(3, 3)``, with what it was at."""
+    """A stay at a pose with covariance ``(3, 3)``, and the places that it faces."""
     facing = ()
     if floor in fronts:
-        facing = fronts[floor].facing(position, heading, covariance, PASSING if passing else BODY)
+        facing = fronts[floor].facing(position, heading, covariance, PASSING_LOOK_SIGMA if passing else LOOK_SIGMA)
     return Stay(start, end, passing, position, covariance[:2, :2], heading, floor, facing)
 
 
-def _lasts(stay: Stay, fronts: dict[str, VisiblePlaces]) -> bool:
-    return stay.end - stay.start >= (SHORTEST if stay.floor in fronts else ON_THE_WAY)
+def _is_long_enough(stay: Stay, fronts: dict[str, VisiblePlaces]) -> bool:
+    """True if a stay lasts SHORTEST_STAY, or SHORTEST_UNNAMED_STAY on a floor without names."""
+    return stay.end - stay.start >= (SHORTEST_STAY if stay.floor in fronts else SHORTEST_UNNAMED_STAY)
 
 
 def _stays(steps: Steps, track: Trajectory, fronts: dict[str, VisiblePlaces], looks: Array | None) -> list[Stay]:
-    """Halts, with those joined between which somebody only shuffled."""
+    """Stays: halts of a walk, merged where the walker only shuffles between them."""
     begin, end = row_times(steps)[:-1], np.append(steps.time - steps.duration, steps.end)
     lasted = end - begin
-    halts = np.flatnonzero(lasted > MOMENT)
-    apart = np.hypot(*np.diff(track.position[halts], axis=0).T) > SHUFFLE
-    apart |= begin[halts[1:]] - end[halts[:-1]] > BACK
-    unseen = UNSEEN_LOOK**2 * np.diag([0.0, 0.0, 1.0]) if looks is None else 0.0
+    halts = np.flatnonzero(lasted > SHORTEST_HALT)
+    apart = np.hypot(*np.diff(track.position[halts], axis=0).T) > SHUFFLE_DISTANCE
+    apart |= begin[halts[1:]] - end[halts[:-1]] > SHUFFLE_DURATION
+    unseen = UNKNOWN_TURN_SIGMA**2 * np.diag([0.0, 0.0, 1.0]) if looks is None else 0.0
     found = list[Stay]()
     for rows in np.split(halts, np.flatnonzero(apart) + 1) if len(halts) else []:
         longest = rows[np.argmax(lasted[rows])]
         heading = track.heading[longest] + (0.0 if looks is None else looks[longest])
-        position, covariance = _together(track, rows, lasted[rows])
+        position, covariance = _mean_pose(track, rows, lasted[rows])
         pose = position, float(wrap_angle(heading)), covariance + unseen
         span = float(begin[rows[0]]), float(end[rows[-1]])
         found.append(_stay(*span, False, *pose, track.floor[longest], fronts))
-    return [stay for stay in found if _lasts(stay, fronts)]
+    return [stay for stay in found if _is_long_enough(stay, fronts)]
 
 
-def _together(track: Trajectory, rows: Index, weight: Array) -> tuple[Array, Array]:
-    """Mean position ``(2,)`` of some rows by weight, and the covariance ``(3, 3)`` of a pose at any of them."""
+def _mean_pose(track: Trajectory, rows: Index, weight: Array) -> tuple[Array, Array]:
+    """Weighted mean position ``(2,)`` of some rows, and the covariance ``(3, 3)`` of the pose at any of them."""
     share = weight / weight.sum()
     position = share @ track.position[rows]
     off = track.position[rows] - position
@@ -305,43 +315,43 @@ def _together(track: Trajectory, rows: Index, weight: Array) -> tuple[Array, Arr
 
 
 def _passes(steps: Steps, track: Trajectory, fronts: dict[str, VisiblePlaces]) -> list[Stay]:
-    """Slow stretches of the way past something with a name, one for each name that was the likeliest for a while."""
+    """Slow passes of named places, one for each run of pieces with the same most probable place."""
     found = list[Stay]()
-    for taken in _slow(steps) if fronts else []:
-        along = length_along(track.position[taken + 1])
-        cuts = np.unique(np.searchsorted(along, np.arange(PIECE, along[-1], PIECE)))
-        pieces = np.split(taken, cuts)
-        passed = [_pass(steps, piece, track, fronts).facing for piece in pieces]
+    for numbers in _slow_runs(steps) if fronts else []:
+        along = length_along(track.position[numbers + 1])
+        cuts = np.unique(np.searchsorted(along, np.arange(PASS_PIECE, along[-1], PASS_PIECE)))
+        pieces = np.split(numbers, cuts)
+        passed = [_pass_of(steps, piece, track, fronts).facing for piece in pieces]
         likeliest = [facing[0][0] if facing else "" for facing in passed]
         for _, same in groupby(zip(likeliest, pieces, strict=True), key=itemgetter(0)):
-            whole = _pass(steps, np.concatenate([piece for _name, piece in same]), track, fronts)
-            if _lasts(whole, fronts) and sum(p for _, p in whole.facing) > NAMED:
+            whole = _pass_of(steps, np.concatenate([piece for _name, piece in same]), track, fronts)
+            if _is_long_enough(whole, fronts) and sum(p for _, p in whole.facing) > MIN_NAMED_PROBABILITY:
                 found.append(whole)
     return found
 
 
-def _pass(steps: Steps, taken: Index, track: Trajectory, fronts: dict[str, VisiblePlaces]) -> Stay:
-    """What some neighbouring steps led past."""
-    rows, first, last = taken + 1, taken[0], taken[-1]
-    position, covariance = _together(track, rows, steps.duration[taken])
+def _pass_of(steps: Steps, numbers: Index, track: Trajectory, fronts: dict[str, VisiblePlaces]) -> Stay:
+    """The pass of some consecutive steps, by their numbers."""
+    rows, first, last = numbers + 1, numbers[0], numbers[-1]
+    position, covariance = _mean_pose(track, rows, steps.duration[numbers])
     heading = float(np.angle(np.exp(1j * track.heading[rows]).sum()))
     start, end = float(steps.time[first] - steps.duration[first]), float(steps.time[last])
     return _stay(start, end, True, position, heading, covariance, track.floor[rows[len(rows) // 2]], fronts)
 
 
-def _slow(steps: Steps) -> list[Index]:
-    """Which steps, for each stretch that is long enough, were slow and without a halt between.
+def _slow_runs(steps: Steps) -> list[Index]:
+    """Numbers of the steps of each slow run without a halt that lasts SHORTEST_STAY.
 
-    By the steps themselves: within a walk they compare well, where the trajectory is bent to what else is known.
+    Speeds are those of the steps, which are comparable within a walk; the trajectory is bent by other measurements.
     """
     under_way = np.concatenate([[0.0], np.cumsum(steps.duration)])
     walking = ~steps.is_gap
-    if under_way[-1] < STEADY or not walking.any():
+    if under_way[-1] < SPEED_WINDOW or not walking.any():
         return []
     way = np.concatenate([[0.0], np.cumsum(steps.length)])
-    before, after = (np.clip(under_way[1:] + side * STEADY / 2, 0.0, under_way[-1]) for side in (-1, 1))
+    before, after = (np.clip(under_way[1:] + side * SPEED_WINDOW / 2, 0.0, under_way[-1]) for side in (-1, 1))
     speed = (np.interp(after, under_way, way) - np.interp(before, under_way, way)) / (after - before)
-    slow = np.flatnonzero(walking & (speed < SLOW * np.quantile(speed[walking], USUAL)))
-    halted = (steps.time - steps.duration - row_times(steps)[:-2] > MOMENT)[slow[1:]]
-    stretches = np.split(slow, np.flatnonzero((np.diff(slow) > 1) | halted) + 1)
-    return [taken for taken in stretches if steps.duration[taken].sum() >= SHORTEST]
+    slow = np.flatnonzero(walking & (speed < SLOW_SHARE * np.quantile(speed[walking], USUAL_SPEED_QUANTILE)))
+    halted = (steps.time - steps.duration - row_times(steps)[:-2] > SHORTEST_HALT)[slow[1:]]
+    split_at_gaps = np.split(slow, np.flatnonzero((np.diff(slow) > 1) | halted) + 1)
+    return [numbers for numbers in split_at_gaps if steps.duration[numbers].sum() >= SHORTEST_STAY]

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph import storage
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
@@ -59,7 +60,7 @@ class DayRows:
 
 
 def rows_of(day: Day, key: str, recordings: Sequence[str]) -> Rows:
-    """Rows of a day for each table; key: hash of its inputs; recordings: content hashes."""
+    """The rows of a day by table. key: hash of its inputs; recordings: content hashes."""
     own = (day.person, day.date)
     rows: Rows = {name: [] for name in TABLES}
     rows["day"].append((*own, key, json.dumps(list(recordings))))
@@ -71,7 +72,7 @@ def rows_of(day: Day, key: str, recordings: Sequence[str]) -> Rows:
 
 
 def day_of(person: str, date: str, read: Callable[[str], Sequence[Sequence[Any]]]) -> Day:
-    """Reconstruct a day from the rows that `rows_of` made; read: rows of a table, without person and date, in order.
+    """The day whose rows `rows_of` returned. read: returns the rows of a table in order, without person and date.
 
     Raises ValueError if the rows are invalid.
     """
@@ -96,9 +97,9 @@ def profile_of(row: Sequence[Any]) -> Profile:
 
 def _add(rows: Rows, own: tuple[str, str, int], outing: Outing) -> None:
     """Add the rows of one outing."""
-    told = [json.dumps(list(texts)) for texts in (outing.recordings, outing.notes, outing.missing)]
+    texts = [json.dumps(list(lines)) for lines in (outing.recordings, outing.notes, outing.missing)]
     frame = encode_json(outing.frame)
-    rows["outing"].append((*own, outing.source, outing.epoch, outing.steps, outing.plan, frame, *told))
+    rows["outing"].append((*own, outing.source, outing.epoch, outing.steps, outing.plan, frame, *texts))
     rows["trajectory"].append((*own, compress(outing.trajectory)))
     for n, s in enumerate(outing.segments):
         rows["segment"].append((*own, n, s.kind, s.start, s.end, s.distance))
@@ -109,8 +110,9 @@ def _add(rows: Rows, own: tuple[str, str, int], outing: Outing) -> None:
 
 
 def _outing(row: Sequence[Any], tables: Mapping[str, Sequence[Sequence[Any]]]) -> Outing:
-    number, source, epoch, steps, plan, frame, *told = row
-    recordings, notes, missing = (tuple(json.loads(texts)) for texts in told)
+    """The outing of a row of its table, with its rows in the other tables."""
+    number, source, epoch, steps, plan, frame, *texts = row
+    recordings, notes, missing = (tuple(json.loads(lines)) for lines in texts)
     own = {name: [r[1:] for r in tables[name] if r[0] == number] for name in TABLES[2:]}
     [(track,)] = own["trajectory"]
     return Outing(
@@ -129,11 +131,12 @@ def _outing(row: Sequence[Any], tables: Mapping[str, Sequence[Sequence[Any]]]) -
 
 
 def _stay(row: Sequence[Any], facing: Sequence[Sequence[Any]]) -> Stay:
+    """The stay of a row of its table; facing: the rows of its outing."""
     number, start, stop, passing, *numbers, floor = row
     x, y, var_x, cov_xy, var_y, heading = map(_number, numbers)
-    seen = tuple((name, probability) for stay, _, name, probability in facing if stay == number)
+    names = tuple((name, probability) for stay, _, name, probability in facing if stay == number)
     covariance = np.array([[var_x, cov_xy], [cov_xy, var_y]])
-    return Stay(start, stop, bool(passing), np.array([x, y]), covariance, heading, floor, seen)
+    return Stay(start, stop, bool(passing), np.array([x, y]), covariance, heading, floor, names)
 
 
 def _number(value: float | None) -> float:
@@ -156,9 +159,9 @@ SCHEMA = (
     """CREATE TABLE recording (hash TEXT PRIMARY KEY, person TEXT, path TEXT, plan TEXT, fixes TEXT, beacons TEXT,
         ranges TEXT, walker TEXT, floor TEXT, begins REAL, observation TEXT, epoch REAL, duration REAL, steps INTEGER,
         refusal TEXT)""",
-    "CREATE TABLE phone (transmitter TEXT PRIMARY KEY, person TEXT)",  # who carries what others' logs hear
+    "CREATE TABLE phone (transmitter TEXT PRIMARY KEY, person TEXT)",  # owner of each transmitter in the logs of others
     *DAY_SCHEMA,
-    # why a day could not be built, of the last build
+    # days that the last build could not build; said: the reason
     "CREATE TABLE failure (person TEXT, date TEXT, said TEXT, PRIMARY KEY (person, date))",
 )
 ZONE = "zone"
@@ -202,13 +205,12 @@ FILES = ("plan", "fixes", "beacons", "ranges", "walker")  # options that are pat
 
 
 @dataclass(frozen=True)
-class Entry:
+class Entry(OneLineRepr):
     """The lifelog's entry for a recording.
 
     hash: of its content; person; path: of the recording; options: what is read with it.
-    observation: key of the observation, "" if there is none yet; epoch: Unix time of its start [s],
-    duration [s] and number of steps. refusal: reason for which the last observation failed, "" if it
-    succeeded.
+    observation: key of the observation, "" if there is none yet; epoch: Unix time of its start [s], duration [s] and
+    number of steps. refusal: why the last observation failed, "" if it succeeded.
     """
 
     hash: str
@@ -236,14 +238,21 @@ class Entry:
         names = [field.name for field in fields(cls) if field.name != "options"]
         return cls(**{name: row[name] for name in names}, options=options)
 
+    def _summary(self) -> list[str]:
+        duration = [] if self.duration is None else [f"{self.duration:.1f} s"]
+        return [repr(self.person), self.path, *map(str, self.options.given), *duration, *filter(None, [self.refusal])]
+
 
 @dataclass(frozen=True)
-class Built:
+class StoredDay(OneLineRepr):
     """A stored day. key: hash of its inputs; recordings: content hashes; profile: of the walker at its end."""
 
     key: str
     recordings: tuple[str, ...]
     profile: Profile | None
+
+    def _summary(self) -> list[str]:
+        return [self.key[:8], count(len(self.recordings), "recording")]
 
 
 class Store:
@@ -259,7 +268,7 @@ class Store:
         self.path, self.folder = path, folder_of(path)
         begins = {"INSERT INTO setting VALUES (?, ?)": list(SETTINGS.items())}
         self._database = storage.create_or_open(path, LIFELOG, SCHEMA, begins)
-        self._database.execute("PRAGMA synchronous = NORMAL")  # outlives kill -9; a power cut costs the last days
+        self._database.execute("PRAGMA synchronous = NORMAL")  # survives kill -9; a power cut loses the last days
 
     def entries(self) -> tuple[Entry, ...]:
         """Entries of all recordings, ordered by hash."""
@@ -271,13 +280,13 @@ class Store:
         """Value of a setting."""
         return self._all("SELECT value FROM setting WHERE name = ?", name)[0][0]
 
-    def days(self) -> dict[tuple[str, str], Built]:
+    def days(self) -> dict[tuple[str, str], StoredDay]:
         """Stored days by (person, date), in this order."""
         profiles, days = self._all("SELECT * FROM profile"), self._all("SELECT * FROM day ORDER BY person, date")
-        with self._whole("days"):
+        with self._reading("days"):
             known = {(person, date): profile_of(row) for person, date, *row in profiles}
             return {
-                (person, date): Built(key, tuple(json.loads(recordings)), known.get((person, date)))
+                (person, date): StoredDay(key, tuple(json.loads(recordings)), known.get((person, date)))
                 for person, date, key, recordings in days
             }
 
@@ -290,7 +299,7 @@ class Store:
             columns = "SELECT * FROM {} WHERE person = ? AND date = ? ORDER BY rowid"
             return [row[2:] for row in self._all(columns.format(table), person, date)]
 
-        with self._whole(f"{person}, {date}"):
+        with self._reading(f"{person}, {date}"):
             return day_of(person, date, read)
 
     def failures(self) -> tuple[tuple[str, str, str], ...]:
@@ -308,42 +317,42 @@ class Store:
         """Map Bluetooth transmitter -> person who carries it."""
         return dict(self._all("SELECT transmitter, person FROM phone ORDER BY transmitter"))
 
-    def carries(self, person: str, transmitter: str) -> None:
+    def put_phone(self, person: str, transmitter: str) -> None:
         """Store that a person carries a Bluetooth transmitter."""
         with self._transaction() as execute:
             execute(_insert("phone", 2), (transmitter, person))
 
-    def set(self, name: str, value: str) -> None:
+    def put_setting(self, name: str, value: str) -> None:
         """Change a setting."""
         with self._transaction() as execute:
             execute(_insert("setting", 2), (name, value))
 
-    def built_with(self, versions: dict[str, str]) -> None:
+    def put_versions(self, versions: dict[str, str]) -> None:
         """Store the versions of packages."""
         with self._transaction() as execute:
             for row in versions.items():
                 execute(_insert("version", 2), row)
 
-    def begin(self, forgotten: Iterable[tuple[str, str]]) -> None:
-        """Delete the failures of the last build, and days whose recordings belong to other days now."""
+    def begin_build(self, obsolete: Iterable[tuple[str, str]]) -> None:
+        """Delete the failures of the last build, and days (person, date) whose recordings belong to other days now."""
         with self._transaction() as execute:
             execute("DELETE FROM failure", ())
-            for person, date in forgotten:
-                _forget(execute, person, date)
+            for person, date in obsolete:
+                _delete_day(execute, person, date)
 
-    def take(self, made: Rows) -> None:
+    def put_day(self, rows: Rows) -> None:
         """Replace the stored rows of a day."""
-        [(person, date, *_)] = made["day"]
+        [(person, date, *_)] = rows["day"]
         with self._transaction() as execute:
-            _forget(execute, person, date)
-            for table, its in made.items():
-                for row in its:
+            _delete_day(execute, person, date)
+            for table, table_rows in rows.items():
+                for row in table_rows:
                     execute(_insert(table, len(row)), row)
 
-    def failed(self, person: str, date: str, said: str) -> None:
-        """Store the reason for which a day failed; its earlier rows are kept."""
+    def put_failure(self, person: str, date: str, reason: str) -> None:
+        """Store why a day failed; its earlier rows are kept."""
         with self._transaction() as execute:
-            execute(_insert("failure", 3), (person, date, said))
+            execute(_insert("failure", 3), (person, date, reason))
 
     def close(self) -> None:
         """Close the file, so that another process may open it."""
@@ -360,8 +369,8 @@ class Store:
             return self._database.execute(statement, values).fetchall()
 
     @contextmanager
-    def _whole(self, place: str) -> Iterator[None]:
-        """Convert errors of damaged rows to InputError."""
+    def _reading(self, place: str) -> Iterator[None]:
+        """Raise InputError instead of the errors that damaged rows cause; place: in the message."""
         try:
             yield
         except InputError:
@@ -390,10 +399,12 @@ def folder_of(path: Path) -> Path:
     return path.resolve().with_name(f"{path.name}.d")
 
 
-def _forget(execute: Execute, person: str, date: str) -> None:
+def _delete_day(execute: Execute, person: str, date: str) -> None:
+    """Delete the rows of a day from all tables."""
     for table in (*TABLES, "failure"):
         execute(f"DELETE FROM {table} WHERE person = ? AND date = ?", (person, date))
 
 
 def _insert(table: str, columns: int, names: str = "") -> str:
+    """The statement that inserts or replaces a row; names: of the columns, as ``(a, b)``, by default all in order."""
     return f"INSERT OR REPLACE INTO {table}{names} VALUES ({', '.join('?' * columns)})"

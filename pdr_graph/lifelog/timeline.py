@@ -9,36 +9,38 @@ from itertools import pairwise
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import one_line
 from pdr_graph.io.writers import cell
 from pdr_graph.lifelog.day import (
     GAP,
+    KINDS_WITHOUT_DATA,
     STANDING,
-    UNSEEN,
     VEHICLE,
     WALKING,
     Day,
     Outing,
     Stay,
-    at,
-    floors_along,
-    shares,
-    sigma,
-    within,
+    floors_visited,
+    horizontal_sigma,
+    path_shares,
+    rows_between,
+    sampled,
 )
 
 STAY, PASSING = "stay", "passing"
-WORDS = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind
-SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
-SLIVER = 3.0  # [s] at the edge of a stay by which the two detectors disagree
-SHORTEST_GAP = 1.0  # [s] between two outings that is shown as a gap
+KIND_NAMES = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind
 HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longitude,x,y,sigma"
-SHORTEST_TOTAL = 60.0  # [s] at a place for which the totals name it
-MOST_OTHERS = 2  # alternative names in the printed table; the CSV has all
+# Chosen by hand
+SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
+LONGEST_SLIVER = 3.0  # [s] of standing at the edge of a stay, by which the detectors of standing and stays disagree
+SHORTEST_GAP = 1.0  # [s] between two outings that is shown as a gap
+SHORTEST_TOTAL = 60.0  # [s] at a place that the totals name
+MAX_OTHER_NAMES = 2  # alternative names of a place in the printed table; the CSV has all
 
 
 @dataclass(frozen=True)
-class Entry:
+class TimelineEntry(OneLineRepr):
     """A line of the timeline.
 
     kind: one of KINDS, STAY, PASSING or PRIVATE; start, end: Unix times [s]; distance: along the path [m].
@@ -59,9 +61,13 @@ class Entry:
     longitude: float = np.nan
     sigma: float = np.nan
 
+    def _summary(self) -> list[str]:
+        names = [repr(self.facing[0][0])] if self.facing else []
+        return [self.kind, duration_text(self.end - self.start), f"{self.distance:.0f} m", *names]
+
 
 @dataclass(frozen=True)
-class Totals:
+class DayTotals:
     """Totals of a day. Distances [m], times [s].
 
     places: time spent at each named place, longest first; the time of a stay is weighted by the probability of the
@@ -80,7 +86,7 @@ class Totals:
 
 @dataclass(frozen=True)
 class _Piece:
-    """A part of an outing, times in seconds from its epoch; stay: None if it is not a stay."""
+    """A part of an outing; start, end: [s] from its epoch; distance [m]; stay: None if it is not a stay."""
 
     kind: str
     start: float
@@ -89,64 +95,64 @@ class _Piece:
     stay: Stay | None = None
 
 
-def timeline(day: Day) -> tuple[Entry, ...]:
+def timeline(day: Day) -> tuple[TimelineEntry, ...]:
     """Entries of a day in time order, with the gaps between outings.
 
     A stay replaces the part of the segment that it covers. Standing for less than SHORT_STAND that is not a stay
     belongs to the walk or ride around it.
     """
-    entries: list[Entry] = []
+    entries: list[TimelineEntry] = []
     for outing in sorted(day.outings, key=lambda o: o.epoch):
         own = [_entry(outing, piece) for piece in _pieces(outing)]
         if entries and own and own[0].start - entries[-1].end > SHORTEST_GAP:
-            entries.append(Entry(GAP, entries[-1].end, own[0].start))
+            entries.append(TimelineEntry(GAP, entries[-1].end, own[0].start))
         entries += own
     return tuple(entries)
 
 
-def totals(day: Day, entries: Sequence[Entry]) -> Totals:
+def totals(day: Day, entries: Sequence[TimelineEntry]) -> DayTotals:
     """Totals of a day: distances from its segments, times from the entries of its timeline."""
     at_places = dict[str, float]()
     for stay in (entry for entry in entries if entry.kind == STAY):
         for name, probability in stay.facing:
             at_places[name] = at_places.get(name, 0.0) + (stay.end - stay.start) * probability
-    return Totals(
+    return DayTotals(
         walked=day.total(WALKING)[1],
-        walking=_lasted(entries, WALKING, PASSING),
+        walking=_total_duration(entries, WALKING, PASSING),
         ridden=day.total(VEHICLE)[1],
-        riding=_lasted(entries, VEHICLE),
-        staying=_lasted(entries, STAY),
-        unknown=_lasted(entries, *UNSEEN),
+        riding=_total_duration(entries, VEHICLE),
+        staying=_total_duration(entries, STAY),
+        unknown=_total_duration(entries, *KINDS_WITHOUT_DATA),
         steps=sum(outing.steps for outing in day.outings),
         places=tuple(sorted(at_places.items(), key=lambda item: -item[1])),
     )
 
 
-def _lasted(entries: Sequence[Entry], *kinds: str) -> float:
+def _total_duration(entries: Sequence[TimelineEntry], *kinds: str) -> float:
     return float(sum(entry.end - entry.start for entry in entries if entry.kind in kinds))
 
 
 def _pieces(outing: Outing) -> list[_Piece]:
-    """What an outing is made of, in order of time."""
-    return _joined(_without_short_standing(_joined(_without_slivers(_with_stays(outing)))))
+    """The parts of an outing, in time order."""
+    return _merged(_without_short_standing(_merged(_without_slivers(_with_stays(outing)))))
 
 
 def _with_stays(outing: Outing) -> list[_Piece]:
-    """Segments, and in them the stays; the way gone is shared out as the trajectory's line has it."""
+    """Segments split at the stays; a segment's distance is divided by the path length of each part."""
     pieces: list[_Piece] = []
     for segment in outing.segments:
         stays = [s for s in outing.stays if s.start < segment.end and s.end > segment.start]
         inside = [(max(s.start, segment.start), min(s.end, segment.end)) for s in stays]
         bounds = np.unique([segment.start, segment.end, *np.ravel(inside)]).tolist()
-        for (start, end), share in zip(pairwise(bounds), shares(outing.trajectory, bounds).tolist(), strict=True):
+        for (start, end), share in zip(pairwise(bounds), path_shares(outing.trajectory, bounds).tolist(), strict=True):
             stay = next((s for s in stays if s.start <= start and end <= s.end), None)
             kind = segment.kind if stay is None else PASSING if stay.passing else STAY
             pieces.append(_Piece(kind, start, end, share * segment.distance, stay))
     return pieces
 
 
-def _joined(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """Neighbours of one kind, or of one stay, as one."""
+def _merged(pieces: Sequence[_Piece]) -> list[_Piece]:
+    """The pieces, with neighbours of one kind or of one stay merged."""
     joined: list[_Piece] = []
     for piece in pieces:
         if joined and joined[-1].kind == piece.kind and joined[-1].stay is piece.stay:
@@ -157,17 +163,17 @@ def _joined(pieces: Sequence[_Piece]) -> list[_Piece]:
 
 
 def _without_slivers(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """Without the standing of a moment at the edge of a stay: it is the stay's."""
+    """The pieces; standing shorter than LONGEST_SLIVER beside a stay becomes part of the stay."""
     found = list(pieces)
     for n, piece in enumerate(found):
         beside = [p for p in found[max(n - 1, 0) : n + 2] if p.kind == STAY]
-        if piece.kind == STANDING and piece.end - piece.start < SLIVER and beside:
+        if piece.kind == STANDING and piece.end - piece.start < LONGEST_SLIVER and beside:
             found[n] = replace(piece, kind=STAY, stay=beside[0].stay)
     return found
 
 
 def _without_short_standing(pieces: Sequence[_Piece]) -> list[_Piece]:
-    """Without the standing that is part of a way: that before it, else that after it."""
+    """The pieces; short standing becomes part of the walk or ride before it, else after it."""
     found = list(pieces)
     for n, piece in enumerate(found):
         ways = [p.kind for p in (*found[max(n - 1, 0) : n], *found[n + 1 : n + 2]) if p.kind in (WALKING, VEHICLE)]
@@ -176,92 +182,96 @@ def _without_short_standing(pieces: Sequence[_Piece]) -> list[_Piece]:
     return found
 
 
-def _entry(outing: Outing, piece: _Piece) -> Entry:
+def _entry(outing: Outing, piece: _Piece) -> TimelineEntry:
     start, end = outing.epoch + piece.start, outing.epoch + piece.end
     track = outing.trajectory
     if piece.stay is not None:
         stay = piece.stay
-        entry = Entry(piece.kind, start, end, piece.distance, (stay.floor,) if stay.floor else (), stay.facing)
-        return _placed(entry, outing, stay.position, stay.covariance)
-    if piece.kind in UNSEEN:
-        return Entry(piece.kind, start, end)
-    entry = Entry(piece.kind, start, end, piece.distance, floors_along(within(track, piece.start, piece.end)))
+        entry = TimelineEntry(piece.kind, start, end, piece.distance, (stay.floor,) if stay.floor else (), stay.facing)
+        return _with_position(entry, outing, stay.position, stay.covariance)
+    if piece.kind in KINDS_WITHOUT_DATA:
+        return TimelineEntry(piece.kind, start, end)
+    entry = TimelineEntry(
+        piece.kind, start, end, piece.distance, floors_visited(rows_between(track, piece.start, piece.end))
+    )
     if piece.kind != STANDING:
         return entry
-    middle = at(track, np.array([(piece.start + piece.end) / 2]))
+    middle = sampled(track, np.array([(piece.start + piece.end) / 2]))
     covariance = np.full((3, 3), np.nan) if middle.covariance is None else middle.covariance[0]
-    return _placed(entry, outing, middle.position[0], covariance)
+    return _with_position(entry, outing, middle.position[0], covariance)
 
 
-def _placed(entry: Entry, outing: Outing, position: np.ndarray, covariance: np.ndarray) -> Entry:
-    """An entry that was at one place ``(2,)`` [m]."""
+def _with_position(entry: TimelineEntry, outing: Outing, position: np.ndarray, covariance: np.ndarray) -> TimelineEntry:
+    """The entry with a position ``(2,)`` [m] in the outing's frame and its covariance [m²]."""
     lon, lat = outing.frame.to_lonlat(position[None])[0] if outing.frame.georeferenced else (np.nan, np.nan)
-    x, y, spread = float(position[0]), float(position[1]), float(sigma(covariance))
+    x, y, spread = float(position[0]), float(position[1]), float(horizontal_sigma(covariance))
     return replace(entry, x=x, y=y, latitude=float(lat), longitude=float(lon), sigma=spread)
 
 
-def table(entries: Sequence[Entry], zone: tzinfo) -> str:
-    """``timeline.csv``: ISO 8601 times with the zone's offset, metres, degrees; empty where nothing is known."""
+def timeline_csv(entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
+    """``timeline.csv``: ISO 8601 times with the zone's offset, metres, degrees; empty where a value is unknown."""
     return "\n".join([HEADER, *(_row(entry, zone) for entry in entries)]) + "\n"
 
 
-def _row(entry: Entry, zone: tzinfo) -> str:
+def _row(entry: TimelineEntry, zone: tzinfo) -> str:
     name, probability = entry.facing[0] if entry.facing else ("", np.nan)
     others = "; ".join(f"{one_line(n)} {p:.3f}" for n, p in entry.facing[1:])
     moment = [datetime.fromtimestamp(t, zone).isoformat(timespec="seconds") for t in (entry.start, entry.end)]
     words = (" > ".join(entry.floor), name, others)
     floor, place, others = (cell(one_line(word)) for word in words)
-    distance = "" if entry.kind in UNSEEN else f"{entry.distance:.1f}"
+    distance = "" if entry.kind in KINDS_WITHOUT_DATA else f"{entry.distance:.1f}"
     numbers = [_number(entry.latitude, 7), _number(entry.longitude, 7), *(_number(n, 2) for n in (entry.x, entry.y))]
-    cells = [*moment, entry.kind, distance, floor, place, _number(probability, 3), others, *numbers]
-    return ",".join([*cells, _number(entry.sigma, 2)])
+    entry_texts = [*moment, entry.kind, distance, floor, place, _number(probability, 3), others, *numbers]
+    return ",".join([*entry_texts, _number(entry.sigma, 2)])
 
 
 def _number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
-def printed(day: Day, entries: Sequence[Entry], zone: tzinfo) -> str:
-    """The timeline for a terminal, with the day's sums below."""
+def as_text(day: Day, entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
+    """The timeline as text for a terminal, with the totals of the day below."""
     lines = [f"{one_line(day.person)}  {day.date}  {zone}".rstrip()]
     for entry in entries:
         clock = "  ".join(f"{datetime.fromtimestamp(t, zone):%H:%M:%S}" for t in (entry.start, entry.end))
-        lasted, what, far, floor, place = cells(entry)
+        lasted, what, far, floor, place = entry_texts(entry)
         lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {place}".rstrip())
     sums = totals(day, entries)
-    places = ", ".join(f"{one_line(name)} {spoken(time)}" for name, time in sums.places if time >= SHORTEST_TOTAL)
-    lines += ["", "; ".join(in_words(sums)), *([f"at places: {places}"] if places else [])]
+    places = ", ".join(
+        f"{one_line(name)} {duration_text(time)}" for name, time in sums.places if time >= SHORTEST_TOTAL
+    )
+    lines += ["", "; ".join(total_texts(sums)), *([f"at places: {places}"] if places else [])]
     return "\n".join(lines) + "\n"
 
 
-def cells(entry: Entry) -> tuple[str, str, str, str, str]:
+def entry_texts(entry: TimelineEntry) -> tuple[str, str, str, str, str]:
     """Texts of an entry: duration, activity, distance, floors, place."""
-    what, floor = WORDS.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
+    what, floor = KIND_NAMES.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
     far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
-    return spoken(entry.end - entry.start), what, far, floor, _where(entry)
+    return duration_text(entry.end - entry.start), what, far, floor, _place_text(entry)
 
 
-def _where(entry: Entry) -> str:
+def _place_text(entry: TimelineEntry) -> str:
     """Names with probabilities; coordinates for a place without a name."""
     if entry.facing:
         (name, probability), *others = entry.facing
-        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:MOST_OTHERS])
+        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:MAX_OTHER_NAMES])
         return f"{one_line(name)} {probability:.0%}" + (f"  ({beside})" if beside else "")
     if np.isfinite(entry.latitude):
         return f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"
     return f"x {entry.x:.0f}, y {entry.y:.0f} ± {entry.sigma:.0f} m" if np.isfinite(entry.x) else ""
 
 
-def in_words(sums: Totals) -> list[str]:
+def total_texts(sums: DayTotals) -> list[str]:
     """Totals as texts, one per kind of activity that occurred."""
     counted = f", {sums.steps} steps" if sums.steps else ""  # unknown without an accelerometer
-    texts = [f"walked {sums.walked / 1000:.2f} km in {spoken(sums.walking)}{counted}"]
-    texts += [f"rode {sums.ridden / 1000:.2f} km in {spoken(sums.riding)}"] if sums.riding else []
-    texts += [f"stayed {spoken(sums.staying)}"] if sums.staying else []
-    return texts + ([f"no data {spoken(sums.unknown)}"] if sums.unknown else [])
+    texts = [f"walked {sums.walked / 1000:.2f} km in {duration_text(sums.walking)}{counted}"]
+    texts += [f"rode {sums.ridden / 1000:.2f} km in {duration_text(sums.riding)}"] if sums.riding else []
+    texts += [f"stayed {duration_text(sums.staying)}"] if sums.staying else []
+    return texts + ([f"no data {duration_text(sums.unknown)}"] if sums.unknown else [])
 
 
-def spoken(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """A duration as text: "45 s", "12 min", "2 h 05 min"."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"

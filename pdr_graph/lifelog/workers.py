@@ -24,18 +24,19 @@ if TYPE_CHECKING:
     from distributed import Client
 
 
-LARGEST = 20  # person-days or recordings in a task: seconds, to which the milliseconds of handing it over are nothing
-TASKS_EACH = 4  # at least, for every worker, so that all are done at about the same time
-PATIENCE = 15  # [s] for a scheduler to answer
+# Chosen by hand
+MAX_TASK_SIZE = 20  # person-days or recordings: a task takes seconds, its transfer milliseconds
+TASKS_PER_WORKER = 4  # at least, so that all workers finish at about the same time
+CONNECT_TIMEOUT = 15  # [s] for a scheduler to answer
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 Item = TypeVar("Item")
 Tasks = Sequence[tuple[Any, ...]]
 Work = Callable[[tuple[Any, ...]], Iterator[Any]]
-Results = Iterator[tuple[int, list[Any]]]  # number of the task, and what the work yielded of it
+Results = Iterator[tuple[int, list[Any]]]  # number and results of each task
 
 
 @dataclass(frozen=True)
-class Lost(Generic[Item]):
+class CrashedItem(Generic[Item]):
     """An item whose worker process crashed."""
 
     item: Item
@@ -44,10 +45,10 @@ class Lost(Generic[Item]):
 
 @dataclass(frozen=True)
 class Fleet:
-    """workers: how many tasks are done at a time.
+    """The workers of a build. workers: number of tasks that run at the same time.
 
-    run: what some work yields of each task, in any order, and `Lost` for an item that ended its process. Each item must
-    be worth the same alone and with the others of its task.
+    run: yields the results of some work on each task, in any order, and a `CrashedItem` for an item that crashed its
+    process. The result of an item must not depend on the other items of its task.
     """
 
     workers: int
@@ -56,9 +57,9 @@ class Fleet:
 
 @contextmanager
 def fleet(workers: int = 1, scheduler: str = "") -> Iterator[Fleet]:
-    """The process itself, processes of its machine, or the cluster of a scheduler, as ``tcp://host:8786``.
+    """The workers of a build: this process, several processes of this machine, or a cluster (``tcp://host:8786``).
 
-    Raises InputError if there is none.
+    Raises InputError if the cluster cannot be used.
     """
     if scheduler and workers != 1:
         raise InputError("--scheduler", "", f"--workers {workers} too", "only one of the two options")
@@ -69,19 +70,19 @@ def fleet(workers: int = 1, scheduler: str = "") -> Iterator[Fleet]:
                 raise InputError(
                     "--scheduler", scheduler, "no workers", "at least one: start dask worker on each machine"
                 )
-            yield Fleet(sum(threads.values()), partial(_elsewhere, partial(_on_cluster, client, scheduler)))
+            yield Fleet(sum(threads.values()), partial(_run_elsewhere, partial(_on_cluster, client, scheduler)))
     elif workers > 1:
         try:
-            yield Fleet(workers, partial(_elsewhere, partial(_in_processes, workers)))
+            yield Fleet(workers, partial(_run_elsewhere, partial(_in_processes, workers)))
         finally:
             _end_processes()
     else:
-        yield Fleet(1, _here)
+        yield Fleet(1, _run_here)
 
 
-def packed(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tuple[Item, ...]]:
+def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tuple[Item, ...]]:
     """Pack items into tasks of similar size, the largest first, so that all workers finish at about the same time."""
-    enough = min(LARGEST, -(-sum(sizes) // (TASKS_EACH * workers)))
+    enough = min(MAX_TASK_SIZE, -(-sum(sizes) // (TASKS_PER_WORKER * workers)))
     tasks: list[tuple[Item, ...]] = []
     room = 0
     for item, size in sorted(zip(items, sizes, strict=True), key=lambda pair: -pair[1]):
@@ -94,37 +95,37 @@ def packed(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tu
     return tasks
 
 
-def _here(work: Work, tasks: Tasks) -> Iterator[Any]:
+def _run_here(work: Work, tasks: Tasks) -> Iterator[Any]:
     """Run tasks in this process, in order."""
     with threadpool_limits(limits=1), _environment(ONE_THREAD):
         for task in tasks:
             yield from work(task)
 
 
-def _elsewhere(results_of: Callable[[Work, Tasks], Results], work: Work, tasks: Tasks) -> Iterator[Any]:
-    """As `Fleet.run`. results_of: of the tasks whose processes did not end."""
+def _run_elsewhere(results_of: Callable[[Work, Tasks], Results], work: Work, tasks: Tasks) -> Iterator[Any]:
+    """Run tasks in other processes, as `Fleet.run`. results_of: yields the results of tasks that crashed no process."""
     left = dict(enumerate(tasks))
     for number, results in results_of(work, tasks):
         del left[number]
         yield from results
-    for item in chain.from_iterable(left.values()):  # which of them ended it, is found by trying each alone
+    for item in chain.from_iterable(left.values()):  # each alone, to find the item that crashed the process
         for _, results in results_of(work, [(item,)]):
             yield from results
             break
         else:
-            yield Lost(item)
+            yield CrashedItem(item)
 
 
 def _in_processes(workers: int, work: Work, tasks: Tasks) -> Results:
-    """By joblib; where a process ends, its pool does too."""
+    """Run tasks with joblib; ends early if a process crashes, since its pool ends too."""
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     with parallel_config("loky", inner_max_num_threads=1):
-        # two at least: with one, joblib would do it in this process
+        # at least two: joblib runs a single one in this process
         pool: Any = Parallel(max(workers, 2), return_as="generator_unordered", pre_dispatch="all", batch_size=1)  # pyright: ignore[reportArgumentType]
     try:
-        yield from pool(delayed(_listed)(work, number, task) for number, task in enumerate(tasks))
+        yield from pool(delayed(_collected)(work, number, task) for number, task in enumerate(tasks))
     except TerminatedWorkerError:
         return
 
@@ -137,11 +138,11 @@ def _end_processes() -> None:
 
 
 def _on_cluster(client: Client, scheduler: str, work: Work, tasks: Tasks) -> Results:
-    """By Dask; a task that ends process after process is given up."""
+    """Run tasks with Dask; a task that crashes several processes has no result."""
     from distributed import KilledWorker, as_completed
     from distributed.client import FutureCancelledError
 
-    futures = [client.submit(_listed, work, number, task, pure=False) for number, task in enumerate(tasks)]
+    futures = [client.submit(_collected, work, number, task, pure=False) for number, task in enumerate(tasks)]
     for future in as_completed(futures, loop=client.loop):
         try:
             yield future.result()
@@ -153,33 +154,36 @@ def _on_cluster(client: Client, scheduler: str, work: Work, tasks: Tasks) -> Res
             future.release()  # otherwise it is repeated if its worker ends
 
 
-def _listed(work: Work, number: int, task: tuple[Any, ...]) -> tuple[int, list[Any]]:
-    """What work yields, in a process that is a worker's own."""
-    os.environ |= ONE_THREAD  # of libraries that are yet to be loaded
-    threadpool_limits(limits=1)  # of those that are
+def _collected(work: Work, number: int, task: tuple[Any, ...]) -> tuple[int, list[Any]]:
+    """The results of a task in a worker process, with its number."""
+    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
+    threadpool_limits(limits=1)  # for libraries that are loaded
     return number, list(work(task))
 
 
 @contextmanager
 def _connected(scheduler: str) -> Iterator[Client]:
+    """A client of a Dask scheduler. Raises InputError if Dask is missing or nothing answers."""
     try:
         from distributed import Client
         from distributed.comm.core import connect
     except ImportError:
         raise InputError("--scheduler", "", "no Dask", "the extra fleet: pip install 'pdr_graph[fleet]'") from None
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # tracebacks of what is said here in a line
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
 
     async def greet() -> None:
-        comm = await asyncio.wait_for(connect(scheduler, timeout=PATIENCE), PATIENCE + 1)
+        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
         await comm.close()
 
     try:
-        with ThreadPoolExecutor(1) as thread:  # there may be a loop in this one
+        with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop
             thread.submit(asyncio.run, greet()).result()
     except (OSError, ValueError) as error:
         found = str(error) or "no answer"
         raise InputError("--scheduler", scheduler, found, "a Dask scheduler, as tcp://host:8786") from None
-    with Client(scheduler, timeout=PATIENCE, set_as_default=False) as client:  # one that found nobody would hang
+    with Client(
+        scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False
+    ) as client:  # hangs if nothing answers, hence the check above
         yield client
 
 

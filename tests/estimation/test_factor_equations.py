@@ -521,8 +521,8 @@ def test_who_met_were_as_near_as_they_were_loud():
     """σ = max(1.5 m, d/√2) per axis, d of the path loss of any phone; fainter than −85 dBm tells nothing."""
     heard = Sightings(np.array([10.0, 40.0, 70.0]), ("her phone",) * 3, np.array([-60.0, -80.0, -86.0]))
     walks = [
-        multi_day.Carried("his", 1000.0, 0.0, 100.0, heard),
-        multi_day.Carried("hers", 990.0, 0.0, 100.0, None),
+        multi_day.CarriedPhone("his", 1000.0, 0.0, 100.0, heard),
+        multi_day.CarriedPhone("hers", 990.0, 0.0, 100.0, None),
     ]
     met = multi_day.encounters(walks, {"her phone": "hers"})
     distance = 10 ** ((-62.0 - np.array([-60.0, -80.0])) / (10 * 2.2))

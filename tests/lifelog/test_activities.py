@@ -13,7 +13,7 @@ from walks import steps_of
 from pdr_graph.gait.steps import append_steps as then
 from pdr_graph.gait.steps import gap
 from pdr_graph.geometry import dead_reckon, length_along
-from pdr_graph.lifelog.activities import PAUSE, follow_positions, segments_of
+from pdr_graph.lifelog.activities import LONGEST_PAUSE, follow_positions, segments_of
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.types import Fixes, Steps
 
@@ -181,7 +181,7 @@ def test_steps_that_follow_one_another_are_a_walk_and_pauses_are_not():
     assert kinds(segments) == [WALKING, STANDING, WALKING]
     assert segments[1].end - segments[1].start == pytest.approx(20.4)
     assert distance(segments, WALKING) == pytest.approx(80 * 0.7)
-    assert kinds(segments_of(paused(40, PAUSE - 1), track, np.empty((0, 2)))) == [WALKING]
+    assert kinds(segments_of(paused(40, LONGEST_PAUSE - 1), track, np.empty((0, 2)))) == [WALKING]
 
 
 def test_a_walk_is_as_long_as_its_trajectory():

@@ -17,7 +17,7 @@ import pytest
 
 from pdr_graph import InputError
 from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.build import Chain, Outcome, Planned, build, reconstructed
+from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build, reconstruct_days
 from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.store import RecordingOptions, Store
 
@@ -61,7 +61,7 @@ def test_a_day_is_made_of_what_was_recorded_on_it(tmp_path):
     log, _ = added(tmp_path)
     standin.recording(tmp_path / "later.plt", 1.01, seed=7)
     add(log, [tmp_path / "later.plt"], person="person1")
-    assert built(log) == Outcome(15, 0, (), ())
+    assert built(log) == BuildResult(15, 0, (), ())
     with Store(log) as store:
         days = store.days()
         entries = {Path(entry.path).name: entry for entry in store.entries()}
@@ -91,11 +91,11 @@ def test_calibration_is_carried_from_day_to_day(tmp_path):
 def test_a_new_day_costs_a_day(tmp_path, counted):
     log, paths = added(tmp_path, days=4)
     make = standin.counting(counted)
-    assert built(log, make) == Outcome(12, 0, (), ())
-    assert built(log, make) == Outcome(0, 12, (), ())
+    assert built(log, make) == BuildResult(12, 0, (), ())
+    assert built(log, make) == BuildResult(0, 12, (), ())
     add(log, [standin.recording(tmp_path / "new.plt", 9)], person="person2")
     shutil.rmtree(tmp_path / "raw")
-    assert built(log, make) == Outcome(1, 12, (), ()), "and needs nothing of the others"
+    assert built(log, make) == BuildResult(1, 12, (), ()), "and needs nothing of the others"
     assert set(made(counted).values()) == {1}
     assert len(paths) * 4 + 1 == len(made(counted))
 
@@ -104,7 +104,7 @@ def test_a_recording_that_turns_up_late_changes_the_days_from_its_own_on(tmp_pat
     log, _ = added(tmp_path, people=2)
     built(log, standin.counting(counted))
     add(log, [standin.recording(tmp_path / "late.plt", 2.01, seed=8)], person="person1")
-    assert built(log, standin.counting(counted)) == Outcome(3, 7, (), ())
+    assert built(log, standin.counting(counted)) == BuildResult(3, 7, (), ())
     again = [day for day, times in made(counted).items() if times == 2]
     assert again == ["person1 2024-05-03", "person1 2024-05-04", "person1 2024-05-05"]
     whole = tmp_path / "whole"
@@ -134,8 +134,8 @@ def test_other_options_change_the_day(tmp_path, option, days, pytestconfig):
         built(log)
         given = {"plan": plan, "walker": walker, "fixes": fixes, "floor": "1"}[option]
         add(log, [paths["person0"][2]], RecordingOptions(**{option: given}))
-    assert built(log) == Outcome(days, 5 - days, (), ())
-    assert built(log) == Outcome(0, 5, (), ())
+    assert built(log) == BuildResult(days, 5 - days, (), ())
+    assert built(log) == BuildResult(0, 5, (), ())
     with Store(log) as store:
         day = store.day("person0", "2024-05-03")
     assert bool(day.outings[0].plan) == (option in ("plan", "content of the plan"))
@@ -146,8 +146,8 @@ def test_midnight_is_where_the_lifelog_is(tmp_path):
     built(log)
     with Store(log) as store:
         assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(1, 6)]
-    assert built(log, zone="Europe/Berlin") == Outcome(5, 0, (), ()), "the recordings began after midnight there"
-    assert built(log) == Outcome(0, 5, (), ()), "it is kept in mind"
+    assert built(log, zone="Europe/Berlin") == BuildResult(5, 0, (), ()), "the recordings began after midnight there"
+    assert built(log) == BuildResult(0, 5, (), ()), "it is kept in mind"
     with Store(log) as store:
         assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(2, 7)]
     for zone in ("Europe/Entenhausen", "/etc/passwd", "../UTC", "", "Europe"):
@@ -159,7 +159,7 @@ def test_a_recording_of_somebody_else_is_in_one_day_only(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
     built(log)
     add(log, [paths["person0"][0]], person="Ada")
-    assert built(log) == Outcome(2, 0, (), ())
+    assert built(log) == BuildResult(2, 0, (), ())
     with Store(log) as store:
         assert list(store.days()) == [("Ada", "2024-05-01"), ("person0", "2024-05-02")]
 
@@ -168,14 +168,14 @@ def test_a_day_that_fails_does_not_stop_the_others(tmp_path, counted):
     log, _ = added(tmp_path, people=2)
     said = "2024-05-03: ZeroDivisionError: no day like 2024-05-03"
     failing = standin.failing_on("2024-05-03")
-    assert built(log, failing) == Outcome(8, 0, (f"person0, {said}", f"person1, {said}"), ())
+    assert built(log, failing) == BuildResult(8, 0, (f"person0, {said}", f"person1, {said}"), ())
     with Store(log) as store:
         assert [day[2] for day in store.failures()] == [said[12:]] * 2
         days = {date: day.profile for (person, date), day in store.days().items() if person == "person0"}
     assert list(days) == ["2024-05-01", "2024-05-02", "2024-05-04", "2024-05-05"]
     assert built(log, failing).failures == (f"person0, {said}", f"person1, {said}"), "it is tried again"
-    assert built(log, failing) == Outcome(0, 8, (f"person0, {said}", f"person1, {said}"), ())
-    assert built(log, standin.counting(counted)) == Outcome(6, 4, (), ())
+    assert built(log, failing) == BuildResult(0, 8, (f"person0, {said}", f"person1, {said}"), ())
+    assert built(log, standin.counting(counted)) == BuildResult(6, 4, (), ())
     assert {name[-2:] for name in made(counted)} == {"03", "04", "05"}
     other, _ = added(tmp_path / "other", people=2)
     built(other)
@@ -203,7 +203,7 @@ def test_what_was_moved_away_costs_a_line_and_nothing_else(tmp_path):
     assert line.startswith(f"{paths['person0'][1]}: found no such file, expected the recording")
     assert built(log).refusals == (line,), "until it is there again"
     add(log, [moved])
-    assert built(log) == Outcome(1, 3, (), ())
+    assert built(log) == BuildResult(1, 3, (), ())
 
 
 def test_what_is_gone_is_not_needed_any_more(tmp_path):
@@ -211,9 +211,9 @@ def test_what_is_gone_is_not_needed_any_more(tmp_path):
     built(log)
     before = content(log)
     shutil.rmtree(tmp_path / "raw")
-    assert built(log) == Outcome(0, 3, (), ())
+    assert built(log) == BuildResult(0, 3, (), ())
     shutil.rmtree(tmp_path / "log.d")
-    assert built(log) == Outcome(0, 3, (), ()), "what lies beside it is to make days of"
+    assert built(log) == BuildResult(0, 3, (), ()), "what lies beside it is to make days of"
     assert content(log) == before
 
 
@@ -226,7 +226,7 @@ def test_a_plan_that_is_gone_costs_a_line_and_nothing_else(tmp_path, pytestconfi
     before = content(log)
     plan.unlink()
     result = built(log)
-    assert (result.built, result.kept, result.failures) == (0, 3, ())
+    assert (result.built, result.up_to_date, result.failures) == (0, 3, ())
     assert len(result.refusals) == 3
     assert result.refusals[0].startswith(f"{plan}: found No such file or directory, expected the plan of {tmp_path}")
     assert {name: rows for name, rows in content(log).items() if name != "recording"} == {
@@ -252,12 +252,12 @@ def test_an_observation_that_was_damaged_is_made_again(tmp_path):
     file.unlink()
     late = standin.recording(tmp_path / "late.plt", 1.01)
     add(log, [late], person="person0")
-    assert built(log) == Outcome(1, 1, (), ())
+    assert built(log) == BuildResult(1, 1, (), ())
     assert file.read_bytes() == whole
     file.write_bytes(whole[:-9])
     add(log, [late], RecordingOptions(floor="1"))
     assert "found no observation, or a damaged one" in built(log).failures[0]
-    assert built(log) == Outcome(1, 1, (), ())
+    assert built(log) == BuildResult(1, 1, (), ())
     assert file.read_bytes() == whole
 
 
@@ -286,16 +286,16 @@ def test_nothing_is_left_on_its_way(tmp_path):
 def test_another_version_makes_all_anew(tmp_path, monkeypatch):
     log, _ = added(tmp_path, people=1, days=2)
     built(log)
-    monkeypatch.setattr(cache, "MADE_BY", "0.0.0, 1")
-    assert built(log) == Outcome(2, 0, (), ())
+    monkeypatch.setattr(cache, "RESULT_VERSION", "0.0.0, 1")
+    assert built(log) == BuildResult(2, 0, (), ())
     with closing(sqlite3.connect(log)) as database:
         assert {"pdr_graph", "gtsam", "numpy", "python"} <= dict(database.execute("SELECT * FROM version")).keys()
 
 
 def test_a_worker_of_another_version_makes_nothing(tmp_path):
-    chain = Chain("me", (Planned("2024-05-01", (("a", "b"),), None),), None, str(tmp_path), "9.9.9, 1")
-    [done] = reconstructed([chain], standin.reconstruct)
-    assert done.failure == f"--scheduler, a worker: found pdr_graph {cache.MADE_BY}, expected 9.9.9, 1, as here"
+    chain = DayChain("me", (PlannedDay("2024-05-01", (("a", "b"),), None),), None, str(tmp_path), "9.9.9, 1")
+    [done] = reconstruct_days([chain], standin.reconstruct)
+    assert done.failure == f"--scheduler, a worker: found pdr_graph {cache.RESULT_VERSION}, expected 9.9.9, 1, as here"
     assert not list(tmp_path.iterdir())
 
 
@@ -313,7 +313,7 @@ def test_a_full_disk_ends_a_build_that_goes_on_where_it_was(tmp_path):
             built(log, filling)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert built(log) == Outcome(2, 2, (), ())
+    assert built(log) == BuildResult(2, 2, (), ())
 
 
 CHILD = """
@@ -322,12 +322,12 @@ sys.path.insert(0, sys.argv[2])
 import days_standin, test_build
 import pdr_graph.lifelog.observation
 log = pathlib.Path(sys.argv[1])
-def told(*done):
+def report(*done):
     os.write(1, b".")
 while sys.stdin.readline().strip():  # a process for each life: what takes time to load is loaded
     child = os.fork()
     if not child:
-        test_build.built(log, days_standin.slow, told=told)
+        test_build.built(log, days_standin.slow, progress=report)
         os._exit(0)
     os.write(2, f"{child}\\n".encode())
     os.write(2, f"{os.waitpid(child, 0)[1]}\\n".encode())
@@ -356,7 +356,7 @@ def test_twenty_kills_lose_nothing_and_make_nothing_twice(tmp_path):
     assert seen == sorted(seen), "what is built stays"
     assert seen[-1] in range(5, 60), "a control: some was built, and some was left to build"
     result = built(log)
-    assert (result.built + result.kept, result.failures, result.refusals) == (60, (), ())
+    assert (result.built + result.up_to_date, result.failures, result.refusals) == (60, (), ())
     other, _ = added(tmp_path / "other", people=6, days=10)
     built(other)
     assert content(other) == content(log)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.lifelog.multi_day import EVERY, FAINTEST, NEAREST, Carried, encounters
+from pdr_graph.lifelog.multi_day import ENCOUNTER_PERIOD, MIN_RSSI, MIN_SIGMA, CarriedPhone, encounters
 from pdr_graph.types import Sightings
 
 PHONES = {"anna's": "anna", "ben's": "ben"}
@@ -15,11 +15,11 @@ def heard(time, level=-60.0, who="ben's"):
 
 
 def anna(sightings, epoch=1000.0):
-    return Carried("anna", epoch, 0.0, 600.0, sightings)
+    return CarriedPhone("anna", epoch, 0.0, 600.0, sightings)
 
 
 def ben(sightings=None, epoch=900.0):
-    return Carried("ben", epoch, 0.0, 600.0, sightings)
+    return CarriedPhone("ben", epoch, 0.0, 600.0, sightings)
 
 
 def test_who_is_heard_was_near_at_that_moment_of_both_walks():
@@ -37,19 +37,19 @@ def test_it_does_not_matter_who_hears_whom():
 def test_the_louder_the_nearer():
     sigma = [encounters([anna(heard([50.0], level)), ben()], PHONES).sigma[0] for level in (-45, -70, -80)]
     assert sigma == sorted(sigma)
-    assert sigma[0] == NEAREST
+    assert sigma[0] == MIN_SIGMA
     assert sigma[2] < 10.0
 
 
 def test_a_conversation_counts_once_in_a_while_not_at_every_packet():
     closures = encounters([anna(heard(np.arange(0, 60, 0.2))), ben()], PHONES)
-    assert len(closures) == 60 / EVERY
+    assert len(closures) == 60 / ENCOUNTER_PERIOD
 
 
 @pytest.mark.parametrize(
     "sightings",
     [
-        heard([50.0], FAINTEST - 1),
+        heard([50.0], MIN_RSSI - 1),
         heard([50.0], who="a stranger's"),
         heard([50.0], who="anna's"),
         heard([590.0]),  # Ben's walk is over

@@ -21,9 +21,9 @@ from pdr_graph.cli import app
 from pdr_graph.errors import InputError
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx, give, notes
-from pdr_graph.lifelog.show import show_day
-from pdr_graph.lifelog.store import Store, rows_of
+from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx, export_days, not_exported
+from pdr_graph.lifelog.report import show_day
+from pdr_graph.lifelog.store import Entry, RecordingOptions, Store, rows_of
 
 WAY = [(WALKING, 100.0, 0.0), (GAP, 300.0, 0.5), (VEHICLE, 60.0, 1.0), (STANDING, 200.0, 1.0), (WALKING, 50.0, 2.0)]
 KIOSK = stay(460, 660, (600.0, 700.0), [("Kiosk <1>", 0.8), ("Bank", 0.1)], floor="F1", sigma=3.0)
@@ -130,7 +130,7 @@ def test_an_outing_that_is_nowhere_on_earth_is_said_not_failed():
     nowhere = day(outing(WAY, frame=NOWHERE, stays=[KIOSK]))
     assert not gpxpy.parse(as_gpx([nowhere]).decode()).tracks
     assert json.loads(as_geojson([nowhere]))["features"] == []
-    [note] = notes([nowhere])
+    [note] = not_exported([nowhere])
     assert "Anna, 2024-05-01: outing 1" in note
     rows = list(csv.DictReader(io.StringIO(as_csv(nowhere).decode())))
     assert rows[0]["latitude"] == ""
@@ -148,9 +148,9 @@ def store(tmp_path):
     """A lifelog of two people: Anna's two days, and a day of Ben's which is nowhere on earth."""
     path, nowhere = tmp_path / "days.db", day(outing(WAY, frame=NOWHERE))
     with Store(path, new=True) as log:
-        log.set("zone", "America/Santiago")
+        log.put_setting("zone", "America/Santiago")
         for made in (DAY, replace(DAY, date="2024-05-02"), replace(nowhere, person="Ben/../C")):
-            log.take(rows_of(made, "key", ["5f3b" * 16]))
+            log.put_day(rows_of(made, "key", ["5f3b" * 16]))
     return path
 
 
@@ -202,21 +202,21 @@ def test_export_writes_files_for_their_owner_alone(store, tmp_path, form, each):
 
 
 def test_export_takes_days_from_to_and_of_one(store, tmp_path):
-    written, _ = give(store, tmp_path / "all.geojson", "geojson")
+    written, _ = export_days(store, tmp_path / "all.geojson", "geojson")
     assert written == [tmp_path / "all.geojson"]
     both = json.loads(written[0].read_bytes())["features"]
     assert {f["properties"]["date"] for f in both} == {"2024-05-01", "2024-05-02"}
-    give(store, tmp_path / "one.geojson", "geojson", "Anna", since="2024-05-02", until="2024-05-02")
+    export_days(store, tmp_path / "one.geojson", "geojson", "Anna", since="2024-05-02", until="2024-05-02")
     one = json.loads((tmp_path / "one.geojson").read_bytes())["features"]
     assert {f["properties"]["date"] for f in one} == {"2024-05-02"}
     for asked, complaint in (
         ({"since": "2024-06-01"}, "2024-05-02"),
         ({"until": "May"}, "a date such as"),
         ({"person": "Carl"}, "Carl"),
-        ({"form": "csv", "out": tmp_path / "a.csv"}, "a folder"),
+        ({"file_format": "csv", "out": tmp_path / "a.csv"}, "a folder"),
     ):
         with pytest.raises(InputError, match=complaint):
-            give(store, **({"out": tmp_path / "x", "form": "gpx"} | asked))
+            export_days(store, **({"out": tmp_path / "x", "file_format": "gpx"} | asked))
 
 
 def test_export_cuts_alike_every_time(store, tmp_path):
@@ -231,14 +231,41 @@ def test_export_cuts_alike_every_time(store, tmp_path):
         assert result.exit_code == 0, result.output
         contents.append((tmp_path / name).read_bytes())
     assert contents[0] == contents[1]
-    plain, _ = give(store, tmp_path / "c.geojson", "geojson", "Anna")
+    plain, _ = export_days(store, tmp_path / "c.geojson", "geojson", "Anna")
     assert len(plain[0].read_bytes()) > len(contents[0])
-    blurred, _ = give(store, tmp_path / "d.geojson", "geojson", "Anna", blur=[place])
+    blurred, _ = export_days(store, tmp_path / "d.geojson", "geojson", "Anna", blur=[place])
     assert any(f["properties"]["kind"] == "private" for f in json.loads(blurred[0].read_bytes())["features"])
+
+
+def test_a_place_on_a_plan_of_the_lifelog_is_cut_by_its_name(store, tmp_path):
+    squares = {"floor": 50.0, "shop": 20.0}
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"kind": kind, "name": "Home"},
+            "geometry": {"type": "Polygon", "coordinates": [square(half)]},
+        }
+        for kind, half in squares.items()
+    ]
+    plan = tmp_path / "plan.geojson"
+    plan.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    with Store(store) as log:
+        log.put(Entry("5f3b" * 16, "Anna", "walk.txt", RecordingOptions(plan=plan)))
+    plain, _ = export_days(store, tmp_path / "a.geojson", "geojson", "Anna")
+    cut, _ = export_days(store, tmp_path / "b.geojson", "geojson", "Anna", cut=["home"])
+    assert len(cut[0].read_bytes()) < len(plain[0].read_bytes())
+    with pytest.raises(InputError, match="no such name on 1 plans"):
+        export_days(store, tmp_path / "c.geojson", "geojson", cut=["office"])
+
+
+def square(half):
+    """Corners [deg] of a square about the start of the day, with sides of twice `half` [m]."""
+    x = np.array([-1.0, 1.0, 1.0, -1.0, -1.0])
+    return HERE.to_lonlat(half * np.column_stack([x, np.roll(x, 1)])).tolist()
 
 
 def test_a_day_that_is_private_from_end_to_end_is_said_and_not_written(store, tmp_path):
     lon, lat = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]
-    written, said = give(store, tmp_path / "out", "gpx", "Anna", cut=[f"{lat},{lon},50000"])
+    written, said = export_days(store, tmp_path / "out", "gpx", "Anna", cut=[f"{lat},{lon},50000"])
     assert not written
     assert said == ["Anna, 2024-05-01: nothing left to export", "Anna, 2024-05-02: nothing left to export"]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from made_days import MIDNIGHT, NOWHERE, day, outing, stay
 
 from pdr_graph.lifelog.day import KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.maps import TOO_SMALL, panels
+from pdr_graph.lifelog.maps import ENLARGED_SHARE, panels
 from pdr_graph.lifelog.picture import picture
 
 ZONE = ZoneInfo("America/Santiago")
@@ -42,7 +42,7 @@ def test_walks_far_apart_have_maps_of_their_own_beside_that_of_all():
     assert [panel.letter for panel in (whole, *places)] == ["A", "B", "C"]
     assert whole.width > 30_000
     for place in places:
-        assert place.width < TOO_SMALL * whole.width
+        assert place.width < ENLARGED_SHARE * whole.width
         assert any((place.corners[0] < way[0].position[0]).all() for way in place.ways)
 
 

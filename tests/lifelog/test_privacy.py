@@ -17,11 +17,11 @@ from made_days import HERE, MIDNIGHT, NOWHERE, PACE, PERIOD, day, outing, stay
 from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
-from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, at
+from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
 from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx
-from pdr_graph.lifelog.privacy import shared
+from pdr_graph.lifelog.privacy import without_private_places
 from pdr_graph.lifelog.private_places import PrivatePlace, private_places
-from pdr_graph.lifelog.timeline import table, timeline
+from pdr_graph.lifelog.timeline import timeline, timeline_csv
 from pdr_graph.types import Trajectory
 
 SECRET, RADIUS = b"of one lifelog", 150.0
@@ -58,7 +58,7 @@ def backwards(walk):
 
 def exported(days):
     """All that can be given away of some days."""
-    tables = [text for own in days for text in (as_csv(own).decode(), table(timeline(own), ZONE))]
+    tables = [text for own in days for text in (as_csv(own).decode(), timeline_csv(timeline(own), ZONE))]
     return "\n".join([as_gpx(days).decode(), as_geojson(days).decode(), *tables])
 
 
@@ -95,7 +95,7 @@ def test_no_byte_of_an_export_tells_a_coordinate_in_a_cut_place(seed, radius, ho
     place = HOME if home else random.uniform(-300, 300, 2)  # which may lie on the way
     walk = replace(streets(random), stays=(stay(1.0, 30.0, place, [("Home", 0.9)]),))
     there, back = day(walk, backwards(walk)), day(streets(random))
-    left, _ = shared([there, back], hidden(said(place, radius)), [])
+    left, _ = without_private_places([there, back], hidden(said(place, radius)), [])
     assert nearest(exported(left), place) > radius
     assert not re.search(r"(?i)home|anna/|5f3b", exported(left))  # a stay's name, a path, a hash, a note
     if home:  # the control: the same search finds what was not cut
@@ -124,7 +124,7 @@ def test_what_is_done_in_a_cut_place_changes_no_byte(seed):
         replace(walk, recordings=("77" * 32,), source="other", stays=(stay(0, 20, HOME, [("Bank", 1.0)]),))
         for walk in other
     )
-    one, another = (shared([day(*walks)], hidden(), [])[0] for walks in ((out, back), other))
+    one, another = (without_private_places([day(*walks)], hidden(), [])[0] for walks in ((out, back), other))
     assert "Bank" in exported([day(*other)])
     assert without_distances(exported(one)) == without_distances(exported(another))
 
@@ -153,7 +153,7 @@ def test_a_recording_that_began_elsewhere_in_a_cut_place_gives_the_same_bytes():
         ),
         segments=(Segment(WALKING, 0.0, 840.0, 840 * PACE[WALKING]), Segment(WALKING, 840.0, 1440.0, 750.0)),
     )
-    one, other = (shared([day(walk)], hidden(), [])[0] for walk in (whole, begun_late))
+    one, other = (without_private_places([day(walk)], hidden(), [])[0] for walk in (whole, begun_late))
     assert one[0].outings
     assert exported(one) == exported(other)
 
@@ -163,11 +163,11 @@ def test_a_way_that_nobody_saw_does_not_tell_how_long_it_was():
     made = outing([(STANDING, 100.0, 0.0), (GAP, 3000.0, 0.0), (WALKING, 600.0, 1.0)])
     track = made.trajectory
     bridge = np.arange(400.0, 3000.0, 300.0)
-    rows = [at(track, times) for times in (track.time[track.time <= 100], bridge, track.time[track.time >= 3100])]
+    rows = [sampled(track, times) for times in (track.time[track.time <= 100], bridge, track.time[track.time >= 3100])]
     parts = (np.concatenate([getattr(r, name) for r in rows]) for name in ("time", "position", "heading"))
     floor, covariance = sum((r.floor for r in rows), ()), np.concatenate([r.covariance for r in rows])
     bridged = replace(made, trajectory=Trajectory(*parts, floor, covariance))
-    one, other = (shared([day(walk)], hidden(), [])[0] for walk in (made, bridged))
+    one, other = (without_private_places([day(walk)], hidden(), [])[0] for walk in (made, bridged))
     assert [s.kind for s in other[0].outings[0].segments] == [WALKING]
     assert exported(one) == exported(other)
 
@@ -178,7 +178,7 @@ def test_a_short_visit_does_not_tell_how_far_it_led():
     def visit(seconds):
         into = [(WALKING, 900.0, 0.0), (WALKING, seconds / 2, np.pi / 2), (WALKING, seconds / 2, -np.pi / 2)]
         walk = outing([*into, (WALKING, 900.0, np.pi)], epoch=MIDNIGHT)
-        return shared([day(walk)], hidden(said((900 * PACE[WALKING], 40.0), 100)), [])[0]
+        return without_private_places([day(walk)], hidden(said((900 * PACE[WALKING], 40.0), 100)), [])[0]
 
     one, other = visit(60), visit(300)  # either leaves within the same quarter of an hour
     times = [[(s.kind, s.start, s.end) for o in days[0].outings for s in o.segments] for days in (one, other)]
@@ -242,7 +242,7 @@ def guesses(hide, secrets, days):
     for n in range(secrets):
         random = np.random.default_rng(n)
         walks = [[streets(random, minutes=25) for _ in range(2)] for _ in range(days)]
-        points, ways = ends(shared([day(out, backwards(back)) for out, back in walks], hide(n), [])[0])
+        points, ways = ends(without_private_places([day(out, backwards(back)) for out, back in walks], hide(n), [])[0])
         if len(points) > 2:  # a circle takes three; some walks never leave what is hidden
             found.append([np.hypot(*(attack(points, ways) - HOME)) / RADIUS for attack in ATTACKS])
     assert len(found) > 0.8 * secrets
@@ -275,7 +275,7 @@ def test_no_track_points_at_what_it_is_cut_for_but_from_far_away():
     [place] = hidden()
     checked = 0
     for seed in range(30):
-        days, _ = shared([day(streets(np.random.default_rng(seed)))], [place], [])
+        days, _ = without_private_places([day(streets(np.random.default_rng(seed)))], [place], [])
         for walk in days[0].outings:
             if (walk.epoch - MIDNIGHT) % 900:
                 continue
@@ -292,7 +292,7 @@ def test_the_origin_of_a_frame_is_not_home():
     """Else x and y beside latitude and longitude would tell it: the first position of all is often at home."""
     home = enu(-35.00341, -71.00482)
     walk = replace(streets(np.random.default_rng(3)), frame=home)
-    [left], _ = shared([day(walk)], hidden("-35.00341,-71.00482,150"), [])
+    [left], _ = without_private_places([day(walk)], hidden("-35.00341,-71.00482,150"), [])
     text = as_csv(left).decode()
     row = next(csv.DictReader(text.splitlines()))
     x, y, lat, lon = (float(row[name]) for name in ("x", "y", "latitude", "longitude"))
@@ -305,7 +305,7 @@ def test_the_origin_of_a_frame_is_not_home():
 def test_what_is_far_from_private_places_stays_as_it_is():
     far = outing([(WALKING, 300.0, 0.3), (STANDING, 100.0, 0.3)], start=(9000.0, 0.0), stays=[stay(300, 400)])
     far = replace(far, stays=(stay(301, 399, (9300.0, 100.0), [("Kiosk", 0.8)]),))
-    [left], notes = shared([day(far)], hidden(), hidden(said((0, -4000.0))))
+    [left], notes = without_private_places([day(far)], hidden(), hidden(said((0, -4000.0))))
     [same] = left.outings
     assert not notes
     assert (same.epoch, same.segments, same.steps) == (far.epoch, far.segments, far.steps)
@@ -316,7 +316,7 @@ def test_what_is_far_from_private_places_stays_as_it_is():
 
 def test_the_way_and_the_steps_are_of_what_is_left():
     walk = streets(np.random.default_rng(1))
-    [left], _ = shared([day(walk)], hidden(), [])
+    [left], _ = without_private_places([day(walk)], hidden(), [])
     for part in left.outings:
         line = length_along(part.trajectory.position)[-1]
         assert sum(s.distance for s in part.segments) == pytest.approx(line, rel=0.01)
@@ -328,7 +328,7 @@ def test_the_name_of_a_hidden_stay_is_nowhere_else():
     away = stay(1500.0, 1600.0, (1000.0, 0.0), [("Kiosk", 0.6), ("Grandma's", 0.3)])
     home = stay(0.0, 60.0, HOME, [("Grandma's", 0.9)])
     legs = [(STANDING, 60.0, 0.0), (WALKING, 1200.0, 0.0), (WALKING, 200.0, 1.5), (STANDING, 600.0, 1.5)]
-    [left], _ = shared([day(outing(legs, stays=[home, away]))], hidden(), [])
+    [left], _ = without_private_places([day(outing(legs, stays=[home, away]))], hidden(), [])
     assert [s.facing for o in left.outings for s in o.stays] == [(("Kiosk", 0.6),)]
 
 
@@ -345,7 +345,7 @@ def test_a_ride_through_a_cut_place_without_a_row_in_it_is_cut_too():
         floor=track.floor[sparse],
         covariance=track.covariance[sparse],
     )
-    [left], _ = shared([day(replace(walk, trajectory=track))], hidden(said((-800, 0.0), 60)), [])
+    [left], _ = without_private_places([day(replace(walk, trajectory=track))], hidden(said((-800, 0.0), 60)), [])
     lines = [f["geometry"]["coordinates"] for f in json.loads(as_geojson([left]))["features"]]
     where = HERE.to_lonlat(np.array([[-800.0, 0.0]]))[0]
     assert lines
@@ -354,14 +354,14 @@ def test_a_ride_through_a_cut_place_without_a_row_in_it_is_cut_too():
 
 def test_what_nobody_can_place_is_left_out():
     walk = outing([(WALKING, 100.0, 0.0)], frame=NOWHERE)
-    [left], [note] = shared([day(walk)], hidden(), [])
+    [left], [note] = without_private_places([day(walk)], hidden(), [])
     assert not left.outings
     assert "2024-05-01" in note
 
 
 def test_without_private_places_days_are_as_they_were():
     days = [day(streets(np.random.default_rng(0)))]
-    assert shared(days, [], []) == (days, [])
+    assert without_private_places(days, [], []) == (days, [])
 
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(50, 800))
@@ -372,7 +372,7 @@ def test_a_blurred_place_tells_a_square_and_a_quarter_of_an_hour(seed, radius):
     legs = [(STANDING, float(random.uniform(0, 7200)), 0.0), *[(WALKING, 200.0, h * np.pi / 2) for h in (0, 0, 1, 0)]]
     walk = outing(legs, start=home, stays=[stay(0.0, legs[0][1], home, [("Home", 0.9)])])
     [place] = hidden(said(home, radius))
-    [left], _ = shared([day(walk)], [], [place])
+    [left], _ = without_private_places([day(walk)], [], [place])
     side = max(500.0, place.radius)
     for part in left.outings:
         private = [s for s in part.segments if s.kind == PRIVATE]
@@ -398,7 +398,7 @@ def test_blurred_rows_are_as_far_off_as_their_covariance_says():
     for _ in range(200):
         home = random.uniform(-2000, 2000, 2)
         walk = outing([(STANDING, 2000.0, 0.0)], start=home)
-        [left], _ = shared([day(walk)], [], hidden(said(home)))
+        [left], _ = without_private_places([day(walk)], [], hidden(said(home)))
         track, frame = left.outings[0].trajectory, left.outings[0].frame
         error = HERE.from_lonlat(frame.to_lonlat(track.position[:1]))[0] - home
         errors.append(error**2 / np.diag(track.covariance[0])[:2])
@@ -412,7 +412,7 @@ def test_time_never_goes_back():
         walk = streets(random, minutes=60)
         after = replace(streets(random), epoch=walk.epoch + walk.trajectory.time[-1] + 30)
         places = hidden(), hidden(said(random.uniform(-500, 500, 2)))
-        [left], _ = shared([day(walk, after)], *places)
+        [left], _ = without_private_places([day(walk, after)], *places)
         entries = timeline(left)
         assert all(e.end >= e.start for e in entries)
         assert all(b.start >= a.end - 1e-3 for a, b in pairwise(entries))
@@ -462,5 +462,5 @@ def test_a_plan_frame_keeps_its_origin():
     """It is the plan's, and the same for everybody."""
     frame = Frame("plan", (35.0, 135.0), metres_per_degree=(91_000.0, 111_000.0))
     far = outing([(WALKING, 300.0, 0.0)], frame=frame, start=(5000.0, 0.0))
-    [left], _ = shared([day(far)], hidden(), [])
+    [left], _ = without_private_places([day(far)], hidden(), [])
     assert left.outings[0].frame == frame

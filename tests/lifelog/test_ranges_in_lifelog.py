@@ -16,9 +16,9 @@ from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.multi_day import PersonDay, reconstruct_together
-from pdr_graph.lifelog.observation import observation_in
+from pdr_graph.lifelog.observation import read_observation
 from pdr_graph.lifelog.reconstruct import reconstruct
-from pdr_graph.lifelog.sessions import joined
+from pdr_graph.lifelog.sessions import join
 from pdr_graph.lifelog.store import RecordingOptions, Store
 from pdr_graph.measurements import Ranges, concatenate
 from pdr_graph.pipeline import smooth_recording
@@ -101,15 +101,15 @@ def test_a_rebuilt_store_has_the_same_day(files, tmp_path):
     first = built_day(tmp_path / "log").outings[0].trajectory
     with Store(tmp_path / "log") as log:
         [entry] = log.entries()
-        observed = observation_in(log.folder / "observations" / entry.observation)
-        log.begin([("me", date) for _, date in log.days()])
+        observed = read_observation(log.folder / "observations" / entry.observation)
+        log.begin_build([("me", date) for _, date in log.days()])
     [table] = observed.measurements
     assert len(table) > 100
     assert build(tmp_path / "log").built == 1, "from its observation"
     assert np.array_equal(built_day(tmp_path / "log").outings[0].trajectory.position, first.position)
     shutil.rmtree(tmp_path / "log.d")
     with Store(tmp_path / "log") as log:
-        log.begin([("me", date) for _, date in log.days()])
+        log.begin_build([("me", date) for _, date in log.days()])
     assert build(tmp_path / "log").built == 1, "from the recording"
     assert np.array_equal(built_day(tmp_path / "log").outings[0].trajectory.position, first.position)
     ranges.write_text("\n".join(ranges.read_text().splitlines()[:-9]))
@@ -137,7 +137,7 @@ def test_two_recordings_of_one_outing_keep_their_ranges():
     first, truth = with_ranges(100, 1)
     [table] = first.measurements
     later = replace(first, epoch=NOON + first.duration + 100)
-    both = joined([first, later])
+    both = join([first, later])
     [ranges] = both.measurements
     assert len(ranges) == 2 * len(table)
     assert ranges.time[len(table) :] == pytest.approx(table.time + first.duration + 100)
@@ -168,7 +168,7 @@ def test_recordings_in_different_frames_meet_in_the_first_one():
     there = enu(48.101, 11.601)
     moved = replace(table, position=there.from_lonlat(HERE.to_lonlat(table.position)))
     later = replace(first, epoch=NOON + first.duration + 60, frame=there, measurements=(moved,))
-    [ranges] = joined([first, later]).measurements
+    [ranges] = join([first, later]).measurements
     assert ranges.position == pytest.approx(table.position)
     elsewhere = replace(later, frame=Frame())
     day = reconstruct("me", "2023-11-14", {"one": first, "two": elsewhere}, None)

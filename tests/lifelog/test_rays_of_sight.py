@@ -153,13 +153,13 @@ def draws(random, count, sigma):
     while len(poses) < count:
         pose = random.uniform([0, 0, -np.pi], [24, 4, np.pi])
         name = ""
-        if random.random() > stays.NOTHING / (1 + stays.NOTHING):
-            askew = random.random() < stays.ASKEW
-            look = random.uniform(-np.pi, np.pi) if askew else pose[2] + random.normal(0, stays.BODY)
-            ray = shapely.LineString([pose[:2], pose[:2] + stays.SIGHT * unit(look)])
+        if random.random() > stays.UNNAMED_RATE / (1 + stays.UNNAMED_RATE):
+            askew = random.random() < stays.RANDOM_LOOK_SHARE
+            look = random.uniform(-np.pi, np.pi) if askew else pose[2] + random.normal(0, stays.LOOK_SIGMA)
+            ray = shapely.LineString([pose[:2], pose[:2] + stays.MAX_DISTANCE * unit(look)])
             met = [(shapely.distance(shapely.Point(pose[:2]), shapely.intersection(ray, s)), n) for n, s in solid]
             distance, name = min((d, n) for d, n in [*met, (np.inf, "")] if not np.isnan(d))
-            if random.random() > np.exp(-max(distance - stays.CLOSE, 0.0) / stays.FALL):
+            if random.random() > np.exp(-max(distance - stays.NEAR_DISTANCE, 0.0) / stays.DECAY_DISTANCE):
                 continue
         poses.append(pose + random.normal(0, [sigma, sigma, 0.2]))
         names.append(name)
@@ -175,7 +175,7 @@ def excess(claimed):
     poses, names = draws(random, 400, SIGMA)
     plan = fronts_of(*AISLE)
     # `VisiblePlaces` adds by itself that people shuffle, which these here do not
-    covariance = np.diag([claimed**2 - stays.STANDS**2, claimed**2 - stays.STANDS**2, 0.04])
+    covariance = np.diag([claimed**2 - stays.SHUFFLE_SIGMA**2, claimed**2 - stays.SHUFFLE_SIGMA**2, 0.04])
     stated = [dict(plan.facing(pose[:2], pose[2], covariance)) for pose in poses]
     told = [one | {"": 1 - sum(one.values())} for one in stated]
     answers = np.array(

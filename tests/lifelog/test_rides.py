@@ -10,7 +10,7 @@ from walks import steps_of
 from pdr_graph import smooth
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.lifelog.activities import rides, segments_of, without_rides
+from pdr_graph.lifelog.activities import detect_rides, segments_of, without_rides
 from pdr_graph.lifelog.day import VEHICLE
 from pdr_graph.types import Fixes, Steps
 
@@ -50,7 +50,7 @@ def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
 def test_a_ride_is_found_however_bumpy(bumps, every):
     for seed in range(3):
         steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps, seed, every)
-        ((found, left),) = rides(steps, fixes)
+        ((found, left),) = detect_rides(steps, fixes)
         # boarding and leaving are slow, and a fix may be 20 s from either; a bus may wait for a minute at its last stop
         assert found == pytest.approx(begin, abs=45)
         assert left == pytest.approx(end, abs=75)
@@ -61,16 +61,16 @@ def test_a_ride_goes_on_after_a_stop_and_ends_with_a_walk():
     stop, change = [("bus", 300), ("stand", 180), ("bus", 300)], [("bus", 300), ("walk", 100), ("bus", 300)]
     for seed in range(3):
         steps, fixes, _, _ = walk_and_ride(stop, seed=seed)
-        assert len(rides(steps, fixes)) == 1
+        assert len(detect_rides(steps, fixes)) == 1
         steps, fixes, _, _ = walk_and_ride(change, seed=seed)
-        assert len(rides(steps, fixes)) == 2
+        assert len(detect_rides(steps, fixes)) == 2
 
 
 def test_a_ride_underground_is_found():
     """No fix for its ten minutes."""
     steps, fixes, (begin, end), _ = walk_and_ride([("bus", 600)])
     heard = fixes[(fixes.time < begin - 5) | (fixes.time > end + 5)]
-    ((found, left),) = rides(steps, heard)
+    ((found, left),) = detect_rides(steps, heard)
     assert found == pytest.approx(begin, abs=45)
     assert left == pytest.approx(end, abs=45)
 
@@ -78,24 +78,24 @@ def test_a_ride_underground_is_found():
 def test_a_ride_without_any_step_is_all_there_is():
     still = Steps(0.0, 600.0, *np.empty((7, 0)))
     place, _ = streets([("bus", 600)])
-    found = rides(still, seen(place))
+    found = detect_rides(still, seen(place))
     assert found == pytest.approx(np.array([[0.0, 600.0]]), abs=75)
     assert len(without_rides(still, found)) == 1
-    assert not len(rides(still, Fixes.none()))
+    assert not len(detect_rides(still, Fixes.none()))
 
 
 @pytest.mark.parametrize("noise", NOISE)
 def test_a_walk_has_no_ride(noise):
     for seed in range(3):
         steps, fixes, _, _ = walk_and_ride([("walk", 0)], 0.0, seed, noise=NOISE[noise])
-        assert not len(rides(steps, fixes))
+        assert not len(detect_rides(steps, fixes))
 
 
 def test_jumps_of_a_receiver_are_no_ride():
     """Indoors: it settles 40 m off for minutes, and back."""
     steps, fixes, _, _ = walk_and_ride([("walk", 0)])
     jumps = 40.0 * ((fixes.time // 150) % 2)
-    assert not len(rides(steps, replace(fixes, position=fixes.position + jumps[:, None] * [0.6, 0.8])))
+    assert not len(detect_rides(steps, replace(fixes, position=fixes.position + jumps[:, None] * [0.6, 0.8])))
 
 
 def test_a_gap_in_the_recording_is_no_ride():
@@ -105,7 +105,7 @@ def test_a_gap_in_the_recording_is_no_ride():
     slept = without_rides(steps, np.array([[200.0, 500.0]]))
     rows = np.r_[:360, 920:1200:2]
     fixes = Fixes(track.time[rows], track.position[rows], np.full(len(rows), 3.0), ("",) * len(rows))
-    assert not len(rides(slept, fixes))
+    assert not len(detect_rides(slept, fixes))
 
 
 def test_a_ride_is_one_row_that_leads_anywhere():
@@ -128,7 +128,7 @@ def test_a_ride_does_not_bend_the_walk():
         walks = (track.time < begin - 30) | (track.time > end + 60)
         return np.hypot(*(track.position - place[np.minimum(track.time, len(place) - 1).astype(int)])[walks].T)
 
-    found = rides(steps, fixes)
+    found = detect_rides(steps, fixes)
     assert np.percentile(off(without_rides(steps, found)), 90) < 2.5 * SIGMA
     assert np.percentile(off(steps), 90) > 5 * SIGMA
 
@@ -137,13 +137,13 @@ def test_a_ride_begins_at_the_last_step_before_it():
     """Waiting at the stop is a part of it, if that is short: the bus sets off slowly."""
     steps, fixes, _, _ = walk_and_ride([("bus", 400)])
     steps = replace(steps, time=steps.time - 0.05)  # fixes are at whole seconds
-    ((found, _),) = rides(steps, fixes)
+    ((found, _),) = detect_rides(steps, fixes)
     assert found in steps.time
 
 
 def test_segments_of_a_ride_are_one_vehicle():
     steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
-    found = rides(steps, fixes)
+    found = detect_rides(steps, fixes)
     steps = without_rides(steps, found)
     segments = segments_of(steps, dead_reckon(steps), found)
     (ride,) = [segment for segment in segments if segment.kind == VEHICLE]

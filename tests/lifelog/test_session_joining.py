@@ -9,11 +9,11 @@ from observations import HERE, NOON, cut_in_two, observation, positions, walk
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.frames import enu
 from pdr_graph.gait.steps import GAP_SIGMA_TURN
-from pdr_graph.lifelog.sessions import FIELD_SIGMA, RESTART, joined, turn_by_field
+from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, turn_by_field
 
 
 def smoothed(parts, fixes=None):
-    one = joined(parts)
+    one = join(parts)
     return smooth(WalkGraph(one.steps, one.fixes if fixes is None else fixes, closures=one.closures)).trajectory
 
 
@@ -28,7 +28,7 @@ def errors_of_the_second(parts, track):
 
 def test_nothing_is_lost_and_all_times_are_of_one_clock():
     (one, _), (two, _) = cut_in_two(100, 1, 8.0)
-    both = joined([one, two])
+    both = join([one, two])
     begins = two.epoch - one.epoch
     assert len(both.steps) == len(one.steps) + 1 + len(two.steps)
     assert both.steps.time[-len(two.steps) :] == pytest.approx(two.steps.time + begins)
@@ -43,16 +43,16 @@ def test_nothing_is_lost_and_all_times_are_of_one_clock():
 def test_the_field_tells_how_far_somebody_turned_between_two_recordings(turned):
     (one, _), (two, _) = cut_in_two(60, 1, 8.0, turned=turned)
     assert turn_by_field(one, two) == pytest.approx(turned, abs=1e-6)
-    both = joined([one, two])
+    both = join([one, two])
     gap = np.flatnonzero(both.steps.is_gap)
-    assert both.steps.sigma_turn[gap] == pytest.approx([FIELD_SIGMA])
+    assert both.steps.sigma_turn[gap] == pytest.approx([TURN_SIGMA])
 
 
 def test_a_field_of_another_place_tells_nothing():
     (one, _), (two, _) = cut_in_two(60, 1, 8.0)
     stronger = replace(two, ends=replace(two.ends, field=2 * two.ends.field))
     assert turn_by_field(one, stronger) is None
-    both = joined([one, stronger])
+    both = join([one, stronger])
     assert both.steps.sigma_turn[both.steps.is_gap] == pytest.approx([GAP_SIGMA_TURN])
 
 
@@ -73,18 +73,18 @@ def test_a_piece_without_fixes_is_laid_on_by_the_pause_and_the_field():
 def test_somebody_who_walked_on_is_not_held_where_they_were(seed):
     """20 m on in 14 s, seen by the fixes of both pieces: the closure lets go, and harms by less than 10 cm."""
     parts = cut_in_two(120, seed, 14.0, stood=False)
-    both = joined([one for one, _ in parts])
+    both = join([one for one, _ in parts])
     unbound = smooth(WalkGraph(both.steps, both.fixes)).trajectory
     harm = errors_of_the_second(parts, smoothed([one for one, _ in parts])) - errors_of_the_second(parts, unbound)
     assert np.max(harm) < 0.1
 
 
 def test_a_long_gap_binds_nothing():
-    (one, _), (two, _) = cut_in_two(60, 1, RESTART + 1)
-    both = joined([one, two])
+    (one, _), (two, _) = cut_in_two(60, 1, LONGEST_RESTART + 1)
+    both = join([one, two])
     assert len(both.closures) == 0
     gap = both.steps.is_gap
-    assert both.steps.sigma_length[gap] == pytest.approx([RESTART + 1], rel=1e-3), "1 m/s: they stand or walk"
+    assert both.steps.sigma_length[gap] == pytest.approx([LONGEST_RESTART + 1], rel=1e-3), "1 m/s: they stand or walk"
 
 
 def test_pieces_in_different_frames_meet_in_the_first_one():
@@ -92,7 +92,7 @@ def test_pieces_in_different_frames_meet_in_the_first_one():
     there = enu(48.101, 11.601)
     lonlat = HERE.to_lonlat(one.fixes.position)
     elsewhere = replace(one, frame=there, fixes=replace(one.fixes, position=there.from_lonlat(lonlat)))
-    both = joined([one, replace(elsewhere, epoch=NOON + one.duration + 5)])
+    both = join([one, replace(elsewhere, epoch=NOON + one.duration + 5)])
     assert both.frame == HERE
     n = len(one.fixes)
     assert both.fixes.position[n:] == pytest.approx(one.fixes.position, abs=1e-3)
@@ -101,4 +101,4 @@ def test_pieces_in_different_frames_meet_in_the_first_one():
 def test_a_watch_s_positions_are_fixes_of_the_walk():
     one = observation(walk(120)[0].steps, positions(1.0).fixes[:0])
     watch = positions(60.0, NOON + 10.0)
-    assert joined([one], [watch]).fixes.time == pytest.approx(watch.fixes.time + 10.0)
+    assert join([one], [watch]).fixes.time == pytest.approx(watch.fixes.time + 10.0)

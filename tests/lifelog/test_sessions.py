@@ -7,7 +7,7 @@ import pytest
 from observations import HERE, NOON, observation, positions, walk
 
 from pdr_graph.frames import Frame
-from pdr_graph.lifelog.sessions import LONGEST_GAP, groups_of
+from pdr_graph.lifelog.sessions import LONGEST_GAP, sessions_of
 
 
 def named(*ones):
@@ -19,7 +19,7 @@ def later(one, by, **other):
 
 
 def sizes(*ones):
-    return [len(group.parts) for group in groups_of(named(*ones))]
+    return [len(group.parts) for group in sessions_of(named(*ones))]
 
 
 def test_recordings_with_a_short_gap_are_one_outing_and_with_a_long_one_two():
@@ -31,8 +31,8 @@ def test_recordings_with_a_short_gap_are_one_outing_and_with_a_long_one_two():
 def test_the_order_in_which_they_were_added_does_not_matter():
     one = walk()[0]
     parts = [later(one, k * (one.duration + 5)) for k in range(4)]
-    forth = groups_of(dict(zip("abcd", parts, strict=True)))
-    back = groups_of(dict(reversed(list(zip("abcd", parts, strict=True)))))
+    forth = sessions_of(dict(zip("abcd", parts, strict=True)))
+    back = sessions_of(dict(reversed(list(zip("abcd", parts, strict=True)))))
     assert [group.names for group in forth] == [group.names for group in back] == [("a", "b", "c", "d")]
 
 
@@ -54,7 +54,7 @@ def test_a_recording_without_any_position_goes_on_in_the_frame_of_the_one_before
 
 def test_of_two_recordings_at_one_time_the_earlier_counts_and_the_other_is_named():
     one = walk()[0]
-    [group] = groups_of(named(one, later(one, 10.0, source="second phone")))
+    [group] = sessions_of(named(one, later(one, 10.0, source="second phone")))
     assert len(group.parts) == 1
     assert any("second phone" in note for note in group.notes)
 
@@ -62,7 +62,7 @@ def test_of_two_recordings_at_one_time_the_earlier_counts_and_the_other_is_named
 def test_a_watch_beside_a_phone_gives_its_positions_to_the_walk_and_keeps_those_before_and_after():
     one = walk(120)[0]
     watch = positions(1000.0, NOON - 400.0)
-    before, beside, after = groups_of(named(one, watch))
+    before, beside, after = sessions_of(named(one, watch))
     assert beside.parts[0][1] is one
     [(_, given)] = beside.beside
     time = given.epoch + given.fixes.time
@@ -75,18 +75,18 @@ def test_a_watch_beside_a_phone_gives_its_positions_to_the_walk_and_keeps_those_
 def test_positions_alone_are_outings_of_their_own():
     one, two = positions(300.0), positions(300.0, NOON + 300.0 + LONGEST_GAP + 100)
     assert sizes(one, two) == [1, 1]
-    assert np.allclose(groups_of(named(one))[0].epoch, NOON)
+    assert np.allclose(sessions_of(named(one))[0].epoch, NOON)
 
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_day_without_recordings_or_with_one_position_has_no_outing(count):
     one = positions(4.0)
     assert len(one.fixes) == 1
-    assert groups_of(named(*[one][:count])) == []
+    assert sessions_of(named(*[one][:count])) == []
 
 
 def test_all_outings_are_in_order_of_time():
     one = walk()[0]
-    groups = groups_of(named(later(one, 9000.0), positions(300.0, NOON + 4000), one))
+    groups = sessions_of(named(later(one, 9000.0), positions(300.0, NOON + 4000), one))
     assert [group.epoch for group in groups] == sorted(group.epoch for group in groups)
     assert groups[0].parts[0][1].frame == HERE

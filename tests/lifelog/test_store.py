@@ -19,7 +19,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import Day
-from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observation_in, observe, to_bytes
+from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store, rows_of
 from pdr_graph.measurements import Ranges
 from pdr_graph.storage import decompress
@@ -65,7 +65,7 @@ def a_day(tmp_path, **changes):
 
 
 def taken(log, day, key="key"):
-    log.take(rows_of(day, key, [name for outing in day.outings for name in outing.recordings]))
+    log.put_day(rows_of(day, key, [name for outing in day.outings for name in outing.recordings]))
 
 
 def told(noun):
@@ -218,7 +218,7 @@ def test_a_store_of_format_2_is_upgraded_and_loses_nothing(tmp_path):
         changed = replace(entry, options=RecordingOptions(ranges=Path("r.csv"), begins=2.5))
         log.put(changed)
         assert log.entries() == (changed,)
-    found = observation_in(Path(__file__).with_name("observation_format_2.z"))
+    found = read_observation(Path(__file__).with_name("observation_format_2.z"))
     assert found is not None
     assert (found.source, len(found.fixes), found.measurements) == ("walk", 4, ())
     assert told(from_bytes(to_bytes(found))) == told(replace(found)), "it can be written again, in the new format"

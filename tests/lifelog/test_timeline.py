@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from made_days import HERE, MIDNIGHT, NOWHERE, PACE, day, outing, stay
 
 from pdr_graph.lifelog.day import GAP, KINDS, STANDING, VEHICLE, WALKING
-from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, printed, spoken, table, timeline, totals
+from pdr_graph.lifelog.timeline import HEADER, PASSING, STAY, as_text, duration_text, timeline, timeline_csv, totals
 
 ZONE = ZoneInfo("America/Santiago")
 NINE = MIDNIGHT + 9 * 3600
@@ -28,7 +28,7 @@ def told(made):
 
 def rows(made):
     """Of the table, by column."""
-    return list(csv.DictReader(io.StringIO(table(timeline(made), ZONE))))
+    return list(csv.DictReader(io.StringIO(timeline_csv(timeline(made), ZONE))))
 
 
 legs = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(5, 400), st.floats(-3, 3)), min_size=1, max_size=8)
@@ -91,7 +91,7 @@ def test_the_table_says_when_in_the_zone_and_where_on_earth():
     made = outing(
         [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
     )
-    assert table(timeline(day(made)), ZONE).split("\n")[0] == HEADER
+    assert timeline_csv(timeline(day(made)), ZONE).split("\n")[0] == HEADER
     [row] = rows(day(made))
     assert row["start"] == "2024-05-01T09:00:00-04:00"
     assert datetime.fromisoformat(row["end"]).timestamp() == NINE + 300
@@ -134,7 +134,7 @@ def test_the_sums_are_the_segments_and_the_places_the_expected_time():
 def test_names_of_a_plan_cannot_command_a_terminal():
     """They are their makers' and may be anything."""
     made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
-    text = printed(day(made), timeline(day(made)), ZONE) + table(timeline(day(made)), ZONE)
+    text = as_text(day(made), timeline(day(made)), ZONE) + timeline_csv(timeline(day(made)), ZONE)
     assert "\x1b" not in text
     assert "\t" not in text
     assert len(rows(day(made))) == 1
@@ -143,7 +143,7 @@ def test_names_of_a_plan_cannot_command_a_terminal():
 def test_a_print_says_the_same_in_words():
     stays = [stay(120, 720, (150.0, 0.0), [("Bakery", 0.8), ("Bank", 0.15)])]
     made = day(outing([(WALKING, 120.0, EAST), (STANDING, 600.0, EAST), (GAP, 300.0, NORTH)], stays=stays))
-    text = printed(made, timeline(made), ZONE)
+    text = as_text(made, timeline(made), ZONE)
     assert "09:02:00  09:12:00      10 min  stay" in text
     assert "Bakery 80%  (Bank 15%)" in text
     assert "no data" in text
@@ -155,10 +155,10 @@ def test_a_print_says_the_same_in_words():
     ("seconds", "said"), [(0, "0 s"), (99, "99 s"), (99.6, "2 min"), (5940, "99 min"), (7500, "2 h 05 min")]
 )
 def test_times_are_said_as_one_says_them(seconds, said):
-    assert spoken(seconds) == said
+    assert duration_text(seconds) == said
 
 
 def test_a_day_without_outings_is_empty():
     assert timeline(day()) == ()
-    assert table((), ZONE) == HEADER + "\n"
-    assert "walked 0.00 km" in printed(day(), (), ZONE)
+    assert timeline_csv((), ZONE) == HEADER + "\n"
+    assert "walked 0.00 km" in as_text(day(), (), ZONE)

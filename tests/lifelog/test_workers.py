@@ -18,9 +18,9 @@ from threadpoolctl import threadpool_info
 
 from pdr_graph import InputError
 from pdr_graph.lifelog import workers as fleets
-from pdr_graph.lifelog.build import Chain, Outcome, Planned, build
-from pdr_graph.lifelog.store import Built, Store
-from pdr_graph.lifelog.workers import LARGEST, ONE_THREAD, Lost, fleet, packed
+from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build
+from pdr_graph.lifelog.store import Store, StoredDay
+from pdr_graph.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, fleet, pack
 
 HERE = Path(__file__).parent
 
@@ -42,9 +42,9 @@ def elsewhere(request):
 def test_who_does_it_makes_no_difference(tmp_path, elsewhere):
     here, _ = added(tmp_path / "here", people=4, days=6)
     there, _ = added(tmp_path / "there", people=4, days=6)
-    assert built(here) == built(there, **elsewhere) == Outcome(24, 0, (), ())
+    assert built(here) == built(there, **elsewhere) == BuildResult(24, 0, (), ())
     assert content(here) == content(there)
-    assert built(there, **elsewhere) == built(there) == Outcome(0, 24, (), ())
+    assert built(there, **elsewhere) == built(there) == BuildResult(0, 24, (), ())
 
 
 def test_a_day_that_fails_elsewhere_does_not_stop_the_others(tmp_path, elsewhere):
@@ -63,8 +63,8 @@ def test_a_day_that_fails_elsewhere_does_not_stop_the_others(tmp_path, elsewhere
 def test_a_process_that_dies_costs_the_day_that_it_worked_on(tmp_path, elsewhere):
     log, _ = added(tmp_path)
     said = "person1, 2024-05-03: its worker process was killed or crashed"
-    assert built(log, standin.dying, **elsewhere) == Outcome(14, 0, (said,), ())
-    assert built(log) == Outcome(3, 12, (), ()), "that day and those after it"
+    assert built(log, standin.dying, **elsewhere) == BuildResult(14, 0, (said,), ())
+    assert built(log) == BuildResult(3, 12, (), ()), "that day and those after it"
     whole, _ = added(tmp_path / "whole")
     built(whole)
     assert content(log) == content(whole)
@@ -81,7 +81,7 @@ def test_a_recording_that_ends_its_process_is_refused(tmp_path):
     log, paths = added(tmp_path, people=2, days=2)
     result = build(log, workers=2, observe=standin.dying_of("0-1.plt"), reconstruct=standin.reconstruct)
     assert (result.built, result.failures) == (3, ())
-    assert result.refusals == (f"{paths['person0'][1]}: {Lost('').reason}",)
+    assert result.refusals == (f"{paths['person0'][1]}: {CrashedItem('').reason}",)
 
 
 def told_threads(task):
@@ -107,25 +107,25 @@ def test_work_has_one_thread(elsewhere):
 
 
 def test_a_task_is_paths_and_keys():
-    built_before = Built("k" * 64, ("h" * 64,), standin.reconstruct("me", "2024-05-01", {}, None).profile)
-    days = tuple(Planned(f"2024-05-{d:02}", (("h" * 64, "k" * 64),), built_before) for d in range(LARGEST))
-    chain = Chain("me", days, None, "/a/folder", "1")
-    assert len(pickle.dumps(chain)) < 500 * LARGEST
+    built_before = StoredDay("k" * 64, ("h" * 64,), standin.reconstruct("me", "2024-05-01", {}, None).profile)
+    days = tuple(PlannedDay(f"2024-05-{d:02}", (("h" * 64, "k" * 64),), built_before) for d in range(MAX_TASK_SIZE))
+    chain = DayChain("me", days, None, "/a/folder", "1")
+    assert len(pickle.dumps(chain)) < 500 * MAX_TASK_SIZE
 
 
 @given(st.lists(st.integers(1, 100), max_size=200), st.integers(1, 16))
 def test_tasks_are_of_about_twenty_days(sizes, workers):
     items = list(enumerate(sizes))
-    tasks = packed(items, sizes, workers)
+    tasks = pack(items, sizes, workers)
     assert sorted(item for task in tasks for item in task) == items, "each once"
     days = [sum(size for _, size in task) for task in tasks]
     for task, count in zip(tasks, days, strict=True):
-        assert len(task) == 1 or count < 2 * LARGEST, "long ones are alone, short ones together"
-    assert len(packed(items, [1] * len(items), workers)) >= min(len(items), workers), "each has something to do"
+        assert len(task) == 1 or count < 2 * MAX_TASK_SIZE, "long ones are alone, short ones together"
+    assert len(pack(items, [1] * len(items), workers)) >= min(len(items), workers), "each has something to do"
 
 
 def test_two_hundred_person_days_are_ten_tasks():
-    assert [len(task) for task in packed(range(40), [5] * 40, 2)] == [4] * 10
+    assert [len(task) for task in pack(range(40), [5] * 40, 2)] == [4] * 10
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_a_scheduler_that_ends_costs_a_line(tmp_path):
     worker = subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"], **quiet)
     ends = []
 
-    def told(stage, done, of):
+    def progress(stage, done, of):
         if stage == "recordings" and done == of:
             ends.append(threading.Timer(0.3, scheduler.kill))
             ends[0].start()
@@ -193,7 +193,7 @@ def test_a_scheduler_that_ends_costs_a_line(tmp_path):
     try:
         wait_for(address)
         with pytest.raises(InputError, match="found no answer any more, expected a running scheduler"):
-            build(log, scheduler=address, told=told, reconstruct=standin.very_slow)
+            build(log, scheduler=address, progress=progress, reconstruct=standin.very_slow)
     finally:
         scheduler.kill()
         worker.kill()

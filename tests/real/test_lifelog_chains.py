@@ -10,8 +10,8 @@ from pdr_graph import io
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.lifelog.observation import observe
-from pdr_graph.lifelog.reconstruct import walked
-from pdr_graph.lifelog.sessions import Group, groups_of, turn_by_field
+from pdr_graph.lifelog.reconstruct import estimate_walk
+from pdr_graph.lifelog.sessions import Session, sessions_of, turn_by_field
 from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.types import Fixes, Trajectory
 
@@ -38,7 +38,7 @@ def by_ends(pieces):
         truth = pieces[n][1]
         end = Fixes(truth.time[[at]], truth.position[[at]], np.array([0.5]), ("",))
         ones[n] = replace(ones[n], fixes=Fixes.concatenate([ones[n].fixes, end]))
-    return Group(tuple((str(n), one) for n, one in enumerate(ones)))
+    return Session(tuple((str(n), one) for n, one in enumerate(ones)))
 
 
 def between_the_ends(pieces):
@@ -49,7 +49,7 @@ def between_the_ends(pieces):
 
 def test_pieces_of_one_walk_are_one_outing(chains):
     for name, pieces in chains.items():
-        [group] = groups_of({str(n): one for n, (one, _) in enumerate(pieces)})
+        [group] = sessions_of({str(n): one for n, (one, _) in enumerate(pieces)})
         assert len(group.parts) == CHAINS[name]
 
 
@@ -57,7 +57,7 @@ def test_each_chain_is_one_walk_by_its_ends_and_the_plan(chains):
     """All together CE50 and CE75 within 1.6 and 2.4 m, which the issue asks; each alone within a fifth more."""
     errors = []
     for pieces in chains.values():
-        track = walked(by_ends(pieces), None, None).estimate.trajectory
+        track = estimate_walk(by_ends(pieces), None, None).estimate.trajectory
         errors.append(circular_error(pair(track, between_the_ends(pieces))))
         assert np.percentile(errors[-1], 50) < 1.2 * 1.6
         assert np.percentile(errors[-1], 75) < 1.2 * 2.4

@@ -11,7 +11,7 @@ from cleaned_track import cleaned_length, raw_length
 from pdr_graph import Walker, detect_steps
 from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.inputs import read
-from pdr_graph.lifelog.activities import follow_positions, rides, segments_of, without_rides
+from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, without_rides
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.types import Fixes, Steps
 
@@ -87,7 +87,7 @@ def test_a_real_walk_has_no_ride(data, walk):
     (path,) = data.glob(walk)
     given = read(path)
     assert len(given.fixes) > 100
-    assert not len(rides(detect_steps(given.walk, Walker()), given.fixes))
+    assert not len(detect_rides(detect_steps(given.walk, Walker()), given.fixes))
 
 
 @pytest.mark.parametrize("bumps", [0.0, 0.7])
@@ -95,7 +95,7 @@ def test_a_ride_within_a_real_walk_is_found(data, bumps):
     """After five minutes on the campus a bus, five minutes at 7 m/s; bumps: spurious steps per second of it."""
     given = read(data / "nju_phyphox_outdoor")
     steps, fixes = with_a_ride(detect_steps(given.walk, Walker()), given.fixes, 300.0, 300.0, bumps)
-    found = rides(steps, fixes)
+    found = detect_rides(steps, fixes)
     assert found == pytest.approx(np.array([[300.0, 600.0]]), abs=30)
     ridden = without_rides(steps, found)
     kinds = [s.kind for s in segments_of(ridden, dead_reckon(ridden), found)]

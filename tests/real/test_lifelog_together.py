@@ -8,7 +8,7 @@ import pytest
 from pdr_graph import io
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.multi_day import bind
+from pdr_graph.lifelog.multi_day import estimate_together
 from pdr_graph.lifelog.store import RecordingOptions, Store
 
 
@@ -38,11 +38,11 @@ def trajectories(store):
 
 def test_walks_that_heard_the_same_are_bound_once(store):
     before = trajectories(store)
-    assert bind(store) == 2
+    assert estimate_together(store) == 2
     after = trajectories(store)
     assert after.keys() == before.keys() == {"anna", "ben"}
     assert after != before
-    assert bind(store) == 0, "nothing has changed since"
+    assert estimate_together(store) == 0, "nothing has changed since"
     assert build(store).built == 0, "the days themselves are up to date"
     assert trajectories(store) == after
 
@@ -51,4 +51,4 @@ def test_a_person_s_phone_is_known_by_its_name(store):
     add(store, [], person="anna", phone="AA:BB")
     with Store(store) as log:
         assert log.phones() == {"AA:BB": "anna"}
-    assert bind(store) == 2, "who carries what may bind others"
+    assert estimate_together(store) == 2, "who carries what may bind others"
