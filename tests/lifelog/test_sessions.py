@@ -33,7 +33,7 @@ def test_the_order_in_which_they_were_added_does_not_matter():
     parts = [later(one, k * (one.duration + 5)) for k in range(4)]
     forth = sessions_of(dict(zip("abcd", parts, strict=True)))
     back = sessions_of(dict(reversed(list(zip("abcd", parts, strict=True)))))
-    assert [group.names for group in forth] == [group.names for group in back] == [("a", "b", "c", "d")]
+    assert [group.hashes for group in forth] == [group.hashes for group in back] == [("a", "b", "c", "d")]
 
 
 def test_another_plan_is_another_outing():

@@ -142,7 +142,7 @@ def test_two_hundred_person_days_are_ten_tasks():
 )
 def test_a_cluster_that_is_none_is_refused(tmp_path, monkeypatch, options, said):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(fleets, "PATIENCE", 0.5)
+    monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
     log, _ = added(tmp_path, people=1, days=1)
     with pytest.raises(InputError, match=said):
         built(log, **options)
@@ -151,7 +151,7 @@ def test_a_cluster_that_is_none_is_refused(tmp_path, monkeypatch, options, said)
 
 def test_somebody_else_who_answers_is_refused(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(fleets, "PATIENCE", 0.5)
+    monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(InputError, match="found no answer, expected a Dask scheduler"), fleet(scheduler=address):
