@@ -1,1 +1,1 @@
-"""The building."""
+"""Floor plans: areas, walls, distance fields, networks and buildings."""

@@ -1,1 +1,1 @@
-"""The walker: attitude and samples to Steps."""
+"""Gait: from attitude and samples to landings, steps and walking directions."""

@@ -99,6 +99,9 @@ TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matchin
 Lengths = tuple[Array, Array]
 
 
+K0, K1 = 0.34, 0.29  # [m], [√(m/s²)·s → m] of `inverted_pendulum`
+
+
 def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
     """The default: the bounce of the body (Zijlstra & Hof 2003: a leg is an inverted pendulum), L = k₀ + k₁ √A T.
 
@@ -108,8 +111,7 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     on shoes, floor and pocket, so that only half of the length follows it. Both scale with stature. In bends steps are
     shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce steps``).
     """
-    k0, k1 = 0.34, 0.29  # [m], [√(m/s²)·s → m]
-    straight_on = k0 + k1 * np.sqrt(steps.amplitude) * steps.period
+    straight_on = K0 + K1 * np.sqrt(steps.amplitude) * steps.period
     return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
 
 

@@ -1,1 +1,1 @@
-"""The phone: samples to attitude."""
+"""Inertial sensors, magnetometer and barometer: from samples to attitude, north and height changes."""
