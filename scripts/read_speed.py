@@ -9,7 +9,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-import mutations
 import recorders
 import simulated
 
@@ -39,17 +38,17 @@ def written(folder):
     )
     poses = np.column_stack([walk.time, *walk.position.T, *walk.position.T])
     texts = {
-        "Indoor Location Competition": ("walk.txt", mutations.indoor_location(-1, ROUTE)),
+        "Indoor Location Competition": ("walk.txt", recorders.indoor_location(s, ROUTE)),
         "GetSensorData": ("log.txt", recorders.get_sensor_data(s)),
         "Android GnssLogger": ("gnss_log.txt", recorders.gnss_logger(s)),
         "phyphox": ("phyphox", recorders.phyphox(s)),
         "phyphox, decimal commas": ("comma", recorders.phyphox(s, delimiter=";", decimal=",")),
         "Sensor Logger": ("logger", recorders.sensor_logger(s)),
-        "IPIN21 folder": ("ipin21", mutations.ipin21(s)),
-        "Oxford step counter": ("hand.csv", mutations.oxford_steps(s)),
+        "IPIN21 folder": ("ipin21", recorders.ipin21(s)),
+        "Oxford step counter": ("hand.csv", recorders.oxford_steps(s)),
         "GeoLife PLT": ("day.plt", plt),
         "GPX": ("track.gpx", gpx),
-        "trajectory CSV": ("t.csv", "time,x,y\n" + mutations.columns(*poses[:, :3].T, delimiter=",", form="{:.6f}")),
+        "trajectory CSV": ("t.csv", "time,x,y\n" + recorders.columns(*poses[:, :3].T, delimiter=",", form="{:.6f}")),
     }
     for name, (file, text) in texts.items():
         files = text if isinstance(text, dict) else {"": text}

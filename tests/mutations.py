@@ -3,15 +3,11 @@
 import io as memory
 import json
 import random
-import tempfile
 import zipfile
 from dataclasses import fields, replace
-from pathlib import Path
 
-import numpy as np
 import shapely
-import simulated
-from recorders import get_sensor_data, gnss_logger, phyphox, sample, sensor_logger
+from recorders import EXPORTS, phyphox, sample
 
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -49,32 +45,6 @@ def zipped(files):
         for name, text in files.items():
             archive.writestr(name, text)
     return out.getvalue()
-
-
-def columns(*arrays, delimiter=" ", form="{:.12e}"):
-    return "\n".join(delimiter.join(form.format(v) for v in row) for row in np.column_stack(arrays)) + "\n"
-
-
-def indoor_location(samples=SAMPLES, route=((1.0, 18.0), (4.0, 18.0))):
-    with tempfile.TemporaryDirectory() as folder:
-        lines = (simulated.indoor_location(Path(folder), route) / "walk.txt").read_text().splitlines()
-    return "\n".join([*lines[: 2 + 3 * samples if samples > 0 else -1], lines[-1]]) + "\n"
-
-
-def oxford_steps(s):
-    ns = s.time * 1e9 + 1e12
-    counts = np.zeros((3, len(s.time)))
-    return columns(ns, s.acceleration, *counts, delimiter=",", form="{:.0f}")
-
-
-def ipin21(s):
-    ms = 1.7e12 + s.time * 1e3
-    files = {
-        "acc.csv": columns(ms, s.acceleration),
-        "gyr.csv": columns(ms, s.angular_rate),
-        "bar.csv": columns(ms, s.pressure),
-    }
-    return files | {"GroundTruthEight.csv": columns(ms[:3], *np.full((3, 3), 5e5), delimiter="\t", form="{:.3f}")}
 
 
 def gpx():
@@ -139,17 +109,16 @@ def simulated_if_short(path):
         simulate(scenario)
 
 
+def _encoded(content):
+    return content.encode() if isinstance(content, str) else content
+
+
 def inputs():
     """Name to (file name, bytes or files of a folder) of a whole input of every kind."""
     s = small()
-    recordings = {
-        "indoor_location": ("walk.txt", indoor_location().encode()),
-        "get_sensor_data": ("log.txt", get_sensor_data(s).encode()),
-        "gnss_logger": ("gnss_log.txt", gnss_logger(s).encode()),
+    recordings = {name: (path, _encoded(write(s))) for name, (path, write) in EXPORTS.items()}
+    recordings |= {
         "phyphox": ("walk.zip", phyphox(s) | {"meta/time.csv": '"event","a","b"\n"START",0.0,1.7E9\n'}),
-        "sensor_logger": ("walk.zip", sensor_logger(s, "ios")),
-        "ipin21": ("walk.zip", ipin21(s)),
-        "oxford_steps": ("hand.csv", oxford_steps(s).encode()),
         "geolife": ("day.plt", geolife().encode()),
         "gpx": ("track.gpx", gpx().encode()),
     }

@@ -1,12 +1,13 @@
 """One short walk in the files of each supported phone recorder."""
 
+import tempfile
 import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from simulated import walk_along
+import simulated
 
 from pdr_graph.frames import enu
 
@@ -32,7 +33,7 @@ class Sample:
 
 def sample(seed=0, route=((0.0, 0.0), (14.0, 0.0), (14.0, 7.0))):
     """Samples of a walk, by default twenty seconds around a corner, the top of the phone raised by 0.6 rad."""
-    walk = walk_along(np.array(route), seed=seed)
+    walk = simulated.walk_along(np.array(route), seed=seed)
     n = len(walk.time)
     every = slice(25, None, 50)
     return Sample(
@@ -162,6 +163,49 @@ def geolife(s):
     days = (np.round(UNIX + s.fix_time) + 2_209_161_600) / 86_400
     rows = zip(s.lonlat, days, strict=True)
     return head + "".join(f"{lat:.8f},{lon:.8f},0,492,{day:.10f},2023-11-14,22:13:20\n" for (lon, lat), day in rows)
+
+
+def columns(*arrays, delimiter=" ", form="{:.12e}"):
+    return "\n".join(delimiter.join(form.format(v) for v in row) for row in np.column_stack(arrays)) + "\n"
+
+
+def indoor_location(s, route=((1.0, 18.0), (4.0, 18.0))):
+    """A log of the Indoor Location Competition, of at most as many samples as `s`, of another walk."""
+    with tempfile.TemporaryDirectory() as folder:
+        lines = (simulated.indoor_location(Path(folder), route) / "walk.txt").read_text().splitlines()
+    return "\n".join([*lines[:-1][: 2 + 3 * len(s.time)], lines[-1]]) + "\n"
+
+
+def oxford_steps(s):
+    """A file of the validation set, with nanoseconds since boot."""
+    ns = s.time * 1e9 + 1e12
+    counts = np.zeros((3, len(s.time)))
+    return columns(ns, s.acceleration, *counts, delimiter=",", form="{:.0f}")
+
+
+def ipin21(s):
+    """The files of a folder, with a ground truth."""
+    ms = 1.7e12 + s.time * 1e3
+    files = {
+        "acc.csv": columns(ms, s.acceleration),
+        "gyr.csv": columns(ms, s.angular_rate),
+        "bar.csv": columns(ms, s.pressure),
+    }
+    return files | {"GroundTruthEight.csv": columns(ms[:3], *np.full((3, 3), 5e5), delimiter="\t", form="{:.3f}")}
+
+
+# Of each reader: a file or folder name, and the function that writes a sample as text or as files
+EXPORTS = {
+    "indoor_location": ("walk.txt", indoor_location),
+    "get_sensor_data": ("walk.txt", get_sensor_data),
+    "gnss_logger": ("walk.txt", gnss_logger),
+    "sensor_logger": ("walk", lambda s: sensor_logger(s, "ios")),
+    "phyphox": ("walk.zip", phyphox),
+    "ipin21": ("walk", ipin21),
+    "oxford_steps": ("walk.csv", oxford_steps),
+    "geolife": ("walk.plt", geolife),
+    "gpx": ("walk.gpx", gpx),
+}
 
 
 def in_folder(folder: Path, files):

@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import mutations
 import numpy as np
 import pytest
 import recorders
@@ -263,23 +262,12 @@ def test_a_misspelt_command_suggests_the_right_one():
 
 def exported(recorder, folder):
     """A walk in the files of one recorder, with a space in the name."""
-    sample = recorders.sample()
-    if recorder == "phyphox":
-        return recorders.in_zip(folder / "walk 1.zip", recorders.phyphox(sample))
-    if recorder == "sensor_logger":
-        return recorders.in_folder(folder / "walk 1", recorders.sensor_logger(sample, "ios"))
-    if recorder == "ipin21":
-        return recorders.in_folder(folder / "walk 1", mutations.ipin21(sample))
-    name, text = {
-        "indoor_location": ("walk 1.txt", lambda: mutations.indoor_location(0)),
-        "get_sensor_data": ("walk 1.txt", lambda: recorders.get_sensor_data(sample)),
-        "gnss_logger": ("walk 1.txt", lambda: recorders.gnss_logger(sample)),
-        "oxford_steps": ("walk 1.csv", lambda: mutations.oxford_steps(sample)),
-        "geolife": ("walk 1.plt", lambda: recorders.geolife(sample)),
-        "gpx": ("walk 1.gpx", lambda: recorders.gpx(sample)),
-    }[recorder]
-    (folder / name).write_text(text())
-    return folder / name
+    name, write = recorders.EXPORTS[recorder]
+    path, content = folder / name.replace("walk", "walk 1"), write(recorders.sample())
+    if isinstance(content, dict):
+        return (recorders.in_zip if path.suffix == ".zip" else recorders.in_folder)(path, content)
+    path.write_text(content)
+    return path
 
 
 POSITIONS_ALONE = ("geolife", "gpx")
