@@ -134,7 +134,7 @@ def with_floors(evidence: Evidence, barometer: Signal | None, start_floor: str |
     only = building.labels[0] if building is not None and len(building.labels) == 1 else ""
     start = only or start_floor or next((label for label in fixes.floor if label), "")
     floors = floors_along(steps, barometer, start, fixes, building)
-    if building is not None and not all(floors.labels):
+    if building is not None and len(building.labels) > 1 and not all(floors.labels):
         several = f"{len(building.labels)} floors, {', '.join(building.labels)[:80]}"
         raise InputError(plan or "--map", "", several, "--floor, the label of the one on which the walk begins")
     return replace(evidence, steps=with_stair_lengths(steps, floors.climbs, floors.kinds), floors=floors)

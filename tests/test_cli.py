@@ -381,6 +381,21 @@ def test_a_plan_elsewhere_is_not_used(folder, tmp_path):
     assert any("near the floor plan" in w for w in json.loads((out / "summary.json").read_text())["warnings"])
 
 
+def test_a_plan_without_a_floor_label_is_used(folder, tmp_path):
+    """The label of a plan with one floor is optional (docs/formats.md)."""
+    plan, fixes, out = json.loads(ARCADE.read_text()), tmp_path / "fixes.csv", tmp_path / "out"
+    del plan["pdr_graph"]["floor"]
+    (tmp_path / "plan.geojson").write_text(json.dumps(plan))
+    lines = (folder / "fixes.csv").read_text().splitlines()
+    fixes.write_text("\n".join(line.rpartition(",")[0] for line in lines) + "\n")
+    assert (
+        run("smooth", folder / "walk.txt", "--map", tmp_path / "plan.geojson", "--fixes", fixes, "--out", out)[0] == 0
+    )
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["wall_crossings"] <= 2
+    assert summary["floor"] is None
+
+
 def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     """Made from recordings and results of smooth; in another frame it is an error of one line."""
     from pdr_graph.simulation.recorders import write
