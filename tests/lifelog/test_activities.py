@@ -1,4 +1,4 @@
-"""What a day is made of: from positions alone, and by steps."""
+"""Activities of a day: from positions alone, and from steps."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -42,7 +42,7 @@ def covers(segments, start, end):
 
 @pytest.mark.parametrize("every", [1, 5, 15])
 @pytest.mark.parametrize("noise", NOISE)
-def test_a_walk_is_as_long_as_it_is(noise, every):
+def test_the_length_of_a_walk_is_right(noise, every):
     """Within 5 %: who measures every 15 s misses 2 % at the corners; raw, the noise makes up to six times of it."""
     place, _ = streets([("walk", 3600)])
     _, segments = follow_positions(seen(place, NOISE[noise], every))
@@ -51,7 +51,7 @@ def test_a_walk_is_as_long_as_it_is(noise, every):
 
 
 @pytest.mark.parametrize("noise", NOISE)
-def test_who_stands_goes_nowhere(noise):
+def test_standing_has_no_distance(noise):
     track = seen(np.zeros((7200, 2)), NOISE[noise])
     assert length_along(track.position)[-1] > 3000  # invented by the raw track
     way, (only,) = follow_positions(track)
@@ -60,7 +60,7 @@ def test_who_stands_goes_nowhere(noise):
 
 
 @pytest.mark.parametrize(("sigma", "lasts"), [(20.0, 90.0), (60.0, 60.0), (60.0, 120.0)])
-def test_indoors_a_receiver_wanders_and_nobody_goes(sigma, lasts):
+def test_a_receiver_that_wanders_indoors_is_standing(sigma, lasts):
     """Its errors last a minute or two, whatever accuracy it states; the raw track has 20 to 60 km."""
     for seed in range(3):
         track = seen(np.zeros((3 * 3600, 2)), lambda n, random: gauss_markov(n, sigma, lasts, random), 5, seed)
@@ -69,7 +69,7 @@ def test_indoors_a_receiver_wanders_and_nobody_goes(sigma, lasts):
         assert distance(segments, WALKING, VEHICLE) < 0.05 * length_along(track.position)[-1]
 
 
-def test_a_receiver_that_finds_its_place_is_no_ride():
+def test_the_convergence_of_a_receiver_is_no_ride():
     """After a gap it begins 200 m off and comes in within 15 s."""
     time = np.r_[np.arange(0, 900, 5), np.arange(1200, 2100, 5)]
     off = 200.0 * np.clip(1 - (np.arange(2100) - 1200) / 15, 0, 1) * (np.arange(2100) >= 1200)
@@ -78,7 +78,7 @@ def test_a_receiver_that_finds_its_place_is_no_ride():
     assert kinds(segments) == [STANDING, GAP, STANDING]
 
 
-def test_a_day_is_told_apart():
+def test_activities_of_a_day_are_separated():
     """Walks, a bus with its stops, an office: nine tenths of each, and no kilometre more or less than 5 %."""
     place, done = streets(DAY)
     for every in (1, 5, 15):
@@ -91,7 +91,7 @@ def test_a_day_is_told_apart():
         assert distance(segments, WALKING, VEHICLE) == pytest.approx(length_along(place)[-1], rel=0.05)
 
 
-def test_laps_of_a_track_are_walked():
+def test_laps_of_a_track_are_walking():
     """They lead nowhere in the end, and still are no noise: 400 m round, for an hour."""
     angle = PACE * np.arange(3600) / (400 / 2 / np.pi)
     place = 400 / 2 / np.pi * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -99,7 +99,7 @@ def test_laps_of_a_track_are_walked():
     assert distance(segments, WALKING) == pytest.approx(3600 * PACE, rel=0.05)
 
 
-def test_wild_fixes_lengthen_nothing():
+def test_outliers_do_not_lengthen_a_walk():
     place, _ = streets([("walk", 1800)])
     track = seen(place, every=5)
     _, clean = follow_positions(track)
@@ -111,7 +111,7 @@ def test_wild_fixes_lengthen_nothing():
     assert distance(segments, WALKING) == pytest.approx(distance(clean, WALKING), rel=0.02)
 
 
-def test_where_nothing_was_recorded_is_a_gap():
+def test_time_without_data_is_a_gap():
     """Half an hour: shown as one, without a distance, and nobody knows where they were in its midst."""
     place, _ = streets([("walk", 1200), ("walk", 1800), ("walk", 1200)])
     time = np.r_[np.arange(0, 1200, 5), np.arange(3000, 4200, 5)]
@@ -130,7 +130,7 @@ def test_where_nothing_was_recorded_is_a_gap():
 
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from([0.0, 0.5, 1.0, 5.0, 30.0, 70.0, 3600.0]), max_size=60), st.integers(0, 99))
-def test_segments_cover_whatever_was_recorded(spans, seed):
+def test_segments_cover_the_whole_recording(spans, seed):
     """Any intervals, repeated times as well: no holes, and every long interval is within a gap."""
     time = np.concatenate([[100.0], 100.0 + np.cumsum(spans)])
     place = np.cumsum(np.random.default_rng(seed).normal(0, 4, (len(time), 2)), axis=0)
@@ -148,7 +148,7 @@ def test_segments_cover_whatever_was_recorded(spans, seed):
             assert time_of(segments, GAP, a, b) == pytest.approx(b - a)
 
 
-def test_turning_the_world_turns_the_way():
+def test_segments_do_not_depend_on_the_orientation_of_the_frame():
     place, _ = streets(DAY[:4])
     track = seen(place, every=5)
     turned = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -173,7 +173,7 @@ def kinds(segments):
     return [s.kind for s in segments]
 
 
-def test_steps_that_follow_one_another_are_a_walk_and_pauses_are_not():
+def test_consecutive_steps_are_walking_and_pauses_are_standing():
     steps = paused(40, 20.0)
     track = dead_reckon(steps)
     segments = segments_of(steps, track, np.empty((0, 2)))
@@ -184,7 +184,7 @@ def test_steps_that_follow_one_another_are_a_walk_and_pauses_are_not():
     assert kinds(segments_of(paused(40, LONGEST_PAUSE - 1), track, np.empty((0, 2)))) == [WALKING]
 
 
-def test_a_walk_is_as_long_as_its_trajectory():
+def test_a_segment_is_as_long_as_its_trajectory():
     """Which the graph has scaled; not as long as the steps."""
     steps = paused(40, 20.0)
     track = dead_reckon(steps)
@@ -198,7 +198,7 @@ def test_shuffling_is_standing():
     assert kinds(segments_of(steps, dead_reckon(steps), np.empty((0, 2)))) == [STANDING]
 
 
-def test_a_gap_in_the_recording_is_a_gap_and_a_ride_a_ride():
+def test_gaps_and_rides_are_segments_of_their_own():
     walk = steps_of(np.full(40, 0.7), np.zeros(40))
     lost = then(walk, gap(walk.end, walk.end + 100.0))
     late = replace(walk, start=lost.end, end=lost.end + walk.end, time=walk.time + lost.end)
@@ -212,6 +212,6 @@ def test_a_gap_in_the_recording_is_a_gap_and_a_ride_a_ride():
     assert kinds(segments_of(steps, track, ridden)) == [WALKING, VEHICLE, WALKING]
 
 
-def test_a_recording_without_steps_stands():
+def test_a_recording_without_steps_is_standing():
     none = Steps(0.0, 60.0, *np.empty((7, 0)))
     assert kinds(segments_of(none, dead_reckon(none), np.empty((0, 2)))) == [STANDING]

@@ -1,4 +1,4 @@
-"""What is built is built once, of what is there now; what cannot be built costs a line and nothing else."""
+"""A build computes each result once and repeats only what changed; a failure costs one line and nothing else."""
 
 import os
 import random
@@ -57,7 +57,7 @@ def counted(tmp_path):
     return folder
 
 
-def test_a_day_is_made_of_what_was_recorded_on_it(tmp_path):
+def test_a_day_has_the_recordings_that_began_on_it(tmp_path):
     log, _ = added(tmp_path)
     standin.recording(tmp_path / "later.plt", 1.01, seed=7)
     add(log, [tmp_path / "later.plt"], person="person1")
@@ -73,7 +73,7 @@ def test_a_day_is_made_of_what_was_recorded_on_it(tmp_path):
     assert track.time.tolist() == [0, 10, 20, 30]
 
 
-def test_calibration_is_carried_from_day_to_day(tmp_path):
+def test_the_profile_is_carried_from_day_to_day(tmp_path):
     log, _ = added(tmp_path, people=1, days=3)
     before = []
 
@@ -88,7 +88,7 @@ def test_calibration_is_carried_from_day_to_day(tmp_path):
     assert len(set(after)) == 3, "a control: each day teaches something"
 
 
-def test_a_new_day_costs_a_day(tmp_path, counted):
+def test_a_new_day_is_the_only_one_built(tmp_path, counted):
     log, paths = added(tmp_path, days=4)
     make = standin.counting(counted)
     assert built(log, make) == BuildResult(12, 0, (), ())
@@ -100,7 +100,7 @@ def test_a_new_day_costs_a_day(tmp_path, counted):
     assert len(paths) * 4 + 1 == len(made(counted))
 
 
-def test_a_recording_that_turns_up_late_changes_the_days_from_its_own_on(tmp_path, counted):
+def test_a_late_recording_changes_its_own_day_and_all_later_ones(tmp_path, counted):
     log, _ = added(tmp_path, people=2)
     built(log, standin.counting(counted))
     add(log, [standin.recording(tmp_path / "late.plt", 2.01, seed=8)], person="person1")
@@ -119,7 +119,7 @@ def test_a_recording_that_turns_up_late_changes_the_days_from_its_own_on(tmp_pat
 @pytest.mark.parametrize(
     ("option", "days"), [("plan", 3), ("fixes", 3), ("walker", 1), ("floor", 1), ("content of the plan", 1)]
 )
-def test_other_options_change_the_day(tmp_path, option, days, pytestconfig):
+def test_changed_options_change_the_day(tmp_path, option, days, pytestconfig):
     """And those after it, if it teaches something else now: positions do so in another frame, or with others."""
     log, paths = added(tmp_path, people=1)
     plan, walker, fixes = tmp_path / "plan.geojson", tmp_path / "walker.toml", tmp_path / "fixes.csv"
@@ -141,7 +141,7 @@ def test_other_options_change_the_day(tmp_path, option, days, pytestconfig):
     assert bool(day.outings[0].plan) == (option in ("plan", "content of the plan"))
 
 
-def test_midnight_is_where_the_lifelog_is(tmp_path):
+def test_days_are_separated_at_midnight_of_the_zone(tmp_path):
     log, _ = added(tmp_path, people=1)
     built(log)
     with Store(log) as store:
@@ -155,7 +155,7 @@ def test_midnight_is_where_the_lifelog_is(tmp_path):
             built(log, zone=zone)
 
 
-def test_a_recording_of_somebody_else_is_in_one_day_only(tmp_path):
+def test_a_recording_that_changes_its_person_is_in_one_day_only(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
     built(log)
     add(log, [paths["person0"][0]], person="Ada")
@@ -182,7 +182,7 @@ def test_a_day_that_fails_does_not_stop_the_others(tmp_path, counted):
     assert content(other) == content(log), "as if it had never failed"
 
 
-def test_a_day_that_fails_now_stays_as_it_was(tmp_path):
+def test_a_day_that_fails_keeps_its_earlier_rows(tmp_path):
     log, _ = added(tmp_path, people=1, days=2)
     built(log)
     with Store(log) as store:
@@ -194,7 +194,7 @@ def test_a_day_that_fails_now_stays_as_it_was(tmp_path):
     assert (after.key, after.recordings) == (before.key, before.recordings)
 
 
-def test_what_was_moved_away_costs_a_line_and_nothing_else(tmp_path):
+def test_a_missing_recording_costs_one_line(tmp_path):
     log, paths = added(tmp_path, people=2, days=2)
     moved = paths["person0"][1].rename(tmp_path / "moved.plt")
     result = built(log)
@@ -206,7 +206,7 @@ def test_what_was_moved_away_costs_a_line_and_nothing_else(tmp_path):
     assert built(log) == BuildResult(1, 3, (), ())
 
 
-def test_what_is_gone_is_not_needed_any_more(tmp_path):
+def test_built_days_do_not_need_their_recordings(tmp_path):
     log, _ = added(tmp_path, people=1, days=3)
     built(log)
     before = content(log)
@@ -217,7 +217,7 @@ def test_what_is_gone_is_not_needed_any_more(tmp_path):
     assert content(log) == before
 
 
-def test_a_plan_that_is_gone_costs_a_line_and_nothing_else(tmp_path, pytestconfig):
+def test_a_missing_plan_costs_one_line_and_keeps_the_days(tmp_path, pytestconfig):
     log, paths = added(tmp_path, people=1, days=3)
     plan = tmp_path / "plan.geojson"
     shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
@@ -234,7 +234,7 @@ def test_a_plan_that_is_gone_costs_a_line_and_nothing_else(tmp_path, pytestconfi
     }
 
 
-def test_a_recording_that_is_another_now_is_not_taken_for_it(tmp_path):
+def test_a_recording_with_changed_content_is_refused(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
     standin.recording(paths["person0"][1], 1, seed=99)
     result = built(log)
@@ -242,7 +242,7 @@ def test_a_recording_that_is_another_now_is_not_taken_for_it(tmp_path):
     assert "found changed content, expected the content that was added" in result.refusals[0]
 
 
-def test_an_observation_that_was_damaged_is_made_again(tmp_path):
+def test_a_damaged_observation_is_created_again(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
     built(log)
     with Store(log) as store:
@@ -269,7 +269,7 @@ def test_a_clock_that_was_never_set_is_refused(tmp_path):
     assert "time: found 1e+18 s since 1970, expected a time since 1970: give --begins" in result.refusals[0]
 
 
-def test_nothing_is_left_on_its_way(tmp_path):
+def test_temporary_files_are_removed(tmp_path):
     log, paths = added(tmp_path, people=1, days=2)
     (tmp_path / "log.d" / "days").mkdir(parents=True)
     (tmp_path / "log.d" / "days" / "tmp1.part").write_bytes(b"of a process that was killed")
@@ -283,7 +283,7 @@ def test_nothing_is_left_on_its_way(tmp_path):
     assert left == {"days", "observations", "recordings", *names}
 
 
-def test_another_version_makes_all_anew(tmp_path, monkeypatch):
+def test_another_version_rebuilds_everything(tmp_path, monkeypatch):
     log, _ = added(tmp_path, people=1, days=2)
     built(log)
     monkeypatch.setattr(cache, "RESULT_VERSION", "0.0.0, 1")
@@ -292,14 +292,14 @@ def test_another_version_makes_all_anew(tmp_path, monkeypatch):
         assert {"pdr_graph", "gtsam", "numpy", "python"} <= dict(database.execute("SELECT * FROM version")).keys()
 
 
-def test_a_worker_of_another_version_makes_nothing(tmp_path):
+def test_a_worker_of_another_version_is_refused(tmp_path):
     chain = DayChain("me", (PlannedDay("2024-05-01", (("a", "b"),), None),), None, str(tmp_path), "9.9.9, 1")
     [done] = reconstruct_days([chain], standin.reconstruct)
     assert done.failure == f"--scheduler, a worker: found pdr_graph {cache.RESULT_VERSION}, expected 9.9.9, 1, as here"
     assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_ends_a_build_that_goes_on_where_it_was(tmp_path):
+def test_a_build_continues_after_a_full_disk(tmp_path):
     log, _ = added(tmp_path, people=1, days=4)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
@@ -334,7 +334,7 @@ while sys.stdin.readline().strip():  # a process for each life: what takes time 
 """
 
 
-def test_twenty_kills_lose_nothing_and_make_nothing_twice(tmp_path):
+def test_twenty_kills_lose_nothing_and_repeat_nothing(tmp_path):
     log, _ = added(tmp_path, people=6, days=10)
     luck, killed, seen = random.Random(3), [], []
     nursery = subprocess.Popen([sys.executable, "-c", CHILD, log, HERE], stdin=-1, stdout=-1, stderr=-1, bufsize=0)

@@ -1,4 +1,4 @@
-"""``pdr-graph lifelog add`` and ``build``, as the command line's contract has them."""
+"""``pdr-graph lifelog add`` and ``build``: exit codes, messages and progress."""
 
 import os
 import sqlite3
@@ -36,7 +36,7 @@ def test_days_are_added_and_built(tmp_path):
     assert log.stat().st_mode & 0o077 == 0
 
 
-def test_one_that_cannot_be_read_is_a_line_and_exit_3(tmp_path):
+def test_an_unreadable_recording_is_one_line_and_exit_3(tmp_path):
     good, bad = standin.recording(tmp_path / "good.plt"), tmp_path / "bad.txt"
     bad.write_text("Dear Ada")
     code, said, errors = run("add", tmp_path / "days.db", bad, good)
@@ -45,13 +45,13 @@ def test_one_that_cannot_be_read_is_a_line_and_exit_3(tmp_path):
     assert errors[0].startswith(f"pdr-graph: {bad}: found the bytes b'Dear Ada', expected a recording")
 
 
-def test_nothing_that_can_be_read_is_exit_2(tmp_path):
+def test_no_readable_recording_is_exit_2(tmp_path):
     (tmp_path / "bad.txt").write_text("Dear Ada")
     code, _, errors = run("add", tmp_path / "days.db", tmp_path / "bad.txt", tmp_path / "none")
     assert (code, len(errors)) == (2, 2)
 
 
-def test_a_recording_that_is_gone_at_build_is_a_line_and_exit_3(tmp_path):
+def test_a_missing_recording_at_build_is_one_line_and_exit_3(tmp_path):
     log = tmp_path / "days.db"
     for n in range(2):
         standin.recording(tmp_path / f"{n}.plt", n)
@@ -110,7 +110,7 @@ main()
     assert run("build", log) == (0, f"1 days built, 0 up to date, 0 failed -> {log}\n", [])
 
 
-def test_a_recording_without_a_clock_begins_when_it_is_said(tmp_path):
+def test_begins_is_the_start_of_a_recording_without_a_clock(tmp_path):
     log, walk = tmp_path / "days.db", phyphox(tmp_path / "walk")
     code, _, [line] = run("add", log, walk)
     assert code == 2
@@ -121,7 +121,7 @@ def test_a_recording_without_a_clock_begins_when_it_is_said(tmp_path):
     assert begins == datetime(2024, 5, 2, 0, 30, tzinfo=UTC).timestamp()
 
 
-def test_a_bar_is_shown_on_a_terminal_only(tmp_path):
+def test_a_progress_bar_is_shown_on_a_terminal_only(tmp_path):
     log, walk = tmp_path / "days.db", standin.recording(tmp_path / "walk.plt")
     main, terminal = os.openpty()
     command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", "add", log, walk]

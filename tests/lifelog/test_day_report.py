@@ -1,4 +1,4 @@
-"""The report of a day, in a browser that has no network."""
+"""The report of a day, in a browser without network."""
 
 from zoneinfo import ZoneInfo
 
@@ -38,7 +38,7 @@ def report(browser, tmp_path_factory):
     return Page(browser, path)
 
 
-def test_it_opens_without_an_error_or_a_request(report):
+def test_the_page_opens_without_an_error_or_a_request(report):
     report.slide(MIDNIGHT + 9.1 * HOUR)
     assert report.errors == []
     assert report.asked_for[0] == []
@@ -58,18 +58,18 @@ def test_the_slider_moves_the_walker_along_the_day(report):
     assert report.walker is None, "a gap within an outing"
 
 
-def test_its_clock_is_that_of_the_zone(report):
+def test_the_clock_is_that_of_the_zone(report):
     report.slide(MIDNIGHT + 9.25 * HOUR)
     assert report.run("return document.getElementById('clock').textContent") == "09:15:00"
 
 
-def test_stays_are_told_with_fronts_and_probabilities(report):
+def test_stays_have_names_and_probabilities(report):
     report.slide(MIDNIGHT + 9 * HOUR + 500.0)
     assert f"{SHOP} 80%" in report.run("return document.getElementById('readout').textContent")
     assert f"{SHOP} 80%" in report.run("return document.getElementById('tables').innerText")
 
 
-def test_it_says_neither_files_nor_hashes_nor_paths():
+def test_the_page_has_no_file_names_hashes_or_paths():
     """As little as the files beside it do."""
     plan = outing([(WALKING, 20.0, 0.0)], plan="/home/anna/secret/mall.geojson", floor="1")
     said = page(content(day(plan, *made().outings), ZONE, [], [])).decode()
@@ -78,7 +78,7 @@ def test_it_says_neither_files_nor_hashes_nor_paths():
         assert secret not in written, secret
 
 
-def test_clocks_that_change_are_told():
+def test_a_change_of_daylight_saving_time_is_in_the_offsets():
     """In Santiago clocks went back an hour as 6 April 2025 began: 03:00 UTC is 23:00 of the day before once more."""
     change = 1_743_908_400.0 + 4 * HOUR - HOUR * 4  # 2025-04-06T03:00Z
     late = outing([(WALKING, 1800.0, 0.0)], epoch=change - 900.0)

@@ -1,4 +1,4 @@
-"""Exports hold what the day holds: as independent readers, our own reader and the standards have it."""
+"""Exports have the content of the day: checked with independent readers, our own reader and the standards."""
 
 import csv
 import io
@@ -37,7 +37,7 @@ def shown(made):
     return made.outings[0].trajectory
 
 
-def test_our_own_reader_reads_a_gpx_back(tmp_path):
+def test_our_reader_reads_a_gpx_back(tmp_path):
     (tmp_path / "day.gpx").write_bytes(as_gpx([DAY]))
     walk = recordings.load(tmp_path / "day.gpx")
     track = shown(DAY)
@@ -47,7 +47,7 @@ def test_our_own_reader_reads_a_gpx_back(tmp_path):
     assert not walk.notes
 
 
-def test_a_gap_parts_a_track_and_a_stay_is_a_waypoint():
+def test_a_gap_divides_a_track_and_a_stay_is_a_waypoint():
     gpx = gpxpy.parse(as_gpx([DAY]).decode())
     [track] = gpx.tracks
     assert [len(segment.points) for segment in track.segments] == [101, 311]
@@ -63,7 +63,7 @@ def test_an_outing_is_a_track():
     assert [track.name for track in gpx.tracks] == ["Anna 2024-05-01, 1", "Anna 2024-05-01, 2"]
 
 
-def test_a_gpx_is_as_its_schema_demands():
+def test_a_gpx_is_valid_by_its_schema():
     """Children in GPX 1.1's order, nothing of other namespaces but in extensions."""
     root = etree.fromstring(as_gpx([DAY]))
     order = ["wpt", "trk"], ["name", "trkseg"], ["time", "name", "extensions"]
@@ -102,7 +102,7 @@ def test_geojson_has_a_line_for_each_segment_and_a_point_for_each_stay():
     assert HERE.from_lonlat(np.array([points[1]["geometry"]["coordinates"]]))[0] == pytest.approx((600, 700), abs=0.01)
 
 
-def test_segments_meet_between_rows_but_never_in_a_gap():
+def test_consecutive_segments_share_a_point_except_at_a_gap():
     """A segment may end between two rows: there both have a point, on the line between them."""
     made = outing([(WALKING, 10.0, 0.0), (STANDING, 10.0, 0.0)])
     walking, standing = made.segments
@@ -126,7 +126,7 @@ def test_a_csv_is_a_trajectory_in_unix_time(tmp_path):
     assert {row["outing"] for row in rows} == {"1"}
 
 
-def test_an_outing_that_is_nowhere_on_earth_is_said_not_failed():
+def test_an_outing_without_absolute_position_is_noted():
     nowhere = day(outing(WAY, frame=NOWHERE, stays=[KIOSK]))
     assert not gpxpy.parse(as_gpx([nowhere]).decode()).tracks
     assert json.loads(as_geojson([nowhere]))["features"] == []
@@ -137,7 +137,7 @@ def test_an_outing_that_is_nowhere_on_earth_is_said_not_failed():
     assert float(rows[-1]["x"]) == pytest.approx(nowhere.outings[0].trajectory.position[-1, 0], abs=1e-3)
 
 
-def test_no_export_tells_where_recordings_and_plans_lie():
+def test_no_export_has_paths_of_recordings_or_plans():
     text = as_gpx([DAY]) + as_geojson([DAY]) + as_csv(DAY)
     for told in (b"/home/anna", b"5f3b", b"a note"):
         assert told not in text
@@ -171,7 +171,7 @@ def test_show_prints_the_last_day_and_writes_it_for_its_owner_alone(store, tmp_p
     assert (folder / "day.png").read_bytes()[:4] == b"\x89PNG"
 
 
-def test_show_lists_who_and_when(store):
+def test_show_lists_persons_and_dates(store):
     said = run("show", store, "--all").output.split("\n")
     assert said[:3] == [
         "Anna  2024-05-01  1 recording",
@@ -180,7 +180,7 @@ def test_show_lists_who_and_when(store):
     ]
 
 
-def test_show_asks_for_what_is_not_clear(store):
+def test_show_refuses_an_ambiguous_choice(store):
     for wanted, complaint in (
         ({}, "one of Anna"),
         ({"person": "Carl"}, "one of Anna"),
@@ -201,7 +201,7 @@ def test_export_writes_files_for_their_owner_alone(store, tmp_path, form, each):
     assert all(stat.S_IMODE(f.stat().st_mode) == 0o600 for f in (tmp_path / "out").iterdir())
 
 
-def test_export_takes_days_from_to_and_of_one(store, tmp_path):
+def test_export_selects_days_by_date_and_person(store, tmp_path):
     written, _ = export_days(store, tmp_path / "all.geojson", "geojson")
     assert written == [tmp_path / "all.geojson"]
     both = json.loads(written[0].read_bytes())["features"]
@@ -219,7 +219,7 @@ def test_export_takes_days_from_to_and_of_one(store, tmp_path):
             export_days(store, **({"out": tmp_path / "x", "file_format": "gpx"} | asked))
 
 
-def test_export_cuts_alike_every_time(store, tmp_path):
+def test_export_cuts_the_same_area_every_time(store, tmp_path):
     """By the lifelog's own secret, so that many exports are as good as one."""
     lon, lat = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]
     place = f"{lat:.6f},{lon:.6f},60"  # a latitude below zero begins like an option
@@ -264,7 +264,7 @@ def square(half):
     return HERE.to_lonlat(half * np.column_stack([x, np.roll(x, 1)])).tolist()
 
 
-def test_a_day_that_is_private_from_end_to_end_is_said_and_not_written(store, tmp_path):
+def test_a_completely_private_day_is_noted_and_not_written(store, tmp_path):
     lon, lat = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]
     written, said = export_days(store, tmp_path / "out", "gpx", "Anna", cut=[f"{lat},{lon},50000"])
     assert not written

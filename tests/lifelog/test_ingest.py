@@ -1,4 +1,4 @@
-"""Recordings are added once, whatever they are called and however they lie about; what is none costs a line."""
+"""Recordings are added once, whatever their names and folders; a file that is none costs one line."""
 
 import shutil
 import zipfile
@@ -28,7 +28,7 @@ def phyphox(folder, **options):
     return folder
 
 
-def test_adding_twice_is_adding_once(tmp_path):
+def test_a_recording_is_added_once(tmp_path):
     log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
     assert add(log, [walk]) == AddResult(added=1)
     assert add(log, [walk]) == AddResult(existing=1)
@@ -40,7 +40,7 @@ def test_adding_twice_is_adding_once(tmp_path):
     assert add(log, [walk]) == AddResult(added=1), "another content is another recording"
 
 
-def test_a_recording_that_was_moved_is_found_again_by_adding_it(tmp_path):
+def test_a_moved_recording_gets_its_new_path_when_added_again(tmp_path):
     log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
     add(log, [walk], person="Ada")
     moved = walk.rename(tmp_path / "moved.plt")
@@ -48,7 +48,7 @@ def test_a_recording_that_was_moved_is_found_again_by_adding_it(tmp_path):
     assert entries(log)["moved.plt"].person == "Ada", "what is not said stays"
 
 
-def test_other_options_take_the_place_of_those_before(tmp_path):
+def test_options_replace_earlier_ones(tmp_path):
     log, walk = tmp_path / "log", standin.recording(tmp_path / "walk.plt")
     toml = tmp_path / "walker.toml"
     toml.write_text("height = 1.6\n")
@@ -60,7 +60,7 @@ def test_other_options_take_the_place_of_those_before(tmp_path):
     assert entry == Entry(entry.hash, "Grace", str(walk), RecordingOptions(walker=toml, floor="2", begins=1.7e9))
 
 
-def test_a_folder_full_of_recordings_is_all_of_them(tmp_path):
+def test_all_recordings_in_a_folder_are_added(tmp_path):
     folder = tmp_path / "days"
     expected = [standin.recording(folder / "may" / f"{n}.plt", n) for n in range(3)]
     expected += [standin.recording(folder / "june" / "1.plt", 30), phyphox(folder / "experiment")]
@@ -82,7 +82,7 @@ def test_a_folder_full_of_recordings_is_all_of_them(tmp_path):
     assert add(tmp_path / "log", [folder / "experiment"], RecordingOptions(begins=begin)) == AddResult(added=1)
 
 
-def test_a_folder_that_is_a_recording_is_one(tmp_path):
+def test_a_folder_with_one_recording_is_one_recording(tmp_path):
     folder = phyphox(tmp_path / "experiment")
     log = tmp_path / "log"
     assert add(log, [folder], RecordingOptions(begins=1.7e9)) == AddResult(added=1)
@@ -91,14 +91,14 @@ def test_a_folder_that_is_a_recording_is_one(tmp_path):
     assert add(log, [copied.parent]) == AddResult(existing=1), "its content is what a reader sees in it"
 
 
-def test_one_begin_is_of_one_recording(tmp_path):
+def test_a_start_time_needs_a_single_recording(tmp_path):
     for n in range(2):
         standin.recording(tmp_path / "days" / f"{n}.plt", n)
     with pytest.raises(InputError, match="--begins: found 2 recordings, expected a single recording"):
         add(tmp_path / "log", [tmp_path / "days"], RecordingOptions(begins=1.7e9))
 
 
-def test_what_cannot_be_read_does_not_stop_the_others(tmp_path):
+def test_unreadable_files_do_not_stop_the_others(tmp_path):
     good, torn = standin.recording(tmp_path / "good.plt"), tmp_path / "torn.zip"
     torn.write_bytes(b"PK\x03\x04 and no more")
     other, empty = tmp_path / "letter.txt", tmp_path / "empty"
@@ -116,7 +116,7 @@ def test_what_cannot_be_read_does_not_stop_the_others(tmp_path):
     assert all(line.isprintable() for line in result.refused)
 
 
-def test_what_tells_neither_steps_nor_a_way_is_refused_in_a_line(tmp_path):
+def test_a_recording_without_steps_and_positions_is_refused(tmp_path):
     """A gyroscope alone, and a single position: no outing could ever be made of them. Fixes beside them are a way."""
     folder, log = phyphox(tmp_path / "experiment"), tmp_path / "log"
     for file in folder.glob("*.csv"):
@@ -143,7 +143,7 @@ def test_what_tells_neither_steps_nor_a_way_is_refused_in_a_line(tmp_path):
         ({"walker": "none.toml"}, "expected a TOML file"),
     ],
 )
-def test_an_option_that_cannot_be_used_is_refused(tmp_path, options, said):
+def test_an_unusable_option_is_refused(tmp_path, options, said):
     walk = standin.recording(tmp_path / "walk.plt")
     person = options.get("person")
     files = {name: tmp_path / value for name, value in options.items() if name != "person"}
@@ -152,14 +152,14 @@ def test_an_option_that_cannot_be_used_is_refused(tmp_path, options, said):
     assert not (tmp_path / "log").exists(), "nothing is made of it"
 
 
-def test_a_floor_must_be_the_plans(tmp_path, pytestconfig):
+def test_a_floor_must_be_on_the_plan(tmp_path, pytestconfig):
     walk, plan = standin.recording(tmp_path / "walk.plt"), pytestconfig.rootpath / "maps" / "arcade.geojson"
     with pytest.raises(InputError, match="found the floors 1, expected a floor 'attic'"):
         add(tmp_path / "log", [walk], RecordingOptions(plan=plan, floor="attic"))
     add(tmp_path / "log", [walk], RecordingOptions(plan=plan, floor="1"))
 
 
-def test_a_copy_makes_the_original_dispensable(tmp_path):
+def test_a_copy_replaces_the_original(tmp_path):
     log, folder = tmp_path / "log", phyphox(tmp_path / "experiment")
     walk = standin.recording(tmp_path / "walk.plt")
     (tmp_path / "BLE_Locations.csv").write_text("beacon,lat,lon\na,52.5,13.4\n")
@@ -179,13 +179,13 @@ def test_a_copy_makes_the_original_dispensable(tmp_path):
     )
 
 
-def test_a_name_that_is_no_text_is_refused(tmp_path):
+def test_an_unprintable_file_name_is_refused(tmp_path):
     walk = standin.recording(tmp_path / "walk.plt")
     odd = walk.rename(tmp_path / "walk\udcff.plt")
     assert [line.isprintable() for line in add(tmp_path / "log", [odd]).refused] == [True]
 
 
-def test_times_are_utc_unless_they_say():
+def test_times_without_an_offset_are_utc():
     assert time_of("2024-05-01T09:30:00") == datetime(2024, 5, 1, 9, 30, tzinfo=UTC).timestamp()
     assert time_of("2024-05-01T09:30:00+02:00") == datetime(2024, 5, 1, 7, 30, tzinfo=UTC).timestamp()
     with pytest.raises(InputError, match=r"--begins: found yesterday, expected a time such as"):

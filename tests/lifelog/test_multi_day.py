@@ -36,7 +36,7 @@ def error(day, truth):
     return np.median(np.hypot(*(track.position - truth.position).T))
 
 
-def test_who_is_met_tells_where_one_is():
+def test_encounters_locate_a_walk():
     """Ben has his start alone and no compass; what his encounters know is a few metres each."""
     anna, ben, truth = side_by_side()
     alone = reconstruct("ben", "2023-11-14", {"ben": ben}, None)
@@ -46,7 +46,7 @@ def test_who_is_met_tells_where_one_is():
     assert error(of_anna, truth) < 2.0
 
 
-def test_who_met_nobody_has_the_day_that_they_have_alone():
+def test_a_day_without_encounters_is_unchanged():
     anna, ben, _ = side_by_side()
     made = reconstruct_together(days(("anna", anna), ("ben", ben)), {})
     for day, (name, one) in zip(made, (("anna", anna), ("ben", ben)), strict=True):
@@ -55,7 +55,7 @@ def test_who_met_nobody_has_the_day_that_they_have_alone():
         assert (day.profile is None) == (alone.profile is None)
 
 
-def test_an_encounter_on_another_day_is_none():
+def test_receptions_on_another_day_are_no_encounter():
     anna, ben, _ = side_by_side()
     later = replace(ben, epoch=NOON + 86400)
     made = reconstruct_together(days(("anna", anna), ("ben", later)), PHONES)

@@ -1,4 +1,4 @@
-"""The picture of a day: every place of it is on a map that is large enough to see it, whatever the day was."""
+"""The picture of a day: every part of the day is on a map that is large enough to show it."""
 
 from dataclasses import replace
 from zoneinfo import ZoneInfo
@@ -36,7 +36,7 @@ def test_walks_near_each_other_share_a_map():
     assert len(panels(day(outing(STROLL), later))) == 1
 
 
-def test_walks_far_apart_have_maps_of_their_own_beside_that_of_all():
+def test_walks_far_apart_have_enlarged_maps():
     later = outing(STROLL, epoch=MIDNIGHT + 15 * HOUR, start=(30_000.0, 0.0))
     whole, *places = panels(day(outing(STROLL), later))
     assert [panel.letter for panel in (whole, *places)] == ["A", "B", "C"]
@@ -48,7 +48,7 @@ def test_walks_far_apart_have_maps_of_their_own_beside_that_of_all():
 
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=20, deadline=None)
-def test_all_that_was_walked_is_on_some_map(seed):
+def test_every_walk_is_on_some_map(seed):
     """Each row lies within the corners of a map; none of that of all is missing."""
     random = np.random.default_rng(seed)
     outings = []
@@ -62,7 +62,7 @@ def test_all_that_was_walked_is_on_some_map(seed):
         assert ((way.position >= whole.corners[0]) & (way.position <= whole.corners[1])).all()
 
 
-def test_each_floor_has_a_map_with_what_was_on_it():
+def test_each_floor_has_a_map_of_its_own_tracks():
     made = day(indoors("1", MIDNIGHT + 9 * HOUR), indoors("2", MIDNIGHT + 10 * HOUR))
     made = replace(made, outings=(replace(made.outings[0], stays=(stay(0, 5, (20, 20), floor="1"),)), made.outings[1]))
     first, second = panels(made)
@@ -100,7 +100,7 @@ def test_every_day_can_be_drawn(made):
     assert figure.get_figheight() < 25
 
 
-def test_labels_hide_neither_each_other_nor_lie_beyond_their_map():
+def test_labels_do_not_overlap_and_stay_on_their_map():
     """As the renderer has them: many stays on one spot."""
     random = np.random.default_rng(2)
     stays = [stay(n, n + 1, random.normal(0, 40, 2), [(f"Shop number {n}", 0.9)]) for n in range(0, 590, 20)]
@@ -114,7 +114,7 @@ def test_labels_hide_neither_each_other_nor_lie_beyond_their_map():
         assert axes.bbox.contains(box.x1, box.y1)
 
 
-def test_a_map_says_how_long_its_bar_is():
+def test_the_scale_bar_has_the_length_of_its_label():
     figure = drawn(day(outing(STROLL)))
     axes = figure.axes[0]
     bar = next(line for line in axes.lines if line.get_linewidth() == 2.5)

@@ -1,4 +1,4 @@
-"""Private places: no byte of an export tells them, nor do many days of exports together."""
+"""Private places: neither a byte of an export reveals them, nor do many days of exports together."""
 
 import csv
 import json
@@ -90,7 +90,7 @@ def nearest(text, place=HOME):
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(20, 400), home=st.booleans())
 @settings(max_examples=25, deadline=None)
-def test_no_byte_of_an_export_tells_a_coordinate_in_a_cut_place(seed, radius, home):
+def test_no_byte_of_an_export_has_a_coordinate_in_a_cut_place(seed, radius, home):
     random = np.random.default_rng(seed)
     place = HOME if home else random.uniform(-300, 300, 2)  # which may lie on the way
     walk = replace(streets(random), stays=(stay(1.0, 30.0, place, [("Home", 0.9)]),))
@@ -104,7 +104,7 @@ def test_no_byte_of_an_export_tells_a_coordinate_in_a_cut_place(seed, radius, ho
 
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=25, deadline=None)
-def test_what_is_done_in_a_cut_place_changes_no_byte(seed):
+def test_activities_in_a_cut_place_change_no_byte(seed):
     """Where in it one was, for how long within a quarter of an hour, on which recording, and what one looked at."""
     random = np.random.default_rng(seed)
     [place] = hidden()
@@ -158,7 +158,7 @@ def test_a_recording_that_began_elsewhere_in_a_cut_place_gives_the_same_bytes():
     assert exported(one) == exported(other)
 
 
-def test_a_way_that_nobody_saw_does_not_tell_how_long_it_was():
+def test_the_length_of_a_hidden_path_is_not_revealed():
     """A gap from home is bridged by rows on the line that leads there."""
     made = outing([(STANDING, 100.0, 0.0), (GAP, 3000.0, 0.0), (WALKING, 600.0, 1.0)])
     track = made.trajectory
@@ -172,7 +172,7 @@ def test_a_way_that_nobody_saw_does_not_tell_how_long_it_was():
     assert exported(one) == exported(other)
 
 
-def test_a_short_visit_does_not_tell_how_far_it_led():
+def test_the_distance_of_a_short_hidden_visit_is_not_revealed():
     """Somebody went in, and came out of it at the same place: to the door or to the far end, the same is told."""
 
     def visit(seconds):
@@ -188,7 +188,7 @@ def test_a_short_visit_does_not_tell_how_far_it_led():
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(1, 5000), lat=st.floats(-80, 80), lon=st.floats(-179, 179))
 @settings(max_examples=50, deadline=None)
-def test_a_place_is_hidden_whole_always_alike_and_by_each_secret_elsewhere(seed, radius, lat, lon):
+def test_the_hidden_area_covers_the_place_and_depends_on_the_secret_alone(seed, radius, lat, lon):
     text = f"{lat:.6f},{lon:.6f},{radius:.1f}"
     (one,), (again,), (other,) = (hidden(text, secret=s) for s in (SECRET, SECRET, b"other"))
     assert shapely.covers(one.hidden, one.shape)
@@ -197,7 +197,7 @@ def test_a_place_is_hidden_whole_always_alike_and_by_each_secret_elsewhere(seed,
     assert shapely.area(one.hidden) == pytest.approx(4 * shapely.area(one.shape), rel=0.01)
 
 
-def test_who_finds_the_hidden_area_exactly_still_has_two_thirds_of_a_radius_to_go():
+def test_the_hidden_area_locates_the_place_to_two_thirds_of_a_radius():
     """As the module says: within ρ with a probability of (ρ/r)², over many secrets; 4 standard deviations of 500."""
     areas = [hidden(secret=n.to_bytes(4, "big"))[0] for n in range(500)]
     apart = np.array([shapely.distance(shapely.centroid(a.hidden), shapely.centroid(a.shape)) for a in areas]) / RADIUS
@@ -250,7 +250,7 @@ def guesses(hide, secrets, days):
 
 
 @pytest.mark.parametrize("days", [2, 6])
-def test_where_tracks_are_cut_tells_no_more_than_the_module_says(days):
+def test_the_ends_of_tracks_reveal_no_more_than_the_hidden_area(days):
     """On average 2/3 r from home, or √π r / √n by n ends of walks that lead as often anywhere; less 4 standard errors.
 
     A guess that is as good as the hidden area's middle is 2/3 r away with a variance of r²/18.
@@ -260,7 +260,7 @@ def test_where_tracks_are_cut_tells_no_more_than_the_module_says(days):
     assert (away.mean(axis=1) > bound - 4 * np.sqrt(1 / 18 / secrets)).all(), away.mean(axis=1)
 
 
-def test_a_plain_circle_would_tell_the_centre():
+def test_a_plain_circle_would_reveal_its_centre():
     """The control: the same attacks on what is cut without care."""
 
     def plainly(_):
@@ -271,7 +271,7 @@ def test_a_plain_circle_would_tell_the_centre():
     assert away.min(axis=0).max() < 0.05
 
 
-def test_no_track_points_at_what_it_is_cut_for_but_from_far_away():
+def test_no_track_points_at_a_hidden_area_nearby():
     [place] = hidden()
     checked = 0
     for seed in range(30):
@@ -302,7 +302,7 @@ def test_the_origin_of_a_frame_is_not_home():
     assert np.hypot(*(origin - home.from_lonlat(np.array([[lon, lat]]))[0])) < 800  # near what is shown: half of 0.01°
 
 
-def test_what_is_far_from_private_places_stays_as_it_is():
+def test_tracks_far_from_private_places_are_unchanged():
     far = outing([(WALKING, 300.0, 0.3), (STANDING, 100.0, 0.3)], start=(9000.0, 0.0), stays=[stay(300, 400)])
     far = replace(far, stays=(stay(301, 399, (9300.0, 100.0), [("Kiosk", 0.8)]),))
     [left], notes = without_private_places([day(far)], hidden(), hidden(said((0, -4000.0))))
@@ -314,7 +314,7 @@ def test_what_is_far_from_private_places_stays_as_it_is():
     assert after == pytest.approx(before, abs=1e-7)  # a centimetre: there and back through another origin
 
 
-def test_the_way_and_the_steps_are_of_what_is_left():
+def test_distance_and_steps_count_the_shown_parts():
     walk = streets(np.random.default_rng(1))
     [left], _ = without_private_places([day(walk)], hidden(), [])
     for part in left.outings:
@@ -324,7 +324,7 @@ def test_the_way_and_the_steps_are_of_what_is_left():
     assert left.profile is None
 
 
-def test_the_name_of_a_hidden_stay_is_nowhere_else():
+def test_the_name_of_a_hidden_stay_is_removed_everywhere():
     away = stay(1500.0, 1600.0, (1000.0, 0.0), [("Kiosk", 0.6), ("Grandma's", 0.3)])
     home = stay(0.0, 60.0, HOME, [("Grandma's", 0.9)])
     legs = [(STANDING, 60.0, 0.0), (WALKING, 1200.0, 0.0), (WALKING, 200.0, 1.5), (STANDING, 600.0, 1.5)]
@@ -352,21 +352,21 @@ def test_a_ride_through_a_cut_place_without_a_row_in_it_is_cut_too():
     assert all(shapely.distance(shapely.LineString(line), shapely.Point(where)) > 60 / 111_320 for line in lines)
 
 
-def test_what_nobody_can_place_is_left_out():
+def test_outings_without_absolute_position_are_left_out():
     walk = outing([(WALKING, 100.0, 0.0)], frame=NOWHERE)
     [left], [note] = without_private_places([day(walk)], hidden(), [])
     assert not left.outings
     assert "2024-05-01" in note
 
 
-def test_without_private_places_days_are_as_they_were():
+def test_days_are_unchanged_without_private_places():
     days = [day(streets(np.random.default_rng(0)))]
     assert without_private_places(days, [], []) == (days, [])
 
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(50, 800))
 @settings(max_examples=25, deadline=None)
-def test_a_blurred_place_tells_a_square_and_a_quarter_of_an_hour(seed, radius):
+def test_a_blurred_place_is_a_grid_square_per_quarter_of_an_hour(seed, radius):
     random = np.random.default_rng(seed)
     home = random.uniform(-400, 400, 2)
     legs = [(STANDING, float(random.uniform(0, 7200)), 0.0), *[(WALKING, 200.0, h * np.pi / 2) for h in (0, 0, 1, 0)]]
@@ -392,7 +392,7 @@ def test_a_blurred_place_tells_a_square_and_a_quarter_of_an_hour(seed, radius):
             assert np.abs(HERE.from_lonlat(part.frame.to_lonlat(s.position[None]))[0] - home).max() <= 1.01 * side / 2
 
 
-def test_blurred_rows_are_as_far_off_as_their_covariance_says():
+def test_the_covariance_of_blurred_rows_is_honest():
     """Over many homes: the mean square error of a square's middle, in units of its variance, is 1 per axis."""
     random, errors = np.random.default_rng(5), []
     for _ in range(200):
@@ -437,7 +437,7 @@ def test_areas_of_a_file_are_hidden(tmp_path):
         hidden(str(file))
 
 
-def test_names_are_those_of_a_plan():
+def test_places_are_looked_up_on_plans_by_name():
     plan = "maps/mall.geojson"
     from pdr_graph.floor.building import Building
 
@@ -453,7 +453,7 @@ def test_names_are_those_of_a_plan():
 @pytest.mark.parametrize(
     "text", ["95.0,10.0,100", "10.0,190.0,100", "1.0,2.0,0.1", "1.0,2.0,1e9", "nowhere.geojson", "1.0.0,2.0,3.0", ""]
 )
-def test_what_is_no_place_is_refused_rather_than_not_hidden(text):
+def test_a_text_that_is_no_place_is_refused(text):
     with pytest.raises(InputError):
         hidden(text)
 

@@ -70,7 +70,7 @@ def built_day(log):
         return store.day(person, date)
 
 
-def test_a_walk_with_ranges_and_no_fix_is_as_smooth_has_it(files, tmp_path):
+def test_a_walk_with_ranges_and_no_fix_equals_that_of_smooth(files, tmp_path):
     recording, paths, truth = files
     add(tmp_path / "log", [recording], RecordingOptions(**paths))
     assert build(tmp_path / "log").failures == ()
@@ -84,7 +84,7 @@ def test_a_walk_with_ranges_and_no_fix_is_as_smooth_has_it(files, tmp_path):
     ), "to the digits of the CSV"
 
 
-def test_a_control_without_ranges_is_lost(files, tmp_path):
+def test_control_the_walk_is_lost_without_ranges(files, tmp_path):
     recording, _, truth = files
     add(tmp_path / "log", [recording])
     build(tmp_path / "log")
@@ -162,7 +162,7 @@ def test_anchors_of_two_lists_are_merged_by_label():
     assert np.array_equal(twice.anchor, np.tile(one.anchor, 2))
 
 
-def test_recordings_in_different_frames_meet_in_the_first_one():
+def test_anchors_in_another_frame_are_converted_to_that_of_the_first_recording():
     first, truth = with_ranges(100, 2)
     [table] = first.measurements
     there = enu(48.101, 11.601)
@@ -176,14 +176,14 @@ def test_recordings_in_different_frames_meet_in_the_first_one():
     assert error(day.outings[0].trajectory, truth) < 0.3
 
 
-def test_ranges_say_where_a_walk_begins_rather_than_the_outing_before_it():
+def test_a_walk_with_ranges_does_not_begin_where_the_outing_before_ended():
     inside, truth = with_ranges(100, 3, epoch=NOON + 330.0, frame=Frame())
     day = reconstruct("me", "2023-11-14", {"watch": positions(300.0), "phone": inside}, None)
     assert day.outings[1].frame == Frame()
     assert error(day.outings[1].trajectory, truth) < 0.3
 
 
-def test_ranges_hold_a_walk_that_is_estimated_together_with_others():
+def test_ranges_are_used_when_walks_are_estimated_together():
     """Two people who met: the one with ranges stays where the ranges put the walk, and places the other."""
     from test_multi_day import PHONES, heard
 

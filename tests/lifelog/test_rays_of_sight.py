@@ -1,4 +1,4 @@
-"""What is looked at: by distance, side, direction and sight, with probabilities that are kept."""
+"""Places that a person faces: by distance, side, direction and line of sight, with honest probabilities."""
 
 import numpy as np
 import pytest
@@ -29,46 +29,46 @@ def facing(plan, place, heading, sigma=0.3, sigma_heading=0.1):
     return {"": 1 - sum(told.values())} | told
 
 
-def test_who_stands_close_before_a_front_and_faces_it_looks_at_it():
+def test_a_near_front_in_the_direction_of_the_heading_is_faced():
     told = facing(AISLE, (12, 3.3), NORTH)
     assert told["N1"] > 0.8
     assert told["N1"] > 10 * told[""]
 
 
-def test_who_turns_round_looks_at_the_other_side_and_is_less_sure_of_it():
+def test_the_opposite_heading_faces_the_other_side_less_certainly():
     told = facing(AISLE, (12, 3.3), SOUTH)
     assert max(told, key=told.get) == "S1"
     assert told["S1"] < facing(AISLE, (12, 3.3), NORTH)["N1"]
 
 
-def test_in_the_middle_of_the_aisle_the_side_is_as_the_heading_says():
+def test_the_heading_decides_the_side_in_the_middle_of_the_aisle():
     """And nobody can tell the sides apart without one."""
     assert facing(AISLE, (12, 2), NORTH)["N1"] > 5 * facing(AISLE, (12, 2), NORTH)["S1"]
     unknown = facing(AISLE, (12, 2), np.nan)
     assert unknown["N1"] == pytest.approx(unknown["S1"], rel=0.05)  # the fixed places are not the same on both sides
 
 
-def test_without_a_heading_the_nearer_front_is_likelier():
+def test_the_nearer_front_is_more_probable_without_a_heading():
     told = facing(AISLE, (12, 3.3), np.nan)
     assert max(told, key=told.get) == "N1"
 
 
-def test_between_two_fronts_it_may_be_either():
+def test_two_fronts_share_the_probability_of_a_position_between_them():
     told = facing(AISLE, (8, 3.3), NORTH)
     assert told["N0"] == pytest.approx(told["N1"], rel=0.1)  # as above
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0])
-def test_the_less_is_known_of_the_place_the_less_is_said(sigma):
+def test_probabilities_fall_with_the_certainty_of_the_position(sigma):
     assert facing(AISLE, (12, 3.3), NORTH, sigma)["N1"] > facing(AISLE, (12, 3.3), NORTH, 2 * sigma)["N1"]
 
 
-def test_far_from_everything_it_is_nothing():
+def test_nothing_is_faced_far_from_everything():
     hall = ("floor", "", shapely.box(0, 0, 60, 60)), ("shop", "far", shapely.box(0, 40, 60, 60))
     assert facing(hall, (30, 15), NORTH) == {"": 1.0}
 
 
-def test_nobody_looks_through_a_wall():
+def test_places_behind_a_wall_are_not_faced():
     """A line across the aisle hides what is behind it, and leaves what is before it."""
     wall = ("wall", "", shapely.LineString([(15.5, 0), (15.5, 4)]))
     kiosk = ("shop", "kiosk", shapely.box(16, 1, 17, 3))
@@ -76,7 +76,7 @@ def test_nobody_looks_through_a_wall():
     assert "kiosk" not in facing((*AISLE, kiosk, wall), (15, 2), EAST, sigma=0.1)
 
 
-def test_the_next_aisle_is_behind_the_shops():
+def test_positions_behind_shops_do_not_count():
     """However badly the place is known: nobody walks through a shop of 1 m to the aisle behind it."""
     plan = ("floor", "", shapely.box(0, 0, 40, 9)), ("shop", "between", shapely.box(0, 4, 40, 5))
     told = facing((*plan, ("shop", "behind", shapely.box(0, 8.5, 40, 9))), (20, 3), NORTH, sigma=2.0)
@@ -84,11 +84,11 @@ def test_the_next_aisle_is_behind_the_shops():
     assert "behind" not in told
 
 
-def test_a_place_that_was_estimated_within_a_shop_is_before_it():
+def test_a_position_inside_a_shop_is_moved_in_front_of_it():
     assert facing(AISLE, (12, 4.6), NORTH)["N1"] > 0.8
 
 
-def test_a_stand_drawn_as_a_point_is_looked_at_from_all_sides():
+def test_a_stand_drawn_as_a_point_is_faced_from_all_sides():
     plan = ("floor", "", shapely.box(0, 0, 20, 20)), ("place", "stand", shapely.Point(10, 10))
     told = [facing(plan, 10 + 1.2 * unit(angle), angle + np.pi)["stand"] for angle in np.arange(0, 6, 0.7)]
     assert min(told) > 0.75
@@ -97,7 +97,7 @@ def test_a_stand_drawn_as_a_point_is_looked_at_from_all_sides():
     assert away / (1 - away) < told[0] / (1 - told[0]) / 4
 
 
-def test_who_is_in_a_room_is_there_whichever_way_they_face():
+def test_a_person_in_a_room_is_at_the_room_with_any_heading():
     plan = (
         ("corridor", "", shapely.box(0, 0, 20, 2)),
         ("room", "library", shapely.box(0, 2, 10, 8)),
@@ -119,7 +119,7 @@ def test_a_shop_with_two_fronts_is_one_place():
     )
 
 
-def test_turning_the_world_changes_nothing():
+def test_probabilities_do_not_depend_on_the_orientation_of_the_frame():
     """But for the rays, which are fixed: two hundredths."""
     place, turn = np.array([9.0, 3.0]), 0.4
     turned = [(kind, name, shapely.transform(shape, lambda xy: xy @ rotation(turn).T)) for kind, name, shape in AISLE]
@@ -128,7 +128,7 @@ def test_turning_the_world_changes_nothing():
         assert one.get(name, 0.0) == pytest.approx(other.get(name, 0.0), abs=0.02)
 
 
-def test_where_one_stands_tells_where_one_faced():
+def test_the_correlation_of_position_and_heading_is_used():
     """Of a walker who may have walked by 20° to the left: then they stand further left, before another shop."""
     independent = np.diag([1.0, 1.0, 0.35**2])
     together = independent.copy()
@@ -138,7 +138,7 @@ def test_where_one_stands_tells_where_one_faced():
     assert told[1] > told[0] + 0.01
 
 
-def test_an_unknown_place_tells_nothing():
+def test_an_unknown_position_faces_nothing():
     assert facing(AISLE, (12, 2), NORTH, sigma=50.0) == {"": 1.0}
 
 
@@ -189,7 +189,7 @@ def excess(claimed):
     return np.abs(off).max()
 
 
-def test_what_is_stated_with_a_probability_is_right_so_often():
+def test_stated_probabilities_are_relative_frequencies():
     """Of people drawn from the model; and it is not where the place is claimed to be known twice as well."""
     assert excess(SIGMA) < 3.3  # of five bins at 99.5 %
     assert excess(SIGMA / 2) > 3.3

@@ -1,4 +1,4 @@
-"""A day from what its recordings tell."""
+"""A day from its observations."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -21,7 +21,7 @@ def day_of(*ones, profile=None):
     return reconstruct("me", "2023-11-14", {f"r{n}": one for n, one in enumerate(ones)}, profile)
 
 
-def test_every_second_of_an_outing_is_of_one_segment():
+def test_segments_cover_every_second_of_an_outing_once():
     one = walk(120)[0]
     two = replace(one, epoch=NOON + one.duration + 120)
     for day in (day_of(one, two), day_of(positions(1200.0)), day_of(one, positions(400.0, NOON + 2000))):
@@ -33,7 +33,7 @@ def test_every_second_of_an_outing_is_of_one_segment():
             assert {s.kind for s in outing.segments} <= set(KINDS)
 
 
-def test_what_nobody_recorded_is_a_gap_without_a_distance():
+def test_time_without_data_is_a_gap_without_a_distance():
     one = walk(120)[0]
     day = day_of(one, replace(one, epoch=NOON + one.duration + 300))
     [outing] = day.outings
@@ -44,7 +44,7 @@ def test_what_nobody_recorded_is_a_gap_without_a_distance():
     assert walked == pytest.approx(2 * day_of(one).total(WALKING)[1], rel=0.03), "as each by itself"
 
 
-def test_in_a_gap_nobody_is_certain():
+def test_the_position_is_uncertain_in_a_gap():
     """Half-way through ten minutes between two walks: metres to hundreds of them, as 1 m/s leaves it."""
     one = walk(120)[0]
     day = day_of(one, replace(one, epoch=NOON + one.duration + 590))
@@ -55,7 +55,7 @@ def test_in_a_gap_nobody_is_certain():
     assert len(gap_row) == 1
 
 
-def test_a_walk_without_a_position_begins_where_the_outing_before_it_ended():
+def test_a_walk_without_position_begins_where_the_outing_before_ended():
     """A watch that is put away, and a phone in a building half a minute later."""
     one = walk(120)[0]
     blind = observation(one.steps, one.fixes[:0], NOON + one.duration + 30, Frame())
@@ -65,7 +65,7 @@ def test_a_walk_without_a_position_begins_where_the_outing_before_it_ended():
     assert np.sqrt(inside.trajectory.covariance[0, 0, 0]) == pytest.approx(35.0, rel=0.3), "35 s at 1 m/s"
 
 
-def test_a_watch_beside_a_phone_places_its_walk():
+def test_the_positions_of_a_watch_locate_the_walk_of_a_phone():
     steps, fixes, truth = drawn_from_the_model(240, 4)
     phone = observation(steps, fixes[:0], frame=Frame())
     at = np.arange(4.0, truth.time[-1], 10.0)
@@ -79,7 +79,7 @@ def test_a_watch_beside_a_phone_places_its_walk():
     assert np.median(np.hypot(*(alone.trajectory.position - truth.position).T)) > 10.0
 
 
-def test_a_ride_is_no_walk_and_bends_none():
+def test_a_ride_is_no_walk_and_does_not_bend_one():
     """Two walks 5 km apart, and a phone that ran on in the car between them."""
     steps, fixes, truth = drawn_from_the_model(200, 6)
     ride = 400.0
@@ -106,7 +106,7 @@ def test_a_ride_is_no_walk_and_bends_none():
     assert np.median(apart) < 2.0
 
 
-def test_what_is_known_of_a_walker_sharpens_from_day_to_day_and_stays_honest():
+def test_the_profile_becomes_more_certain_from_day_to_day_and_stays_honest():
     """Ten days of one walker, whose stride is 12 % longer than thought, by few and poor fixes."""
     profile, sigmas, errors = None, [], []
     for seed in range(10):
@@ -124,7 +124,7 @@ def test_what_is_known_of_a_walker_sharpens_from_day_to_day_and_stays_honest():
     assert np.abs(errors[-3:]).max() < 3 * np.mean(sigmas[-3:])
 
 
-def test_a_walker_file_begins_the_profile():
+def test_a_walker_file_is_the_first_profile():
     one = walk(200, seed=8)[0]
     known = day_of(one).profile
     assert known is not None

@@ -1,4 +1,4 @@
-"""Rides within a walk with steps, told by the positions beside them."""
+"""Rides within a walk with steps, detected by the positions beside them."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
 
 @pytest.mark.parametrize("bumps", [0.0, 1.0])
 @pytest.mark.parametrize("every", [1, 5, 20])
-def test_a_ride_is_found_however_bumpy(bumps, every):
+def test_a_ride_is_detected_on_any_road(bumps, every):
     for seed in range(3):
         steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps, seed, every)
         ((found, left),) = detect_rides(steps, fixes)
@@ -56,7 +56,7 @@ def test_a_ride_is_found_however_bumpy(bumps, every):
         assert left == pytest.approx(end, abs=75)
 
 
-def test_a_ride_goes_on_after_a_stop_and_ends_with_a_walk():
+def test_a_ride_continues_after_a_stop_and_ends_with_a_walk():
     """Three minutes at a stop with nobody walking are a part of it; 130 m on foot to the next bus are not."""
     stop, change = [("bus", 300), ("stand", 180), ("bus", 300)], [("bus", 300), ("walk", 100), ("bus", 300)]
     for seed in range(3):
@@ -66,7 +66,7 @@ def test_a_ride_goes_on_after_a_stop_and_ends_with_a_walk():
         assert len(detect_rides(steps, fixes)) == 2
 
 
-def test_a_ride_underground_is_found():
+def test_a_ride_underground_is_detected():
     """No fix for its ten minutes."""
     steps, fixes, (begin, end), _ = walk_and_ride([("bus", 600)])
     heard = fixes[(fixes.time < begin - 5) | (fixes.time > end + 5)]
@@ -75,7 +75,7 @@ def test_a_ride_underground_is_found():
     assert left == pytest.approx(end, abs=45)
 
 
-def test_a_ride_without_any_step_is_all_there_is():
+def test_a_ride_without_any_step_is_detected():
     still = Steps(0.0, 600.0, *np.empty((7, 0)))
     place, _ = streets([("bus", 600)])
     found = detect_rides(still, seen(place))
@@ -108,7 +108,7 @@ def test_a_gap_in_the_recording_is_no_ride():
     assert not len(detect_rides(slept, fixes))
 
 
-def test_a_ride_is_one_row_that_leads_anywhere():
+def test_a_ride_is_one_row_with_a_wide_sigma():
     steps, _, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
     ridden = without_rides(steps, np.array([[begin, end]]))
     ((row,),) = np.nonzero(ridden.is_gap)

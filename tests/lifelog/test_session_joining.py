@@ -1,4 +1,4 @@
-"""Recordings that follow one another as one walk."""
+"""Recordings of a session joined to one walk."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def errors_of_the_second(parts, track):
     return np.hypot(*(track.position[own] - at).T)
 
 
-def test_nothing_is_lost_and_all_times_are_of_one_clock():
+def test_joined_recordings_have_all_rows_on_one_clock():
     (one, _), (two, _) = cut_in_two(100, 1, 8.0)
     both = join([one, two])
     begins = two.epoch - one.epoch
@@ -40,7 +40,7 @@ def test_nothing_is_lost_and_all_times_are_of_one_clock():
 
 
 @pytest.mark.parametrize("turned", [-2.0, 0.3, 2.8])
-def test_the_field_tells_how_far_somebody_turned_between_two_recordings(turned):
+def test_the_magnetic_field_determines_the_turn_between_two_recordings(turned):
     (one, _), (two, _) = cut_in_two(60, 1, 8.0, turned=turned)
     assert turn_by_field(one, two) == pytest.approx(turned, abs=1e-6)
     both = join([one, two])
@@ -48,7 +48,7 @@ def test_the_field_tells_how_far_somebody_turned_between_two_recordings(turned):
     assert both.steps.sigma_turn[gap] == pytest.approx([TURN_SIGMA])
 
 
-def test_a_field_of_another_place_tells_nothing():
+def test_the_field_of_another_place_determines_no_turn():
     (one, _), (two, _) = cut_in_two(60, 1, 8.0)
     stronger = replace(two, ends=replace(two.ends, field=2 * two.ends.field))
     assert turn_by_field(one, stronger) is None
@@ -56,7 +56,7 @@ def test_a_field_of_another_place_tells_nothing():
     assert both.steps.sigma_turn[both.steps.is_gap] == pytest.approx([GAP_SIGMA_TURN])
 
 
-def test_a_piece_without_fixes_is_laid_on_by_the_pause_and_the_field():
+def test_a_recording_without_fixes_is_located_by_the_restart_and_the_field():
     """Half of the walk has no fix; it starts where the other ended, and turned as the field says."""
     worse, better = [], []
     for seed in range(8):
@@ -70,7 +70,7 @@ def test_a_piece_without_fixes_is_laid_on_by_the_pause_and_the_field():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_somebody_who_walked_on_is_not_held_where_they_were(seed):
+def test_the_closure_is_rejected_if_the_walker_walked_on(seed):
     """20 m on in 14 s, seen by the fixes of both pieces: the closure lets go, and harms by less than 10 cm."""
     parts = cut_in_two(120, seed, 14.0, stood=False)
     both = join([one for one, _ in parts])
@@ -79,7 +79,7 @@ def test_somebody_who_walked_on_is_not_held_where_they_were(seed):
     assert np.max(harm) < 0.1
 
 
-def test_a_long_gap_binds_nothing():
+def test_a_long_gap_is_no_closure():
     (one, _), (two, _) = cut_in_two(60, 1, LONGEST_RESTART + 1)
     both = join([one, two])
     assert len(both.closures) == 0
@@ -87,7 +87,7 @@ def test_a_long_gap_binds_nothing():
     assert both.steps.sigma_length[gap] == pytest.approx([LONGEST_RESTART + 1], rel=1e-3), "1 m/s: they stand or walk"
 
 
-def test_pieces_in_different_frames_meet_in_the_first_one():
+def test_recordings_are_converted_to_the_frame_of_the_first():
     one = walk(60)[0]
     there = enu(48.101, 11.601)
     lonlat = HERE.to_lonlat(one.fixes.position)
@@ -98,7 +98,7 @@ def test_pieces_in_different_frames_meet_in_the_first_one():
     assert both.fixes.position[n:] == pytest.approx(one.fixes.position, abs=1e-3)
 
 
-def test_a_watch_s_positions_are_fixes_of_the_walk():
+def test_the_positions_of_a_watch_are_fixes_of_the_walk():
     one = observation(walk(120)[0].steps, positions(1.0).fixes[:0])
     watch = positions(60.0, NOON + 10.0)
     assert join([one], [watch]).fixes.time == pytest.approx(watch.fixes.time + 10.0)

@@ -1,4 +1,4 @@
-"""Which recordings of a day are one outing."""
+"""Which recordings of a day are one session."""
 
 from dataclasses import replace
 
@@ -22,13 +22,13 @@ def sizes(*ones):
     return [len(group.parts) for group in sessions_of(named(*ones))]
 
 
-def test_recordings_with_a_short_gap_are_one_outing_and_with_a_long_one_two():
+def test_a_short_gap_continues_a_session_and_a_long_one_ends_it():
     one = walk()[0]
     assert sizes(one, later(one, one.duration + LONGEST_GAP - 1)) == [2]
     assert sizes(one, later(one, one.duration + LONGEST_GAP + 1)) == [1, 1]
 
 
-def test_the_order_in_which_they_were_added_does_not_matter():
+def test_the_order_of_adding_does_not_matter():
     one = walk()[0]
     parts = [later(one, k * (one.duration + 5)) for k in range(4)]
     forth = sessions_of(dict(zip("abcd", parts, strict=True)))
@@ -36,30 +36,30 @@ def test_the_order_in_which_they_were_added_does_not_matter():
     assert [group.hashes for group in forth] == [group.hashes for group in back] == [("a", "b", "c", "d")]
 
 
-def test_another_plan_is_another_outing():
+def test_another_plan_is_another_session():
     one = walk()[0]
     assert sizes(one, later(one, one.duration + 5, plan="mall")) == [1, 1]
 
 
-def test_frames_that_cannot_be_brought_into_one_are_two_outings():
+def test_frames_that_cannot_be_converted_are_two_sessions():
     one = walk()[0]
     assert sizes(one, later(one, one.duration + 5, frame=Frame())) == [1, 1]
 
 
-def test_a_recording_without_any_position_goes_on_in_the_frame_of_the_one_before():
+def test_a_recording_without_position_continues_in_the_frame_of_the_one_before():
     one = walk()[0]
     lost = observation(one.steps, one.fixes[:0], one.epoch + one.duration + 5, Frame())
     assert sizes(one, lost) == [2]
 
 
-def test_of_two_recordings_at_one_time_the_earlier_counts_and_the_other_is_named():
+def test_the_later_of_two_simultaneous_recordings_is_left_out_with_a_note():
     one = walk()[0]
     [group] = sessions_of(named(one, later(one, 10.0, source="second phone")))
     assert len(group.parts) == 1
     assert any("second phone" in note for note in group.notes)
 
 
-def test_a_watch_beside_a_phone_gives_its_positions_to_the_walk_and_keeps_those_before_and_after():
+def test_positions_of_a_watch_are_split_between_the_walk_and_the_time_around_it():
     one = walk(120)[0]
     watch = positions(1000.0, NOON - 400.0)
     before, beside, after = sessions_of(named(one, watch))
@@ -72,20 +72,20 @@ def test_a_watch_beside_a_phone_gives_its_positions_to_the_walk_and_keeps_those_
     assert before.end < one.epoch < one.epoch + one.duration < after.epoch
 
 
-def test_positions_alone_are_outings_of_their_own():
+def test_positions_alone_are_sessions_of_their_own():
     one, two = positions(300.0), positions(300.0, NOON + 300.0 + LONGEST_GAP + 100)
     assert sizes(one, two) == [1, 1]
     assert np.allclose(sessions_of(named(one))[0].epoch, NOON)
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_a_day_without_recordings_or_with_one_position_has_no_outing(count):
+def test_a_day_without_recordings_or_with_one_position_has_no_session(count):
     one = positions(4.0)
     assert len(one.fixes) == 1
     assert sessions_of(named(*[one][:count])) == []
 
 
-def test_all_outings_are_in_order_of_time():
+def test_sessions_are_in_order_of_time():
     one = walk()[0]
     groups = sessions_of(named(later(one, 9000.0), positions(300.0, NOON + 4000), one))
     assert [group.epoch for group in groups] == sorted(group.epoch for group in groups)

@@ -1,4 +1,4 @@
-"""Where a walk stood and what it passed slowly, and what that was at."""
+"""Stays and slow passes of a walk, and the places that they face."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def likeliest(stay):
     return stay.facing[0][0]
 
 
-def test_a_pause_between_steps_is_a_stay_where_the_walk_was_then():
+def test_a_pause_between_steps_is_a_stay_at_the_position_of_the_walk():
     steps = walk((15, 0), (15, 20.0))
     (stay,) = stays_of(steps, track_of(steps), MALL, looking(steps, (15, LEFT)))
     assert (stay.start, stay.end) == pytest.approx((steps.time[14], steps.time[15] - steps.duration[15]))
@@ -74,21 +74,21 @@ def test_a_pause_between_steps_is_a_stay_where_the_walk_was_then():
 
 
 @pytest.mark.parametrize(("turn", "shop"), [(LEFT, "N1"), (RIGHT, "S1")])
-def test_it_is_at_the_shop_on_the_side_that_was_looked_at(turn, shop):
+def test_a_stay_is_at_the_shop_on_the_side_of_the_look(turn, shop):
     steps = walk((15, 0), (15, 20.0))
     (stay,) = stays_of(steps, track_of(steps), MALL, looking(steps, (15, turn)))
     assert likeliest(stay) == shop
     assert stay.facing[0][1] > 0.7
 
 
-def test_without_looks_less_is_said_of_which_side_it_was():
+def test_the_side_is_less_certain_without_looks():
     steps = walk((15, 0), (15, 20.0))
     (told,), (untold,) = (stays_of(steps, track_of(steps), MALL, looks) for looks in (looking(steps, (15, LEFT)), None))
     assert dict(untold.facing)["N1"] == pytest.approx(dict(untold.facing)["S1"], rel=0.05)
     assert untold.facing[0][1] < told.facing[0][1]
 
 
-def test_who_stands_before_the_first_step_and_after_the_last_stays_there():
+def test_standing_before_the_first_and_after_the_last_step_is_a_stay():
     steps = walk((20, 8.0))
     steps = replace(steps, end=steps.end + 30.0)
     first, last = stays_of(steps, track_of(steps), MALL, looking(steps))
@@ -117,7 +117,7 @@ def test_halts_at_two_shops_are_two_stays():
     assert [likeliest(stay) for stay in stays] == ["N1", "S1"]
 
 
-def test_what_nobody_recorded_is_no_stay():
+def test_a_gap_is_no_stay():
     """Ten minutes without a sensor, in which the walker may have gone anywhere."""
     first = walk((20, 0))
     steps = append_steps(
@@ -126,14 +126,14 @@ def test_what_nobody_recorded_is_no_stay():
     assert stays_of(steps, track_of(steps), MALL, looking(steps)) == ()
 
 
-def test_without_a_plan_only_a_long_wait_is_a_stay_and_faces_nothing():
+def test_only_a_long_wait_is_a_stay_without_a_plan():
     steps = walk((15, 0), (15, 20.0), (15, 90.0))
     (stay,) = stays_of(steps, track_of(steps), None, looking(steps))
     assert stay.end - stay.start == pytest.approx(90.0)
     assert stay.facing == ()
 
 
-def test_it_is_at_the_shops_of_its_floor():
+def test_a_stay_is_at_the_shops_of_its_floor():
     building = Building.of(aisle("1"), replace(aisle("2", "upper "), height=4.0))
     steps = walk((15, 0), (15, 20.0))
     for floor, shop in (("1", "N1"), ("2", "upper N1")):
@@ -141,7 +141,7 @@ def test_it_is_at_the_shops_of_its_floor():
         assert (stay.floor, likeliest(stay)) == (floor, shop)
 
 
-def test_a_slow_way_past_fronts_is_told_front_by_front():
+def test_a_slow_pass_is_split_by_front():
     """0.3 m a step from 22 to 38 m, nearer to the north: for 2 m past N2, 8 m past N3 and 6 m past N4."""
     steps = walk((30, 0), (53, 0, 0.3), (15, 0))
     track = track_of(steps)
@@ -161,13 +161,13 @@ def test_a_steady_walk_and_steps_before_a_halt_pass_nothing_slowly():
     assert stays_of(slow, track_of(slow), MALL, looking(slow)) == ()
 
 
-def test_a_slow_way_past_nothing_is_no_pass():
+def test_slow_walking_past_nothing_is_no_pass():
     hall = Area("floor", "", shapely.box(0, 0, 100, 100)), Area("shop", "far", shapely.box(0, 90, 100, 100))
     steps = walk((40, 0), (30, 0, 0.3))
     assert stays_of(steps, track_of(steps), Building.of(FloorPlan("1", hall, Frame())), looking(steps)) == ()
 
 
-def test_positions_alone_stay_where_they_stood_before_the_nearer_front():
+def test_a_stay_by_positions_alone_is_at_the_nearer_front():
     time = np.arange(0.0, 100.0, 1.0)
     way = np.interp(time, [0.0, 20.0, 80.0, 100.0], [1.0, 12.0, 12.0, 24.0])
     place = np.column_stack([way, np.full(100, 3.3)])
@@ -182,7 +182,7 @@ def test_positions_alone_stay_where_they_stood_before_the_nearer_front():
     assert stays_of_positions(track, segments[:1], MALL) == ()
 
 
-def test_rows_that_do_not_belong_together_are_refused():
+def test_numbers_of_rows_that_do_not_match_are_refused():
     steps = walk((15, 0), (15, 20.0))
     with pytest.raises(ValueError, match="trajectory: found 29 rows, expected 32"):
         stays_of(steps, track_of(walk((27, 0))), MALL)

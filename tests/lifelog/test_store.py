@@ -1,4 +1,4 @@
-"""The lifelog's file: a day comes back as it was, nobody else reads it, and what goes wrong costs nothing."""
+"""The store of a lifelog: values come back bit by bit, access is the owner's, and damage is reported in one line."""
 
 import os
 import resource
@@ -87,7 +87,7 @@ def test_an_observation_comes_back_bit_by_bit(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_damaged_bytes_are_no_noun(tmp_path, seed):
+def test_damaged_bytes_are_refused(tmp_path, seed):
     random, blob = np.random.default_rng(seed), bytearray(to_bytes(observation(tmp_path)))
     at = random.integers(2, len(blob))  # zlib's header has bits that say nothing
     blob[at] ^= 1 << random.integers(8)
@@ -131,7 +131,7 @@ def tables(path):
         return {name: database.execute(f"SELECT * FROM {name}").fetchall() for name in names}
 
 
-def test_plain_sql_says_where_somebody_stood(tmp_path):
+def test_plain_sql_reads_stays(tmp_path):
     with Store(tmp_path / "log", new=True) as log:
         taken(log, a_day(tmp_path))
     with closing(sqlite3.connect(tmp_path / "log")) as database:
@@ -143,7 +143,7 @@ def test_plain_sql_says_where_somebody_stood(tmp_path):
     assert found == [("2024-05-01 22:30:00", "a shop", 0.75)]
 
 
-def test_nobody_else_may_read_it(tmp_path):
+def test_only_the_owner_may_read_the_files(tmp_path):
     before = os.umask(0)  # everybody may read everything, were it not asked for otherwise
     try:
         with Store(tmp_path / "log", new=True) as log:
@@ -168,7 +168,7 @@ def refused(path, match, new=False):
     assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
-def test_what_is_no_lifelog_is_refused(tmp_path):
+def test_a_file_that_is_no_lifelog_is_refused(tmp_path):
     path = tmp_path / "log"
     refused(path, "no such file, expected a lifelog")
     path.write_text("time,x,y\n")
@@ -179,7 +179,7 @@ def test_what_is_no_lifelog_is_refused(tmp_path):
     refused(path, "another kind of file", new=True)
 
 
-def test_a_journal_is_no_lifelog(tmp_path):
+def test_a_journal_is_refused(tmp_path):
     from pdr_graph.online.journal import open_store
 
     open_store(tmp_path / "journal", {}, "OFF")[0].close()
@@ -194,7 +194,7 @@ def test_a_newer_version_is_refused(tmp_path):
     refused(tmp_path / "log", "format: found 99, expected 3, which this version reads: use the newer pdr_graph")
 
 
-def test_an_older_format_is_refused_and_left_as_it_is(tmp_path):
+def test_a_store_of_format_1_is_refused_and_unchanged(tmp_path):
     """A store of pdr_graph 0.1.0, compressed."""
     file = Path(__file__).with_name("store_format_1.z")
     (tmp_path / "log").write_bytes(zlib.decompress(file.read_bytes()))
@@ -224,7 +224,7 @@ def test_a_store_of_format_2_is_upgraded_and_loses_nothing(tmp_path):
     assert told(from_bytes(to_bytes(found))) == told(replace(found)), "it can be written again, in the new format"
 
 
-def test_one_process_opens_it(tmp_path):
+def test_one_process_at_a_time_opens_a_store(tmp_path):
     script = "import sys, pathlib; from pdr_graph.lifelog.store import Store; Store(pathlib.Path(sys.argv[1]))"
     with Store(tmp_path / "log", new=True):
         other = subprocess.run([sys.executable, "-c", script, tmp_path / "log"], capture_output=True, text=True)
@@ -232,7 +232,7 @@ def test_one_process_opens_it(tmp_path):
     Store(tmp_path / "log").close()
 
 
-def test_a_damaged_trajectory_is_told(tmp_path):
+def test_a_damaged_trajectory_is_refused(tmp_path):
     with Store(tmp_path / "log", new=True) as log:
         taken(log, a_day(tmp_path))
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
@@ -242,7 +242,7 @@ def test_a_damaged_trajectory_is_told(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_damaged_lifelog_is_refused_in_a_line_or_read(tmp_path, seed):
+def test_a_damaged_store_is_refused_in_one_line_or_read(tmp_path, seed):
     """What is damaged may be a number, or in a page that is not in use: then nothing tells."""
     random, path = np.random.default_rng(seed), tmp_path / "log"
     with Store(path, new=True) as log:
@@ -262,7 +262,7 @@ def test_a_damaged_lifelog_is_refused_in_a_line_or_read(tmp_path, seed):
     assert said or not seed % 2, "one that was cut short is told"
 
 
-def test_a_full_disk_costs_the_day_that_was_to_be_taken_in_and_nothing_else(tmp_path):
+def test_a_full_disk_costs_only_the_day_that_is_being_stored(tmp_path):
     path, limits = tmp_path / "log", resource.getrlimit(resource.RLIMIT_FSIZE)
     day = a_day(tmp_path)
     with Store(path, new=True) as log:
@@ -283,7 +283,7 @@ def test_a_full_disk_costs_the_day_that_was_to_be_taken_in_and_nothing_else(tmp_
         assert [entry.hash for entry in log.entries()] == ["b" * 64]
 
 
-def test_a_file_that_finds_no_room_is_not_there(tmp_path):
+def test_a_file_without_room_on_the_disk_leaves_the_earlier_one(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     cache.write(tmp_path / "day", b"before")
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))
@@ -310,7 +310,7 @@ def test_an_entry_has_the_columns_of_its_table(tmp_path):
     assert dict(row) == {name: value for name, value in vars(entry).items() if name != "options"} | expected
 
 
-def test_the_folder_beside_it_has_its_name(tmp_path):
+def test_the_folder_has_the_name_of_the_store(tmp_path):
     with Store(tmp_path / "my.days.db", new=True) as log:
         assert log.folder == Path(tmp_path / "my.days.db.d")
         assert not log.folder.exists()

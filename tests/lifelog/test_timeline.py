@@ -1,4 +1,4 @@
-"""A day as one list: nothing twice, nothing left out, and what was said is what was done."""
+"""The timeline of a day: it covers all time once, and table and text agree with the day."""
 
 import csv
 import io
@@ -36,7 +36,7 @@ legs = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(5, 400), st.floats
 
 @given(legs=legs, edges=st.lists(st.integers(0, 500), max_size=6, unique=True), slow=st.booleans())
 @settings(max_examples=100, deadline=None)
-def test_a_timeline_covers_all_time_once_and_keeps_the_way(legs, edges, slow):
+def test_a_timeline_covers_all_time_once_with_the_whole_distance(legs, edges, slow):
     """Wherever the stays are: entries follow one another, and their distances are the segments' in sum."""
     made = outing([(kind, float(seconds), heading) for kind, seconds, heading in legs])
     end = made.segments[-1].end
@@ -53,18 +53,18 @@ def test_a_timeline_covers_all_time_once_and_keeps_the_way(legs, edges, slow):
     assert sum(e.end - e.start for e in kept) >= sum(s.end - s.start for s in made.stays) - 1e-6
 
 
-def test_a_stay_replaces_the_standing_it_lies_in():
+def test_a_stay_replaces_the_standing_around_it():
     """Also where it begins some seconds after the standing, which is then part of the walk to it."""
     made = outing([(WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(112, 400)])
     assert told(day(made)) == [(WALKING, 112), (STAY, 288), (WALKING, 100)]
 
 
-def test_the_moments_by_which_two_detectors_differ_are_the_stays():
+def test_short_standing_beside_a_stay_belongs_to_the_stay():
     made = outing([(STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(2, 300)])
     assert told(day(made)) == [(STAY, 300), (WALKING, 100)]
 
 
-def test_short_standing_is_part_of_the_way_and_long_standing_is_not():
+def test_short_standing_is_part_of_the_walk_and_long_standing_is_not():
     made = outing([(WALKING, 100.0, EAST), (STANDING, 59.0, EAST), (WALKING, 100.0, EAST), (STANDING, 61.0, EAST)])
     assert told(day(made)) == [(WALKING, 259), (STANDING, 61)]
     made = outing([(VEHICLE, 100.0, EAST), (STANDING, 59.0, EAST), (VEHICLE, 100.0, EAST)])
@@ -73,13 +73,13 @@ def test_short_standing_is_part_of_the_way_and_long_standing_is_not():
     assert told(day(made)) == [(GAP, 100), (STANDING, 30), (GAP, 100)]  # no way to be part of
 
 
-def test_a_slow_pass_divides_a_walk_and_the_way():
+def test_a_slow_pass_divides_a_walk_and_its_distance():
     made = outing([(WALKING, 200.0, EAST)], stays=[stay(80, 100, passing=True)])
     assert told(day(made)) == [(WALKING, 80), (PASSING, 20), (WALKING, 100)]
     assert [e.distance for e in timeline(day(made))] == pytest.approx([80 * 1.25, 20 * 1.25, 100 * 1.25])
 
 
-def test_gaps_between_outings_are_gaps_whatever_order_they_are_given_in():
+def test_gaps_between_outings_are_entries_in_any_order_of_outings():
     morning = outing([(WALKING, 600.0, EAST)], epoch=NINE)
     noon = outing([(WALKING, 300.0, EAST)], epoch=NINE + 3 * 3600)
     assert told(day(noon, morning)) == [(WALKING, 600), (GAP, 10200), (WALKING, 300)]
@@ -87,7 +87,7 @@ def test_gaps_between_outings_are_gaps_whatever_order_they_are_given_in():
     assert told(day(morning, at_once)) == [(WALKING, 600), (WALKING, 300)]
 
 
-def test_the_table_says_when_in_the_zone_and_where_on_earth():
+def test_the_table_has_local_times_and_absolute_positions():
     made = outing(
         [(STANDING, 300.0, EAST)], stays=[stay(0, 300, (30.0, 40.0), [("A, B", 0.7), ("C", 0.25)], floor="F1")]
     )
@@ -102,7 +102,7 @@ def test_the_table_says_when_in_the_zone_and_where_on_earth():
     assert (float(row["x"]), float(row["y"]), float(row["sigma"])) == (30, 40, 2)
 
 
-def test_what_is_not_known_is_empty():
+def test_unknown_values_are_empty():
     made = outing([(WALKING, 100.0, EAST), (GAP, 100.0, EAST), (STANDING, 100.0, EAST)], frame=NOWHERE)
     walking, gap, standing = rows(day(made))
     assert gap["distance"] == gap["x"] == ""
@@ -112,14 +112,14 @@ def test_what_is_not_known_is_empty():
     assert (float(standing["x"]), float(standing["sigma"])) == (225, 1)
 
 
-def test_the_floors_of_a_walk_are_told_in_order():
+def test_the_floors_of_a_walk_are_in_order():
     made = outing([(WALKING, 100.0, EAST)])
     floor = tuple("1" if t < 40 else "" if t < 60 else "2" for t in made.trajectory.time)
     made = replace(made, trajectory=replace(made.trajectory, floor=floor))
     assert rows(day(made))[0]["floor"] == "1 > 2"
 
 
-def test_the_sums_are_the_segments_and_the_places_the_expected_time():
+def test_totals_are_those_of_segments_and_expected_times_at_places():
     stays = [stay(0, 600, facing=[("A", 0.8), ("B", 0.1)]), stay(700, 1000, facing=[("B", 0.6)])]
     walk = [(STANDING, 600.0, EAST), (WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (GAP, 50.0, EAST)]
     made = day(outing([*walk, (VEHICLE, 200.0, EAST)], stays=stays))
@@ -131,7 +131,7 @@ def test_the_sums_are_the_segments_and_the_places_the_expected_time():
     assert [name for name, _ in sums.places] == ["A", "B"]
 
 
-def test_names_of_a_plan_cannot_command_a_terminal():
+def test_control_characters_in_names_do_not_reach_the_terminal():
     """They are their makers' and may be anything."""
     made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
     text = as_text(day(made), timeline(day(made)), ZONE) + timeline_csv(timeline(day(made)), ZONE)
@@ -140,7 +140,7 @@ def test_names_of_a_plan_cannot_command_a_terminal():
     assert len(rows(day(made))) == 1
 
 
-def test_a_print_says_the_same_in_words():
+def test_the_text_agrees_with_the_table():
     stays = [stay(120, 720, (150.0, 0.0), [("Bakery", 0.8), ("Bank", 0.15)])]
     made = day(outing([(WALKING, 120.0, EAST), (STANDING, 600.0, EAST), (GAP, 300.0, NORTH)], stays=stays))
     text = as_text(made, timeline(made), ZONE)
@@ -154,7 +154,7 @@ def test_a_print_says_the_same_in_words():
 @pytest.mark.parametrize(
     ("seconds", "said"), [(0, "0 s"), (99, "99 s"), (99.6, "2 min"), (5940, "99 min"), (7500, "2 h 05 min")]
 )
-def test_times_are_said_as_one_says_them(seconds, said):
+def test_durations_have_usual_units(seconds, said):
     assert duration_text(seconds) == said
 
 

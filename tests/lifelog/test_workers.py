@@ -1,4 +1,4 @@
-"""Who does the work makes no difference; a process that dies costs what it worked on; a cluster that is none a line."""
+"""Workers: results do not depend on the process; a crash costs the item, an unusable cluster one line."""
 
 import os
 import pickle
@@ -39,7 +39,7 @@ def elsewhere(request):
     return {"workers": 2} if request.param == "processes" else {"scheduler": request.getfixturevalue("cluster")}
 
 
-def test_who_does_it_makes_no_difference(tmp_path, elsewhere):
+def test_the_number_and_kind_of_workers_make_no_difference(tmp_path, elsewhere):
     here, _ = added(tmp_path / "here", people=4, days=6)
     there, _ = added(tmp_path / "there", people=4, days=6)
     assert built(here) == built(there, **elsewhere) == BuildResult(24, 0, (), ())
@@ -47,7 +47,7 @@ def test_who_does_it_makes_no_difference(tmp_path, elsewhere):
     assert built(there, **elsewhere) == built(there) == BuildResult(0, 24, (), ())
 
 
-def test_a_day_that_fails_elsewhere_does_not_stop_the_others(tmp_path, elsewhere):
+def test_a_day_that_fails_in_a_worker_does_not_stop_the_others(tmp_path, elsewhere):
     here, _ = added(tmp_path / "here", people=2)
     there, paths = added(tmp_path / "there", people=2)
     paths["person1"][4].unlink()
@@ -60,7 +60,7 @@ def test_a_day_that_fails_elsewhere_does_not_stop_the_others(tmp_path, elsewhere
     assert [said.replace("/there/", "/here/") for said in result.refusals] == list(expected.refusals)
 
 
-def test_a_process_that_dies_costs_the_day_that_it_worked_on(tmp_path, elsewhere):
+def test_a_crashed_process_costs_only_its_day(tmp_path, elsewhere):
     log, _ = added(tmp_path)
     said = "person1, 2024-05-03: its worker process was killed or crashed"
     assert built(log, standin.dying, **elsewhere) == BuildResult(14, 0, (said,), ())
@@ -70,14 +70,14 @@ def test_a_process_that_dies_costs_the_day_that_it_worked_on(tmp_path, elsewhere
     assert content(log) == content(whole)
 
 
-def test_a_disk_that_is_full_elsewhere_ends_the_build(tmp_path):
+def test_a_full_disk_of_a_worker_ends_the_build(tmp_path):
     log, _ = added(tmp_path, people=2, days=2)
     with pytest.raises(OSError, match="large"):
         built(log, standin.filling, workers=2)
     assert built(log).failures == ()
 
 
-def test_a_recording_that_ends_its_process_is_refused(tmp_path):
+def test_a_recording_that_crashes_its_process_is_refused(tmp_path):
     log, paths = added(tmp_path, people=2, days=2)
     result = build(log, workers=2, observe=standin.dying_of("0-1.plt"), reconstruct=standin.reconstruct)
     assert (result.built, result.failures) == (3, ())
@@ -94,7 +94,7 @@ def told_threads(task):
         )
 
 
-def test_work_has_one_thread(elsewhere):
+def test_each_worker_has_one_thread(elsewhere):
     before = dict(os.environ)
     with fleet(**elsewhere) as there, fleet() as here:
         for crew in (here, there):
@@ -106,7 +106,7 @@ def test_work_has_one_thread(elsewhere):
     assert dict(os.environ) == before, "of this process for a while only"
 
 
-def test_a_task_is_paths_and_keys():
+def test_a_task_has_paths_and_keys_only():
     built_before = StoredDay("k" * 64, ("h" * 64,), standin.reconstruct("me", "2024-05-01", {}, None).profile)
     days = tuple(PlannedDay(f"2024-05-{d:02}", (("h" * 64, "k" * 64),), built_before) for d in range(MAX_TASK_SIZE))
     chain = DayChain("me", days, None, "/a/folder", "1")
@@ -114,7 +114,7 @@ def test_a_task_is_paths_and_keys():
 
 
 @given(st.lists(st.integers(1, 100), max_size=200), st.integers(1, 16))
-def test_tasks_are_of_about_twenty_days(sizes, workers):
+def test_tasks_have_about_twenty_days(sizes, workers):
     items = list(enumerate(sizes))
     tasks = pack(items, sizes, workers)
     assert sorted(item for task in tasks for item in task) == items, "each once"
@@ -140,7 +140,7 @@ def test_two_hundred_person_days_are_ten_tasks():
         ({"scheduler": "tcp://127.0.0.1:1"}, "found Timed out trying to connect"),
     ],
 )
-def test_a_cluster_that_is_none_is_refused(tmp_path, monkeypatch, options, said):
+def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, said):
     pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
     log, _ = added(tmp_path, people=1, days=1)
@@ -149,7 +149,7 @@ def test_a_cluster_that_is_none_is_refused(tmp_path, monkeypatch, options, said)
     assert built(log).built == 1
 
 
-def test_somebody_else_who_answers_is_refused(monkeypatch):
+def test_a_server_that_is_no_scheduler_is_refused(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -168,13 +168,13 @@ def test_a_cluster_without_workers_is_refused():
         pass
 
 
-def test_without_dask_the_extra_is_named(monkeypatch):
+def test_the_message_without_dask_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"found no Dask, expected the extra fleet"), fleet(scheduler="tcp://a:1"):
         pass
 
 
-def test_a_scheduler_that_ends_costs_a_line(tmp_path):
+def test_a_scheduler_that_ends_is_one_line(tmp_path):
     pytest.importorskip("distributed")
     log, _ = added(tmp_path, people=2, days=5)
     with socket.create_server(("127.0.0.1", 0)) as server:
