@@ -16,6 +16,7 @@ from matplotlib.patheffects import Normal, Stroke
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.errors import one_line
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Day, Outing, Stay, clipped, split_at_gaps
@@ -34,7 +35,7 @@ PANEL_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 @dataclass(frozen=True)
-class DrawnPart:
+class DrawnPart(OneLineRepr):
     """A part of an outing on a map, of one kind and on one floor; a gap has the rows before and after it.
 
     Times of the track are Unix times [s].
@@ -44,9 +45,12 @@ class DrawnPart:
     floor: str
     track: Trajectory
 
+    def _summary(self) -> list[str]:
+        return [self.kind, *filter(None, [self.floor]), repr(self.track)]
+
 
 @dataclass(frozen=True)
-class Panel:
+class Panel(OneLineRepr):
     """One map of a day.
 
     frame: of all positions; plan: path, "" without one; floor: label, "" for any; corners: ``(2, 2)`` of the shown area
@@ -62,6 +66,10 @@ class Panel:
     drawn: tuple[DrawnPart, ...]
     stays: tuple[Stay, ...]
     letter: str = ""
+
+    def _summary(self) -> list[str]:
+        names = [name for name in (self.letter, self.floor) if name]
+        return [*names, f"{self.width:.0f} m", count(len(self.ways), "outing"), count(len(self.stays), "stay")]
 
     @property
     def width(self) -> float:

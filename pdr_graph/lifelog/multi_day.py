@@ -17,6 +17,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS
 from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
@@ -81,13 +82,16 @@ AREA_RADIUS = 10_000.0  # [m] from an area's centre within which walks without a
 
 
 @dataclass(frozen=True)
-class PersonDay:
+class PersonDay(OneLineRepr):
     """The inputs of a day, as of `reconstruct.reconstruct`."""
 
     person: str
     date: str
     observations: Mapping[str, Observation]
     profile: Profile | None
+
+    def _summary(self) -> list[str]:
+        return [repr(self.person), self.date, count(len(self.observations), "recording")]
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.frames import enu
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog.day import (
@@ -52,7 +53,7 @@ MAX_LEG_ROWS = 1000  # rows among which a leg begins: half a kilometre of steps
 
 
 @dataclass(frozen=True)
-class HiddenRows:
+class HiddenRows(OneLineRepr):
     """The hidden rows of an outing. lonlat: ``(n, 2)`` [deg]; cut, blurred: ``(n,)``; broken: ``(n - 1,)`` True where
     the line between two rows crosses a hidden area.
     """
@@ -61,6 +62,9 @@ class HiddenRows:
     cut: Mask
     blurred: Mask
     broken: Mask
+
+    def _summary(self) -> list[str]:
+        return [f"{np.count_nonzero(self.cut)} cut, {np.count_nonzero(self.blurred)} blurred of {len(self.lonlat)}"]
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, SOLID
@@ -39,7 +40,7 @@ EXPECTED = "latitude,longitude,radius, the name of a shop or room on a plan of t
 
 
 @dataclass(frozen=True, eq=False)
-class PrivatePlace:
+class PrivatePlace(OneLineRepr):
     """A place, and the area that is hidden about it.
 
     name: in the user's words; frame: east-north about the place; shape: the place itself [m]; hidden: the area that is
@@ -51,6 +52,9 @@ class PrivatePlace:
     shape: shapely.Geometry
     hidden: shapely.Geometry
     radius: float
+
+    def _summary(self) -> list[str]:
+        return [repr(self.name), f"radius {self.radius:.0f} m"]
 
     def hides(self, lonlat: Array) -> Mask:
         """Mask ``(n,)`` of the positions ``(n, 2)``, longitude and latitude [deg], in the hidden area."""

@@ -16,6 +16,7 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
+from pdr_graph.columns import OneLineRepr, count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan
@@ -44,7 +45,7 @@ Facing = tuple[tuple[str, float], ...]  # as of `Stay`
 
 
 @dataclass(frozen=True, eq=False)
-class VisiblePlaces:
+class VisiblePlaces(OneLineRepr):
     """Visible places on a floor.
 
     names: of the places; start, way: ``(e, 2)`` start and vector of all edges that stop a look [m]; owner: ``(e,)``
@@ -63,6 +64,9 @@ class VisiblePlaces:
     walkable: shapely.Geometry
     tree: shapely.STRtree
 
+    def _summary(self) -> list[str]:
+        return [count(len(self.names), "place"), count(len(self.start), "edge"), count(len(self.room), "room")]
+
     @classmethod
     def of(cls, floor: FloorPlan) -> VisiblePlaces:
         """Construct from a floor plan; places with the same name are one place."""
@@ -72,14 +76,14 @@ class VisiblePlaces:
         drawn = [(_outline(a), names.index(a.name), a.is_polygon) for a in fronts]
         drawn += [(shape, -1, True) for shape in (floor.walkable, floor.cells.barriers) if not shapely.is_empty(shape)]
         edges = [_edges(shape) for shape, _, _ in drawn]
-        count = [len(e) for e in edges]
+        numbers = [len(e) for e in edges]
         edge = np.concatenate([np.empty((0, 2, 2)), *edges])
         return cls(
             names=names,
             start=edge[:, 0],
             way=edge[:, 1] - edge[:, 0],
-            owner=np.repeat(np.array([owner for _, owner, _ in drawn], dtype=np.intp), count),
-            solid=np.repeat(np.array([solid for _, _, solid in drawn], dtype=bool), count),
+            owner=np.repeat(np.array([owner for _, owner, _ in drawn], dtype=np.intp), numbers),
+            solid=np.repeat(np.array([solid for _, _, solid in drawn], dtype=bool), numbers),
             rooms=shapely.STRtree([a.shape for a in rooms]),
             room=np.array([names.index(a.name) for a in rooms], dtype=np.intp),
             walkable=floor.walkable,
@@ -176,10 +180,10 @@ def _linger_rate(distance: Array) -> Array:
     return np.where(distance < MAX_DISTANCE, np.exp(-np.maximum(distance - NEAR_DISTANCE, 0.0) / DECAY_DISTANCE), 0.0)
 
 
-def _normal_points(count: int) -> Array:
+def _normal_points(number: int) -> Array:
     """Points ``(n, 2)`` of equal weight that represent a standard normal distribution: a golden-angle spiral."""
-    rank = np.arange(count)
-    radius = np.sqrt(-2 * np.log1p(-(rank + 0.5) / count))
+    rank = np.arange(number)
+    radius = np.sqrt(-2 * np.log1p(-(rank + 0.5) / number))
     return radius[:, None] * unit(rank * np.pi * (3 - np.sqrt(5)))
 
 

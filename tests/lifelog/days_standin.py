@@ -21,7 +21,7 @@ FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of
 
 
 def recording(path, day=0.0, points=4, seed=0):
-    """A GeoLife file of a few points, ten seconds apart, so many days after FIRST."""
+    """Write a GeoLife file of a few points, ten seconds apart, `day` days after FIRST."""
     random = np.random.default_rng(seed)
     rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
     for n in range(points):
@@ -35,7 +35,7 @@ def recording(path, day=0.0, points=4, seed=0):
 
 
 def recordings(folder, people=3, days=5):
-    """Of each person one on each day; paths by person."""
+    """Write a recording of each person on each day; returns the paths by person."""
     return {
         f"person{p}": [recording(folder / f"{p}-{d}.plt", d, seed=100 * p + d) for d in range(days)]
         for p in range(people)
@@ -43,7 +43,7 @@ def recordings(folder, people=3, days=5):
 
 
 def outing(name, observation, scale=1.0):
-    """An outing of what was observed, scaled by what is known."""
+    """An outing at the fixes of an observation, scaled."""
     fixes = observation.fixes
     n = len(fixes)
     heading = np.linspace(0, 1, n)
@@ -66,7 +66,7 @@ def outing(name, observation, scale=1.0):
 
 
 def reconstruct(person, date, observations, profile):
-    """A day whose every number depends on all that it is made of, on the days before too."""
+    """A day in which every number depends on all its inputs, also on the days before."""
     scale = 1.0 if profile is None else 1.0 + profile.E_length
     outings = tuple(outing(name, observation, scale) for name, observation in observations.items())
     told = float(sum(o.trajectory.position.sum() for o in outings))
@@ -77,12 +77,12 @@ def reconstruct(person, date, observations, profile):
 
 
 def failing_on(*dates):
-    """The same, but on some dates."""
+    """`reconstruct` that fails on some dates."""
     return Failing(dates)
 
 
 class Failing:
-    """A class, so that it can be told to a worker."""
+    """A class, since workers need to pickle it."""
 
     def __init__(self, dates):
         self.dates = dates
@@ -94,19 +94,19 @@ class Failing:
 
 
 def dying(person, date, observations, profile):
-    """The same, but that one day of one person ends the process, as a crash in a library would."""
+    """`reconstruct` that ends the process on one day of one person, as a crash in a library would."""
     if (person, date) == ("person1", "2024-05-03"):
         os._exit(11)
     return reconstruct(person, date, observations, profile)
 
 
 def counting(folder):
-    """The same, but each day leaves a file that says how often it was made."""
+    """`reconstruct` that appends a line to a file per day."""
     return Counting(str(folder))
 
 
 class Counting:
-    """A class, so that it can be told to a worker."""
+    """A class, since workers need to pickle it."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -118,30 +118,30 @@ class Counting:
 
 
 def slow(person, date, observations, profile):
-    """The same, but long enough to be interrupted."""
+    """`reconstruct` that takes long enough to be interrupted."""
     clock.sleep(0.02)
     return reconstruct(person, date, observations, profile)
 
 
 def very_slow(person, date, observations, profile):
-    """The same, but so long that whoever is to end it meanwhile can."""
+    """`reconstruct` that takes long enough for the test to stop the scheduler."""
     clock.sleep(1.0)
     return reconstruct(person, date, observations, profile)
 
 
 def filling(person, date, observations, profile):
-    """The same, in a process that may write no more than a little from now on."""
+    """`reconstruct` in a process that can write only 100 bytes per file from then on."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
     return reconstruct(person, date, observations, profile)
 
 
 def dying_of(name):
-    """`observe`, but that one recording ends the process."""
+    """`observe` that ends the process on one recording."""
     return DyingOf(name)
 
 
 class DyingOf:
-    """A class, so that it can be told to a worker."""
+    """A class, since workers need to pickle it."""
 
     def __init__(self, name):
         self.name = name

@@ -13,7 +13,7 @@ HERE = enu(-35.0, -71.0)  # both below zero, as no time or distance is
 
 
 def walk_along(legs, start=(0.0, 0.0), floor="", sigma=1.0):
-    """A trajectory and its segments from ``(kind, seconds, heading [rad])`` legs: straight, each at its kind's pace."""
+    """A trajectory and its segments along straight ``(kind, seconds, heading [rad])`` legs, at each kind's pace."""
     time, place, heading, segments = [0.0], [np.array(start, dtype=float)], [legs[0][2]], []
     for kind, seconds, towards in legs:
         begin, origin, step = time[-1], place[-1], PACE[kind] * np.array([np.cos(towards), np.sin(towards)])
@@ -28,7 +28,7 @@ def walk_along(legs, start=(0.0, 0.0), floor="", sigma=1.0):
 
 
 def outing(legs, epoch=MIDNIGHT + 9 * 3600, frame=HERE, stays=(), plan="", **where):
-    """An outing along such legs, with a step per row that moves on."""
+    """An outing along legs; each row that moves is a step."""
     track, segments = walk_along(legs, **where)
     moved = np.hypot(*np.diff(track.position, axis=0).T) > 0
     return Outing(
@@ -46,12 +46,12 @@ def outing(legs, epoch=MIDNIGHT + 9 * 3600, frame=HERE, stays=(), plan="", **whe
 
 
 def stay(start, end, position=(0.0, 0.0), facing=(), passing=False, floor="", sigma=2.0):
-    """A stay, facing nowhere."""
+    """A stay with unknown heading."""
     return Stay(start, end, passing, np.array(position, float), sigma**2 * np.eye(2), np.nan, floor, tuple(facing))
 
 
 def day(*outings):
-    """Anna's."""
+    """A day of Anna."""
     return Day("Anna", "2024-05-01", outings)
 
 

@@ -21,14 +21,14 @@ def observation(steps: Steps | None, fixes: Fixes, epoch: float = NOON, frame: F
 
 
 def positions(seconds: float, epoch: float = NOON, every: float = 5.0, frame: Frame = HERE) -> Observation:
-    """A watch on somebody who goes east at 1.3 m/s."""
+    """The positions of a watch whose owner walks east at 1.3 m/s."""
     time = np.arange(0.0, seconds, every)
     fixes = Fixes(time, np.column_stack([1.3 * time, 0 * time]), np.full(len(time), 4.0), ("",) * len(time))
     return observation(None, fixes, epoch, frame)
 
 
 def walk(n: int = 60, seed: int = 0, epoch: float = NOON, **other):
-    """A walk drawn from the model, and its truth."""
+    """An observation of a walk drawn from the model, and the truth."""
     steps, fixes, truth = drawn_from_the_model(n, seed)
     return observation(steps, fixes, epoch, **other), truth
 
@@ -57,7 +57,7 @@ def cut_in_two(n: int, seed: int, gap: float, stood: bool = True, turned: float 
 
 
 def moved_to(fixes, truth, place, heading):
-    """A walk laid where it begins at a place and heading."""
+    """The fixes and the truth of a walk, moved to begin at a position and heading."""
     turn = heading - truth.heading[0]
     c, s = np.cos(turn), np.sin(turn)
     R = np.array([[c, s], [-s, c]])

@@ -27,7 +27,7 @@ def distance(segments, *kinds):
 
 
 def covers(segments, start, end):
-    """Segments follow one another without holes, no two neighbours are of one kind, and what is still goes nowhere."""
+    """Assert that segments are contiguous, neighbours differ in kind, and standing has no distance."""
     assert segments[0].start == pytest.approx(start)
     assert segments[-1].end == pytest.approx(end)
     for one, other in pairwise(segments):
@@ -43,7 +43,7 @@ def covers(segments, start, end):
 @pytest.mark.parametrize("every", [1, 5, 15])
 @pytest.mark.parametrize("noise", NOISE)
 def test_the_length_of_a_walk_is_right(noise, every):
-    """Within 5 %: who measures every 15 s misses 2 % at the corners; raw, the noise makes up to six times of it."""
+    """Within 5 %: a fix every 15 s misses 2 % at the corners; the raw track is up to six times too long."""
     place, _ = streets([("walk", 3600)])
     _, segments = follow_positions(seen(place, NOISE[noise], every))
     assert time_of(segments, WALKING) > 0.98 * 3600
@@ -70,7 +70,7 @@ def test_a_receiver_that_wanders_indoors_is_standing(sigma, lasts):
 
 
 def test_the_convergence_of_a_receiver_is_no_ride():
-    """After a gap it begins 200 m off and comes in within 15 s."""
+    """After a gap it is 200 m off, and converges within 15 s."""
     time = np.r_[np.arange(0, 900, 5), np.arange(1200, 2100, 5)]
     off = 200.0 * np.clip(1 - (np.arange(2100) - 1200) / 15, 0, 1) * (np.arange(2100) >= 1200)
     place = USUAL(2100, np.random.default_rng(0)) + off[:, None] * [0.8, 0.6]
@@ -79,7 +79,7 @@ def test_the_convergence_of_a_receiver_is_no_ride():
 
 
 def test_activities_of_a_day_are_separated():
-    """Walks, a bus with its stops, an office: nine tenths of each, and no kilometre more or less than 5 %."""
+    """Walks, a bus with its stops, an office: 90 % of each, and distances within 5 %."""
     place, done = streets(DAY)
     for every in (1, 5, 15):
         _, segments = follow_positions(seen(place, every=every))
@@ -92,7 +92,7 @@ def test_activities_of_a_day_are_separated():
 
 
 def test_laps_of_a_track_are_walking():
-    """They lead nowhere in the end, and still are no noise: 400 m round, for an hour."""
+    """An hour of laps of 400 m ends where it began, and is no noise."""
     angle = PACE * np.arange(3600) / (400 / 2 / np.pi)
     place = 400 / 2 / np.pi * np.column_stack([np.cos(angle), np.sin(angle)])
     _, segments = follow_positions(seen(place))
@@ -112,7 +112,7 @@ def test_outliers_do_not_lengthen_a_walk():
 
 
 def test_time_without_data_is_a_gap():
-    """Half an hour: shown as one, without a distance, and nobody knows where they were in its midst."""
+    """Half an hour is one gap without a distance, with a large covariance in its middle."""
     place, _ = streets([("walk", 1200), ("walk", 1800), ("walk", 1200)])
     time = np.r_[np.arange(0, 1200, 5), np.arange(3000, 4200, 5)]
     way, segments = follow_positions(logged(time, place + USUAL(len(place), np.random.default_rng(0))))
@@ -131,7 +131,7 @@ def test_time_without_data_is_a_gap():
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.sampled_from([0.0, 0.5, 1.0, 5.0, 30.0, 70.0, 3600.0]), max_size=60), st.integers(0, 99))
 def test_segments_cover_the_whole_recording(spans, seed):
-    """Any intervals, repeated times as well: no holes, and every long interval is within a gap."""
+    """Any intervals, also repeated times: no holes, and every long interval is within a gap."""
     time = np.concatenate([[100.0], 100.0 + np.cumsum(spans)])
     place = np.cumsum(np.random.default_rng(seed).normal(0, 4, (len(time), 2)), axis=0)
     way, segments = follow_positions(Fixes(time, place, np.full(len(time), SIGMA), ("F1",) * len(time)))
@@ -163,7 +163,7 @@ def test_segments_do_not_depend_on_the_orientation_of_the_frame():
 
 
 def paused(count, pause):
-    """Two bouts of so many steps, straight on, and a pause between them [s]."""
+    """Two straight bouts of steps with a pause between them [s]."""
     one = steps_of(np.full(count, 0.7), np.zeros(count))
     late = replace(one, start=one.end, end=one.end + pause + one.end, time=one.time + one.end + pause)
     return then(one, late)
@@ -185,7 +185,7 @@ def test_consecutive_steps_are_walking_and_pauses_are_standing():
 
 
 def test_a_segment_is_as_long_as_its_trajectory():
-    """Which the graph has scaled; not as long as the steps."""
+    """The graph may have scaled the trajectory; it is not as long as the steps."""
     steps = paused(40, 20.0)
     track = dead_reckon(steps)
     track = replace(track, position=1.1 * track.position)

@@ -25,7 +25,7 @@ HERE = Path(__file__).parent
 
 
 def added(folder, people=3, days=5):
-    """A lifelog of some people, each with a recording on each day; and the recordings by person."""
+    """A lifelog of some people with a recording on each day; and the recordings by person."""
     paths = standin.recordings(folder / "raw", people, days)
     for person, its in paths.items():
         add(folder / "log", its, person=person)
@@ -37,7 +37,7 @@ def built(log, reconstruct=standin.reconstruct, **options):
 
 
 def content(log):
-    """All that is in a lifelog, but for where its recordings are."""
+    """All rows of a lifelog, without the paths of its recordings."""
     with closing(sqlite3.connect(log)) as database:
         names = [name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
         rows = {name: sorted(database.execute(f"SELECT * FROM {name}").fetchall(), key=repr) for name in names}
@@ -45,8 +45,8 @@ def content(log):
     return rows
 
 
-def made(folder):
-    """How often each day was made, by what `counting` left."""
+def build_counts(folder):
+    """How often each day was reconstructed, by the files of `counting`."""
     return {file.name: len(file.read_text().splitlines()) for file in sorted(folder.iterdir())}
 
 
@@ -96,8 +96,8 @@ def test_a_new_day_is_the_only_one_built(tmp_path, counted):
     add(log, [standin.recording(tmp_path / "new.plt", 9)], person="person2")
     shutil.rmtree(tmp_path / "raw")
     assert built(log, make) == BuildResult(1, 12, (), ()), "and needs nothing of the others"
-    assert set(made(counted).values()) == {1}
-    assert len(paths) * 4 + 1 == len(made(counted))
+    assert set(build_counts(counted).values()) == {1}
+    assert len(paths) * 4 + 1 == len(build_counts(counted))
 
 
 def test_a_late_recording_changes_its_own_day_and_all_later_ones(tmp_path, counted):
@@ -105,7 +105,7 @@ def test_a_late_recording_changes_its_own_day_and_all_later_ones(tmp_path, count
     built(log, standin.counting(counted))
     add(log, [standin.recording(tmp_path / "late.plt", 2.01, seed=8)], person="person1")
     assert built(log, standin.counting(counted)) == BuildResult(3, 7, (), ())
-    again = [day for day, times in made(counted).items() if times == 2]
+    again = [day for day, times in build_counts(counted).items() if times == 2]
     assert again == ["person1 2024-05-03", "person1 2024-05-04", "person1 2024-05-05"]
     whole = tmp_path / "whole"
     shutil.copytree(tmp_path / "raw", whole / "raw")
@@ -120,7 +120,7 @@ def test_a_late_recording_changes_its_own_day_and_all_later_ones(tmp_path, count
     ("option", "days"), [("plan", 3), ("fixes", 3), ("walker", 1), ("floor", 1), ("content of the plan", 1)]
 )
 def test_changed_options_change_the_day(tmp_path, option, days, pytestconfig):
-    """And those after it, if it teaches something else now: positions do so in another frame, or with others."""
+    """Also the days after it, if its profile changes: by another frame, or by other positions."""
     log, paths = added(tmp_path, people=1)
     plan, walker, fixes = tmp_path / "plan.geojson", tmp_path / "walker.toml", tmp_path / "fixes.csv"
     shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
@@ -176,7 +176,7 @@ def test_a_day_that_fails_does_not_stop_the_others(tmp_path, counted):
     assert built(log, failing).failures == (f"person0, {said}", f"person1, {said}"), "it is tried again"
     assert built(log, failing) == BuildResult(0, 8, (f"person0, {said}", f"person1, {said}"), ())
     assert built(log, standin.counting(counted)) == BuildResult(6, 4, (), ())
-    assert {name[-2:] for name in made(counted)} == {"03", "04", "05"}
+    assert {name[-2:] for name in build_counts(counted)} == {"03", "04", "05"}
     other, _ = added(tmp_path / "other", people=2)
     built(other)
     assert content(other) == content(log), "as if it had never failed"

@@ -15,7 +15,7 @@ from pdr_graph.lifelog.ingest import add
 
 
 def run(*arguments):
-    """The installed command; its exit code, output and error lines."""
+    """Run the command line; returns its exit code, output and error lines."""
     command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     return done.returncode, done.stdout, done.stderr.strip().splitlines()

@@ -45,7 +45,7 @@ def test_the_page_opens_without_an_error_or_a_request(report):
 
 
 def test_the_slider_moves_the_walker_along_the_day(report):
-    """Where the outings' own tracks are: east at 1.25 m/s from (0, 0) at nine."""
+    """To the rows of the outings: east at 1.25 m/s from (0, 0) at nine."""
     report.slide(MIDNIGHT + 9 * HOUR + 200.0)
     assert np.hypot(*np.subtract(report.walker, (250.0, 0.0))) * report.metre < ARROW
     report.slide(LATE + 100.0)
@@ -70,7 +70,7 @@ def test_stays_have_names_and_probabilities(report):
 
 
 def test_the_page_has_no_file_names_hashes_or_paths():
-    """As little as the files beside it do."""
+    """Like the files beside it."""
     plan = outing([(WALKING, 20.0, 0.0)], plan="/home/anna/secret/mall.geojson", floor="1")
     said = page(content(day(plan, *made().outings), ZONE, [], [])).decode()
     written = said[said.index('type="application/json"') : said.index("plotly.js v")]
@@ -79,7 +79,7 @@ def test_the_page_has_no_file_names_hashes_or_paths():
 
 
 def test_a_change_of_daylight_saving_time_is_in_the_offsets():
-    """In Santiago clocks went back an hour as 6 April 2025 began: 03:00 UTC is 23:00 of the day before once more."""
+    """In Santiago clocks went back an hour at midnight of 6 April 2025: 03:00 UTC is 23:00 for the second time."""
     change = 1_743_908_400.0 + 4 * HOUR - HOUR * 4  # 2025-04-06T03:00Z
     late = outing([(WALKING, 1800.0, 0.0)], epoch=change - 900.0)
     offsets = content(day(late), ZONE, [], [])["offsets"]

@@ -33,7 +33,7 @@ NAMESPACE = "{http://www.topografix.com/GPX/1/1}"
 
 
 def shown(made):
-    """Rows that nothing interrupts: all of these days, whose gaps have none within."""
+    """The rows outside gaps."""
     return made.outings[0].trajectory
 
 
@@ -64,7 +64,7 @@ def test_an_outing_is_a_track():
 
 
 def test_a_gpx_is_valid_by_its_schema():
-    """Children in GPX 1.1's order, nothing of other namespaces but in extensions."""
+    """Children are in the order of GPX 1.1; other namespaces are in extensions only."""
     root = etree.fromstring(as_gpx([DAY]))
     order = ["wpt", "trk"], ["name", "trkseg"], ["time", "name", "extensions"]
     assert root.tag == NAMESPACE + "gpx"
@@ -103,7 +103,7 @@ def test_geojson_has_a_line_for_each_segment_and_a_point_for_each_stay():
 
 
 def test_consecutive_segments_share_a_point_except_at_a_gap():
-    """A segment may end between two rows: there both have a point, on the line between them."""
+    """Where a segment ends between two rows, both have an interpolated point."""
     made = outing([(WALKING, 10.0, 0.0), (STANDING, 10.0, 0.0)])
     walking, standing = made.segments
     made = replace(made, segments=(replace(walking, end=7.25), replace(standing, start=7.25)))
@@ -114,7 +114,7 @@ def test_consecutive_segments_share_a_point_except_at_a_gap():
 
 
 def test_a_csv_is_a_trajectory_in_unix_time(tmp_path):
-    """As our own reader has it; latitude and longitude beside it."""
+    """Our own reader reads it; latitude and longitude are beside it."""
     (tmp_path / "day.csv").write_bytes(as_csv(DAY))
     track, again = shown(DAY), read_trajectory(tmp_path / "day.csv")
     assert again.time == pytest.approx(DAY.outings[0].epoch + track.time)
@@ -145,7 +145,7 @@ def test_no_export_has_paths_of_recordings_or_plans():
 
 @pytest.fixture
 def store(tmp_path):
-    """A lifelog of two people: Anna's two days, and a day of Ben's which is nowhere on earth."""
+    """A lifelog of two people: two days of Anna, and a day of Ben without absolute position."""
     path, nowhere = tmp_path / "days.db", day(outing(WAY, frame=NOWHERE))
     with Store(path, new=True) as log:
         log.put_setting("zone", "America/Santiago")
@@ -220,7 +220,7 @@ def test_export_selects_days_by_date_and_person(store, tmp_path):
 
 
 def test_export_cuts_the_same_area_every_time(store, tmp_path):
-    """By the lifelog's own secret, so that many exports are as good as one."""
+    """The secret of the lifelog determines the area, so that many exports reveal no more than one."""
     lon, lat = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]
     place = f"{lat:.6f},{lon:.6f},60"  # a latitude below zero begins like an option
     contents = []

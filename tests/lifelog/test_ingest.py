@@ -21,7 +21,7 @@ def entries(path):
 
 
 def phyphox(folder, **options):
-    """A recording that is a folder of tables and has no date."""
+    """Write a recording that is a folder of tables without a date."""
     for name, text in recorders.phyphox(recorders.sample(), **options).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
@@ -117,7 +117,7 @@ def test_unreadable_files_do_not_stop_the_others(tmp_path):
 
 
 def test_a_recording_without_steps_and_positions_is_refused(tmp_path):
-    """A gyroscope alone, and a single position: no outing could ever be made of them. Fixes beside them are a way."""
+    """A gyroscope alone and a single position are refused; fixes beside the gyroscope are accepted."""
     folder, log = phyphox(tmp_path / "experiment"), tmp_path / "log"
     for file in folder.glob("*.csv"):
         if file.name != "Gyroscope.csv":

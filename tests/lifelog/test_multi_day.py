@@ -19,7 +19,7 @@ def heard(times, level=-55.0):
 
 
 def side_by_side(seed=3, n=240):
-    """Anna, whose phone knows where it is, and Ben beside her, whose phone does not; both, and the truth."""
+    """Anna, whose phone has fixes, and Ben beside her, whose phone has none; both, and the truth."""
     anna, truth = walk(n, seed)
     anna = replace(anna, bluetooth=heard(np.arange(5.0, anna.duration, 20.0)))
     start = anna.fixes[:1]
@@ -37,7 +37,7 @@ def error(day, truth):
 
 
 def test_encounters_locate_a_walk():
-    """Ben has his start alone and no compass; what his encounters know is a few metres each."""
+    """Ben has a fix at his start and no compass; each encounter is good to a few metres."""
     anna, ben, truth = side_by_side()
     alone = reconstruct("ben", "2023-11-14", {"ben": ben}, None)
     of_anna, of_ben = reconstruct_together(days(("anna", anna), ("ben", ben)), PHONES)
@@ -64,7 +64,7 @@ def test_receptions_on_another_day_are_no_encounter():
 
 
 def test_the_order_of_people_does_not_matter():
-    """To 30 cm: the segments of a common calibration are cut elsewhere."""
+    """To 30 cm: the segments of calibration begin elsewhere."""
     anna, ben, _ = side_by_side()
     forth = reconstruct_together(days(("anna", anna), ("ben", ben)), PHONES)
     back = reconstruct_together(days(("ben", ben), ("anna", anna)), PHONES)[::-1]

@@ -25,7 +25,7 @@ def indoors(floor, epoch, start=(20.0, 20.0)):
 
 
 def drawn(made):
-    """The picture, drawn, with its size in pixels."""
+    """The picture of a day, drawn."""
     figure = picture(made, ZONE)
     figure.canvas.draw()
     return figure
@@ -49,7 +49,7 @@ def test_walks_far_apart_have_enlarged_maps():
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=20, deadline=None)
 def test_every_walk_is_on_some_map(seed):
-    """Each row lies within the corners of a map; none of that of all is missing."""
+    """Each row is within the corners of a map; the map of everything has all."""
     random = np.random.default_rng(seed)
     outings = []
     for n in range(random.integers(1, 4)):
@@ -101,7 +101,7 @@ def test_every_day_can_be_drawn(made):
 
 
 def test_labels_do_not_overlap_and_stay_on_their_map():
-    """As the renderer has them: many stays on one spot."""
+    """Measured by the renderer, with many stays on one spot."""
     random = np.random.default_rng(2)
     stays = [stay(n, n + 1, random.normal(0, 40, 2), [(f"Shop number {n}", 0.9)]) for n in range(0, 590, 20)]
     figure = drawn(day(outing(STROLL, stays=stays)))

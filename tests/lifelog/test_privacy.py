@@ -39,7 +39,7 @@ def hidden(*places, secret=SECRET):
 
 
 def streets(random, minutes=20, start=HOME):
-    """Legs of somebody who leaves for anywhere in a town of blocks, most often on."""
+    """Legs in a town of blocks, in random directions, mostly straight on."""
     heading = random.integers(4) * np.pi / 2
     legs = []
     while sum(seconds for _, seconds, _ in legs) < 60 * minutes:
@@ -49,7 +49,7 @@ def streets(random, minutes=20, start=HOME):
 
 
 def backwards(walk):
-    """The same way to where it began."""
+    """The same legs back to the start."""
     end = walk.trajectory.time[-1]
     track = replace(walk.trajectory, time=end - walk.trajectory.time[::-1], position=walk.trajectory.position[::-1])
     segments = [replace(s, start=end - s.end, end=end - s.start) for s in walk.segments[::-1]]
@@ -57,13 +57,13 @@ def backwards(walk):
 
 
 def exported(days):
-    """All that can be given away of some days."""
+    """The exports of days in all formats."""
     tables = [text for own in days for text in (as_csv(own).decode(), timeline_csv(timeline(own), ZONE))]
     return "\n".join([as_gpx(days).decode(), as_geojson(days).decode(), *tables])
 
 
 def in_degrees(text):
-    """Without the columns of metres, which may look like degrees; they are told from the frame's origin, below."""
+    """The text without columns of metres, which may look like degrees; they are tested by the frame's origin below."""
     names: list[str] = []
     lines = []
     for line in text.split("\n"):
@@ -74,8 +74,8 @@ def in_degrees(text):
     return "\n".join(lines)
 
 
-def places_told(text):
-    """Every two numbers ``(n, 2)`` within a line, a tag or a bracket that could be a longitude and a latitude there."""
+def coordinates_in(text):
+    """All pairs of numbers ``(n, 2)`` in a line, tag or bracket that could be a longitude and a latitude nearby."""
     units = [unit for unit in re.split(r"[\n<>\[\]{}]+", text) if "-34." in unit or "-35." in unit]
     numbers = [[float(n) for n in re.findall(r"-?\d+\.\d+", unit)] for unit in units]
     pairs = [(lon, lat) for own in numbers for lat in own if abs(lat + 35) < 0.5 for lon in own if abs(lon + 71) < 0.5]
@@ -83,8 +83,8 @@ def places_told(text):
 
 
 def nearest(text, place=HOME):
-    """How near the places that a text tells come to one. [m]"""
-    told = places_told(in_degrees(text))
+    """Distance of the nearest coordinates in a text from a place [m]."""
+    told = coordinates_in(in_degrees(text))
     return float(np.hypot(*(HERE.from_lonlat(told) - place).T).min()) if len(told) else np.inf
 
 
@@ -105,7 +105,7 @@ def test_no_byte_of_an_export_has_a_coordinate_in_a_cut_place(seed, radius, home
 @given(seed=st.integers(0, 10**6))
 @settings(max_examples=25, deadline=None)
 def test_activities_in_a_cut_place_change_no_byte(seed):
-    """Where in it one was, for how long within a quarter of an hour, on which recording, and what one looked at."""
+    """Positions, durations within a quarter of an hour, recordings and looks in it."""
     random = np.random.default_rng(seed)
     [place] = hidden()
     out = streets(random)
@@ -114,7 +114,7 @@ def test_activities_in_a_cut_place_change_no_byte(seed):
     first = 1 + inside[np.flatnonzero(np.diff(inside, append=np.inf) > 1)[0]]  # the first row outside
 
     def moved(walk, rows):
-        """Hidden rows elsewhere in the place."""
+        """The outing with its hidden rows elsewhere in the place."""
         position = walk.trajectory.position.copy()
         position[rows] = place.frame.from_lonlat(HERE.to_lonlat(position[rows])) * 0.3 + random.uniform(-40, 40, 2)
         return replace(walk, trajectory=replace(walk.trajectory, position=position))
@@ -130,12 +130,12 @@ def test_activities_in_a_cut_place_change_no_byte(seed):
 
 
 def without_distances(text):
-    """But for what rounding may do to sums that were shared out."""
+    """The text without distances, in which rounding may differ."""
     return re.sub(r'(?<="distance": )[\d.]+|(?<=walking,)[\d.]+', "", text)
 
 
 def test_a_recording_that_began_elsewhere_in_a_cut_place_gives_the_same_bytes():
-    """Or earlier: else the time to the first row would say how far from home it is."""
+    """Also one that began earlier: the time to the first row would reveal the distance from home."""
     legs = [(WALKING, 900.0, 0.0), (WALKING, 600.0, np.pi / 2)]
     whole = outing(legs)
     late = whole.trajectory.time >= 60
@@ -159,7 +159,7 @@ def test_a_recording_that_began_elsewhere_in_a_cut_place_gives_the_same_bytes():
 
 
 def test_the_length_of_a_hidden_path_is_not_revealed():
-    """A gap from home is bridged by rows on the line that leads there."""
+    """A gap that begins at home is bridged by rows on the line to it."""
     made = outing([(STANDING, 100.0, 0.0), (GAP, 3000.0, 0.0), (WALKING, 600.0, 1.0)])
     track = made.trajectory
     bridge = np.arange(400.0, 3000.0, 300.0)
@@ -173,7 +173,7 @@ def test_the_length_of_a_hidden_path_is_not_revealed():
 
 
 def test_the_distance_of_a_short_hidden_visit_is_not_revealed():
-    """Somebody went in, and came out of it at the same place: to the door or to the far end, the same is told."""
+    """A visit to the door and one to the far end, through the same entrance, have the same export."""
 
     def visit(seconds):
         into = [(WALKING, 900.0, 0.0), (WALKING, seconds / 2, np.pi / 2), (WALKING, seconds / 2, -np.pi / 2)]
@@ -198,7 +198,7 @@ def test_the_hidden_area_covers_the_place_and_depends_on_the_secret_alone(seed, 
 
 
 def test_the_hidden_area_locates_the_place_to_two_thirds_of_a_radius():
-    """As the module says: within ρ with a probability of (ρ/r)², over many secrets; 4 standard deviations of 500."""
+    """Within ρ with a probability of (ρ/r)², over 500 secrets, to 4 standard deviations."""
     areas = [hidden(secret=n.to_bytes(4, "big"))[0] for n in range(500)]
     apart = np.array([shapely.distance(shapely.centroid(a.hidden), shapely.centroid(a.shape)) for a in areas]) / RADIUS
     assert apart.mean() == pytest.approx(2 / 3, abs=4 * np.sqrt(1 / 18) / np.sqrt(500))
@@ -207,7 +207,7 @@ def test_the_hidden_area_locates_the_place_to_two_thirds_of_a_radius():
 
 
 def ends(days):
-    """Where tracks that lead from home begin and tracks that lead home end, and the way there ``(n, 2)`` each."""
+    """Where tracks from home begin and tracks to home end, and the tracks there ``(n, 2)`` each."""
     found = []
     for walk in (o for own in days for o in own.outings):
         track = HERE.from_lonlat(walk.frame.to_lonlat(walk.trajectory.position))
@@ -227,7 +227,7 @@ def middle(points, _):
 
 
 def where_lines_meet(points, ways):
-    """The place that is nearest to all lines."""
+    """The point nearest to all lines."""
     ways = ways / np.hypot(*ways.T)[:, None]
     across = np.eye(2) - ways[:, :, None] * ways[:, None, :]
     return np.linalg.lstsq(across.sum(0), np.einsum("nij,nj->i", across, points), rcond=None)[0]
@@ -237,7 +237,7 @@ ATTACKS = (centre_of_circle, middle, where_lines_meet)
 
 
 def guesses(hide, secrets, days):
-    """How far each attack's guesses are from home ``(attacks, secrets)``, in radii, by so many days' exports."""
+    """Distance of each attack's guess from home ``(attacks, secrets)`` in radii, from the exports of some days."""
     found = []
     for n in range(secrets):
         random = np.random.default_rng(n)
@@ -261,7 +261,7 @@ def test_the_ends_of_tracks_reveal_no_more_than_the_hidden_area(days):
 
 
 def test_a_plain_circle_would_reveal_its_centre():
-    """The control: the same attacks on what is cut without care."""
+    """The control: the same attacks on tracks cut at a plain circle."""
 
     def plainly(_):
         shape = shapely.Point(0, 0).buffer(RADIUS, quad_segs=64)
@@ -289,7 +289,7 @@ def test_no_track_points_at_a_hidden_area_nearby():
 
 
 def test_the_origin_of_a_frame_is_not_home():
-    """Else x and y beside latitude and longitude would tell it: the first position of all is often at home."""
+    """The first position is often at home; x and y beside latitude and longitude would reveal it."""
     home = enu(-35.00341, -71.00482)
     walk = replace(streets(np.random.default_rng(3)), frame=home)
     [left], _ = without_private_places([day(walk)], hidden("-35.00341,-71.00482,150"), [])
@@ -333,7 +333,7 @@ def test_the_name_of_a_hidden_stay_is_removed_everywhere():
 
 
 def test_a_ride_through_a_cut_place_without_a_row_in_it_is_cut_too():
-    """A straight line over it would be drawn through it."""
+    """A straight line through the place would be drawn."""
     walk = outing([(VEHICLE, 400.0, 0.0)], start=(-2000.0, 0.0))
     sparse = slice(0, None, 160)  # 800 m apart
     track = walk.trajectory
@@ -393,7 +393,7 @@ def test_a_blurred_place_is_a_grid_square_per_quarter_of_an_hour(seed, radius):
 
 
 def test_the_covariance_of_blurred_rows_is_honest():
-    """Over many homes: the mean square error of a square's middle, in units of its variance, is 1 per axis."""
+    """Over many homes the mean square error of a square's middle is 1 variance per axis."""
     random, errors = np.random.default_rng(5), []
     for _ in range(200):
         home = random.uniform(-2000, 2000, 2)

@@ -22,7 +22,7 @@ def fronts_of(*areas):
 
 
 def facing(plan, place, heading, sigma=0.3, sigma_heading=0.1):
-    """What is faced from a place, by name; "" is nothing."""
+    """Probabilities of the places faced from a position, by name; "" for none."""
     covariance = np.diag([sigma**2, sigma**2, sigma_heading**2])
     told = dict(fronts_of(*plan).facing(np.array(place, float), heading, covariance))
     assert all(0 < p <= 1 for p in told.values())
@@ -42,7 +42,7 @@ def test_the_opposite_heading_faces_the_other_side_less_certainly():
 
 
 def test_the_heading_decides_the_side_in_the_middle_of_the_aisle():
-    """And nobody can tell the sides apart without one."""
+    """Without a heading both sides are equally probable."""
     assert facing(AISLE, (12, 2), NORTH)["N1"] > 5 * facing(AISLE, (12, 2), NORTH)["S1"]
     unknown = facing(AISLE, (12, 2), np.nan)
     assert unknown["N1"] == pytest.approx(unknown["S1"], rel=0.05)  # the fixed places are not the same on both sides
@@ -69,7 +69,7 @@ def test_nothing_is_faced_far_from_everything():
 
 
 def test_places_behind_a_wall_are_not_faced():
-    """A line across the aisle hides what is behind it, and leaves what is before it."""
+    """A line across the aisle hides the places behind it only."""
     wall = ("wall", "", shapely.LineString([(15.5, 0), (15.5, 4)]))
     kiosk = ("shop", "kiosk", shapely.box(16, 1, 17, 3))
     assert facing((*AISLE, kiosk), (15, 2), EAST)["kiosk"] > 0.7
@@ -77,7 +77,7 @@ def test_places_behind_a_wall_are_not_faced():
 
 
 def test_positions_behind_shops_do_not_count():
-    """However badly the place is known: nobody walks through a shop of 1 m to the aisle behind it."""
+    """With any uncertainty: shops of 1 m separate the next aisle."""
     plan = ("floor", "", shapely.box(0, 0, 40, 9)), ("shop", "between", shapely.box(0, 4, 40, 5))
     told = facing((*plan, ("shop", "behind", shapely.box(0, 8.5, 40, 9))), (20, 3), NORTH, sigma=2.0)
     assert "between" in told
@@ -120,7 +120,7 @@ def test_a_shop_with_two_fronts_is_one_place():
 
 
 def test_probabilities_do_not_depend_on_the_orientation_of_the_frame():
-    """But for the rays, which are fixed: two hundredths."""
+    """To 0.02, since the directions of the rays are fixed."""
     place, turn = np.array([9.0, 3.0]), 0.4
     turned = [(kind, name, shapely.transform(shape, lambda xy: xy @ rotation(turn).T)) for kind, name, shape in AISLE]
     one, other = facing(AISLE, place, NORTH + 0.3), facing(turned, rotation(turn) @ place, NORTH + 0.3 + turn)
@@ -129,7 +129,7 @@ def test_probabilities_do_not_depend_on_the_orientation_of_the_frame():
 
 
 def test_the_correlation_of_position_and_heading_is_used():
-    """Of a walker who may have walked by 20° to the left: then they stand further left, before another shop."""
+    """A walk that may be rotated by 20° to the left would also end farther left, before another shop."""
     independent = np.diag([1.0, 1.0, 0.35**2])
     together = independent.copy()
     together[0, 2] = together[2, 0] = -0.9 * 0.35  # the more to the left they faced, the further west they stand
@@ -143,10 +143,10 @@ def test_an_unknown_position_faces_nothing():
 
 
 def draws(random, count, sigma):
-    """People who stopped, drawn one after the other as the module says that they do, by shapely alone.
+    """People who stopped, drawn as the module describes, with shapely alone.
 
-    Anywhere in the aisle, turned anywhere: for nothing, or for the first thing that a look meets if it is near enough.
-    Returns measured poses ``(n, 3)`` and what they truly looked at.
+    They stand anywhere in the aisle with any heading, for nothing or for the first thing that a look meets nearby.
+    Returns measured poses ``(n, 3)`` and what they looked at.
     """
     solid = [(name, shape) for kind, name, shape in AISLE if kind == "shop"]
     poses, names = [], []
@@ -170,7 +170,7 @@ SIGMA = 2.5  # [m] per axis of a poor estimate, with which much can go wrong
 
 
 def excess(claimed):
-    """By how many standard deviations right answers are more or fewer than was stated, in the worst bin."""
+    """Difference of the right answers from the stated probabilities in the worst bin [standard deviations]."""
     random = np.random.default_rng(1)
     poses, names = draws(random, 400, SIGMA)
     plan = fronts_of(*AISLE)
@@ -190,6 +190,6 @@ def excess(claimed):
 
 
 def test_stated_probabilities_are_relative_frequencies():
-    """Of people drawn from the model; and it is not where the place is claimed to be known twice as well."""
+    """For people drawn from the model; not so if the position is stated twice as certain (the control)."""
     assert excess(SIGMA) < 3.3  # of five bins at 99.5 %
     assert excess(SIGMA / 2) > 3.3

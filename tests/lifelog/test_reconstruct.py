@@ -45,7 +45,7 @@ def test_time_without_data_is_a_gap_without_a_distance():
 
 
 def test_the_position_is_uncertain_in_a_gap():
-    """Half-way through ten minutes between two walks: metres to hundreds of them, as 1 m/s leaves it."""
+    """After half of ten minutes between two walks, at 1 m/s."""
     one = walk(120)[0]
     day = day_of(one, replace(one, epoch=NOON + one.duration + 590))
     track = day.outings[0].trajectory
@@ -56,7 +56,7 @@ def test_the_position_is_uncertain_in_a_gap():
 
 
 def test_a_walk_without_position_begins_where_the_outing_before_ended():
-    """A watch that is put away, and a phone in a building half a minute later."""
+    """A watch is put away, and half a minute later a phone records in a building."""
     one = walk(120)[0]
     blind = observation(one.steps, one.fixes[:0], NOON + one.duration + 30, Frame())
     inside = day_of(positions(300.0), replace(blind, epoch=NOON + 330.0)).outings[1]
@@ -80,7 +80,7 @@ def test_the_positions_of_a_watch_locate_the_walk_of_a_phone():
 
 
 def test_a_ride_is_no_walk_and_does_not_bend_one():
-    """Two walks 5 km apart, and a phone that ran on in the car between them."""
+    """Two walks 5 km apart, and a phone that recorded in the car between them."""
     steps, fixes, truth = drawn_from_the_model(200, 6)
     ride = 400.0
     later = replace(steps, start=steps.end, time=steps.time + steps.end + ride, end=2 * steps.end + ride)
@@ -107,7 +107,7 @@ def test_a_ride_is_no_walk_and_does_not_bend_one():
 
 
 def test_the_profile_becomes_more_certain_from_day_to_day_and_stays_honest():
-    """Ten days of one walker, whose stride is 12 % longer than thought, by few and poor fixes."""
+    """Ten days of a walker whose stride is 12 % longer than assumed, with few and poor fixes."""
     profile, sigmas, errors = None, [], []
     for seed in range(10):
         steps, _, _ = drawn_from_the_model(200, 50 + seed)

@@ -1,13 +1,22 @@
 """The `repr` of plans and of the data types of a lifelog is one short line."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pdr_graph.floor.building import Building, FloorSequence
-from pdr_graph.frames import Frame
+from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
+from pdr_graph.lifelog.maps import panels
+from pdr_graph.lifelog.multi_day import PersonDay
 from pdr_graph.lifelog.observation import Ends, Observation
+from pdr_graph.lifelog.privacy import HiddenRows
+from pdr_graph.lifelog.private_places import private_places
+from pdr_graph.lifelog.sessions import Session
+from pdr_graph.lifelog.stays import VisiblePlaces
+from pdr_graph.lifelog.store import Entry, RecordingOptions, StoredDay
+from pdr_graph.lifelog.timeline import timeline
 from pdr_graph.types import Fixes, Headings, Trajectory
 
 MAPS = Path(__file__).parents[2] / "maps"
@@ -32,6 +41,18 @@ def test_the_data_types_of_a_lifelog_have_a_repr_of_one_line():
     assert repr(day) == "Day('me', 2024-05-01, 1 outing)"
     assert repr(stay) == "Stay(1.0 to 9.0 s, x 0.0 m, y 0.0 m, 'Books' 70%)"
     assert repr(segment) == "Segment(walking, 0.0 to 2.0 s, 3 m)"
-    for value in (outing, observation, Ends(np.zeros((2, 2)), np.zeros(2))):
+    session = Session((("a", observation),))
+    entry = Entry("a" * 64, "me", "walk.txt", RecordingOptions(floor="1"), duration=9.0)
+    assert repr(session) == "Session(1 recording, 9.0 s)"
+    assert repr(entry) == "Entry('me', walk.txt, floor, 9.0 s)"
+    assert repr(StoredDay("a" * 64, ("b" * 64,), None)) == "StoredDay(aaaaaaaa, 1 recording)"
+    assert repr(PersonDay("me", day.date, {"a": observation}, None)) == "PersonDay('me', 2024-05-01, 1 recording)"
+    [entry] = timeline(day)[:1]
+    [place] = private_places(["48.1,11.6,50"], [], b"secret")
+    assert repr(place) == "PrivatePlace('48.1,11.6,50', radius 50 m)"
+    hidden = HiddenRows(np.zeros((3, 2)), np.ones(3, bool), np.zeros(3, bool), np.zeros(2, bool))
+    drawn = panels(replace(day, outings=(replace(outing, frame=enu(48.1, 11.6)),)))
+    places = VisiblePlaces.of(Building.load(MAPS / "mall.geojson").floors[0])
+    for value in (outing, observation, Ends(np.zeros((2, 2)), np.zeros(2)), entry, hidden, *drawn, places):
         assert "\n" not in repr(value)
         assert len(repr(value)) < 120

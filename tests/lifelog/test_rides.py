@@ -16,7 +16,7 @@ from pdr_graph.types import Fixes, Steps
 
 
 def walk_and_ride(ride, bumps=0.0, seed=0, every=1, noise=USUAL):
-    """A walk, a ride or what else is given, a walk again: steps, fixes, when it was [s], and the truth per second.
+    """A walk, a ride (or another motion) and a walk: steps, fixes, time of the ride [s], truth per second.
 
     bumps: spurious steps per second of the ride.
     """
@@ -57,7 +57,7 @@ def test_a_ride_is_detected_on_any_road(bumps, every):
 
 
 def test_a_ride_continues_after_a_stop_and_ends_with_a_walk():
-    """Three minutes at a stop with nobody walking are a part of it; 130 m on foot to the next bus are not."""
+    """Three minutes of standing at a stop are part of it; 130 m on foot to the next bus are not."""
     stop, change = [("bus", 300), ("stand", 180), ("bus", 300)], [("bus", 300), ("walk", 100), ("bus", 300)]
     for seed in range(3):
         steps, fixes, _, _ = walk_and_ride(stop, seed=seed)
@@ -67,7 +67,7 @@ def test_a_ride_continues_after_a_stop_and_ends_with_a_walk():
 
 
 def test_a_ride_underground_is_detected():
-    """No fix for its ten minutes."""
+    """There is no fix in its ten minutes."""
     steps, fixes, (begin, end), _ = walk_and_ride([("bus", 600)])
     heard = fixes[(fixes.time < begin - 5) | (fixes.time > end + 5)]
     ((found, left),) = detect_rides(steps, heard)
@@ -92,14 +92,14 @@ def test_a_walk_has_no_ride(noise):
 
 
 def test_jumps_of_a_receiver_are_no_ride():
-    """Indoors: it settles 40 m off for minutes, and back."""
+    """Indoors its positions are 40 m off for minutes."""
     steps, fixes, _, _ = walk_and_ride([("walk", 0)])
     jumps = 40.0 * ((fixes.time // 150) % 2)
     assert not len(detect_rides(steps, replace(fixes, position=fixes.position + jumps[:, None] * [0.6, 0.8])))
 
 
 def test_a_gap_in_the_recording_is_no_ride():
-    """The walker walked on, 500 m, while the phone slept: nobody says how."""
+    """The walker goes 500 m while the phone records nothing."""
     steps = steps_of(np.full(1200, 0.7), np.zeros(1200))
     track = dead_reckon(steps)
     slept = without_rides(steps, np.array([[200.0, 500.0]]))
@@ -120,7 +120,7 @@ def test_a_ride_is_one_row_with_a_wide_sigma():
 
 
 def test_a_ride_does_not_bend_the_walk():
-    """Smoothed with a ride in it, both walks lie where they were: within what the receiver errs. Unseen, it does."""
+    """Both walks are within the receiver's error if the ride is detected; the control is not."""
     steps, fixes, (begin, end), place = walk_and_ride([("bus", 400)], bumps=0.3, every=5)
 
     def off(steps):
@@ -134,7 +134,7 @@ def test_a_ride_does_not_bend_the_walk():
 
 
 def test_a_ride_begins_at_the_last_step_before_it():
-    """Waiting at the stop is a part of it, if that is short: the bus sets off slowly."""
+    """A short wait at the stop is part of the ride, since a bus starts slowly."""
     steps, fixes, _, _ = walk_and_ride([("bus", 400)])
     steps = replace(steps, time=steps.time - 0.05)  # fixes are at whole seconds
     ((found, _),) = detect_rides(steps, fixes)

@@ -18,7 +18,7 @@ def smoothed(parts, fixes=None):
 
 
 def errors_of_the_second(parts, track):
-    """Where the second piece is, against the truth. [m]"""
+    """Errors of the second recording [m]."""
     (one, _), (two, truth) = parts
     begins = two.epoch - one.epoch
     own = (track.time > begins) & (track.time < begins + truth.time[-1])
@@ -57,7 +57,7 @@ def test_the_field_of_another_place_determines_no_turn():
 
 
 def test_a_recording_without_fixes_is_located_by_the_restart_and_the_field():
-    """Half of the walk has no fix; it starts where the other ended, and turned as the field says."""
+    """Half of the walk has no fix; it begins where the other half ended, turned as the field states."""
     worse, better = [], []
     for seed in range(8):
         parts = cut_in_two(120, seed, 8.0, turned=1.2)
@@ -71,7 +71,7 @@ def test_a_recording_without_fixes_is_located_by_the_restart_and_the_field():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_closure_is_rejected_if_the_walker_walked_on(seed):
-    """20 m on in 14 s, seen by the fixes of both pieces: the closure lets go, and harms by less than 10 cm."""
+    """20 m in 14 s, with fixes on both sides: the closure changes the walk by less than 10 cm."""
     parts = cut_in_two(120, seed, 14.0, stood=False)
     both = join([one for one, _ in parts])
     unbound = smooth(WalkGraph(both.steps, both.fixes)).trajectory

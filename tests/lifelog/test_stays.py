@@ -43,14 +43,14 @@ def walk(*parts):
 
 
 def track_of(steps, floor="1"):
-    """Where the steps lead along the aisle, as if it had been estimated."""
+    """The trajectory of steps along the aisle."""
     track = dead_reckon(steps, Fixes(np.zeros(1), np.array([START]), np.ones(1), ("",)))
     covariance = np.tile(np.diag([SIGMA**2, SIGMA**2, SIGMA_HEADING**2]), (len(track), 1, 1))
     return replace(track, floor=(floor,) * len(track), covariance=covariance)
 
 
 def looking(steps, *turns):
-    """No turn while standing but before steps ``(step, turn)``."""
+    """Turns while standing: 0 except before some steps, ``(step, turn [rad])``."""
     looks = np.zeros(len(steps) + 1)
     for step, turn in turns:
         looks[step] = turn
@@ -102,7 +102,7 @@ def test_a_short_pause_is_no_stay():
 
 
 def test_a_few_shuffled_steps_do_not_end_a_stay():
-    """The place is then between both halts, by their time, and one may have been at either."""
+    """Its position is the mean of both halts by duration, and its covariance spans both."""
     steps = walk((15, 0), (2, 20.0, 0.3), (15, 10.0))
     (stay,) = stays_of(steps, track_of(steps), MALL, looking(steps, (15, LEFT)))
     assert stay.end - stay.start == pytest.approx(30.0 + 2 * 0.55)
@@ -142,7 +142,7 @@ def test_a_stay_is_at_the_shops_of_its_floor():
 
 
 def test_a_slow_pass_is_split_by_front():
-    """0.3 m a step from 22 to 38 m, nearer to the north: for 2 m past N2, 8 m past N3 and 6 m past N4."""
+    """0.3 m per step from 22 to 38 m, nearer to the north: 2 m past N2, 8 m past N3 and 6 m past N4."""
     steps = walk((30, 0), (53, 0, 0.3), (15, 0))
     track = track_of(steps)
     track = replace(track, position=track.position + np.array([0.0, 1.0]))

@@ -29,7 +29,7 @@ DATE = "2024-05-01"
 
 
 def observation(tmp_path):
-    """One with everything in it."""
+    """An observation with a value in every field."""
     seen = observe(standin.recording(tmp_path / "walk.plt"))
     time = np.arange(1.0, 4.0)
     columns = [np.full(3, 0.5) for _ in range(4)]
@@ -64,17 +64,17 @@ def a_day(tmp_path, **changes):
     return replace(standin.reconstruct("me", DATE, {"a" * 64: seen}, None), **changes)
 
 
-def taken(log, day, key="key"):
+def put(log, day, key="key"):
     log.put_day(rows_of(day, key, [name for outing in day.outings for name in outing.recordings]))
 
 
-def told(noun):
-    """All that a noun says, bit by bit, with the types it is said in."""
+def bits_of(noun):
+    """All content of a data type, bit by bit, with the types."""
     if is_dataclass(noun):
-        return type(noun), [(field.name, told(getattr(noun, field.name))) for field in fields(noun)]
+        return type(noun), [(field.name, bits_of(getattr(noun, field.name))) for field in fields(noun)]
     if isinstance(noun, np.ndarray):
         return noun.dtype, noun.shape, noun.tobytes()
-    return [told(one) for one in noun] if isinstance(noun, tuple) else repr(noun)
+    return [bits_of(one) for one in noun] if isinstance(noun, tuple) else repr(noun)
 
 
 def test_an_observation_comes_back_bit_by_bit(tmp_path):
@@ -83,7 +83,7 @@ def test_an_observation_comes_back_bit_by_bit(tmp_path):
     missing = {field.name: None for field in fields(Observation) if str(field.type).endswith("| None")}
     assert len(missing) == 7, "a control"
     for one in (whole, replace(whole, **missing)):
-        assert told(from_bytes(to_bytes(one))) == told(one)
+        assert bits_of(from_bytes(to_bytes(one))) == bits_of(one)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -100,26 +100,26 @@ def test_damaged_bytes_are_refused(tmp_path, seed):
 def test_a_day_comes_back_bit_by_bit(tmp_path):
     day = a_day(tmp_path)
     with Store(tmp_path / "log", new=True) as log:
-        taken(log, day)
-        taken(log, Day("me", "2024-05-02", ()))
+        put(log, day)
+        put(log, Day("me", "2024-05-02", ()))
     with Store(tmp_path / "log") as log:
         found = log.day("me", DATE)
-        assert told(found) == told(day)
-        assert told(log.day("me", "2024-05-02")) == told(Day("me", "2024-05-02", ()))
+        assert bits_of(found) == bits_of(day)
+        assert bits_of(log.day("me", "2024-05-02")) == bits_of(Day("me", "2024-05-02", ()))
         assert log.day("you", DATE) is None
         assert list(log.days()) == [("me", DATE), ("me", "2024-05-02")]
     track = found.outings[0].trajectory
     track.covariance[-1, 2, 2] *= 1 + 1e-15
-    assert told(found) != told(day), "a control: a bit is told"
+    assert bits_of(found) != bits_of(day), "a control: a changed bit is detected"
 
 
 def test_a_day_is_in_the_store_once(tmp_path):
     day = a_day(tmp_path)
     with Store(tmp_path / "log", new=True) as log:
-        taken(log, day)
-        taken(log, replace(day, outings=day.outings * 2))
-        taken(log, day)
-        assert told(log.day("me", DATE)) == told(day)
+        put(log, day)
+        put(log, replace(day, outings=day.outings * 2))
+        put(log, day)
+        assert bits_of(log.day("me", DATE)) == bits_of(day)
     expected = {"day": 1, "outing": 1, "segment": 2, "trajectory": 1, "stay": 2, "facing": 2, "profile": 1}
     assert {name: len(rows) for name, rows in tables(tmp_path / "log").items() if name in expected} == expected
 
@@ -133,7 +133,7 @@ def tables(path):
 
 def test_plain_sql_reads_stays(tmp_path):
     with Store(tmp_path / "log", new=True) as log:
-        taken(log, a_day(tmp_path))
+        put(log, a_day(tmp_path))
     with closing(sqlite3.connect(tmp_path / "log")) as database:
         found = database.execute(
             """SELECT datetime(epoch + start, 'unixepoch'), name, probability FROM outing
@@ -147,7 +147,7 @@ def test_only_the_owner_may_read_the_files(tmp_path):
     before = os.umask(0)  # everybody may read everything, were it not asked for otherwise
     try:
         with Store(tmp_path / "log", new=True) as log:
-            taken(log, a_day(tmp_path))
+            put(log, a_day(tmp_path))
             cache.write(log.folder / "days" / "one", b"where they were")
             cache.copy({"a/b": tmp_path / "walk.plt"}, log.folder / "recordings" / "one")
             made = [log.path, log.path.with_name("log-wal"), log.folder, *log.folder.rglob("*")]
@@ -159,7 +159,7 @@ def test_only_the_owner_may_read_the_files(tmp_path):
 
 
 def refused(path, match, new=False):
-    """One line, and nothing is overwritten or made."""
+    """Assert that a file is refused in one line, and nothing is overwritten or created."""
     before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
     with pytest.raises(InputError, match=match) as refusal:
         Store(path, new)
@@ -221,7 +221,7 @@ def test_a_store_of_format_2_is_upgraded_and_loses_nothing(tmp_path):
     found = read_observation(Path(__file__).with_name("observation_format_2.z"))
     assert found is not None
     assert (found.source, len(found.fixes), found.measurements) == ("walk", 4, ())
-    assert told(from_bytes(to_bytes(found))) == told(replace(found)), "it can be written again, in the new format"
+    assert bits_of(from_bytes(to_bytes(found))) == bits_of(replace(found)), "it can be written again, in the new format"
 
 
 def test_one_process_at_a_time_opens_a_store(tmp_path):
@@ -234,7 +234,7 @@ def test_one_process_at_a_time_opens_a_store(tmp_path):
 
 def test_a_damaged_trajectory_is_refused(tmp_path):
     with Store(tmp_path / "log", new=True) as log:
-        taken(log, a_day(tmp_path))
+        put(log, a_day(tmp_path))
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
         database.execute("UPDATE trajectory SET bytes = substr(bytes, 2)")
     with Store(tmp_path / "log") as log, pytest.raises(InputError, match=r"me, 2024-05-01: found bytes of no Traj"):
@@ -243,10 +243,10 @@ def test_a_damaged_trajectory_is_refused(tmp_path):
 
 @pytest.mark.parametrize("seed", range(40))
 def test_a_damaged_store_is_refused_in_one_line_or_read(tmp_path, seed):
-    """What is damaged may be a number, or in a page that is not in use: then nothing tells."""
+    """A damaged number, or a damaged unused page, is not detected."""
     random, path = np.random.default_rng(seed), tmp_path / "log"
     with Store(path, new=True) as log:
-        taken(log, a_day(tmp_path))
+        put(log, a_day(tmp_path))
     content = bytearray(path.read_bytes())
     at = random.integers(100, len(content) - 64)
     content[at : at + 64] = random.bytes(64)
@@ -266,18 +266,18 @@ def test_a_full_disk_costs_only_the_day_that_is_being_stored(tmp_path):
     path, limits = tmp_path / "log", resource.getrlimit(resource.RLIMIT_FSIZE)
     day = a_day(tmp_path)
     with Store(path, new=True) as log:
-        taken(log, day)
+        put(log, day)
         log.put(Entry("b" * 64, "me", "walk.plt"))
         size = max(file.stat().st_size for file in (path, path.with_name("log-wal")))
         resource.setrlimit(resource.RLIMIT_FSIZE, (size + 100, limits[1]))
         try:
             with pytest.raises(OSError, match="disk") as failure:
-                taken(log, replace(day, outings=day.outings * 9))
+                put(log, replace(day, outings=day.outings * 9))
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert failure.value.filename == str(path)
-        assert told(log.day("me", DATE)) == told(day)
-        taken(log, replace(day, outings=day.outings * 9))
+        assert bits_of(log.day("me", DATE)) == bits_of(day)
+        put(log, replace(day, outings=day.outings * 9))
     with Store(path) as log:
         assert len(log.day("me", DATE).outings) == 9
         assert [entry.hash for entry in log.entries()] == ["b" * 64]

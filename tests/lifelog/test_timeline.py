@@ -21,13 +21,13 @@ NINE = MIDNIGHT + 9 * 3600
 EAST, NORTH = 0.0, np.pi / 2
 
 
-def told(made):
-    """Kinds and lengths in time."""
+def kinds_and_durations(made):
+    """Kinds and durations of entries."""
     return [(e.kind, round(e.end - e.start)) for e in timeline(made)]
 
 
 def rows(made):
-    """Of the table, by column."""
+    """The rows of the table, by column."""
     return list(csv.DictReader(io.StringIO(timeline_csv(timeline(made), ZONE))))
 
 
@@ -37,7 +37,7 @@ legs = st.lists(st.tuples(st.sampled_from(KINDS), st.integers(5, 400), st.floats
 @given(legs=legs, edges=st.lists(st.integers(0, 500), max_size=6, unique=True), slow=st.booleans())
 @settings(max_examples=100, deadline=None)
 def test_a_timeline_covers_all_time_once_with_the_whole_distance(legs, edges, slow):
-    """Wherever the stays are: entries follow one another, and their distances are the segments' in sum."""
+    """Wherever the stays are: entries are contiguous, and their distances sum to those of the segments."""
     made = outing([(kind, float(seconds), heading) for kind, seconds, heading in legs])
     end = made.segments[-1].end
     pairs = zip(sorted(edges)[::2], sorted(edges)[1::2], strict=False)
@@ -54,37 +54,37 @@ def test_a_timeline_covers_all_time_once_with_the_whole_distance(legs, edges, sl
 
 
 def test_a_stay_replaces_the_standing_around_it():
-    """Also where it begins some seconds after the standing, which is then part of the walk to it."""
+    """Also if it begins some seconds after the standing, which is then part of the walk."""
     made = outing([(WALKING, 100.0, EAST), (STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(112, 400)])
-    assert told(day(made)) == [(WALKING, 112), (STAY, 288), (WALKING, 100)]
+    assert kinds_and_durations(day(made)) == [(WALKING, 112), (STAY, 288), (WALKING, 100)]
 
 
 def test_short_standing_beside_a_stay_belongs_to_the_stay():
     made = outing([(STANDING, 300.0, EAST), (WALKING, 100.0, EAST)], stays=[stay(2, 300)])
-    assert told(day(made)) == [(STAY, 300), (WALKING, 100)]
+    assert kinds_and_durations(day(made)) == [(STAY, 300), (WALKING, 100)]
 
 
 def test_short_standing_is_part_of_the_walk_and_long_standing_is_not():
     made = outing([(WALKING, 100.0, EAST), (STANDING, 59.0, EAST), (WALKING, 100.0, EAST), (STANDING, 61.0, EAST)])
-    assert told(day(made)) == [(WALKING, 259), (STANDING, 61)]
+    assert kinds_and_durations(day(made)) == [(WALKING, 259), (STANDING, 61)]
     made = outing([(VEHICLE, 100.0, EAST), (STANDING, 59.0, EAST), (VEHICLE, 100.0, EAST)])
-    assert told(day(made)) == [(VEHICLE, 259)]
+    assert kinds_and_durations(day(made)) == [(VEHICLE, 259)]
     made = outing([(GAP, 100.0, EAST), (STANDING, 30.0, EAST), (GAP, 100.0, EAST)])
-    assert told(day(made)) == [(GAP, 100), (STANDING, 30), (GAP, 100)]  # no way to be part of
+    assert kinds_and_durations(day(made)) == [(GAP, 100), (STANDING, 30), (GAP, 100)]  # no way to be part of
 
 
 def test_a_slow_pass_divides_a_walk_and_its_distance():
     made = outing([(WALKING, 200.0, EAST)], stays=[stay(80, 100, passing=True)])
-    assert told(day(made)) == [(WALKING, 80), (PASSING, 20), (WALKING, 100)]
+    assert kinds_and_durations(day(made)) == [(WALKING, 80), (PASSING, 20), (WALKING, 100)]
     assert [e.distance for e in timeline(day(made))] == pytest.approx([80 * 1.25, 20 * 1.25, 100 * 1.25])
 
 
 def test_gaps_between_outings_are_entries_in_any_order_of_outings():
     morning = outing([(WALKING, 600.0, EAST)], epoch=NINE)
     noon = outing([(WALKING, 300.0, EAST)], epoch=NINE + 3 * 3600)
-    assert told(day(noon, morning)) == [(WALKING, 600), (GAP, 10200), (WALKING, 300)]
+    assert kinds_and_durations(day(noon, morning)) == [(WALKING, 600), (GAP, 10200), (WALKING, 300)]
     at_once = outing([(WALKING, 300.0, EAST)], epoch=NINE + 600.5)
-    assert told(day(morning, at_once)) == [(WALKING, 600), (WALKING, 300)]
+    assert kinds_and_durations(day(morning, at_once)) == [(WALKING, 600), (WALKING, 300)]
 
 
 def test_the_table_has_local_times_and_absolute_positions():
@@ -132,7 +132,7 @@ def test_totals_are_those_of_segments_and_expected_times_at_places():
 
 
 def test_control_characters_in_names_do_not_reach_the_terminal():
-    """They are their makers' and may be anything."""
+    """Names come from plans of any origin."""
     made = outing([(STANDING, 100.0, EAST)], stays=[stay(0, 100, facing=[("a\x1b[31m\nb", 0.9), ("c\td", 0.05)])])
     text = as_text(day(made), timeline(day(made)), ZONE) + timeline_csv(timeline(day(made)), ZONE)
     assert "\x1b" not in text

@@ -35,7 +35,7 @@ def cluster():
 
 @pytest.fixture(params=["processes", "cluster"])
 def elsewhere(request):
-    """Options of a build."""
+    """The options of a build in other processes."""
     return {"workers": 2} if request.param == "processes" else {"scheduler": request.getfixturevalue("cluster")}
 
 
@@ -84,8 +84,8 @@ def test_a_recording_that_crashes_its_process_is_refused(tmp_path):
     assert result.refusals == (f"{paths['person0'][1]}: {CrashedItem('').reason}",)
 
 
-def told_threads(task):
-    """Work that says how many threads it has, of libraries that are there and of those to come."""
+def thread_counts(task):
+    """Work that yields its numbers of threads, of loaded libraries and of those to be loaded."""
     for item in task:
         yield (
             item,
@@ -98,7 +98,7 @@ def test_each_worker_has_one_thread(elsewhere):
     before = dict(os.environ)
     with fleet(**elsewhere) as there, fleet() as here:
         for crew in (here, there):
-            results = list(crew.run(told_threads, [(1,), (2, 3)]))
+            results = list(crew.run(thread_counts, [(1,), (2, 3)]))
             assert sorted(item for item, _, _ in results) == [1, 2, 3]
             for _, threads, variables in results:
                 assert set(threads) == {1}
@@ -203,7 +203,7 @@ def test_a_scheduler_that_ends_is_one_line(tmp_path):
 
 
 def wait_for(address):
-    """Until the cluster has a worker."""
+    """Wait until the cluster has a worker."""
     import distributed
 
     with distributed.Client(address, timeout=30, set_as_default=False) as client:
@@ -211,7 +211,7 @@ def wait_for(address):
 
 
 def test_numbers_do_not_depend_on_the_process(elsewhere):
-    """What a control must show: floats come back from elsewhere as they are."""
+    """Floats come back from a worker bit by bit; the control is a product of random matrices."""
     with fleet(**elsewhere) as there, fleet() as here:
         one, other = (sorted(crew.run(drawn, [(n,) for n in range(5)])) for crew in (here, there))
     assert one == other
