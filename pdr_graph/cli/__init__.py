@@ -219,10 +219,12 @@ def steps(
     from pdr_graph.io.writers import write_steps
 
     walk = io.load(recording)
-    found = detect_steps(walk, Walker.load(walker) if walker else None)
+    detected = detect_steps(walk, Walker.load(walker) if walker else None)
     file = out or _path_named_after(recording, "-steps.csv")
-    write_steps(file, found, walk.clock_origin)
-    typer.echo(f"{len(found)} steps, {found.length.sum():.1f} m in {found.end - found.start:.1f} s -> {file}")
+    write_steps(file, detected, walk.clock_origin)
+    typer.echo(
+        f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}"
+    )
 
 
 @app.command()
@@ -271,8 +273,8 @@ def radio_map(
 
     if len(walks) % 2:
         raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
-    found = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
-    typer.echo(f"{len(found)} scans of {len(found.transmitter)} transmitters -> {out}")
+    learnt = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
+    typer.echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters -> {out}")
 
 
 @app.command()

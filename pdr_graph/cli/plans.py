@@ -62,9 +62,9 @@ def map_check(plan: PlanPath) -> None:
     for connection in building.connections:
         joined = ", ".join(building.labels[n] for n in connection.floors)
         typer.echo(f"{connection.kind} {connection.name}".strip() + f": {joined}")
-    found = problems(building)
-    for problem in found:
+    errors = problems(building)
+    for problem in errors:
         typer.echo(f"problem: {problem}")
-    if found:
+    if errors:
         raise typer.Exit(EXIT_DEGRADED)
     typer.echo("no problems found")

@@ -89,7 +89,7 @@ def _run_offline(
 ) -> tuple[str, tuple[str, ...]]:
     """Run an offline trial; return how it ended and what is missing, as texts. Arguments as of `Entry`.
 
-    Raises InputError if the rows cannot be received or used. Received rows are kept: the same command resumes.
+    Raises InputError if the rows cannot be received or used. Received rows stay in the log: the same command resumes.
     """
     if log.end is not None:
         raise InputError(log.path, "", f"positions that were sent ({log.end})", "a trial that has not ended")

@@ -52,7 +52,7 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
 
 
 def _content(source: Source) -> str:
-    """What the source contains, for a message."""
+    """The content of a source as a text for a message."""
     if source.single is None:
         return f"{len(source.names)} files, {', '.join(source.names[:3])[:60]}" if source.names else "an empty folder"
     head = source.head(source.single, 24)

@@ -61,11 +61,11 @@ def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording) -> Be
 
 def _names(label: Sequence[str], recording: Recording | None) -> tuple[str, ...]:
     """The transmitter in the recording for each label, by address or minor number; else the label itself."""
-    heard = None if recording is None else recording.bluetooth
+    received = None if recording is None else recording.bluetooth
     by_address, by_number = dict[str, str](), dict[str, str]()
-    if heard is not None:
-        by_address = {name.lower(): name for name in heard.transmitter}
-        by_number = dict(zip(heard.minor, heard.transmitter, strict=False))
+    if received is not None:
+        by_address = {name.lower(): name for name in received.transmitter}
+        by_number = dict(zip(received.minor, received.transmitter, strict=False))
     return tuple(by_address.get(name.lower()) or by_number.get(number_of(name), name) for name in label)
 
 

@@ -51,7 +51,7 @@ def read(source: Source) -> Recording:
         tables,
         0.0,
         bluetooth=_sightings(rows["TYPE_BEACON"], transmitter=8, rssi=6),
-        wifi=_sightings(rows["TYPE_WIFI"], transmitter=3, rssi=4, heard=6),
+        wifi=_sightings(rows["TYPE_WIFI"], transmitter=3, rssi=4, last_seen=6),
         truth=_truth(_table(WAYPOINT, rows[WAYPOINT])),
         notes=notes,
     )
@@ -105,18 +105,18 @@ def _table(kind: str, rows: TextRows) -> Array:
 MAXIMUM_AGE = 300.0  # [s] of a reception when its row was written; an older time is from another clock
 
 
-def _sightings(rows: TextRows, transmitter: int, rssi: int, heard: int | None = None) -> Sightings | None:
+def _sightings(rows: TextRows, transmitter: int, rssi: int, last_seen: int | None = None) -> Sightings | None:
     """Receptions with time, transmitter and level; rows without them are left out.
 
-    transmitter, rssi, heard: column numbers. heard: the time of the reception [ms], where rows repeat receptions for
-    minutes; each is returned once.
+    transmitter, rssi, last_seen: column numbers. last_seen: the time of the reception [ms], where rows repeat
+    receptions for minutes; each is returned once.
     """
     sightings: set[tuple[float, str, float]] = set()
     for line in rows.lines:
         fields = line.split("\t")
         try:
             written, level = float(fields[0]) / 1000, float(fields[rssi])
-            received = written if heard is None else float(fields[heard]) / 1000
+            received = written if last_seen is None else float(fields[last_seen]) / 1000
             time = received if 0 <= written - received <= MAXIMUM_AGE else written
             sightings.add((time, fields[transmitter], level))
         except (ValueError, IndexError):

@@ -42,9 +42,9 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
         raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", expected)
     order = np.argsort(time, kind="stable")
     survey = np.where(anchors.sigma == DEFAULT_BEACON_SIGMA, ANCHOR_SIGMA, anchors.sigma)
-    found = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, survey)
-    _check_clock(path, found, recording)
-    return replace(found, time=time[order], anchor=anchor[order], range=distance[order], sigma=sigma[order])
+    ranges = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, survey)
+    _check_clock(path, ranges, recording)
+    return replace(ranges, time=time[order], anchor=anchor[order], range=distance[order], sigma=sigma[order])
 
 
 def _check_clock(path: Path, ranges: Ranges, recording: Recording) -> None:

@@ -31,8 +31,8 @@ FILES = ("Accelerometer", "TotalAcceleration", "AccelerometerUncalibrated", "Gra
 
 def recognizes(source: Source) -> bool:
     """True if one of the files has a header of Sensor Logger."""
-    known = (*(f"{name}.csv" for name in FILES), *PLAIN["gyroscope"])
-    names = {name for file in known for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
+    candidates = (*(f"{name}.csv" for name in FILES), *PLAIN["gyroscope"])
+    names = {name for file in candidates for name in source.names if PurePosixPath(name).name.lower() == file.lower()}
     names |= {source.single} if source.single else set()
     return any(b"seconds_elapsed" in source.head(name, 512) for name in names)
 

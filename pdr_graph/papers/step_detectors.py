@@ -53,13 +53,13 @@ def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE)
     it falls strongly after its rise, since the other foot moves on; and of closing feet, where it only rises. Unlike
     in the paper, only candidates that no other follows are compared. Requires the extra ``gait``, else InputError.
     """
-    found = trough_to_peak(attitude, threshold)
-    shapes = forward_shapes(attitude, forward, found)
+    candidates = trough_to_peak(attitude, threshold)
+    shapes = forward_shapes(attitude, forward, candidates)
     walking, together = templates().T
-    on = np.diff(found.time, append=np.inf) < LONGEST_STEP
+    on = np.diff(candidates.time, append=np.inf) < LONGEST_STEP
     for n in np.flatnonzero(~on):
         on[n] = _warped_distance(shapes[n], walking) <= _warped_distance(shapes[n], together)
-    return Landings.at(found.time[on], found.amplitude[on], float(attitude.time[0]))
+    return Landings.at(candidates.time[on], candidates.amplitude[on], float(attitude.time[0]))
 
 
 VERTICAL_PAIR, FORWARD_SLOPE = 0.5, 1.0  # [m/s²], [m/s³]; [gps-dr] states no values, chosen by hand

@@ -48,7 +48,7 @@ def line(name: str, colour: str, time: Array, y: Array, **style: Any) -> dict[st
 
 
 def calibration_charts(calibration: Calibration, end: float) -> list[dict[str, Any]]:
-    """A chart of each coefficient over the segments; values that were only kept from the prior are grey."""
+    """A chart of each coefficient over the segments; prior values that were not estimated are grey."""
     edges = np.append(calibration.start, end)
     time = np.stack([edges[:-1], edges[1:]], axis=1)
     charts = []

@@ -53,10 +53,10 @@ class Hold:
 
 RIGHT, FORWARD, UP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 LEFT, BACK, DOWN = (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
-C, S = np.cos(0.6), np.sin(0.6)
+C, S = np.cos(0.6), np.sin(0.6)  # of 0.6 rad, by which the top of a phone in the hand is raised
 HOLDS = {
     "hand": Hold(
-        axes=(RIGHT, (0.0, C, S), (0.0, -S, C)),  # the top raised by 0.6 rad
+        axes=(RIGHT, (0.0, C, S), (0.0, -S, C)),
         spread=0.12,
         hinge=(0.0, 0.18, 0.17),
         swings=((2, "right", 0.034, 0.4), (1, "forward", 0.060, 0.8), (1, "up", 0.055, 0.0), (3, "up", 0.010, 1.0)),

@@ -23,6 +23,7 @@ from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.pedestrian import MANNERS
 from pdr_graph.types import Array
 
+# Names of types in messages
 NAMES = {float: "a number", int: "a whole number", str: "a text", dict: "a table", list: "a list"}
 MAXIMUM_COORDINATE = 1e5  # [m] from the origin
 
@@ -88,7 +89,7 @@ KEYS = {
 
 @dataclass(frozen=True)
 class Route(OneLineRepr):
-    """What the walker does, in order.
+    """The activities of the walker, in order.
 
     start: ``(2,)`` [m]; heading [rad] and floor there; corners: ``(c, 2)`` all positions [m]; duration: about [s].
     """
@@ -263,7 +264,7 @@ def _link(draft: _Draft, place: str, name: str) -> list[Array]:
     return [c for n, c in enumerate(corners) if n or np.hypot(*(c - draft.position)) > SHORTEST_LEG]
 
 
-FRONT = 0.7  # [m] distance from a shop front of somebody who looks at it
+FRONT = 0.7  # [m] distance of a visitor from a shop front
 
 
 def _front(draft: _Draft, place: str, name: str) -> Array:

@@ -42,8 +42,8 @@ def write(walk: Simulation, folder: Path) -> None:
         lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{accuracy:.2f},{hdop:.2f}" for t, (x, y), accuracy, hdop in fixes]
         _save(folder / "gnss.csv", "time,x,y,accuracy,hdop", lines)
     if walk.user_fixes is not None:
-        known = walk.user_fixes
-        fixes = zip(known.time, known.position, known.sigma, known.floor, strict=True)
+        user = walk.user_fixes
+        fixes = zip(user.time, user.position, user.sigma, user.floor, strict=True)
         lines = [f"{start + t:.3f},{x:.3f},{y:.3f},{sigma:.3f},{cell(floor)}" for t, (x, y), sigma, floor in fixes]
         _save(folder / "fixes.csv", "time,x,y,sigma,floor", lines)
 

@@ -211,10 +211,7 @@ class SatelliteFixes(OneLineRepr):
 
 
 ACCURACY_SPREAD = 0.25  # log-normal spread of the accuracy about the receiver's
-SYSTEMATIC, SYSTEMATIC_TIME = (
-    0.9,
-    50.0,
-)  # share of the error that is correlated (multipath, atmosphere), for how long [s]
+SYSTEMATIC, SYSTEMATIC_TIME = 0.9, 50.0  # correlated share of the error (multipath, atmosphere); its time constant [s]
 OUTLIER = 5.0  # standard deviation of an outlier per axis, in accuracies of the receiver
 
 
