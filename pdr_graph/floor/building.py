@@ -218,19 +218,19 @@ class FloorSequence(OneLineRepr):
                 of_piece[before[-1]] = number.setdefault(nearest.field, len(number))
         return tuple(number), of_piece, total
 
-    def walled_off(self, one: Array, other: Array, pieces: Index) -> bool:
+    def walled_off(self, first: Array, second: Array, pieces: Index) -> bool:
         """True if walls separate two paths ``(n, 2)`` [m] at the ends of these pieces.
 
         Paths that no wall separates are one route, walked faster or slower.
         """
-        return all(self.crossed(a, _nearest(a, b), pieces).any() for a, b in ((one, other), (other, one)))
+        return all(self.crossed(a, _nearest(a, b), pieces).any() for a, b in ((first, second), (second, first)))
 
-    def crossed(self, one: Array, other: Array, pieces: Index) -> Mask:
-        """``(n,)`` True where a wall lies between ``one`` and ``other (n, 2)`` [m] on the floors of ``pieces``."""
-        level, found = self.level[pieces], np.zeros(len(one), dtype=bool)
+    def crossed(self, first: Array, second: Array, pieces: Index) -> Mask:
+        """``(n,)`` True where a wall lies between ``first`` and ``second (n, 2)`` [m] on the floors of ``pieces``."""
+        level, found = self.level[pieces], np.zeros(len(first), dtype=bool)
         for n in np.unique(level):
             here = level == n
-            found[here] = self.building.floors[n].crosses_wall(one[here], other[here])
+            found[here] = self.building.floors[n].crosses_wall(first[here], second[here])
         return found
 
     @property

@@ -122,11 +122,11 @@ def _without_longest_of_stars(axis: Skeleton, chains: list[Index], recesses: lis
     for n, chain in enumerate(chains):
         for v in {int(chain[0]), int(chain[-1])}:
             at.setdefault(v, []).append(n)
-    kept: set[int] = set()
+    longest: set[int] = set()
     for star in at.values():
         if len(star) > 2 and set(star) <= set(recesses):
-            kept |= set(sorted(star, key=lambda n: axis.length(chains[n]))[-2:])
-    return [n for n in recesses if n not in kept]
+            longest |= set(sorted(star, key=lambda n: axis.length(chains[n]))[-2:])
+    return [n for n in recesses if n not in longest]
 
 
 def _walk(

@@ -91,10 +91,10 @@ def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     """The phone's y axis if its screen faces up and it is held steadily, for reading. `step` is not used."""
     if not walking.any():
         return UNKNOWN
-    held = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
-    if held.apply([0.0, 0.0, 1.0])[:, 2].mean() < FORWARD.facing_up:
+    attitudes = Rotation.from_quat(attitude.R_world_device.as_quat()[walking])
+    if attitudes.apply([0.0, 0.0, 1.0])[:, 2].mean() < FORWARD.facing_up:
         return UNKNOWN
-    along = _level(held.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
+    along = _level(attitudes.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
     if abs(along.mean()) < FORWARD.steady * np.abs(along).mean():
         return UNKNOWN
     return Forward(float(np.angle(along.mean())), UNCONFIRMED)

@@ -291,9 +291,9 @@ class Bout:
     last: float = -np.inf
     waiting: _Steps = field(default_factory=list)
 
-    def steps(self, found: Candidates) -> tuple[Array, Array]:
+    def steps(self, following: Candidates) -> tuple[Array, Array]:
         """Times ``(m,)`` [s] and amplitudes ``(m,)`` [m/s²] of the steps among the next candidates."""
-        columns = (values.tolist() for values in vars(found).values())
+        columns = (values.tolist() for values in vars(following).values())
         certain = [step for candidate in zip(*columns, strict=True) for step in self._add(*candidate)]
         time, amplitude = np.array(certain).reshape(-1, 2).T
         return time, amplitude

@@ -36,7 +36,7 @@ class ClimbSettings:
     certain: least height of a climb in its own sigmas: to miss a climb costs more than to invent one.
     edge: distance from the levels at which a climb begins and ends [m]; at most an eighth of its height.
     correlated: time over which errors of a height are alike [s].
-    held: standard deviation of the phone's height above the floor, or of a draught as long as ``level`` [m].
+    placement: standard deviation of the phone's height above the floor, or of a draught as long as ``level`` [m].
     weather: drift of the height with the weather [m/s]: 1 hPa an hour.
     """
 
@@ -53,7 +53,7 @@ class ClimbSettings:
     certain: float = 2.0
     edge: float = 0.3
     correlated: float = 3.0
-    held: float = 0.2
+    placement: float = 0.2
     weather: float = 8.5 / 3600
 
 
@@ -197,7 +197,7 @@ def _measured(time: Array, height: Array, first: Index, last: Index) -> Climbs:
     for a, b, left, right in zip(first, last, earliest, latest, strict=True):
         before, sigma_before = _level(height[min(left, a) : a + 1])
         behind, sigma_behind = _level(height[b : max(right, b) + 1])
-        sigmas = [sigma_before, sigma_behind, CLIMB.weather * float(time[b] - time[a]), CLIMB.held]
+        sigmas = [sigma_before, sigma_behind, CLIMB.weather * float(time[b] - time[a]), CLIMB.placement]
         rows.append((time[a], time[b], behind - before, np.linalg.norm(sigmas)))
     return Climbs(*np.array(rows).reshape(-1, 4).T)
 
