@@ -61,7 +61,7 @@ def add(
     Raises InputError if an option or the lifelog cannot be used; OSError of the disk.
     """
     options = _checked(person, options or RecordingOptions())
-    found, skipped, refused = found_in(recordings)
+    found, skipped, refused = find_recordings(recordings)
     if options.begins is not None and len(found) > 1:
         raise InputError("--begins", "", f"{len(found)} recordings", "a single recording: add them one by one")
     with Store(store, new=True) as log:
@@ -119,13 +119,13 @@ def _with_path(entry: Entry, before: Entry | None, copies: Path, copy: bool) -> 
     return replace(entry, path=str(_copied(Path(entry.path), copies / entry.hash))) if copy else entry
 
 
-def found_in(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
+def find_recordings(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
     """Find recordings in files and folders; returns them, the number of other files, and a line per refusal."""
     found: dict[Path, None] = {}
     skipped, refused = 0, list[str]()
     for path in paths:
         try:
-            within, other = _within(path) if path.is_dir() else ([path], 0)
+            within, other = _find_in_folder(path) if path.is_dir() else ([path], 0)
         except OSError as error:
             refused.append(str(InputError(path, "", f"{error.filename}: {error.strerror}", "readable folders")))
             continue
@@ -138,12 +138,12 @@ def found_in(paths: Sequence[Path]) -> tuple[list[Path], int, list[str]]:
     return list(found), skipped, refused
 
 
-def _within(folder: Path) -> tuple[list[Path], int]:
+def _find_in_folder(folder: Path) -> tuple[list[Path], int]:
     """Recordings in a folder (in subfolders, else the folder itself, else its files), and the number of other files."""
     entries = sorted(entry for entry in folder.iterdir() if not entry.is_symlink())
     found, skipped = list[Path](), 0
     for inner in (entry for entry in entries if entry.is_dir()):
-        within, other = _within(inner)
+        within, other = _find_in_folder(inner)
         found, skipped = found + within, skipped + other
     files = [entry for entry in entries if entry.is_file()]
     if not found and len(files) > 1 and _is_recording(folder):
@@ -158,7 +158,7 @@ def _is_recording(path: Path) -> bool:
         source = Source(path)
         return any(reader.recognizes(source) for reader in io.READERS)
     except InputError:
-        return path.is_file()  # a damaged zip: to be refused by name; a folder of several recordings is none
+        return path.is_file()  # a damaged zip is refused by name later; a folder of several recordings is no recording
 
 
 def _check(path: Path, options: RecordingOptions) -> None:
@@ -166,7 +166,7 @@ def _check(path: Path, options: RecordingOptions) -> None:
     walk = io.load(path)
     if walk.epoch is None and options.begins is None:
         raise InputError(path, "", "no date", f"a start time: give --begins with {TIME_FORM}")
-    if options.ranges is not None:
+    if options.ranges is not None or options.beacons is not None:
         read(path, Options(**options.files))
     fixes = read_fixes(options.fixes, walk) if options.fixes else Fixes.none()
     check_usable(path, walk, len(walk.fixes) + len(fixes))

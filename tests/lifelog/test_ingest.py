@@ -10,7 +10,7 @@ import pytest
 import recorders
 
 from pdr_graph import InputError
-from pdr_graph.lifelog.ingest import AddResult, add, found_in, time_of
+from pdr_graph.lifelog.ingest import AddResult, add, find_recordings, time_of
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 
@@ -69,7 +69,7 @@ def test_all_recordings_in_a_folder_are_added(tmp_path):
         archive.write(standin.recording(tmp_path / "july.plt", 60), "july.plt")
     (folder / "notes.txt").write_text("It rained.")
     (folder / "loop").symlink_to(folder)
-    found, passed, refused = found_in([folder])
+    found, passed, refused = find_recordings([folder])
     assert sorted(found) == sorted([*expected, zipped])
     assert (passed, refused) == (1, [])
     begin = standin.FIRST

@@ -7,9 +7,10 @@ import pytest
 from observations import HERE, NOON, cut_in_two, observation, positions, walk
 
 from pdr_graph import WalkGraph, smooth
-from pdr_graph.frames import enu
+from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.steps import GAP_SIGMA_TURN
 from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, turn_by_field
+from pdr_graph.types import Beacons
 
 
 def smoothed(parts, fixes=None):
@@ -96,6 +97,15 @@ def test_recordings_are_converted_to_the_frame_of_the_first():
     assert both.frame == HERE
     n = len(one.fixes)
     assert both.fixes.position[n:] == pytest.approx(one.fixes.position, abs=1e-3)
+
+
+def test_beacons_are_converted_to_the_frame_of_the_first_recording():
+    """A list without latitudes, of a recording in a frame of its own, is left out."""
+    one, there, place = walk(60)[0], enu(48.101, 11.601), np.array([[3.0, 4.0]])
+    beacons = Beacons(("a",), there.from_lonlat(HERE.to_lonlat(place)), np.ones(1), ("",), ("a",))
+    two = replace(one, frame=there, fixes=one.fixes[:0], beacons=beacons, epoch=NOON + one.duration + 5)
+    assert join([one, two]).beacons.position == pytest.approx(place, abs=1e-3)
+    assert join([one, replace(two, frame=Frame())]).beacons is None
 
 
 def test_the_positions_of_a_watch_are_fixes_of_the_walk():
