@@ -12,13 +12,12 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import MICROSOFT_INFO, MICROSOFT_MAP
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inputs import Options, read
 from pdr_graph.io.beacons import beside
 from pdr_graph.io.source import Source
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
-from pdr_graph.lifelog.observation import check_usable
+from pdr_graph.lifelog.observation import check_usable, read_inputs
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.types import Fixes
 
@@ -167,7 +166,7 @@ def _check(path: Path, options: RecordingOptions) -> None:
     if walk.epoch is None and options.begins is None:
         raise InputError(path, "", "no date", f"a start time: give --begins with {TIME_FORM}")
     if options.ranges is not None or options.beacons is not None:
-        read(path, Options(**options.files))
+        read_inputs(path, options)
     fixes = read_fixes(options.fixes, walk) if options.fixes else Fixes.none()
     check_usable(path, walk, len(walk.fixes) + len(fixes))
 

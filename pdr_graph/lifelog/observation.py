@@ -21,7 +21,7 @@ from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile
 from pdr_graph.inertial.magnetometer import measured_field
-from pdr_graph.inputs import Options, read
+from pdr_graph.inputs import Inputs, Options, read
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.store import RecordingOptions
@@ -121,6 +121,18 @@ def from_bytes(blob: bytes) -> Observation:
     return replace(found.observation, measurements=tuple(decode(table, *KINDS) for table in found.measurements))
 
 
+def read_inputs(recording: Path, options: RecordingOptions) -> Inputs:
+    """Read a recording and the files of its options. Raises InputError if a file cannot be used."""
+    files = Options(
+        plan=options.plan,
+        fixes=options.fixes,
+        beacons=options.beacons,
+        ranges=options.ranges,
+        walker=options.walker,
+    )
+    return read(recording, files)
+
+
 def observe(recording: Path, options: RecordingOptions | None = None) -> Observation:
     """Read a recording with its options, and detect its steps and headings.
 
@@ -129,7 +141,7 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
     Raises InputError if the recording cannot be used or has no date.
     """
     options = options or RecordingOptions()
-    inputs = read(recording, Options(**options.files))
+    inputs = read_inputs(recording, options)
     walk, walker = inputs.walk, replace(inputs.walker, profile=None)
     epoch = walk.epoch if options.begins is None else options.begins
     if epoch is None:
