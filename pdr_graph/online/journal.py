@@ -77,7 +77,7 @@ def explained(path: Path) -> AbstractContextManager[None]:
     return storage.explained(path, JOURNAL)
 
 
-EVERY = 2000  # events between snapshots: a minute of a phone's sensors
+SNAPSHOT_EVENTS = 2000  # events between snapshots: a minute of a phone's sensors
 LARGEST = 4 << 20  # [bytes] of events between snapshots; part of the VERSION, as it says when they are
 INTERVAL = "events between snapshots"  # a setting of the journal's own
 SYNCHRONOUS = {"process": "OFF", "snapshot": "NORMAL", "power": "FULL"}
@@ -111,7 +111,7 @@ class Journal(Generic[Navigator]):
         settings: Mapping[str, Any] | None = None,
         *,
         durable: Literal["process", "snapshot", "power"] = "process",
-        every: int = EVERY,
+        every: int = SNAPSHOT_EVENTS,
     ) -> Journal[Navigator]:
         """Begin a journal, or go on with the walk of one that exists.
 

@@ -133,8 +133,8 @@ class Navigator:
         self._steps: list[Steps] = []  # since rows were handed out
         self._beacons = beacons
         self._tail: Steps | None = None
-        self._said = dict[str, tuple[float, ...]]()  # the last position of each receiver
-        self._taken, self._early, self._absurd, self._certain = 0, 0, 0, 0
+        self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
+        self._accepted, self._early, self._absurd, self._certain = 0, 0, 0, 0
         self._unknown = dict[str, None]()  # what the sensors did not tell of the steps, each line once
         self._gaps = 0
         known = frame or (self.building.floors[0].frame if self.building else None)
@@ -148,7 +148,7 @@ class Navigator:
                 ScanCollector,
             )  # it takes scipy.optimize, long to import
 
-            self._graph.graph.collectors.append(ScanCollector(radio_map, self._see_radio_fixes))
+            self._graph.graph.collectors.append(ScanCollector(radio_map, self._use_radio_fixes))
         if known is not None:
             self._lie_in(known)
 
@@ -198,14 +198,14 @@ class Navigator:
         """How well it does."""
         graph, state = self._graph, "waiting"
         if self._window.keyframes:
-            state = "running" if graph.sure else "initialising heading" if self._taken else "no absolute position"
+            state = "running" if graph.sure else "initialising heading" if self._accepted else "no absolute position"
         return Status(
             state=state,
             issues=tuple(self._issues()),
             unknown=self.unknown,
             sensors=self._gait.health,
             keyframes=len(self._window.keyframes),
-            fixes=self._taken,
+            fixes=self._accepted,
             late=graph.graph.too_late,
             early=self._early,
             restarts=graph.restarts,
@@ -276,7 +276,7 @@ class Navigator:
     def snapshot(self) -> NavigatorCheckpoint:
         """All that the rest of the walk depends on; rows that were handed out are not among it."""
         return NavigatorCheckpoint(
-            taken=self._taken,
+            taken=self._accepted,
             early=self._early,
             absurd=self._absurd,
             certain=self._certain,
@@ -284,7 +284,7 @@ class Navigator:
             unknown=tuple(self._unknown),
             frame=self.frame,
             place=None if self._place is None else self._place.copy(),
-            last_fixes=dict(self._said),
+            last_fixes=dict(self._last_fixes),
             gait=self._gait.checkpoint(),
             compass=self._compass.checkpoint(),
             floors=self._floors.checkpoint(),
@@ -295,9 +295,9 @@ class Navigator:
     def restored(cls, checkpoint: NavigatorCheckpoint, **options: Any) -> Navigator:
         """The navigator of a checkpoint; options: the same as of the one that it was taken of."""
         nav = cls(**options)
-        nav._taken, nav._early, nav._absurd = checkpoint.taken, checkpoint.early, checkpoint.absurd
+        nav._accepted, nav._early, nav._absurd = checkpoint.taken, checkpoint.early, checkpoint.absurd
         nav._gaps, nav._unknown = checkpoint.gaps, dict.fromkeys(checkpoint.unknown)
-        nav._certain, nav._said = checkpoint.certain, dict(checkpoint.last_fixes)
+        nav._certain, nav._last_fixes = checkpoint.certain, dict(checkpoint.last_fixes)
         if nav.frame is None and checkpoint.frame is not None:
             nav._lie_in(checkpoint.frame)
         nav._gait.restore(checkpoint.gait)
@@ -370,21 +370,21 @@ class Navigator:
         fixes = frame.place(replace(fixes, time=self._on_clock(fixes.time)))
         for n in range(len(fixes)):
             source, place = fixes.source[n], tuple(fixes.position[n].tolist())
-            if source and self._said.get(source) == place:
+            if source and self._last_fixes.get(source) == place:
                 continue  # a receiver says again what it had said: it saw nothing new
-            self._said[source] = place
+            self._last_fixes[source] = place
             if self._window.keyframes and fixes.time[n] > self._now + AHEAD:
                 self._early += 1
                 continue
-            self._taken += 1
+            self._accepted += 1
             self._floors.see(fixes[n])
             self._graph.append(fixes[n])
 
-    def _see_radio_fixes(self, fixes: Fixes) -> None:
+    def _use_radio_fixes(self, fixes: Fixes) -> None:
         """Use the fixes of the radio map for what else fixes tell: floor, and place on earth."""
         if self._place is None and self.frame is not None:
             self._locate(self.frame, fixes.position[0])
-        self._taken += len(fixes)
+        self._accepted += len(fixes)
         for n in range(len(fixes)):
             self._floors.see(fixes[n])
 
@@ -392,7 +392,7 @@ class Navigator:
         """Say what is wrong now, a line each."""
         if self._absurd:
             yield f"fixes: {self._absurd} could not be used"
-        if self._taken and not self._window.keyframes:
+        if self._accepted and not self._window.keyframes:
             yield f"accelerometer: {NO_STEPS}"
         health = self._gait.health
         latest = max((one.last for one in health.values() if np.isfinite(one.last)), default=np.nan)

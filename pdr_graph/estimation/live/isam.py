@@ -158,7 +158,7 @@ class TransactionalISAM:
     def start(self, factors: Mapping[Name, Linear]) -> None:
         """Begin with these factors, after `moved_to` or `restored`."""
         self.factors = dict(factors)
-        self._start(gtsam.Values(self.values))
+        self._start_or_hold(gtsam.Values(self.values))
 
     def checkpoint(self) -> IsamCheckpoint:
         """The variables and the marginalised past."""
@@ -212,6 +212,10 @@ class TransactionalISAM:
         for name in bad:
             del self.factors[name]
         self.rebuilds.append(f"{why}; {len(bad)} factors {DROPPED}" if bad else why)
+        self._start_or_hold(known)
+
+    def _start_or_hold(self, known: gtsam.Values) -> None:
+        """Start from these values; where the factors do not determine them all, hold each loosely where it is."""
         try:
             self._start(known)
         except (RuntimeError, ValueError, IndexError):

@@ -259,6 +259,7 @@ class LiveGraph:
         pose = self.window.pose[0].copy()
         hold = StartFactor.heading(float(pose[2])) if self.placed else StartFactor.fixed(pose)
         self._hold, self._current = (self.window.keyframes[0], hold), None
+        self.log.version += 1  # decisions may be others
         self.update(everything=True)
 
     def start_at(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
