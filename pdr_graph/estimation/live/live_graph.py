@@ -130,8 +130,9 @@ class LiveGraph:
         reached = [time for time in self._arrivals if time <= covered + CLOSE or at_end]
         ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
         if ends:
-            self._leaving = int(np.searchsorted(window.times[:-1], ends[-1] - self.isam.lag))
-            self.let_go()  # of what the update with these keyframes marginalises
+            # What the update with these keyframes marginalises; the calibration of the last interval is linked to the next
+            self._leaving = int(np.searchsorted(window.times[:-2], ends[-1] - self.isam.lag))
+            self.let_go()
         new = window.cut(ends)
         within = [time for time in reached if window.times[0] <= time <= window.times[-1]]
         for time in within:

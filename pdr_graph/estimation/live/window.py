@@ -211,8 +211,8 @@ class Window:
 
     def _segment_until(self, end: float) -> int:
         """The calibration of the interval up to ``end`` [s]: another after so many steps, and over a gap."""
-        gap = len(self.intervals) > 0 and self.steps.gap_within(self.times[-1], end)
-        if self.in_segment >= STEPS_PER_SEGMENT or gap:
+        due = self.in_segment >= STEPS_PER_SEGMENT or self.steps.gap_within(self.times[-1], end)
+        if due and self.intervals:  # else nothing in the window would link it to the one before
             self.segment, self.in_segment = self.segment + 1, 0
             self.c[self.segment] = self.c[self.segment - 1]
         self.in_segment += len(self.steps.rows(self.times[-1], end))

@@ -1,0 +1,53 @@
+"""A walk under way with late, few and wrong fixes and short windows: no exception, and nothing runs away."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from pdr_graph import FloorPlan
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.types import Fixes
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+from live_speed import LOOP, said_events  # noqa: E402
+from said import held_by_walls, walk  # noqa: E402
+
+STEPS = 300
+
+
+def disturbed(seed, on_plan):
+    """Events of a walk: a tenth of the fixes are 40 m off, three tenths come up to 60 events late."""
+    random = np.random.default_rng(seed)
+    steps, fixes = held_by_walls(STEPS) if on_plan else walk(STEPS, int(random.integers(1, 40)))
+    wrong = random.random(len(fixes)) < 0.1
+    position = fixes.position + wrong[:, None] * random.normal(0, 40, fixes.position.shape)
+    source = "gps" if random.random() < 0.5 else ""
+    fixes = Fixes(fixes.time, position, fixes.sigma, (source,) * len(fixes))
+    late = []
+    for event in said_events(steps, fixes):
+        if isinstance(event, Fixes) and random.random() < 0.3:
+            late.append((int(random.integers(1, 60)), event))
+        else:
+            yield event
+        yield from (fix for left, fix in late if left == 0)
+        late = [(left - 1, fix) for left, fix in late if left > 0]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 6, 23])
+@pytest.mark.parametrize("lag", [3.0, 10.0])
+def test_a_disturbed_walk_stays_finite_and_its_window_is_the_solvers(seed, lag):
+    """Windows shorter than an interval between keyframes: each calibration is linked to the one before."""
+    nav = Navigator(FloorPlan.load(LOOP) if seed % 3 == 0 else None, lag=lag)
+    for event in disturbed(seed, on_plan=seed % 3 == 0):
+        nav.push(event)
+        graph = nav._graph.graph
+        if graph.window.keyframes:
+            poses = {key for key in graph.isam.values.keys() if key >> 56 == ord("x")}
+            assert poses == {X(number) for number in graph.window.keyframes}
+            assert max(np.abs(c).max() for c in graph.window.c.values()) < 3
+        assert nav.pose is None or np.isfinite([nav.pose.x, nav.pose.y]).all()
+    assert np.isfinite(nav.finish().trajectory.position).all()
