@@ -69,10 +69,10 @@ def reconstruct(person, date, observations, profile):
     """A day in which every number depends on all its inputs, also on the days before."""
     scale = 1.0 if profile is None else 1.0 + profile.E_length
     outings = tuple(outing(name, observation, scale) for name, observation in observations.items())
-    told = float(sum(o.trajectory.position.sum() for o in outings))
+    total = float(sum(o.trajectory.position.sum() for o in outings))
     before = 0.0 if profile is None else profile.E_length
     return OneDay(
-        person, date, outings, Profile(0.9 * before + 1e-3 * math.sin(told), 0.01, 0.02, np.eye(3), 0.5, np.nan)
+        person, date, outings, Profile(0.9 * before + 1e-3 * math.sin(total), 0.01, 0.02, np.eye(3), 0.5, np.nan)
     )
 
 

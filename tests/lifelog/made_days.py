@@ -1,4 +1,4 @@
-"""Days made by hand, for tests of what is said of them."""
+"""Days made by hand, for tests of timelines, pictures and exports."""
 
 import numpy as np
 

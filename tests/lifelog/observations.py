@@ -16,8 +16,8 @@ NOON = 1_700_000_000.0 // 86400 * 86400 + 43200  # [s] Unix time, of a day in 20
 def observation(steps: Steps | None, fixes: Fixes, epoch: float = NOON, frame: Frame = HERE, **other) -> Observation:
     duration = float(steps.end if steps is not None else fixes.time[-1])
     looks = np.zeros(0 if steps is None else len(steps) + 1)
-    told = {"source": f"at {epoch:.0f}", "plan": "", "floor": "", "headings": Headings.none()} | other
-    return Observation(epoch=epoch, duration=duration, frame=frame, steps=steps, looks=looks, fixes=fixes, **told)
+    values = {"source": f"at {epoch:.0f}", "plan": "", "floor": "", "headings": Headings.none()} | other
+    return Observation(epoch=epoch, duration=duration, frame=frame, steps=steps, looks=looks, fixes=fixes, **values)
 
 
 def positions(seconds: float, epoch: float = NOON, every: float = 5.0, frame: Frame = HERE) -> Observation:

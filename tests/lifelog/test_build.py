@@ -166,15 +166,15 @@ def test_a_recording_that_changes_its_person_is_in_one_day_only(tmp_path):
 
 def test_a_day_that_fails_does_not_stop_the_others(tmp_path, counted):
     log, _ = added(tmp_path, people=2)
-    said = "2024-05-03: ZeroDivisionError: no day like 2024-05-03"
+    reason = "2024-05-03: ZeroDivisionError: no day like 2024-05-03"
     failing = standin.failing_on("2024-05-03")
-    assert built(log, failing) == BuildResult(8, 0, (f"person0, {said}", f"person1, {said}"), ())
+    assert built(log, failing) == BuildResult(8, 0, (f"person0, {reason}", f"person1, {reason}"), ())
     with Store(log) as store:
-        assert [day[2] for day in store.failures()] == [said[12:]] * 2
+        assert [day[2] for day in store.failures()] == [reason[12:]] * 2
         days = {date: day.profile for (person, date), day in store.days().items() if person == "person0"}
     assert list(days) == ["2024-05-01", "2024-05-02", "2024-05-04", "2024-05-05"]
-    assert built(log, failing).failures == (f"person0, {said}", f"person1, {said}"), "it is tried again"
-    assert built(log, failing) == BuildResult(0, 8, (f"person0, {said}", f"person1, {said}"), ())
+    assert built(log, failing).failures == (f"person0, {reason}", f"person1, {reason}"), "it is tried again"
+    assert built(log, failing) == BuildResult(0, 8, (f"person0, {reason}", f"person1, {reason}"), ())
     assert built(log, standin.counting(counted)) == BuildResult(6, 4, (), ())
     assert {name[-2:] for name in build_counts(counted)} == {"03", "04", "05"}
     other, _ = added(tmp_path / "other", people=2)

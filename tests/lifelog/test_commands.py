@@ -39,8 +39,8 @@ def test_days_are_added_and_built(tmp_path):
 def test_an_unreadable_recording_is_one_line_and_exit_3(tmp_path):
     good, bad = standin.recording(tmp_path / "good.plt"), tmp_path / "bad.txt"
     bad.write_text("Dear Ada")
-    code, said, errors = run("add", tmp_path / "days.db", bad, good)
-    assert (code, said) == (3, f"1 added -> {tmp_path / 'days.db'}\n")
+    code, message, errors = run("add", tmp_path / "days.db", bad, good)
+    assert (code, message) == (3, f"1 added -> {tmp_path / 'days.db'}\n")
     assert len(errors) == 1
     assert errors[0].startswith(f"pdr-graph: {bad}: found the bytes b'Dear Ada', expected a recording")
 
@@ -57,8 +57,8 @@ def test_a_missing_recording_at_build_is_one_line_and_exit_3(tmp_path):
         standin.recording(tmp_path / f"{n}.plt", n)
     add(log, [tmp_path])
     (tmp_path / "0.plt").unlink()
-    code, said, errors = run("build", log)
-    assert (code, said) == (3, f"1 days built, 0 up to date, 0 failed -> {log}\n")
+    code, message, errors = run("build", log)
+    assert (code, message) == (3, f"1 days built, 0 up to date, 0 failed -> {log}\n")
     assert errors == [
         f"pdr-graph: {tmp_path / '0.plt'}: found no such file, "
         "expected the recording: add it again from its present place"
@@ -66,7 +66,7 @@ def test_a_missing_recording_at_build_is_one_line_and_exit_3(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("build", "none.db"), "none.db: found no such file, expected a lifelog: create it with pdr-graph lifelog add"),
         (("build", "other"), "other: found another kind of file, expected a lifelog, or a name that is not taken"),
@@ -82,13 +82,13 @@ def test_a_missing_recording_at_build_is_one_line_and_exit_3(tmp_path):
         (("build", "days.db", "--workers", "2", "--scheduler", "tcp://a:1"), "--scheduler: found --workers 2 too"),
     ],
 )
-def test_a_refusal_is_one_line_and_exit_2(tmp_path, monkeypatch, arguments, said):
+def test_a_refusal_is_one_line_and_exit_2(tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "other").write_text("time,x,y\n")
     add(tmp_path / "days.db", [standin.recording(tmp_path / "walk.plt")])
     code, out, errors = run(*arguments)
     assert (code, out, len(errors)) == (2, "", 1)
-    assert said in errors[0]
+    assert message in errors[0]
 
 
 def test_a_full_disk_is_one_line(tmp_path):

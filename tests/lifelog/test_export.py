@@ -139,8 +139,8 @@ def test_an_outing_without_absolute_position_is_noted():
 
 def test_no_export_has_paths_of_recordings_or_plans():
     text = as_gpx([DAY]) + as_geojson([DAY]) + as_csv(DAY)
-    for told in (b"/home/anna", b"5f3b", b"a note"):
-        assert told not in text
+    for private in (b"/home/anna", b"5f3b", b"a note"):
+        assert private not in text
 
 
 @pytest.fixture
@@ -172,8 +172,8 @@ def test_show_prints_the_last_day_and_writes_it_for_its_owner_alone(store, tmp_p
 
 
 def test_show_lists_persons_and_dates(store):
-    said = run("show", store, "--all").output.split("\n")
-    assert said[:3] == [
+    lines = run("show", store, "--all").output.split("\n")
+    assert lines[:3] == [
         "Anna  2024-05-01  1 recording",
         "Anna  2024-05-02  1 recording",
         "Ben/../C  2024-05-01  1 recording",
@@ -266,6 +266,6 @@ def square(half):
 
 def test_a_completely_private_day_is_noted_and_not_written(store, tmp_path):
     lon, lat = HERE.to_lonlat(np.array([[0.0, 0.0]]))[0]
-    written, said = export_days(store, tmp_path / "out", "gpx", "Anna", cut=[f"{lat},{lon},50000"])
+    written, lines = export_days(store, tmp_path / "out", "gpx", "Anna", cut=[f"{lat},{lon},50000"])
     assert not written
-    assert said == ["Anna, 2024-05-01: nothing left to export", "Anna, 2024-05-02: nothing left to export"]
+    assert lines == ["Anna, 2024-05-01: nothing left to export", "Anna, 2024-05-02: nothing left to export"]

@@ -45,7 +45,7 @@ def test_a_moved_recording_gets_its_new_path_when_added_again(tmp_path):
     add(log, [walk], person="Ada")
     moved = walk.rename(tmp_path / "moved.plt")
     assert add(log, [moved]) == AddResult(existing=1)
-    assert entries(log)["moved.plt"].person == "Ada", "what is not said stays"
+    assert entries(log)["moved.plt"].person == "Ada", "an option that is not given stays"
 
 
 def test_options_replace_earlier_ones(tmp_path):
@@ -106,8 +106,8 @@ def test_unreadable_files_do_not_stop_the_others(tmp_path):
     empty.mkdir()
     result = add(tmp_path / "log", [torn, good, other, empty, tmp_path / "none"])
     assert result.added == 1
-    said = sorted(line.partition(": ")[2].partition(",")[0] for line in result.refused)
-    assert said == [
+    message = sorted(line.partition(": ")[2].partition(",")[0] for line in result.refused)
+    assert message == [
         "found 0 files",
         "found a damaged zip (File is not a zip file)",
         "found no such file",
@@ -124,8 +124,8 @@ def test_a_recording_without_steps_and_positions_is_refused(tmp_path):
             file.unlink()
     single = standin.recording(tmp_path / "single.plt")
     single.write_text("".join(single.read_text().splitlines(keepends=True)[:7]))
-    said = [add(log, [one], RecordingOptions(begins=1.7e9)).refused for one in (folder, single)]
-    assert [line.partition(": ")[2] for (line,) in said] == [
+    message = [add(log, [one], RecordingOptions(begins=1.7e9)).refused for one in (folder, single)]
+    assert [line.partition(": ")[2] for (line,) in message] == [
         f"found no acceleration and {n} positions, expected an accelerometer, or at least 2 positions" for n in (0, 1)
     ]
     with pytest.raises(InputError, match="found no acceleration and 0 positions"):
@@ -136,18 +136,18 @@ def test_a_recording_without_steps_and_positions_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"person": " "}, "--person: found ' ', expected a name"),
         ({"plan": "none.geojson"}, "found no such file"),
         ({"walker": "none.toml"}, "expected a TOML file"),
     ],
 )
-def test_an_unusable_option_is_refused(tmp_path, options, said):
+def test_an_unusable_option_is_refused(tmp_path, options, message):
     walk = standin.recording(tmp_path / "walk.plt")
     person = options.get("person")
     files = {name: tmp_path / value for name, value in options.items() if name != "person"}
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         add(tmp_path / "log", [walk], RecordingOptions(**files), person=person)
     assert not (tmp_path / "log").exists(), "nothing is made of it"
 

@@ -118,5 +118,5 @@ def test_the_scale_bar_has_the_length_of_its_label():
     figure = drawn(day(outing(STROLL)))
     axes = figure.axes[0]
     bar = next(line for line in axes.lines if line.get_linewidth() == 2.5)
-    said = next(t.get_text() for t in axes.texts if t.get_text().endswith(" m"))
-    assert np.ptp(bar.get_xdata()) == pytest.approx(float(said.split()[0]))
+    label = next(t.get_text() for t in axes.texts if t.get_text().endswith(" m"))
+    assert np.ptp(bar.get_xdata()) == pytest.approx(float(label.split()[0]))

@@ -29,13 +29,13 @@ HOME = np.array([0.0, 0.0])  # in made days: where the frame's origin is, as in 
 ZONE = ZoneInfo("America/Santiago")
 
 
-def said(place=HOME, radius=RADIUS):
+def circle(place=HOME, radius=RADIUS):
     lon, lat = HERE.to_lonlat(np.array([place], dtype=float))[0]
     return f"{lat:.7f},{lon:.7f},{radius}"
 
 
 def hidden(*places, secret=SECRET):
-    return private_places(places or [said()], [], secret)
+    return private_places(places or [circle()], [], secret)
 
 
 def streets(random, minutes=20, start=HOME):
@@ -84,8 +84,8 @@ def coordinates_in(text):
 
 def nearest(text, place=HOME):
     """Distance of the nearest coordinates in a text from a place [m]."""
-    told = coordinates_in(in_degrees(text))
-    return float(np.hypot(*(HERE.from_lonlat(told) - place).T).min()) if len(told) else np.inf
+    coordinates = coordinates_in(in_degrees(text))
+    return float(np.hypot(*(HERE.from_lonlat(coordinates) - place).T).min()) if len(coordinates) else np.inf
 
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(20, 400), home=st.booleans())
@@ -95,7 +95,7 @@ def test_no_byte_of_an_export_has_a_coordinate_in_a_cut_place(seed, radius, home
     place = HOME if home else random.uniform(-300, 300, 2)  # which may lie on the way
     walk = replace(streets(random), stays=(stay(1.0, 30.0, place, [("Home", 0.9)]),))
     there, back = day(walk, backwards(walk)), day(streets(random))
-    left, _ = without_private_places([there, back], hidden(said(place, radius)), [])
+    left, _ = without_private_places([there, back], hidden(circle(place, radius)), [])
     assert nearest(exported(left), place) > radius
     assert not re.search(r"(?i)home|anna/|5f3b", exported(left))  # a stay's name, a path, a hash, a note
     if home:  # the control: the same search finds what was not cut
@@ -178,7 +178,7 @@ def test_the_distance_of_a_short_hidden_visit_is_not_revealed():
     def visit(seconds):
         into = [(WALKING, 900.0, 0.0), (WALKING, seconds / 2, np.pi / 2), (WALKING, seconds / 2, -np.pi / 2)]
         walk = outing([*into, (WALKING, 900.0, np.pi)], epoch=MIDNIGHT)
-        return without_private_places([day(walk)], hidden(said((900 * PACE[WALKING], 40.0), 100)), [])[0]
+        return without_private_places([day(walk)], hidden(circle((900 * PACE[WALKING], 40.0), 100)), [])[0]
 
     one, other = visit(60), visit(300)  # either leaves within the same quarter of an hour
     times = [[(s.kind, s.start, s.end) for o in days[0].outings for s in o.segments] for days in (one, other)]
@@ -305,7 +305,7 @@ def test_the_origin_of_a_frame_is_not_home():
 def test_tracks_far_from_private_places_are_unchanged():
     far = outing([(WALKING, 300.0, 0.3), (STANDING, 100.0, 0.3)], start=(9000.0, 0.0), stays=[stay(300, 400)])
     far = replace(far, stays=(stay(301, 399, (9300.0, 100.0), [("Kiosk", 0.8)]),))
-    [left], notes = without_private_places([day(far)], hidden(), hidden(said((0, -4000.0))))
+    [left], notes = without_private_places([day(far)], hidden(), hidden(circle((0, -4000.0))))
     [same] = left.outings
     assert not notes
     assert (same.epoch, same.segments, same.steps) == (far.epoch, far.segments, far.steps)
@@ -345,7 +345,7 @@ def test_a_ride_through_a_cut_place_without_a_row_in_it_is_cut_too():
         floor=track.floor[sparse],
         covariance=track.covariance[sparse],
     )
-    [left], _ = without_private_places([day(replace(walk, trajectory=track))], hidden(said((-800, 0.0), 60)), [])
+    [left], _ = without_private_places([day(replace(walk, trajectory=track))], hidden(circle((-800, 0.0), 60)), [])
     lines = [f["geometry"]["coordinates"] for f in json.loads(as_geojson([left]))["features"]]
     where = HERE.to_lonlat(np.array([[-800.0, 0.0]]))[0]
     assert lines
@@ -371,7 +371,7 @@ def test_a_blurred_place_is_a_grid_square_per_quarter_of_an_hour(seed, radius):
     home = random.uniform(-400, 400, 2)
     legs = [(STANDING, float(random.uniform(0, 7200)), 0.0), *[(WALKING, 200.0, h * np.pi / 2) for h in (0, 0, 1, 0)]]
     walk = outing(legs, start=home, stays=[stay(0.0, legs[0][1], home, [("Home", 0.9)])])
-    [place] = hidden(said(home, radius))
+    [place] = hidden(circle(home, radius))
     [left], _ = without_private_places([day(walk)], [], [place])
     side = max(500.0, place.radius)
     for part in left.outings:
@@ -398,7 +398,7 @@ def test_the_covariance_of_blurred_rows_is_honest():
     for _ in range(200):
         home = random.uniform(-2000, 2000, 2)
         walk = outing([(STANDING, 2000.0, 0.0)], start=home)
-        [left], _ = without_private_places([day(walk)], [], hidden(said(home)))
+        [left], _ = without_private_places([day(walk)], [], hidden(circle(home)))
         track, frame = left.outings[0].trajectory, left.outings[0].frame
         error = HERE.from_lonlat(frame.to_lonlat(track.position[:1]))[0] - home
         errors.append(error**2 / np.diag(track.covariance[0])[:2])
@@ -411,7 +411,7 @@ def test_time_never_goes_back():
         random = np.random.default_rng(seed)
         walk = streets(random, minutes=60)
         after = replace(streets(random), epoch=walk.epoch + walk.trajectory.time[-1] + 30)
-        places = hidden(), hidden(said(random.uniform(-500, 500, 2)))
+        places = hidden(), hidden(circle(random.uniform(-500, 500, 2)))
         [left], _ = without_private_places([day(walk, after)], *places)
         entries = timeline(left)
         assert all(e.end >= e.start for e in entries)

@@ -24,21 +24,21 @@ def fronts_of(*areas):
 def facing(plan, place, heading, sigma=0.3, sigma_heading=0.1):
     """Probabilities of the places faced from a position, by name; "" for none."""
     covariance = np.diag([sigma**2, sigma**2, sigma_heading**2])
-    told = dict(fronts_of(*plan).facing(np.array(place, float), heading, covariance))
-    assert all(0 < p <= 1 for p in told.values())
-    return {"": 1 - sum(told.values())} | told
+    probability = dict(fronts_of(*plan).facing(np.array(place, float), heading, covariance))
+    assert all(0 < p <= 1 for p in probability.values())
+    return {"": 1 - sum(probability.values())} | probability
 
 
 def test_a_near_front_in_the_direction_of_the_heading_is_faced():
-    told = facing(AISLE, (12, 3.3), NORTH)
-    assert told["N1"] > 0.8
-    assert told["N1"] > 10 * told[""]
+    probability = facing(AISLE, (12, 3.3), NORTH)
+    assert probability["N1"] > 0.8
+    assert probability["N1"] > 10 * probability[""]
 
 
 def test_the_opposite_heading_faces_the_other_side_less_certainly():
-    told = facing(AISLE, (12, 3.3), SOUTH)
-    assert max(told, key=told.get) == "S1"
-    assert told["S1"] < facing(AISLE, (12, 3.3), NORTH)["N1"]
+    probability = facing(AISLE, (12, 3.3), SOUTH)
+    assert max(probability, key=probability.get) == "S1"
+    assert probability["S1"] < facing(AISLE, (12, 3.3), NORTH)["N1"]
 
 
 def test_the_heading_decides_the_side_in_the_middle_of_the_aisle():
@@ -49,13 +49,13 @@ def test_the_heading_decides_the_side_in_the_middle_of_the_aisle():
 
 
 def test_the_nearer_front_is_more_probable_without_a_heading():
-    told = facing(AISLE, (12, 3.3), np.nan)
-    assert max(told, key=told.get) == "N1"
+    probability = facing(AISLE, (12, 3.3), np.nan)
+    assert max(probability, key=probability.get) == "N1"
 
 
 def test_two_fronts_share_the_probability_of_a_position_between_them():
-    told = facing(AISLE, (8, 3.3), NORTH)
-    assert told["N0"] == pytest.approx(told["N1"], rel=0.1)  # as above
+    probability = facing(AISLE, (8, 3.3), NORTH)
+    assert probability["N0"] == pytest.approx(probability["N1"], rel=0.1)  # as above
 
 
 @pytest.mark.parametrize("sigma", [0.3, 1.0, 3.0])
@@ -79,9 +79,9 @@ def test_places_behind_a_wall_are_not_faced():
 def test_positions_behind_shops_do_not_count():
     """With any uncertainty: shops of 1 m separate the next aisle."""
     plan = ("floor", "", shapely.box(0, 0, 40, 9)), ("shop", "between", shapely.box(0, 4, 40, 5))
-    told = facing((*plan, ("shop", "behind", shapely.box(0, 8.5, 40, 9))), (20, 3), NORTH, sigma=2.0)
-    assert "between" in told
-    assert "behind" not in told
+    probability = facing((*plan, ("shop", "behind", shapely.box(0, 8.5, 40, 9))), (20, 3), NORTH, sigma=2.0)
+    assert "between" in probability
+    assert "behind" not in probability
 
 
 def test_a_position_inside_a_shop_is_moved_in_front_of_it():
@@ -90,11 +90,11 @@ def test_a_position_inside_a_shop_is_moved_in_front_of_it():
 
 def test_a_stand_drawn_as_a_point_is_faced_from_all_sides():
     plan = ("floor", "", shapely.box(0, 0, 20, 20)), ("place", "stand", shapely.Point(10, 10))
-    told = [facing(plan, 10 + 1.2 * unit(angle), angle + np.pi)["stand"] for angle in np.arange(0, 6, 0.7)]
-    assert min(told) > 0.75
-    assert np.ptp(told) < 0.05  # rays are 15° apart
+    probability = [facing(plan, 10 + 1.2 * unit(angle), angle + np.pi)["stand"] for angle in np.arange(0, 6, 0.7)]
+    assert min(probability) > 0.75
+    assert np.ptp(probability) < 0.05  # rays are 15° apart
     away = facing(plan, (11.2, 10), EAST)["stand"]
-    assert away / (1 - away) < told[0] / (1 - told[0]) / 4
+    assert away / (1 - away) < probability[0] / (1 - probability[0]) / 4
 
 
 def test_a_person_in_a_room_is_at_the_room_with_any_heading():
@@ -134,8 +134,8 @@ def test_the_correlation_of_position_and_heading_is_used():
     together = independent.copy()
     together[0, 2] = together[2, 0] = -0.9 * 0.35  # the more to the left they faced, the further west they stand
     plan, place = fronts_of(*AISLE), np.array([9.5, 2.5])
-    told = [dict(plan.facing(place, NORTH, covariance))["N0"] for covariance in (independent, together)]
-    assert told[1] > told[0] + 0.01
+    probability = [dict(plan.facing(place, NORTH, covariance))["N0"] for covariance in (independent, together)]
+    assert probability[1] > probability[0] + 0.01
 
 
 def test_an_unknown_position_faces_nothing():
@@ -177,9 +177,9 @@ def excess(claimed):
     # `VisiblePlaces` adds by itself that people shuffle, which these here do not
     covariance = np.diag([claimed**2 - stays.SHUFFLE_SIGMA**2, claimed**2 - stays.SHUFFLE_SIGMA**2, 0.04])
     stated = [dict(plan.facing(pose[:2], pose[2], covariance)) for pose in poses]
-    told = [one | {"": 1 - sum(one.values())} for one in stated]
+    probability = [one | {"": 1 - sum(one.values())} for one in stated]
     answers = np.array(
-        [(p, answer == name) for one, name in zip(told, names, strict=True) for answer, p in one.items()]
+        [(p, answer == name) for one, name in zip(probability, names, strict=True) for answer, p in one.items()]
     )
     which = np.digitize(answers[:, 0], [0.1, 0.3, 0.5, 0.7])
     off = []

@@ -251,15 +251,15 @@ def test_a_damaged_store_is_refused_in_one_line_or_read(tmp_path, seed):
     at = random.integers(100, len(content) - 64)
     content[at : at + 64] = random.bytes(64)
     path.write_bytes(content[: at if seed % 2 else None])
-    said = ""
+    message = ""
     try:
         with Store(path) as log:
             assert isinstance(log.day("me", DATE), Day | None)
             assert isinstance(log.days(), dict)
     except InputError as refusal:
-        said = str(refusal)
-    assert said.isprintable()
-    assert said or not seed % 2, "one that was cut short is told"
+        message = str(refusal)
+    assert message.isprintable()
+    assert message or not seed % 2, "one that was cut short is told"
 
 
 def test_a_full_disk_costs_only_the_day_that_is_being_stored(tmp_path):

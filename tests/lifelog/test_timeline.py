@@ -152,10 +152,10 @@ def test_the_text_agrees_with_the_table():
 
 
 @pytest.mark.parametrize(
-    ("seconds", "said"), [(0, "0 s"), (99, "99 s"), (99.6, "2 min"), (5940, "99 min"), (7500, "2 h 05 min")]
+    ("seconds", "text"), [(0, "0 s"), (99, "99 s"), (99.6, "2 min"), (5940, "99 min"), (7500, "2 h 05 min")]
 )
-def test_durations_have_usual_units(seconds, said):
-    assert duration_text(seconds) == said
+def test_durations_have_usual_units(seconds, text):
+    assert duration_text(seconds) == text
 
 
 def test_a_day_without_outings_is_empty():

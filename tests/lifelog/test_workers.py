@@ -57,13 +57,13 @@ def test_a_day_that_fails_in_a_worker_does_not_stop_the_others(tmp_path, elsewhe
     assert (result.built, len(result.failures), len(result.refusals)) == (7, 2, 1)
     expected = built(here, failing)
     assert result.failures == expected.failures
-    assert [said.replace("/there/", "/here/") for said in result.refusals] == list(expected.refusals)
+    assert [message.replace("/there/", "/here/") for message in result.refusals] == list(expected.refusals)
 
 
 def test_a_crashed_process_costs_only_its_day(tmp_path, elsewhere):
     log, _ = added(tmp_path)
-    said = "person1, 2024-05-03: its worker process was killed or crashed"
-    assert built(log, standin.dying, **elsewhere) == BuildResult(14, 0, (said,), ())
+    message = "person1, 2024-05-03: its worker process was killed or crashed"
+    assert built(log, standin.dying, **elsewhere) == BuildResult(14, 0, (message,), ())
     assert built(log) == BuildResult(3, 12, (), ()), "that day and those after it"
     whole, _ = added(tmp_path / "whole")
     built(whole)
@@ -129,7 +129,7 @@ def test_two_hundred_person_days_are_ten_tasks():
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (
             {"workers": 2, "scheduler": "tcp://127.0.0.1:1"},
@@ -140,11 +140,11 @@ def test_two_hundred_person_days_are_ten_tasks():
         ({"scheduler": "tcp://127.0.0.1:1"}, "found Timed out trying to connect"),
     ],
 )
-def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, said):
+def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, message):
     pytest.importorskip("distributed")
     monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
     log, _ = added(tmp_path, people=1, days=1)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         built(log, **options)
     assert built(log).built == 1
 
