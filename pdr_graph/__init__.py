@@ -13,7 +13,7 @@ estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother
 live       Navigator  Journal  Samples  Scan  Pose  events_of
 look       plot  evaluate
 simulate   Scenario  simulate
-nouns      Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError
+data       Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError
 
 SI units and radians; x east, y north, or the floor plan's own frame; headings counter-clockwise from +x; arrays are
 samples-first, ``(n, 2)``; times are seconds from the recording's start. What is not named here may change.

@@ -1,4 +1,4 @@
-"""What a walk is estimated from: options, and files read into one frame."""
+"""The inputs of a walk: options, and files read into one frame."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Recording
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
-FASTEST_RATE = 1000.0  # [Hz]
+FASTEST_RATE = 1000.0  # [Hz] largest rate of output rows
 LIVE = "live"  # the method of a navigator
-LIVE_ONLY = ("lag", "journal")
+LIVE_ONLY = ("lag", "journal")  # options of that method alone
 
 
 @dataclass(frozen=True)
 class Options:
-    """How a walk is estimated, and from which files beside the recording. The defaults of every verb."""
+    """Options of an estimate, and its input files beside the recording; the defaults of every command."""
 
     plan: Path | None = None
     """Floor plan; its frame is the output's."""
@@ -40,33 +40,33 @@ class Options:
     ranges: Path | None = None
     """CSV of ranges to anchors, `time,anchor,range[,sigma]`; their places are those of `beacons`, else the plan's."""
     radio_map: Path | None = None
-    """What earlier walks heard where, as `pdr-graph radio-map` writes it."""
+    """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
     walker: Path | None = None
-    """TOML of what is known of the walker."""
+    """TOML of the walker's height, stride and profile."""
     truth: Path | None = None
-    """CSV of the true trajectory; drawn and scored, never estimated from."""
+    """CSV of the true trajectory, for drawings and scores only."""
     method: str = "graph"
-    """`graph`, `filter`, `rts`, `pdr`, or `live` (a navigator, as `replay` has it)."""
+    """`graph`, `filter`, `rts`, `pdr`, or `live` (the navigator of `replay`)."""
     recorded_fixes: bool = True
-    """Use positions inside the recording too."""
+    """Also use positions inside the recording."""
     rate: float | None = None
     """Rows of the trajectory per second [Hz]; None: a row per step."""
     gnss_latency: float = 0.0
-    """How late the phone's own positions are [s]."""
+    """Delay of the phone's own positions [s]."""
     floor: str | None = None
     """Label of the floor on which the walk begins; None: as the fixes say."""
     lag: float | None = 60.0
     """Time after which a live navigator finalizes a step [s]; None: never."""
     journal: Path | None = None
-    """File in which a live walk is kept, and from which it is resumed."""
+    """File that stores a live walk, and from which it is resumed."""
 
     def __post_init__(self) -> None:
-        """Raise InputError where a trajectory cannot be resampled so often."""
+        """Raise InputError if the rate is out of range."""
         if self.rate is not None and not 0 < self.rate <= FASTEST_RATE:
             raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
 
     def describe(self) -> dict[str, Any]:
-        """Return the options as `summary.json` has them, by the names of the command line."""
+        """Return the options for `summary.json`, with the names of the command line."""
         names = [field.name for field in fields(self) if self.method == LIVE or field.name not in LIVE_ONLY]
         values = {"map" if name == "plan" else name: getattr(self, name) for name in names}
         return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
@@ -74,11 +74,11 @@ class Options:
 
 @dataclass(frozen=True)
 class Inputs:
-    """A recording and what else is known.
+    """A recording and all other inputs.
 
-    walk; walker; building: None without a plan; frame: the output's; fixes: all that are used, in it and in order of
-    time; notes: what was left out or assumed, one line each; beacons: those that can be heard, in the frame.
-    radio_map: whose fixes are among these already.
+    walk; walker; building: None without a plan; frame: of the output; fixes: all that are used, in this frame and in
+    order of time; notes: what was left out or assumed, one line each; beacons: in this frame, None if none was
+    received; radio_map: the fixes include those from it.
     """
 
     walk: Recording
@@ -92,14 +92,14 @@ class Inputs:
 
     @property
     def near(self) -> Array:
-        """About where the walk was ``(2,)`` [m], for the World Magnetic Model."""
+        """Approximate position ``(2,)`` [m] of the walk, for the World Magnetic Model."""
         if len(self.fixes):
             return self.fixes.position[0]
         return np.zeros(2) if self.building is None else self.building.floors[0].corners.mean(axis=0)
 
     @property
     def other_fixes(self) -> Fixes:
-        """The fixes without those of the radio map, which a navigator makes of the scans itself."""
+        """The fixes without those of the radio map, which a navigator makes from the scans itself."""
         if self.radio_map is None:
             return self.fixes
         return self.fixes[np.array([name != self.radio_map.source for name in self.fixes.source], dtype=bool)]
@@ -130,7 +130,7 @@ def read(recording: Path, options: Options | None = None) -> Inputs:
 
 
 def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons | None:
-    """The beacons of a walk in the output frame; None where none was heard or they have no place in it."""
+    """The beacons of a walk in the output frame; None if none was received, or if the frame has no latitude."""
     if walk.beacons is None or walk.bluetooth is None:
         return None
     if walk.beacons.epsg is not None and not frame.georeferenced:
@@ -140,7 +140,7 @@ def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons 
 
 
 def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tuple[Frame, Beacons]:
-    """The frame and the anchors of ranges in it; they define it where nothing else has: located is False."""
+    """The frame, and the anchors of ranges in it. located: False if the anchors define the frame."""
     anchors = walk.beacons
     if anchors is None:
         raise InputError(ranges, "anchor", "no places of anchors", "--beacons, or a plan on which they are drawn")
@@ -154,20 +154,20 @@ def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tupl
 def _beacons(
     walk: Recording, path: Path | None, listed: Path | None, building: Building | None, notes: list[str]
 ) -> Beacons | None:
-    """Where beacons are: by the list at ``path``, else by one beside the recording, else by the plan."""
+    """Beacon positions from the list at ``path``, else from that beside the recording, else from the plan."""
     if path is not None:
         return read_beacons(path, walk)
     if listed is not None and walk.bluetooth is not None:
         try:
             return read_beacons(listed, walk)
-        except InputError as error:  # nobody asked for it
+        except InputError as error:  # no option named this file
             notes.append(f"beacons were left out: {error}")
     drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
     return drawn_beacons(drawn, walk) if drawn else None
 
 
 def load_radio_map(path: Path, building: Building | None) -> RadioMap:
-    """Read a radio map that has a frame: its own, or that of the plan it was learnt on."""
+    """Read a radio map. Raises InputError if its frame is that of a plan and ``building`` is None."""
     from pdr_graph.estimation.fingerprinting import RadioMap  # it takes scipy.optimize, long to import
 
     radio_map = RadioMap.load(path)
@@ -177,7 +177,7 @@ def load_radio_map(path: Path, building: Building | None) -> RadioMap:
 
 
 def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path | None, notes: list[str]) -> Fixes:
-    """The fixes of a radio map along a walk in the output frame, which must be the map's own."""
+    """The fixes of a radio map along a walk; the output frame must be that of the map."""
     if radio_map.frame != frame.describe():
         raise InputError(path or "--radio-map", "frame", f"{radio_map.frame}", f"that of the walk, {frame.describe()}")
     fixes = radio_map.fixes(walk)
@@ -189,9 +189,9 @@ def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path 
 def _in_one_frame(
     building: Building | None, radio_map: RadioMap | None, listed: Fixes, recorded: Fixes, notes: list[str]
 ) -> tuple[Frame, Fixes]:
-    """The output frame and all fixes in it; a note on fixes that have no place in it.
+    """The output frame and all fixes in it; adds a note on fixes that cannot be placed in it.
 
-    The plan's frame; else a radio map's; else that of metric fixes; else east-north about the first geodetic fix.
+    It is the frame of the plan; else of the radio map; else of metric fixes; else east-north at the first geodetic fix.
     """
     if building is not None:
         frame = building.floors[0].frame

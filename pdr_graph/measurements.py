@@ -70,10 +70,11 @@ class Closures(OneLineRepr, row="closure"):
 
 
 @dataclass(frozen=True)
-class Ranges:
+class Ranges(OneLineRepr, row="range"):
     """Distances to anchors: UWB, Wi-Fi RTT, BLE ranging; ``n`` ranges, ``m`` anchors.
 
-    time: ``(n,)`` [s]; anchor: ``(n,)`` which; range: ``(n,)`` [m]; sigma: ``(n,)`` with line of sight [m].
+    time: ``(n,)`` [s]; anchor: ``(n,)`` its row in the table of anchors; range: ``(n,)`` [m]; sigma: ``(n,)`` with line
+    of sight [m].
     label: of each anchor; position: ``(m, 2)`` [m]; position_sigma: ``(m,)`` of its survey, per axis [m].
     """
 
@@ -102,9 +103,10 @@ class Ranges:
 
 @dataclass(frozen=True)
 class RangeReport:
-    """What became of one range.
+    """How one range was used.
 
-    residual: measured less expected [m], long where it is positive; weight: share of its information that was used.
+    residual: measured minus expected [m], positive if the range is too long; weight: share of its information that was
+    used, 0-1.
     """
 
     time: float

@@ -1,4 +1,4 @@
-"""What is written of a walk: trajectory, picture, report and summary; with a truth, scores."""
+"""Output files of a walk: trajectory, picture, report and summary; with a truth, scores."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from pdr_graph.inputs import LIVE, Inputs, Options
 from pdr_graph.io import gpx, writers
 from pdr_graph.types import Estimate, Steps, Trajectory
 
-REPORTED = ("fixes", "beacons", "headings")  # kinds that a summary has even if nothing was measured
+REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, even without measurements
 
 
 @dataclass
@@ -48,11 +48,11 @@ class Stages:
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a walk.
+    """The result of a walk.
 
-    missing: what could not be estimated, a line each; graph, steps, floors: None where they are not known; profile: by
-    which the steps were corrected; step_count: where the steps are not known one by one; issues: warnings beside the
-    estimate's; causal: makes tracks, by name, that knew only what came before.
+    missing: what could not be estimated, a line each; graph, steps, floors: None if not available; profile: that
+    corrected the steps; step_count: number of steps if ``steps`` is None; issues: warnings in addition to those of the
+    estimate; causal: returns causal tracks by name.
     """
 
     estimate: Estimate
@@ -71,25 +71,25 @@ class Result:
 
 
 def write(out: Path, inputs: Inputs, result: Result, options: Options, stage: Stages) -> tuple[str, ...]:
-    """Write trajectory, picture, walker, report and summary to ``out``; returns all that is missing, a line each."""
-    found, missing = result.estimate, result.missing
+    """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each."""
+    estimate, missing = result.estimate, result.missing
     with stage("write"):
-        missing += write_results(out, inputs, found, options.rate)
-        if result.steps is not None and found.calibration is not None and found.calibration.learnt[-1, 0]:
-            walker = replace(inputs.walker, profile=posterior_profile(found, result.steps, result.profile))
+        missing += write_results(out, inputs, estimate, options.rate)
+        if result.steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
+            walker = replace(inputs.walker, profile=posterior_profile(estimate, result.steps, result.profile))
             origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
     summary = summarize(inputs, result) | {"seconds": stage.seconds}
     summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
     with stage("report"):
         missing += write_report(out, inputs, result, options.method, summary)
-        missing += _unscored(options.truth, inputs, found)
+        missing += _unscored(options.truth, inputs, estimate)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 
 
 def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | None) -> tuple[str, ...]:
-    """The trajectory in all its forms, and the picture; returns what could not be written."""
+    """Write the trajectory in all formats, and the picture; returns what could not be written."""
     walk, frame = inputs.walk, inputs.frame
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
@@ -106,7 +106,7 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
         plot(estimate, inputs.building, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(
             out / "figure.png", dpi=120
         )
-    except Exception as error:  # a picture must not cost the result
+    except Exception as error:  # without a picture the result is still useful
         return (f"figure.png ({type(error).__name__}: {error})",)
     return ()
 
@@ -117,37 +117,39 @@ def write_report(out: Path, inputs: Inputs, result: Result, method: str, summary
         from pdr_graph.report.page import page
         from pdr_graph.report.walk import WalkReport, content
 
-        found, truth = result.estimate, _truth_beside(inputs, result.estimate)
+        estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
         method = "graph" if method == LIVE else method
         tracks = result.tracks()
-        shown = WalkReport(inputs.walk, inputs.building, found, method, summary, result.steps, tracks, truth)
+        shown = WalkReport(inputs.walk, inputs.building, estimate, method, summary, result.steps, tracks, truth)
         (out / "report.html").write_bytes(page(content(shown)))
-    except Exception as error:  # a report must not cost the result
+    except Exception as error:  # without a report the result is still useful
         return (f"report.html ({type(error).__name__}: {error})",)
     return ()
 
 
 def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
-    """Return what ``summary.json`` says of the walk itself."""
-    walk, building, found = inputs.walk, inputs.building, result.estimate
-    track = found.trajectory
+    """Return the part of ``summary.json`` about the walk itself."""
+    walk, building, estimate = inputs.walk, inputs.building, result.estimate
+    track = estimate.trajectory
     crossings = None if building is None else int(building.crosses_wall(track.position, track.floor).sum())
     packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
     return {
         "recording": walk.source,
         "steps": result.step_count if result.steps is None else int((~result.steps.is_gap).sum()),
-        "distance": round(_length(found), 3),
+        "distance": round(_length(estimate), 3),
         "duration": round(float(np.ptp(track.time)), 3),
         "frame": inputs.frame.describe(),
         "floor": track.floor[0] or None,
         "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
         "climbs": _climbs(result.floors, walk.clock_origin),
-        "calibration": _calibration(found, walk.clock_origin),
-        **{kind: _reports(found.reports.get(kind, ()), walk.clock_origin) for kind in (*REPORTED, *found.reports)},
+        "calibration": _calibration(estimate, walk.clock_origin),
+        **{
+            kind: _reports(estimate.reports.get(kind, ()), walk.clock_origin) for kind in (*REPORTED, *estimate.reports)
+        },
         "wall_crossings": crossings,
-        "probability": round(found.probability, 3),
-        "optimum": _finite({"cost": found.cost, "iterations": found.iterations, "converged": found.converged}),
-        "warnings": list(dict.fromkeys([*inputs.notes, *found.warnings, *result.issues])),
+        "probability": round(estimate.probability, 3),
+        "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
+        "warnings": list(dict.fromkeys([*inputs.notes, *estimate.warnings, *result.issues])),
         "versions": packages | {"python": platform.python_version()},
     }
 
@@ -155,18 +157,20 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
 def _reports(reports: tuple[Any, ...], clock_origin: float) -> list[dict[str, Any]]:
     """The reports of one kind of measurement, their times on the recorder's clock."""
     timed = bool(reports) and "time" in {column.name for column in fields(reports[0])}
-    return [_finite(asdict(replace(one, time=one.time + clock_origin) if timed else one)) for one in reports]
+    return [
+        _finite(asdict(replace(report, time=report.time + clock_origin) if timed else report)) for report in reports
+    ]
 
 
 def _unscored(truth: Path | None, inputs: Inputs, estimate: Estimate) -> tuple[str, ...]:
-    """What is missing where a truth was given and says nothing of the walk."""
+    """The missing scores if a truth was given but cannot be compared with the walk."""
     if truth is None or _truth_beside(inputs, estimate) is not None:
         return ()
     return (f"scores: {truth.name} lies elsewhere than the walk, or nothing says where the walk was",)
 
 
 def _truth_beside(inputs: Inputs, estimate: Estimate) -> Trajectory | None:
-    """The truth, to be drawn where it has a place in the frame and lies where the walk is."""
+    """The truth in the output frame; None if it cannot be placed there, or lies elsewhere than the walk."""
     truth, frame = inputs.walk.truth, inputs.frame
     if truth is None or not estimate.fixes or (truth.epsg is not None and not frame.georeferenced):
         return None
@@ -177,13 +181,13 @@ def _truth_beside(inputs: Inputs, estimate: Estimate) -> Trajectory | None:
 
 
 def _climbs(floors: Floors | None, clock_origin: float) -> list[dict[str, Any]]:
-    """When the walker went up or down, how far, and on what."""
+    """Start, end, height and kind of each climb."""
     if floors is None:
         return []
-    found = floors.climbs
+    climbs = floors.climbs
     return [
         {"start": float(t + clock_origin), "end": float(u + clock_origin), "height": float(h), "kind": kind}
-        for t, u, h, kind in zip(found.start, found.end, found.height, floors.kinds, strict=True)
+        for t, u, h, kind in zip(climbs.start, climbs.end, climbs.height, floors.kinds, strict=True)
     ]
 
 

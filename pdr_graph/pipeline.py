@@ -1,4 +1,4 @@
-"""One walk from files to files: read, observe, estimate, write. Every verb is made of these."""
+"""The pipeline of one walk, from input files to output files: read, observe, estimate, write."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ def smooth_recording(recording: Path, out: Path, options: Options | None = None)
 
 @dataclass(frozen=True)
 class Evidence:
-    """Everything that was measured of one walk, in one frame.
+    """All measurements of one walk, in one frame.
 
-    steps: None where nothing recorded them; floors: of every step, None where nothing tells; measurements: tables of
-    any other kinds; profile: of the walker, by which the steps are already corrected.
+    steps: None without an accelerometer; floors: of every step, None if unknown; measurements: tables of any other
+    kinds; profile: of the walker, which has already corrected the steps.
     """
 
     steps: Steps | None
@@ -88,13 +88,10 @@ class Evidence:
         )
 
 
-# Observe: what the sensors tell
-
-
 def observe(inputs: Inputs, options: Options | None = None) -> Evidence:
-    """Find steps, headings, floors and beacon levels; no steps where the fixes are all there is.
+    """Detect steps, headings, floors and beacon levels; no steps if the walk has fixes but no accelerometer.
 
-    Raises InputError if there are neither steps nor fixes, or nothing says on which floor the walk was.
+    Raises InputError if there are neither steps nor fixes, or if the floor of the walk is unknown.
     """
     options, walk = options or Options(), inputs.walk
     steps, headings = None, Headings.none()
@@ -120,10 +117,10 @@ def with_measurements(evidence: Evidence, tables: Sequence[Any]) -> Evidence:
 
 
 def with_floors(evidence: Evidence, barometer: Signal | None, start_floor: str | None, plan: Path | None) -> Evidence:
-    """Find the floor of every step by barometer and fixes, and shorten the steps on stairs to the treads.
+    """Estimate the floor of every step by barometer and fixes, and shorten the steps on stairs to the treads.
 
-    start_floor: label of the floor where the walk began, if it is known; plan: for messages. Raises InputError if the
-    building has no such floor, or several and nothing says on which the walk was.
+    start_floor: label of the floor where the walk began, or None; plan: for messages. Raises InputError if the building
+    has no such floor, or if it has several and that of the walk is unknown.
     """
     building, steps, fixes = evidence.building, evidence.steps, evidence.fixes
     if building is not None and len(building.labels) > 1 and start_floor not in (None, *building.labels):
@@ -141,37 +138,34 @@ def with_floors(evidence: Evidence, barometer: Signal | None, start_floor: str |
 
 
 def with_beacon_levels(evidence: Evidence, heard: Sightings | None, beacons: Beacons | None) -> Evidence:
-    """Add how loud the surveyed beacons were along the walk; beacons: in its frame."""
+    """Add the mean levels of surveyed beacons along the walk; beacons: in its frame."""
     if evidence.steps is None or heard is None or beacons is None:
         return evidence
     levels = levels_along(heard, beacons, evidence.steps)
     return replace(evidence, measurements=(levels, *evidence.measurements))
 
 
-# Estimate: the walk by one method
-
-
 def estimate(evidence: Evidence, method: str = "graph") -> Result:
-    """Estimate the walk by ``graph``, ``filter``, ``rts`` or ``pdr``; the fixes alone, smoothed, without steps."""
+    """Estimate the walk by ``graph``, ``filter``, ``rts`` or ``pdr``; without steps, smooth the fixes alone."""
     graph = evidence.graph()
     if graph is None:
         return Result(follow(evidence.fixes), (NO_ACCELEROMETER,))
-    failed, found = (), None
+    failed, walk = (), None
     if method == "graph":
         try:
-            found = smooth(graph)
-        except RuntimeError as error:  # GTSAM's, of a system it cannot solve
+            walk = smooth(graph)
+        except RuntimeError as error:  # by GTSAM, for a system that it cannot solve
             failed = (f"the graph ({str(error).splitlines()[0]}): this is the filter's walk",)
     elif method == "pdr":
-        found = _dead_reckoned(graph)
+        walk = _dead_reckoned(graph)
     elif method == "rts":
-        found = kalman_smoother(graph)
-    found = found or kalman_filter(graph)
-    if "headings" not in found.reports:
-        found = _with_headings(found, graph.headings.headings)
-    missing = failed or (() if method == "pdr" else missing_of(found, len(evidence.fixes)))
+        walk = kalman_smoother(graph)
+    walk = walk or kalman_filter(graph)
+    if "headings" not in walk.reports:
+        walk = _with_headings(walk, graph.headings.headings)
+    missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
     return Result(
-        estimate=found,
+        estimate=walk,
         missing=(*graph.steps.unknown, *missing),
         graph=graph,
         steps=graph.steps,
@@ -182,20 +176,20 @@ def estimate(evidence: Evidence, method: str = "graph") -> Result:
 
 
 def _filter_track(graph: WalkGraph) -> dict[str, Trajectory]:
-    """The causal filter's track, which the report shows beside an estimate that knew the whole walk."""
+    """The causal filter's track, which the report shows beside a smoothed estimate."""
     return {"filter": kalman_filter(graph).trajectory}
 
 
-def _with_headings(found: Estimate, headings: Headings) -> Estimate:
+def _with_headings(walk: Estimate, headings: Headings) -> Estimate:
     """Report the residuals of headings along an estimate that does not report them itself."""
-    track = found.trajectory
+    track = walk.trajectory
     heading = np.interp(headings.time, track.time, np.unwrap(track.heading))
     reports = heading_reports(headings, heading, np.ones(len(headings)))
-    return replace(found, reports={**found.reports, "headings": reports})
+    return replace(walk, reports={**walk.reports, "headings": reports})
 
 
 def _dead_reckoned(graph: WalkGraph) -> Estimate:
-    """Dead reckoning through the first fix, turned and scaled by nothing: the graph of that fix alone."""
+    """Dead reckoning through the first fix, neither rotated nor scaled: the graph with that fix alone."""
     used, fixes = graph.positions.used, graph.positions.fixes
     first = int(np.argmax(used)) if used.any() else 0
     alone = smooth(WalkGraph(graph.steps, fixes[first : first + 1], prior=graph.prior))
@@ -212,34 +206,30 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     return replace(alone, trajectory=replace(track, floor=graph.floors), reports={"fixes": tuple(reports)})
 
 
-# What else is learnt from files
-
-
 def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | None = None) -> tuple[Profile, int]:
-    """The profile of a walker who followed a known line, written to ``out`` with a picture beside it; and how often
-    round they went.
+    """Write the profile of a walker who followed a known line to ``out``, with a picture beside it.
 
-    Raises InputError if an input cannot be used.
+    Returns the profile and the number of laps. Raises InputError if an input cannot be used.
     """
     from pdr_graph.plotting import plot
 
-    walk, known = io.load(recording), Walker.load(walker) if walker else Walker()
+    walk, person = io.load(recording), Walker.load(walker) if walker else Walker()
     if walk.gyroscope is None:
         raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
-    steps = detect_steps(walk, replace(known, profile=None))
+    steps = detect_steps(walk, replace(person, profile=None))
     line = read_route(route)
     profile, estimate, laps = calibrate(steps, line, walk.source)
-    replace(known, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
-    said = Trajectory(np.arange(float(len(line))), line, np.zeros(len(line)), ("",) * len(line))
+    replace(person, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
+    reference = Trajectory(np.arange(float(len(line))), line, np.zeros(len(line)), ("",) * len(line))
     title = f"{walk.source} along {route.name}   {profile.residual:.2f} m from it (rms)"
-    plot(replace(estimate, reports={}), truth=said, title=title).savefig(out.with_suffix(".png"), dpi=120)
+    plot(replace(estimate, reports={}), truth=reference, title=title).savefig(out.with_suffix(".png"), dpi=120)
     return profile, laps
 
 
 def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
-    """What recordings heard where, each with the folder that ``pdr-graph smooth`` wrote of it, written to ``out``.
+    """Write a radio map of recordings to ``out``; walks: each recording with the output folder of ``pdr-graph smooth``.
 
-    Raises InputError if an input cannot be used, or the walks are not all in one frame.
+    Raises InputError if an input cannot be used, or if the walks are not all in one frame.
     """
     from pdr_graph.estimation.fingerprinting import RadioMap  # it takes scipy.optimize, long to import
 
@@ -254,11 +244,11 @@ def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
         if frames[-1] != frames[0]:
             raise InputError(folder, "frame", f"{frames[-1]}", f"that of {walks[0][1]}, {frames[0]}: one plan for all")
     try:
-        found = RadioMap.learn(learnt, frames[0])
+        radio_map = RadioMap.learn(learnt, frames[0])
     except ValueError as error:
         raise InputError(out, "", str(error).removeprefix("found "), "more walks or longer ones") from None
-    found.save(out)
-    return found
+    radio_map.save(out)
+    return radio_map
 
 
 def _frame_of(summary: Path) -> dict[str, Any]:

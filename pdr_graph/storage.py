@@ -1,12 +1,13 @@
-"""Typed dataclasses as bytes and back, bit by bit and without pickle; checkpoints of objects; SQLite files.
+"""Lossless encoding of typed dataclasses without pickle; checkpoints of objects; SQLite files.
 
 One format serves events, snapshots and the blobs of a lifelog:
 
     CRC-32 of what follows (4 bytes) · format (1) · msgpack: [name of the type, fields by name in alphabetical order]
 
 A numeric array is an extension of msgpack: its dtype, its shape, its bytes. `decode` checks every field against its
-type hint, and that encoding again gives the same bytes: a field too many or too few is refused. Only the fields that a
-type lists in its class variable ``added`` may be missing, in bytes of older versions: they get their default.
+type hint, and that encoding the result gives the same bytes, so additional or missing fields are errors. Only the
+fields that a type lists in its class variable ``added`` may be missing, in bytes of older versions; they get their
+defaults.
 """
 
 from __future__ import annotations
@@ -46,12 +47,12 @@ Value = TypeVar("Value")
 
 
 def encode(value: object) -> bytes:
-    """Encode a dataclass. Raises TypeError if a field is not of its type: it would not come back."""
+    """Encode a dataclass. Raises TypeError if a field is not of its type, since it could not be decoded."""
     return encode_and_decode(value)[0]
 
 
 def encode_and_decode(value: Value) -> tuple[bytes, Value]:
-    """The bytes of a dataclass, and what `decode` makes of them. Raises as `encode`."""
+    """The bytes of a dataclass, and the result of `decode` for these bytes. Raises TypeError as `encode`."""
     kind = type(value)
     if not is_dataclass(value):
         raise TypeError(f"found {kind.__name__}, expected a dataclass")
@@ -65,7 +66,7 @@ def encode_and_decode(value: Value) -> tuple[bytes, Value]:
 
 
 def decode(blob: bytes, *kinds: type) -> Any:
-    """The dataclass, one of these kinds, that `encode` made the bytes of.
+    """Decode the bytes of a dataclass of one of these kinds.
 
     Raises ValueError for other bytes; memory is allocated for no more than there are bytes.
     """
@@ -95,30 +96,30 @@ def _decoded(blob: bytes, kinds: Mapping[str, type]) -> Any:
 
 
 def _check_complete(value: Any, path: str = "$") -> None:
-    """Raise ValueError if a field was not in the bytes: msgspec leaves its default to the class."""
+    """Raise ValueError if a field was not in the bytes; msgspec does not set such a field."""
     if is_dataclass(value):
-        known, added = vars(value), getattr(type(value), "added", ())
+        present, added = vars(value), getattr(type(value), "added", ())
         for name in (each.name for each in fields(value)):
-            if name in known:
-                _check_complete(known[name], f"{path}.{name}")
+            if name in present:
+                _check_complete(present[name], f"{path}.{name}")
             elif name not in added:
                 raise ValueError(f"missing field `{name}` - at `{path}`")
     elif isinstance(value, (list, tuple, dict)):
-        for one in value.values() if isinstance(value, dict) else value:
-            if isinstance(one, (str, int, float)):
+        for element in value.values() if isinstance(value, dict) else value:
+            if isinstance(element, (str, int, float)):
                 return  # elements are of one type
-            _check_complete(one, f"{path}[...]")
+            _check_complete(element, f"{path}[...]")
 
 
 def _difference(found: Any, expected: Any, path: str = "$") -> str:
-    """Which field the one has and the other has not."""
+    """Describe the first field in which two decoded values differ."""
     if isinstance(found, dict) and isinstance(expected, dict):
         for name in found:
             if name not in expected:
                 return f"unknown field `{name!s:.40}` - at `{path}`"
         pairs: Any = ((name, found[name], expected[name]) for name in found)
     elif isinstance(found, list) and isinstance(expected, list) and len(found) == len(expected):
-        pairs = ((n, one, other) for n, (one, other) in enumerate(zip(found, expected, strict=True)))
+        pairs = ((n, left, right) for n, (left, right) in enumerate(zip(found, expected, strict=True)))
     else:
         return f"found another encoding than that of this version - at `{path}`"
     return next((_difference(a, b, f"{path}.{name}") for name, a, b in pairs if a != b), "its fields are not in order")
@@ -208,30 +209,30 @@ def decode_json(text: str, kind: type[Value]) -> Value:
         raise ValueError(f"no JSON of {kind.__name__}: {_on_one_line(error)}") from None
 
 
-def checkpoint(one: object, kind: type[Value]) -> Value:
-    """The attributes of an object that a dataclass of this kind has, copied."""
-    return kind(**{each.name: deepcopy(getattr(one, each.name)) for each in fields(kind)})  # type: ignore[arg-type]
+def checkpoint(instance: object, kind: type[Value]) -> Value:
+    """A dataclass of this kind with copies of the object's attributes of the same names."""
+    return kind(**{each.name: deepcopy(getattr(instance, each.name)) for each in fields(kind)})  # type: ignore[arg-type]
 
 
-def restore(one: object, known: Any) -> None:
-    """Set the attributes of an object to those of a checkpoint, copied."""
-    for each in fields(known):
-        setattr(one, each.name, deepcopy(getattr(known, each.name)))
+def restore(instance: object, state: Any) -> None:
+    """Set the attributes of an object to copies of the fields of a checkpoint."""
+    for each in fields(state):
+        setattr(instance, each.name, deepcopy(getattr(state, each.name)))
 
 
 def fingerprint(path: Path, files: Sequence[Path] = ()) -> str:
-    """The name of an input, and the SHA-256 of names and contents of its files: itself by default."""
+    """The name of an input with the SHA-256 of names and contents of its files, by default of ``path`` itself."""
     digest = hashlib.sha256()
     for file in files or (path,):
         with file.open("rb") as content:
-            own = hashlib.file_digest(content, "sha256").hexdigest()
-        digest.update(f"{file.name}\0{own}\n".encode(errors="surrogateescape"))
+            content_hash = hashlib.file_digest(content, "sha256").hexdigest()
+        digest.update(f"{file.name}\0{content_hash}\n".encode(errors="surrogateescape"))
     return f"{path.resolve().name}, sha256 {digest.hexdigest()}"
 
 
-WAL_LIMIT = 16 << 20  # [bytes] that are kept for reuse after a flood
-PATIENCE = 1.0  # [s] for another process to end
-OWN = 0o600  # where people were is nobody else's business; SQLite gives its -wal the mode of the file itself
+WAL_LIMIT = 16 << 20  # [bytes] size of the write-ahead log that is kept for reuse
+PATIENCE = 1.0  # [s] to wait for another process to close the file
+OWNER_ONLY = 0o600  # positions are private; SQLite gives its -wal the mode of the file itself
 ERRORS = {
     sqlite3.SQLITE_FULL: errno.ENOSPC,
     sqlite3.SQLITE_READONLY: errno.EROFS,
@@ -243,10 +244,10 @@ ERRORS = {
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of file. name: in messages, as "journal"; application, version: numbers that its header has.
+    """A kind of file. name: in messages, as "journal"; application, version: numbers in its header.
 
-    remedy: what to do with a file of an older version that has no upgrade; upgrades: by version, the statements that
-    make a file of the next version of it.
+    remedy: advice for a file of an older version without upgrade; upgrades: by version, the statements that upgrade a
+    file to the next version.
     """
 
     name: str
@@ -259,16 +260,15 @@ class Kind:
 def create_or_open(
     path: Path, kind: Kind, schema: Sequence[str], rows: Mapping[str, Sequence[Sequence[Any]]]
 ) -> sqlite3.Connection:
-    """The database, upgraded to this version, which nobody else can open any more, with a write-ahead log.
+    """Open or create a database with exclusive access and a write-ahead log, and upgrade it to this version.
 
-    schema: statements that make its tables, and rows: those with which it begins by the statement that puts them in,
-    if it is new.
+    schema: statements that create the tables of a new file; rows: its first rows, by the statement that inserts them.
 
-    Raises InputError if the file is something else, of a newer version, damaged or in use; OSError of the disk.
+    Raises InputError if the file is of another kind or a newer version, damaged or in use; OSError if the disk fails.
     """
     _recognise(path, kind)
     with explained(path, kind):
-        os.close(os.open(path, os.O_CREAT | os.O_RDWR, OWN))
+        os.close(os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY))
         database = sqlite3.connect(path, PATIENCE, isolation_level=None, check_same_thread=False)
     try:
         with explained(path, kind):
@@ -290,7 +290,7 @@ def create_or_open(
 
 @contextmanager
 def explained(path: Path, kind: Kind) -> Iterator[None]:
-    """What SQLite says, as this package says it: InputError of the file's content, OSError of the disk."""
+    """Translate errors of SQLite: InputError about the content of the file, OSError about the disk."""
     try:
         yield
     except sqlite3.ProgrammingError:
@@ -305,13 +305,16 @@ def explained(path: Path, kind: Kind) -> Iterator[None]:
 
 
 def _recognise(path: Path, kind: Kind) -> None:
-    """Look before SQLite does: it would tidy up after another program's database."""
+    """Check the header before SQLite opens the file, since it would modify another program's database.
+
+    Raises InputError if the file is of another kind or version, or truncated.
+    """
     if not path.exists():
         return
     with path.open("rb") as file:
         header = file.read(100)
     if not header:
-        return  # of a process that was killed before it wrote anything
+        return  # the process was killed before it wrote anything
     version, application = (int.from_bytes(header[at : at + 4], "big") for at in (60, 68))
     if not header.startswith(b"SQLite format 3\0") or application != kind.application:
         raise InputError(path, "", "another kind of file", f"a {kind.name}, or a name that is not taken")

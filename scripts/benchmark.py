@@ -20,8 +20,8 @@ from live_speed import live_rows
 from profile_pipeline import profile_rows
 from read_speed import reading_rows
 from rivals import banded_limit, rival_rows
-from said import PERIOD, held_by_walls, walk
 from scaling import scaling_rows
+from synthetic_walks import PERIOD, held_by_walls, walk
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth

@@ -28,10 +28,10 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
     "graph, built": ("pdr_graph.pipeline:WalkGraph",),
     "graph, particles": (
         "pdr_graph.estimation.path_modes:particle_filter",
-        "pdr_graph.estimation.endings:particles_from",
+        "pdr_graph.estimation.path_modes:particles_from",
     ),
     "graph, solved": ("pdr_graph.pipeline:smooth",),
-    "graph, covariance": ("pdr_graph.estimation.smoothers:_mixed_covariance",),
+    "graph, covariance": ("pdr_graph.estimation.smoother:_mixture_covariance",),
     "tracks and tables, written": (
         "pdr_graph.io.writers:write_trajectory",
         "pdr_graph.io.writers:write_tum",

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from said import held_by_walls, walk
+from synthetic_walks import held_by_walls, walk
 from tables import table
 
 from pdr_graph import FloorPlan

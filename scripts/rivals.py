@@ -10,11 +10,11 @@ import gtsam
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from gtsam.symbol_shorthand import C, X
-from said import PERIOD, walk_and_truth
 from scipy.linalg import solveh_banded
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
+from synthetic_walks import PERIOD, walk_and_truth
 from tables import table
 
 from pdr_graph import WalkGraph, dead_reckon, smooth

@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from said import walk
+from synthetic_walks import walk
 from tables import table
 
 from pdr_graph import WalkGraph, smooth

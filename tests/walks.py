@@ -47,7 +47,7 @@ def wandering_walk(n: int, seed: int = 0) -> Steps:
 
 
 def fixes_on(track: Trajectory, every: int, sigma: float = 1.0, seed: int | None = None) -> Fixes:
-    """Fixes at every so many rows, and the last; exact unless a seed is given."""
+    """Fixes at every ``every``-th row and at the last step; with noise only if ``seed`` is set."""
     rows = np.unique(np.append(np.arange(0, len(track), every), len(track) - 2))
     noise = 0.0 if seed is None else np.random.default_rng(seed).normal(0, sigma, (len(rows), 2))
     return fixes_at(track.time[rows], track.position[rows] + noise, sigma)
@@ -60,78 +60,78 @@ def fixes_at(time, position, sigma: float = 1.0) -> Fixes:
 
 
 def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0) -> tuple[Steps, Fixes, Trajectory]:
-    """A walk whose errors are just those that the graph assumes; ``wrong`` multiplies the fixes' true errors.
+    """A walk whose errors have the distributions of the graph's priors; ``wrong`` scales the errors of the fixes.
 
-    Returns what the front end would say, the fixes, and the truth.
+    Returns the measured steps, the fixes and the true trajectory.
     """
     from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL
     from pdr_graph.estimation.factors.start import Prior
     from pdr_graph.geometry import rotation, row_times, unit
 
     random, prior = np.random.default_rng(seed), Prior()
-    said = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n))
+    steps = steps_of(random.uniform(0.6, 0.8, n), random.normal(0, 0.1, n))
     R_s, R_d, b = random.normal(prior.mean, prior.sigma)
     theta, position, rows = random.uniform(-np.pi, np.pi), random.uniform(-20, 20, 2), []
     rows.append([*position, theta])
-    for length, turn in zip(said.length, said.turn, strict=True):
+    for length, turn in zip(steps.length, steps.turn, strict=True):
         expected = R_d * turn + b * PERIOD
-        wander = random.normal(0, said.sigma_turn[0])
+        wander = random.normal(0, steps.sigma_turn[0])
         course = theta + expected / 2 + wander / 2
         move = R_s * length * unit(np.array(course))
-        sway = random.normal(0, [said.sigma_length[0], SIGMA_LATERAL])
+        sway = random.normal(0, [steps.sigma_length[0], SIGMA_LATERAL])
         position = position + move + rotation(course) @ sway
         theta += expected + wander
         rows.append([*position, theta])
-    rows.append([*position, theta + b * (said.end - said.time[-1]) + random.normal(0, 0.02)])
+    rows.append([*position, theta + b * (steps.end - steps.time[-1]) + random.normal(0, 0.02)])
     rows = np.array(rows)
-    truth = Trajectory(row_times(said), rows[:, :2], rows[:, 2], ("",) * len(rows))
+    truth = Trajectory(row_times(steps), rows[:, :2], rows[:, 2], ("",) * len(rows))
     sigma = 1.5
     at = np.arange(every, n, every)
     fixes = fixes_at(truth.time[at], truth.position[at] + random.normal(0, wrong * sigma, (len(at), 2)), sigma)
-    return said, fixes, truth
+    return steps, fixes, truth
 
 
 def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps, Fixes, Trajectory]:
-    """As `drawn_from_the_model`, with the fixes of one receiver: offsets, lag and white noise as the graph assumes.
+    """As `drawn_from_the_model`, with fixes of one receiver: offset, lag and white noise by the model of `GnssBias`.
 
-    period: of its fixes [s], at least that of the offset's nodes, between which it is no Gauss–Markov process.
+    period: between fixes [s], at least that of the nodes, between which the offset is no Gauss–Markov process.
     """
     from pdr_graph.estimation.factors.fixes import drift
     from pdr_graph.estimation.factors.gnss_bias import LAG, LAG_CHANGE, WHITE, GnssBias
     from pdr_graph.estimation.graph import WalkGraph
     from pdr_graph.geometry import interpolate, rotation
 
-    said, _, truth = drawn_from_the_model(n, seed)
+    steps, _, truth = drawn_from_the_model(n, seed)
     random, sigma = np.random.default_rng([seed, 1]), 3.0
-    rows = np.unique(np.searchsorted(truth.time, np.arange(period, said.end - period, period)))
+    rows = np.unique(np.searchsorted(truth.time, np.arange(period, steps.end - period, period)))
     time = truth.time[rows]
-    keep = np.exp(-np.diff(drift(said, time)))[:, None]
+    keep = np.exp(-np.diff(drift(steps, time)))[:, None]
     offset = random.normal(0, 1, (len(time), 2))
     for i in range(1, len(time)):
         offset[i] = keep[i - 1] * offset[i - 1] + np.sqrt(1 - keep[i - 1] ** 2) * offset[i]
     change = np.append(random.normal(0, LAG), random.normal(0, LAG_CHANGE * np.sqrt(np.diff(time))))
     lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
 
-    graph = WalkGraph(said, fixes_at(time, where, sigma))
+    graph = WalkGraph(steps, fixes_at(time, where, sigma))
     gnss = graph.find(GnssBias)
     assert gnss is not None
     velocity = gnss.velocity[graph.positions.keyframe]
     ahead = np.array([rotation(h) @ v for h, v in zip(truth.heading[rows], velocity, strict=True)])
     white = WHITE * random.normal(0, 1, where.shape)
     fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)
-    return said, replace(fixes, source=("GNSS",) * len(fixes)), truth
+    return steps, replace(fixes, source=("GNSS",) * len(fixes)), truth
 
 
 def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, Fixes, Levels, Trajectory]:
-    """As `drawn_from_the_model`, with levels of four beacons: places, powers and path loss drawn from their priors.
+    """As `drawn_from_the_model`, with levels of four beacons: positions, powers and path loss from their priors.
 
-    ``wrong`` multiplies the levels' true errors.
+    ``wrong`` scales the errors of the levels.
     """
     from pdr_graph.estimation.factors.beacon_rssi import HEIGHT, LEVEL_SIGMA, PATH_LOSS, PATH_LOSS_SIGMA, POWER_SIGMA
     from pdr_graph.geometry import unit
     from pdr_graph.measurements import Levels
 
-    said, fixes, truth = drawn_from_the_model(n, seed, every=30)
+    steps, fixes, truth = drawn_from_the_model(n, seed, every=30)
     random, count, surveyed = np.random.default_rng([seed, 2]), 4, 0.5
     low, high = truth.position.min(axis=0) - 8, truth.position.max(axis=0) + 8
     listed = random.uniform(low, high, (count, 2))
@@ -145,7 +145,7 @@ def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, 
     expected = power + b[beacon, 2] - 10 * exponent * np.log10(distance) + shade * facing
     rssi = expected + random.normal(0, wrong * LEVEL_SIGMA, len(row))
     levels = Levels(truth.time[row], beacon, rssi, tuple("abcd"), listed, np.full(count, surveyed))
-    return said, fixes, levels, truth
+    return steps, fixes, levels, truth
 
 
 __all__ = [

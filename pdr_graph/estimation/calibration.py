@@ -21,18 +21,18 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit
 from pdr_graph.types import Array, Estimate, Fixes, Steps
 
-BETWEEN_WALKS = (0.05, 0.01, 0.001)  # of R_s, R_d, b [rad/s]: how they differ from one walk of somebody to the next
+BETWEEN_WALKS = (0.05, 0.01, 0.001)  # sigmas of R_s, R_d, b [rad/s] between two walks of one person
 
 
-def posterior_profile(estimate: Estimate, steps: Steps, known: Profile | None = None) -> Profile:
-    """What a walk taught of its walker, for the next one: the calibration at its end.
+def posterior_profile(estimate: Estimate, steps: Steps, applied: Profile | None = None) -> Profile:
+    """The walker's profile for the next walk, from the calibration at the end of this one.
 
-    steps: of this walk, as the graph had them; known: the profile by which they were already corrected.
+    steps: of this walk, as in the graph; applied: the profile that has already corrected them.
     """
     calibration = estimate.calibration
     assert calibration is not None, "a graph's or a filter's estimate has one"
     speed = float(steps.length.sum() / steps.duration[~steps.is_gap].sum())
-    before = known or Profile(0.0, 0.0, 0.0, np.zeros((3, 3)), 0.0, speed)
+    before = applied or Profile(0.0, 0.0, 0.0, np.zeros((3, 3)), 0.0, speed)
     to_paper = np.array([[1, 0, 0], [0, 0, 1 / speed], [0, 1, 0]])  # (R_s, R_d, b) to (length, straight, corner)
     length, straight, corner = to_paper @ (calibration.value[-1] - (1, 1, 0))
     used = np.array([fix.residual for fix in estimate.fixes if fix.weight > 0])
@@ -59,20 +59,20 @@ def prior_of(profile: Profile | None) -> Prior:
 
 
 MOST_LAPS = 5
-PLAUSIBLE = 1.5  # of the true length that steps may be said to be, or its inverse: 0.86 to 1.4 on real walks
-FARTHEST = 0.8  # [m] rms from the line; simulated walkers who follow it are within 0.4
-STRAYS = 2.0  # [m] along the line by which a step may be elsewhere than the steps before it say
-SWAY = 0.3  # [m] by which people leave a line that they follow
-SPACING = 3.0  # [m] along the line between the places where the walk is held to it
-ROUNDS = 12
-USUAL = (0.4, 0.05, 0.01)  # of E_length, E_corner, E_straight [rad/m]; a fit stays within three times the last two
+PLAUSIBLE = 1.5  # largest ratio of stated to true length, or its inverse: 0.86 to 1.4 on real walks
+FARTHEST = 0.8  # [m] rms distance from the line; simulated walkers who follow it are within 0.4
+STRAYS = 2.0  # [m] along the line by which a step may differ from its position in the previous round
+SWAY = 0.3  # [m] lateral sigma of people who follow a line
+SPACING = 3.0  # [m] along the line between the fixes on it
+ROUNDS = 12  # of fitting the walk and matching it to the line
+USUAL = (0.4, 0.05, 0.01)  # sigmas of E_length, E_corner, E_straight [rad/m]; a fit stays within three of the last two
 
 
 @dataclass(frozen=True)
 class Followed:
-    """A walk along a line: where along it ``(n + 1,)`` [m] each step began and ended, and how often round.
+    """A walk matched to a line: distance along it of the ends of all steps ``(n + 1,)`` [m], and number of laps.
 
-    apart: root mean square distance of the fitted walk from the line [m].
+    apart: rms distance of the fitted walk from the line [m].
     """
 
     along: Array
@@ -81,10 +81,10 @@ class Followed:
 
 
 def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Estimate, int]:
-    """The profile of a walker who followed a line, their walk in its frame, and how often round they went.
+    """The profile of a walker who followed a line, the walk in the frame of the line, and the number of laps.
 
-    route: corners ``(m, 2)`` [m] of a line that was walked from its first to its last; one that ends where it begins
-    may have been walked several times over. Raises InputError if the steps do not follow it.
+    route: corners ``(m, 2)`` [m] of the line in walking order; a closed line may have been walked several times.
+    Raises InputError if the steps do not follow it.
     """
     if len(steps) < 20:
         raise InputError(source, "", f"{len(steps)} steps", "a walk of at least twenty along the route")
@@ -92,21 +92,21 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     if not likely:
         expected = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
         raise InputError(source, "", f"steps of {steps.length.sum():.0f} m", expected)
-    found = min((_follow(steps, route, laps) for laps in likely), key=lambda f: f.apart)
-    if found.apart > FARTHEST:
+    best = min((_follow(steps, route, laps) for laps in likely), key=lambda f: f.apart)
+    if best.apart > FARTHEST:
         expected = f"a walk from its first to its last point, within {FARTHEST} m"
-        raise InputError(source, "", f"steps that leave the route by {found.apart:.1f} m (rms)", expected)
-    line = _line(route, found.laps)
-    held = np.linspace(0, line.length, max(4, round(line.length / SPACING)))
-    time = np.interp(held, found.along, np.append(steps.time[0] - steps.duration[0], steps.time))
-    fixes = Fixes(time, _at(line, held), np.full(len(held), SWAY), ("",) * len(held))
+        raise InputError(source, "", f"steps that leave the route by {best.apart:.1f} m (rms)", expected)
+    line = _line(route, best.laps)
+    along = np.linspace(0, line.length, max(4, round(line.length / SPACING)))
+    time = np.interp(along, best.along, np.append(steps.time[0] - steps.duration[0], steps.time))
+    fixes = Fixes(time, _at(line, along), np.full(len(along), SWAY), ("",) * len(along))
     estimate = smooth(WalkGraph(steps, fixes))
     profile = posterior_profile(estimate, steps)
-    return replace(profile, residual=found.apart), estimate, found.laps
+    return replace(profile, residual=best.apart), estimate, best.laps
 
 
 def _possible_laps(steps: Steps, route: Array) -> list[int]:
-    """How often round, as far as the steps reach: up to MOST_LAPS times where the line closes, else once or never."""
+    """Numbers of laps that fit the length of the steps: up to MOST_LAPS on a closed line, else one or none."""
     closes = np.hypot(*(route[-1] - route[0])) < STRAYS
     reached = steps.length.sum() / _line(route, 1).length
     return [n for n in range(1, MOST_LAPS + 1 if closes else 2) if reached / PLAUSIBLE < n < reached * PLAUSIBLE]
@@ -125,24 +125,24 @@ def _follow(steps: Steps, route: Array, laps: int) -> Followed:
     widest = np.array([np.inf, np.inf, np.inf, 0.6, 3 * USUAL[1], 3 * USUAL[2]])
     for _ in range(ROUNDS):
         place, across = _at(line, along), _normals(line, along)
-        found = least_squares(
+        solution = least_squares(
             _misfit, fit, bounds=(-widest, widest), args=(steps, place, across), loss="soft_l1", f_scale=2 * SWAY
         )
-        fit = found.x
+        fit = solution.x
         along = _nearest_along(line, _track(fit, steps), along)
     apart = np.sum((_track(fit, steps) - _at(line, along)) ** 2, axis=1)
     return Followed(np.maximum.accumulate(along), laps, float(np.sqrt(np.mean(apart))))
 
 
 def _misfit(fit: Array, steps: Steps, place: Array, across: Array) -> Array:
-    """Distances across the line, of both ends from its ends, and a hold on what no walk tells."""
+    """Residuals: distances across the line, of both ends from its ends, and the prior of the coefficients."""
     gap = _track(fit, steps) - place
     usual = fit[3:] / USUAL * SWAY
     return np.concatenate([np.sum(gap * across, axis=1), gap[0], gap[-1], usual])
 
 
 def _track(fit: Array, steps: Steps) -> Array:
-    """Where each step began and ended ``(n + 1, 2)``. fit: x, y, direction, E_length, E_corner, E_straight."""
+    """Positions of the ends of all steps ``(n + 1, 2)`` [m]. fit: x, y, direction, E_length, E_corner, E_straight."""
     x, y, direction, length, corner, straight = fit
     profile = Profile(length, straight, corner, np.zeros((3, 3)), 0.0, 1.0)
     return dead_reckon(profile.corrected(steps), heading=direction).position[:-1] + np.array([x, y])
@@ -163,7 +163,7 @@ def _normals(line: shapely.LineString, along: Array) -> Array:
 
 
 def _nearest_along(line: shapely.LineString, track: Array, along: Array) -> Array:
-    """Where along the line each place ``(n, 2)`` is nearest to it, within STRAYS of ``along (n,)``."""
+    """Distance along the line ``(n,)`` [m] of the point nearest to each position, within STRAYS of ``along (n,)``."""
     tried = np.linspace(-STRAYS, STRAYS, 41)
     candidates = np.clip(along[:, None] + tried, 0, line.length)
     apart = _at(line, candidates.ravel()).reshape(len(along), len(tried), 2) - track[:, None]

@@ -6,9 +6,9 @@ the conditional of a variable f on its parents p,
 
     Σ_pf = −Σ_pp Sᵀ R⁻ᵀ,      Σ_ff = R⁻¹ R⁻ᵀ + R⁻¹ S Σ_pp Sᵀ R⁻ᵀ
 
-and Σ_pp is known, since the parents of a variable always meet again in a conditional eliminated later (Golub & Plemmons
-1980; Kaess & Dellaert 2009, Sec. 5). Variables at the same depth of the elimination tree do not wait for each other and
-are done at once; METIS keeps the tree about 2 log₂ N deep.
+and Σ_pp is available, since the parents of a variable always occur together in a conditional eliminated later (Golub &
+Plemmons 1980; Kaess & Dellaert 2009, Sec. 5). Variables at the same depth of the elimination tree are independent of
+each other and computed together; with METIS the tree is about 2 log₂ N deep.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from pdr_graph.types import Array, Index
 
 
 def covariance_of_ends(at: Evaluation, net: gtsam.GaussianBayesNet, which: Index) -> tuple[Array, Array]:
-    """Covariance of (x, y, heading) of the start and of the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
+    """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
-    Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the spread that a step
-    keeps when both ends are known. at, net: the walk at the optimum, and its graph factorised there.
+    Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a
+    step given both ends. at, net: the walk at the optimum, and its graph factorised there.
 
-    Returns that of c ``(s, 3, 3)`` as well.
+    Also returns the covariances of c ``(s, 3, 3)``.
     """
     blocks, R_0, state = CovarianceBlocks(net), pose_rotation(at.pose_i[:1, 2]), at.state
     x, c = state.keys("x").tolist(), state.keys("c").tolist()
     keys = [(i, j, c[s]) for i, j, s in zip(x[:-1], x[1:], at.chain.segment.tolist(), strict=True)]
     of_pieces = covariance_of_pieces(blocks, keys, at, which)
     of_start = R_0 @ blocks.joint([(x[0],)]) @ R_0.transpose(0, 2, 1)
-    of_c = blocks.joint([(one,) for one in c])
+    of_c = blocks.joint([(key,) for key in c])
     return np.concatenate([of_start, of_pieces]), of_c
 
 
@@ -71,15 +71,15 @@ class CovarianceBlocks:
         batches: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
         for f, family in enumerate(families):
             batches[depth[f], len(family)].append(f)
-        members = {batch: np.array([families[f] for f in own]) for batch, own in batches.items()}
+        members = {batch: np.array([families[f] for f in numbers]) for batch, numbers in batches.items()}
         pairs = [self._code(m[:, :1], m) for m in members.values()] + [
             self._code(m, m[:, :1]) for m in members.values()
         ]
-        self._known = np.unique(np.concatenate([p.ravel() for p in pairs]))
-        self._blocks = np.empty((len(self._known), 3, 3))
+        self._codes = np.unique(np.concatenate([p.ravel() for p in pairs]))
+        self._blocks = np.empty((len(self._codes), 3, 3))
         for batch in sorted(batches):
-            own = [conditionals[f] for f in batches[batch]]
-            R, S = np.array([c.R() for c in own]), np.array([c.S() for c in own])
+            batch_conditionals = [conditionals[f] for f in batches[batch]]
+            R, S = np.array([c.R() for c in batch_conditionals]), np.array([c.S() for c in batch_conditionals])
             self._solve(members[batch], np.linalg.inv(R).astype(float), S)
 
     def joint(self, keys: Sequence[tuple[int, ...]]) -> Array:
@@ -87,17 +87,17 @@ class CovarianceBlocks:
         return self._among(np.array([[self._place[key] for key in group] for group in keys]))
 
     def _solve(self, family: Index, R_inverse: Array, S: Array) -> None:
-        """Conditionals of one depth with p parents each: ``family (n, 1 + p)`` places, S ``(n, 3, 3 p)``."""
+        """Add the blocks of conditionals of one depth: ``family (n, 1 + p)`` places, S ``(n, 3, 3 p)``, p parents."""
         f, parents = family[:, :1], family[:, 1:]
-        own = R_inverse @ R_inverse.transpose(0, 2, 1)
+        marginal = R_inverse @ R_inverse.transpose(0, 2, 1)
         if parents.size:
             share = R_inverse @ S
             across = -self._among(parents) @ share.transpose(0, 2, 1)
-            own -= share @ across
+            marginal -= share @ across
             across = across.reshape(*parents.shape, 3, 3)
             self._blocks[self._slot(parents, f)] = across
             self._blocks[self._slot(f, parents)] = across.transpose(0, 1, 3, 2)
-        self._blocks[self._slot(f, f)[:, 0]] = own
+        self._blocks[self._slot(f, f)[:, 0]] = marginal
 
     def _among(self, group: Index) -> Array:
         """Joint covariances ``(n, 3 d, 3 d)`` of places ``(n, d)``."""
@@ -105,9 +105,10 @@ class CovarianceBlocks:
         blocks = self._blocks[self._slot(group[:, :, None], group[:, None, :])]
         return blocks.transpose(0, 1, 3, 2, 4).reshape(n, 3 * d, 3 * d)
 
-    def _slot(self, one: Index, other: Index) -> Index:
-        return np.searchsorted(self._known, self._code(one, other))
+    def _slot(self, rows: Index, columns: Index) -> Index:
+        """Index of each pair of places in the blocks."""
+        return np.searchsorted(self._codes, self._code(rows, columns))
 
-    def _code(self, one: Index, other: Index) -> Index:
+    def _code(self, rows: Index, columns: Index) -> Index:
         """A number for each pair of places."""
-        return one * len(self._place) + other
+        return rows * len(self._place) + columns

@@ -1,9 +1,10 @@
 """Radio fingerprinting: scans, radio maps of smoothed walks and their fixes, and place recognition between walks.
 
-[map-matching] and [calibration-walk] know one walk at a time. What a phone hears is a place's own, so that scans that
-are alike tie the places where they were heard. How far apart such places are, by how unlike the scans are, is learnt
-from the walks themselves, as they are known so far. Walkers shade a radio on one side, and hold it otherwise the next
-day: closures of the same two walks err alike for a while, and together are worth one.
+[map-matching] and [calibration-walk] estimate one walk at a time. Radio signals are characteristic of a place, so
+similar scans connect the places where they were received. The distance between such places, as a function of the
+dissimilarity of the scans, is learnt from the present estimates of the walks. Bodies shade a radio on one side, and it
+is held differently the next day: closures of the same two walks have correlated errors, and together have the
+information of one.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ from pdr_graph.measurements import Closures
 from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Sightings, Trajectory
 
 WINDOW, SCAN_INTERVAL = 4, 1  # [s] of one scan, and from one to the next: a phone needs 2 to 4 s for all channels
-FAINTEST = -100.0  # [dBm] as good as not heard
-FEWEST = 3  # transmitters in a scan: one or two are at too many places
-NEIGHBOURS = 8
-AGREED = 0.8  # of the neighbours' weight on one floor: with less, the floor is not known
+FAINTEST = -100.0  # [dBm] level that counts as not received
+FEWEST = 3  # transmitters in a scan: one or two are received at too many places
+NEIGHBOURS = 8  # fingerprints averaged for a position
+AGREED = 0.8  # share of the neighbours' weight on one floor below which the floor is unknown
 
 
 @dataclass(frozen=True)
 class Scans:
-    """What was heard in windows of `WINDOW` seconds.
+    """Received levels in windows of `WINDOW` seconds.
 
-    time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` [dB] above `FAINTEST`, 0 where unheard.
+    time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` [dB] above `FAINTEST`, 0 if not received.
     """
 
     time: Array
@@ -51,11 +52,11 @@ class Scans:
         return replace(self, time=self.time[which], level=self.level[which])
 
     def of(self, transmitters: Sequence[str]) -> Array:
-        """Levels ``(n, k)`` of other transmitters; those that no scan knows were not heard."""
+        """Levels ``(n, k)`` of a list of transmitters; 0 for those that are not in these scans."""
         column = {name: n for n, name in enumerate(self.transmitter)}
-        known = [n for n, name in enumerate(transmitters) if name in column]
+        shared = [n for n, name in enumerate(transmitters) if name in column]
         level = np.zeros((len(self), len(transmitters)))
-        level[:, known] = self.level[:, [column[transmitters[n]] for n in known]]
+        level[:, shared] = self.level[:, [column[transmitters[n]] for n in shared]]
         return level
 
 
@@ -65,31 +66,31 @@ def scans_of(recording: Recording) -> Scans:
 
 
 def scans_in(parts: Sequence[Sightings]) -> Scans:
-    """What several radios heard, the mean level of each transmitter in each window."""
+    """The mean level of each transmitter in each window, from several radios."""
     level = np.concatenate([np.empty(0), *(part.rssi for part in parts)]) - FAINTEST
     time = np.concatenate([np.empty(0), *(part.time for part in parts)])
     names = [name for part in parts for name in part.transmitter]
-    known = (level > 0) & (level < -FAINTEST)  # recorders write 0 or 127 dBm where they do not know
-    heard = np.flatnonzero(known & (time >= 0))  # before, the phone was anywhere
-    if not len(heard):
+    valid = (level > 0) & (level < -FAINTEST)  # recorders write 0 or 127 dBm for unknown levels
+    rows = np.flatnonzero(valid & (time >= 0))  # without levels cached from before the recording
+    if not len(rows):
         return Scans(np.empty(0), (), np.empty((0, 0)))
-    transmitters, who = np.unique([names[n] for n in heard], return_inverse=True)
-    first = np.floor(time[heard] / SCAN_INTERVAL).astype(int)
+    transmitters, column = np.unique([names[n] for n in rows], return_inverse=True)
+    first = np.floor(time[rows] / SCAN_INTERVAL).astype(int)
     begin, windows = first.min() - WINDOW + 1, int(np.ptp(first)) + WINDOW
     total, count = np.zeros((2, windows, len(transmitters)))
     for earlier in range(0, WINDOW, SCAN_INTERVAL):
-        np.add.at(total, (first - earlier - begin, who), level[heard])
-        np.add.at(count, (first - earlier - begin, who), 1)
-    found = Scans(
+        np.add.at(total, (first - earlier - begin, column), level[rows])
+        np.add.at(count, (first - earlier - begin, column), 1)
+    scans = Scans(
         (begin + np.arange(windows)) * SCAN_INTERVAL + WINDOW / 2, tuple(transmitters.tolist()), total / count.clip(1)
     )
-    return found[(count > 0).sum(axis=1) >= FEWEST]
+    return scans[(count > 0).sum(axis=1) >= FEWEST]
 
 
 @dataclass(frozen=True)
 class Matches:
-    """Where n scans were heard. position: ``(n, 2)`` [m]; floor: label, empty where neighbours are not agreed;
-    distance: ``(n,)`` of the most alike fingerprint, 0 (the same) to 1 (nothing in common).
+    """Positions of n scans. position: ``(n, 2)`` [m]; floor: label, empty where neighbours do not agree; distance:
+    ``(n,)`` to the most similar fingerprint, 0 (the same) to 1 (nothing in common).
     """
 
     position: Array
@@ -97,23 +98,23 @@ class Matches:
     distance: Array
 
 
-def unlikeness(one: Array, other: Array) -> Array:
-    """How little scans ``(q, m)`` are like others ``(n, m)``, each 0 to 1 ``(q, n)``: Σ|a − b| / Σ(a + b).
+def unlikeness(first: Array, second: Array) -> Array:
+    """Distances ``(q, n)`` from 0 to 1 of scans ``(q, m)`` from others ``(n, m)``: Σ|a − b| / Σ(a + b).
 
-    Sørensen's distance, of 52 the best on Wi-Fi fingerprints in Torres-Sospedra et al., "Comprehensive analysis of
-    distance and similarity measures for Wi-Fi fingerprinting", 2015. No transmitter, such as a phone that is carried
-    about, weighs more in it than its level.
+    Sørensen's distance, the best of 52 on Wi-Fi fingerprints in Torres-Sospedra et al., "Comprehensive analysis of
+    distance and similarity measures for Wi-Fi fingerprinting", 2015. The influence of a transmitter, such as another
+    phone, is limited by its level.
     """
     with np.errstate(invalid="ignore"):
-        distance = cdist(one, other, "braycurtis").astype(np.float64)
+        distance = cdist(first, second, "braycurtis").astype(np.float64)
     return np.nan_to_num(distance, nan=1.0)
 
 
 def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
-    """Scans placed among the most alike of n fingerprints, weighted by 1 / distance².
+    """Positions of scans as the mean of the most similar of n fingerprints, weighted by 1 / distance².
 
-    distance: ``(q, n)``; position ``(n, 2)`` and floor of the fingerprints. Neighbours on another floor than most do
-    not count.
+    distance: ``(q, n)``; position ``(n, 2)`` and floor of the fingerprints. Neighbours that are not on the most
+    frequent floor have weight 0.
     """
     near = np.argsort(distance, axis=1)[:, :NEIGHBOURS]
     alike = np.take_along_axis(distance, near, axis=1)
@@ -131,25 +132,25 @@ def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
     )
 
 
-LEAST_SURE = 3.0  # [m] per axis: where a walk is less certain than that, it teaches nothing
-NEAR = 5.0  # [m] from a fingerprint a place is one that the map knows
-ACCEPTED_SCANS = (0.05, 0.95)  # of the scans at places that the map knows: less alike gives no fix, more is no surer
-FINEST = 0.5  # [m] σ of a place that was passed within seconds
-APART = 10.0  # [s] of a walk's own scans left out before and after
-SHARED = 1.5  # times σ is stated: a map errs alike at a place, however long one stays there
-ENOUGH = 20  # scans at known places, to tell from them how good the map is
-MOST_CHECKED = 1000  # scans, evenly chosen: more tell nothing new
+LEAST_SURE = 3.0  # [m] largest sigma per axis of a walk at its fingerprints
+NEAR = 5.0  # [m] from a fingerprint within which a place is mapped
+ACCEPTED_SCANS = (0.05, 0.95)  # quantiles of the distance at mapped places: lower bound for sigma, limit for a fix
+FINEST = 0.5  # [m] least σ, since walkers pass a place within seconds
+APART = 10.0  # [s] before and after a scan within which scans of the same walk are left out
+SHARED = 1.5  # factor of the stated σ: the error of a map at a place does not average out during a stay
+ENOUGH = 20  # scans at mapped places needed to estimate the errors of a map
+MOST_CHECKED = 1000  # scans for that, evenly chosen
 ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
 UNREADABLE = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True)
 class RadioMap:
-    """Fingerprints with places, and how far off the places are that they give to other walks.
+    """Fingerprints with positions, and the error model of fixes from them.
 
-    transmitter: m identities; level: ``(n, m)`` as of `Scans`.
-    position: ``(n, 2)`` where the walks were [m]; floor: n labels; frame: as `Frame.describe` says.
-    range: ``(2,)`` distances of fingerprints: none is surer than at the first, beyond the last no place is known.
+    transmitter: m identities; level: ``(n, m)`` see `Scans`.
+    position: ``(n, 2)`` of the walks [m]; floor: n labels; frame: as of `Frame.describe`.
+    range: ``(2,)`` distances: below the first, σ is constant; beyond the second there is no fix.
     variance: ``(2,)`` σ² per axis of a single fix = variance[0] + variance[1] · distance² [m²].
     """
 
@@ -168,9 +169,9 @@ class RadioMap:
 
     @classmethod
     def learn(cls, walks: Sequence[tuple[Trajectory, Recording]], frame: dict[str, Any] | None = None) -> RadioMap:
-        """Of walks already smoothed, all in one frame (as `Frame.describe` says; default: a local one).
+        """Learn a map from smoothed walks in one frame (as of `Frame.describe`; default: a local one).
 
-        Raises ValueError if they heard too little to say how good the map is.
+        Raises ValueError if they have too few scans to estimate the errors of the map.
         """
         placed = [_placed(track, scans_of(recording)) for track, recording in walks]
         transmitters = sorted({name for scans, _, _ in placed for name in scans.transmitter})
@@ -186,26 +187,26 @@ class RadioMap:
         return cls(tuple(transmitters), level, position, floor, described, limits, variance)
 
     def fixes(self, recording: Recording) -> Fixes:
-        """Where a later walk was, every `WINDOW` seconds at most: of scans that overlap, the one most like a
-        fingerprint. Scans that are like none give no fix. Sigmas are `SHARED` times those of a single fix, so that
-        all together say no more than they know.
+        """Fixes of a later walk, at most one per `WINDOW` seconds: of overlapping scans, the most similar to a
+        fingerprint. Scans that resemble none give no fix. Sigmas are `SHARED` times those of a single fix, since the
+        errors of fixes at one place are correlated.
         """
         return self.located(scans_of(recording))
 
     def located(self, scans: Scans) -> Fixes:
-        """The fixes of scans, as of `fixes`."""
+        """The fixes of scans, see `fixes`."""
         if not len(scans):
             return Fixes.none()
-        found = matched(unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor)
+        matches = matched(unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor)
         best = [
-            block[np.argmin(found.distance[block])]
+            block[np.argmin(matches.distance[block])]
             for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // WINDOW)) + 1)
         ]
-        best = np.array([n for n in best if found.distance[n] <= self.range[1]], dtype=int)
-        variance = self.variance[0] + self.variance[1] * found.distance[best].clip(self.range[0]) ** 2
+        best = np.array([n for n in best if matches.distance[n] <= self.range[1]], dtype=int)
+        variance = self.variance[0] + self.variance[1] * matches.distance[best].clip(self.range[0]) ** 2
         sigma = SHARED * np.sqrt(variance.clip(FINEST**2))
-        floor, source = tuple(found.floor[n] for n in best), (self.source,) * len(best)
-        return Fixes(scans.time[best], found.position[best], sigma, floor, source=source)
+        floor, source = tuple(matches.floor[n] for n in best), (self.source,) * len(best)
+        return Fixes(scans.time[best], matches.position[best], sigma, floor, source=source)
 
     def save(self, path: str | Path) -> None:
         """Write the map as a numpy archive."""
@@ -222,24 +223,24 @@ class RadioMap:
                 if damaged := archive.testzip():
                     raise zipfile.BadZipFile(f"a damaged {damaged}")
             with np.load(path, allow_pickle=False) as arrays:
-                found = {name: arrays[name] for name in ARRAYS}
-            frame = json.loads(str(found["frame"]))
+                stored = {name: arrays[name] for name in ARRAYS}
+            frame = json.loads(str(stored["frame"]))
         except UNREADABLE as error:
             raise InputError(path, "", f"{error}", "a radio map as pdr-graph radio-map writes it") from None
-        _check(path, found, frame)
+        _check(path, stored, frame)
         return cls(
-            tuple(found["transmitter"].tolist()),
-            found["level"].astype(float),
-            found["position"],
-            tuple(found["floor"].tolist()),
+            tuple(stored["transmitter"].tolist()),
+            stored["level"].astype(float),
+            stored["position"],
+            tuple(stored["floor"].tolist()),
             frame,
-            found["range"],
-            found["variance"],
+            stored["range"],
+            stored["variance"],
         )
 
 
 def _placed(track: Trajectory, scans: Scans) -> tuple[Scans, Array, list[str]]:
-    """The scans at which the walk is known well enough, its position there ``(n, 2)``, and its floor."""
+    """The scans at which the walk is certain enough, with its position ``(n, 2)`` and floor there."""
     within = (scans.time >= track.time[0]) & (scans.time <= track.time[-1])
     if track.covariance is not None:
         largest = np.linalg.eigvalsh(track.covariance[:, :2, :2])[:, -1]
@@ -250,29 +251,30 @@ def _placed(track: Trajectory, scans: Scans) -> tuple[Scans, Array, list[str]]:
 
 
 def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index, time: Array) -> tuple[Array, Array]:
-    """How unlike scans at known places are, and the errors' variance: each walk by a map of the others, or, where
-    no other has been where it was, of all but its own neighbourhood.
+    """`RadioMap.range` and `RadioMap.variance` by cross-validation: each walk with a map of the others or, if these
+    were elsewhere, of everything except the neighbourhood in time.
     """
     some = np.linspace(0, len(level) - 1, min(len(level), MOST_CHECKED)).astype(int)
     same = walk[some, None] == walk
     distance, apart = unlikeness(level[some], level), np.hypot(*(position[some, None] - position).transpose(2, 0, 1))
     for left_out in (same, same & (np.abs(time[some, None] - time) < APART)):
         without = np.where(left_out, 1.0, distance)
-        known = np.where(left_out, np.inf, apart).min(axis=1) < NEAR
-        if known.sum() >= ENOUGH:
+        near = np.where(left_out, np.inf, apart).min(axis=1) < NEAR
+        if near.sum() >= ENOUGH:
             break
     else:
-        known = without.min(axis=1) < 1  # a walk that is never twice near one place: as far as its neighbourhood
-    found = matched(without, position, floor)
-    limits = np.quantile(found.distance[known], ACCEPTED_SCANS) if known.any() else np.zeros(2)
-    accepted = found.distance <= limits[1]
-    at, error = found.distance[accepted].clip(limits[0]), (found.position - position[some])[accepted]
+        near = without.min(axis=1) < 1  # a walk that visits no place twice: all scans with something in common
+    matches = matched(without, position, floor)
+    limits = np.quantile(matches.distance[near], ACCEPTED_SCANS) if near.any() else np.zeros(2)
+    accepted = matches.distance <= limits[1]
+    at, error = matches.distance[accepted].clip(limits[0]), (matches.position - position[some])[accepted]
     return limits, variance_by_distance(at, error)
 
 
 def variance_by_distance(distance: Array, error: Array) -> Array:
-    """σ² = v₀ + v₁ d², the most probable for normal errors ``(n, 2)`` [m] at distances ``(n,)``: least squares of the
-    squared errors, each weighed by what it is expected to be.
+    """(v₀, v₁) of σ² = v₀ + v₁ d² by maximum likelihood for normal errors ``(n, 2)`` [m] at distances ``(n,)``.
+
+    Computed as least squares of the squared errors, re-weighted by their expectation.
     """
     terms, squared = np.stack([np.ones(len(distance)), distance**2], axis=1), (error**2).mean(axis=1)
     expected = np.full(len(distance), max(squared.mean(), 1e-6))
@@ -283,35 +285,35 @@ def variance_by_distance(distance: Array, error: Array) -> Array:
     return variance
 
 
-def _check(path: str | Path, found: dict[str, Array], frame: Any) -> None:
-    """That the arrays of a file belong together."""
-    n, m = len(found["position"]) if found["position"].ndim else 0, found["transmitter"].size
+def _check(path: str | Path, arrays: dict[str, Array], frame: Any) -> None:
+    """Raise InputError if the arrays of a file do not fit together."""
+    n, m = len(arrays["position"]) if arrays["position"].ndim else 0, arrays["transmitter"].size
     shapes = {"level": (n, m), "position": (n, 2), "floor": (n,), "transmitter": (m,), "range": (2,), "variance": (2,)}
     for name, shape in shapes.items():
-        if found[name].shape != shape:
-            raise InputError(path, name, f"an array of shape {found[name].shape}", f"one of {shape}")
+        if arrays[name].shape != shape:
+            raise InputError(path, name, f"an array of shape {arrays[name].shape}", f"one of {shape}")
     for name in shapes:
         text = name in ("transmitter", "floor")
-        good: Mask = np.array(found[name].dtype.kind == ("U" if text else "f"))
+        good: Mask = np.array(arrays[name].dtype.kind == ("U" if text else "f"))
         if good and not text:
-            good = np.isfinite(found[name]) & ((found[name] >= 0) | (name == "position"))
+            good = np.isfinite(arrays[name]) & ((arrays[name] >= 0) | (name == "position"))
         if not good.all():
             raise InputError(path, name, "other values", "texts" if text else "finite numbers")
     if not n or not isinstance(frame, dict) or set(frame) != set(Frame().describe()):
         raise InputError(path, "", "an empty radio map", "fingerprints and their frame")
 
 
-SCAN_SPACING = 3.0  # [m] of a walk that one scan speaks for: phones hear the same for seconds
-ALONG = 30.0  # [m] of a walk in which closures to the same other walk err alike, by metres
-LATER = 60.0  # [s] after which a walk sees a place *again*
-ACCEPTED_PAIRS = 0.8  # of the pairs at places that are near by the walks so far: less alike ones tell nothing
-USUALLY_ALIKE, USUALLY_APART = 0.3, 5.0  # [m] σ: pairs in two malls, where the walks are too little known to tell
+SCAN_SPACING = 3.0  # [m] of a walk between scans that are used: phones report the same levels for seconds
+ALONG = 30.0  # [m] of a walk in which closures to the same other walk have the same error
+LATER = 60.0  # [s] after which a return to a place is a revisit
+ACCEPTED_PAIRS = 0.8  # quantile of the distance of pairs at nearby places, beyond which pairs are dropped
+USUALLY_ALIKE, USUALLY_APART = 0.3, 5.0  # that quantile, and σ [m], for pairs in two malls: defaults for few pairs
 
 
 @dataclass(frozen=True)
 class _Heard:
-    """Scans of all walks, thinned: walk, time [s], how far along it [m], level ``(n, m)``, position ``(n, 2)`` [m]
-    and floor.
+    """Thinned scans of all walks: walk, time [s], distance along it [m], level ``(n, m)``, position ``(n, 2)`` [m] and
+    floor.
     """
 
     walk: Index
@@ -323,54 +325,54 @@ class _Heard:
 
 
 def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Closures:
-    """Closures between the moments of walks in one frame that were spent at one place.
+    """Closures between moments at one place, by similar scans of walks in one frame.
 
-    walks: each as it is known so far, and what was heard. Of each pair of walks, every few metres of the one that has
-    them, the moment of the other that sounds most alike.
+    walks: the present estimate of each, with its scans. For each pair of walks, every few metres of the first are
+    matched to the most similar scan of the second.
     """
     if not any(len(scans) for _, scans in walks):
         return Closures.of([])
     heard = _heard(walks)
     pairs = np.array([pair for pair in _most_alike(heard)]).reshape(-1, 3)
-    one, other, distance = pairs[:, 0].astype(int), pairs[:, 1].astype(int), pairs[:, 2]
-    apart = heard.position[other] - heard.position[one]
-    taken, sigma = _accepted(distance, apart)
-    one, other = one[taken], other[taken]
-    sigma *= np.sqrt(_alike(heard.walk[one] * len(walks) + heard.walk[other], heard.way[one]))
+    first, second, distance = pairs[:, 0].astype(int), pairs[:, 1].astype(int), pairs[:, 2]
+    apart = heard.position[second] - heard.position[first]
+    accepted, sigma = _accepted(distance, apart)
+    first, second = first[accepted], second[accepted]
+    sigma *= np.sqrt(_alike(heard.walk[first] * len(walks) + heard.walk[second], heard.way[first]))
     return Closures(
-        np.stack([heard.time[one], heard.time[other]], axis=1),
+        np.stack([heard.time[first], heard.time[second]], axis=1),
         sigma,
-        np.stack([heard.walk[one], heard.walk[other]], axis=1),
+        np.stack([heard.walk[first], heard.walk[second]], axis=1),
     )
 
 
 def _accepted(distance: Array, apart: Array) -> tuple[Mask, Array]:
-    """Which pairs ``(p,)`` are of one place, and the sigma of each that does [m].
+    """Mask ``(p,)`` of the pairs at one place, and the sigma [m] of each of these.
 
-    distance: ``(p,)`` how unlike their scans are; apart: ``(p, 2)`` from one to the other, by the walks so far [m].
+    distance: ``(p,)`` between their scans, 0 to 1; apart: ``(p, 2)`` between their positions by the estimates [m].
     """
-    known = np.hypot(*apart.T) < NEAR
-    if known.sum() < ENOUGH:
-        taken = distance < USUALLY_ALIKE
-        return taken, np.full(np.count_nonzero(taken), USUALLY_APART)
-    least, most = np.quantile(distance[known], [1 - ACCEPTED_PAIRS, ACCEPTED_PAIRS])
-    taken = distance <= most
-    at = distance[taken].clip(least)
-    v_0, v_1 = variance_by_distance(at, apart[taken])
-    return taken, np.sqrt((v_0 + v_1 * at**2).clip(FINEST**2))
+    near = np.hypot(*apart.T) < NEAR
+    if near.sum() < ENOUGH:
+        accepted = distance < USUALLY_ALIKE
+        return accepted, np.full(np.count_nonzero(accepted), USUALLY_APART)
+    least, most = np.quantile(distance[near], [1 - ACCEPTED_PAIRS, ACCEPTED_PAIRS])
+    accepted = distance <= most
+    at = distance[accepted].clip(least)
+    v_0, v_1 = variance_by_distance(at, apart[accepted])
+    return accepted, np.sqrt((v_0 + v_1 * at**2).clip(FINEST**2))
 
 
 def _alike(pair: Index, way: Array) -> Array:
-    """How many closures of the same two walks err like each ``(l,)``, itself among them: together they are worth one.
+    """Number of closures ``(l,)`` with the same error as each, including itself: the same walks within ALONG.
 
-    way: along one of the walks [m].
+    way: distance along one of the walks [m].
     """
     near = (pair[:, None] == pair) & (np.abs(way[:, None] - way) < ALONG)
     return near.sum(axis=1)
 
 
 def _heard(walks: Sequence[tuple[Trajectory, Scans]]) -> _Heard:
-    """What all walks heard, a scan every few metres."""
+    """The scans of all walks, one every few metres."""
     thinned = [_thinned(track, scans) for track, scans in walks]
     names = sorted({name for scans in thinned for name in scans.transmitter})
     position = [interpolate(s.time, track.time, track.position) for (track, _), s in zip(walks, thinned, strict=True)]
@@ -381,23 +383,25 @@ def _heard(walks: Sequence[tuple[Trajectory, Scans]]) -> _Heard:
         way=np.concatenate([_way(track, scans) for (track, _), scans in zip(walks, thinned, strict=True)]),
         level=np.concatenate([scans.of(names) for scans in thinned]),
         position=np.concatenate(position),
-        floor=tuple(track.floor[r] for (track, _), own in zip(walks, rows, strict=True) for r in own.tolist()),
+        floor=tuple(
+            track.floor[r] for (track, _), nearest_rows in zip(walks, rows, strict=True) for r in nearest_rows.tolist()
+        ),
     )
 
 
 def _thinned(track: Trajectory, scans: Scans) -> Scans:
-    """One scan in every few metres of the walk."""
+    """One scan per SCAN_SPACING of the walk."""
     scans = scans[(scans.time >= track.time[0]) & (scans.time <= track.time[-1])]
     return scans[np.unique(np.floor(_way(track, scans) / SCAN_SPACING), return_index=True)[1]]
 
 
 def _way(track: Trajectory, scans: Scans) -> Array:
-    """How far along the walk each scan was. [m]"""
+    """Distance along the walk of each scan. [m]"""
     return np.interp(scans.time, track.time, length_along(track.position))
 
 
 def _most_alike(heard: _Heard) -> Iterator[tuple[int, int, float]]:
-    """Of each scan the most alike one of each walk that is not earlier; and how unlike they are."""
+    """For each scan, the most similar scan of each walk that is not earlier; indices of both, and their distance."""
     distance = unlikeness(heard.level, heard.level)
     floor = np.array(heard.floor)
     apart = (floor[:, None] != floor) & (floor != "")[:, None] & (floor != "")
@@ -407,5 +411,5 @@ def _most_alike(heard: _Heard) -> Iterator[tuple[int, int, float]]:
     first = np.flatnonzero(np.diff(heard.walk, prepend=-1))
     for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(heard.walk)], strict=True):
         best = begin + np.argmin(distance[:, begin:end], axis=1)
-        for one in np.flatnonzero(distance[np.arange(len(best)), best] < 1).tolist():
-            yield one, int(best[one]), float(distance[one, best[one]])
+        for row in np.flatnonzero(distance[np.arange(len(best)), best] < 1).tolist():
+            yield row, int(best[row]), float(distance[row, best[row]])

@@ -40,19 +40,18 @@ Kind = TypeVar("Kind", bound=Measurement)
 
 
 class WalkGraph:
-    """Every measurement of one walk as a factor.
+    """The factor graph of one walk.
 
-    steps: the walk as the front end saw it; fixes: in the frame of ``floor`` (or any metric frame without one);
-    headings: walking directions in that frame; floor: whose walls are factors, optional, or a building; floors: the
-    floor's label for each row of the trajectory ``(n + 2,)``, expected with a building of several; levels: of beacons;
-    closures: moments at one place; measurements: of any other kind (`Ranges`);
-    prior: see ``Prior``; others: of further walks in the same steps, when they begin, in order [s], and
-    the priors of their walkers.
+    steps: of the front end; fixes: in the frame of ``floor`` (or any metric frame without one); headings: walking
+    directions in that frame; floor: plan or building whose walls are factors, optional; floors: the floor's label for
+    each row of the trajectory ``(n + 2,)``, expected for a building of several floors; levels: of beacons; closures:
+    moments at one place; measurements: data of any other kind (`Ranges`);
+    prior: see ``Prior``; others: start [s] and prior of each further walk in the same steps, in order of time.
 
     chain: keyframes and steps; measurements: its factors, kind by kind; start: where the search starts;
     sigma_direction: how well fixes and headings determine the walk's direction [rad]; walled: walls are used.
 
-    Raises TypeError, or ValueError where fixes are not in metres or nothing tells the floors of a building.
+    Raises TypeError for arguments of other types, ValueError if fixes are not in metres or ``floors`` is missing.
     """
 
     def __init__(
@@ -71,35 +70,35 @@ class WalkGraph:
     ):
         _check(steps, fixes, headings, floor, prior)
         self.steps, self.floor, self.prior = steps, floor, prior or Prior()
-        self.given = Fixes.none() if fixes is None else fixes
-        others_given = [one for one in (levels, closures, *measurements) if one is not None and len(one)]
-        self.data = [self.given, headings or Headings.none(), *others_given]
+        self.fixes = Fixes.none() if fixes is None else fixes
+        tables = [table for table in (levels, closures, *measurements) if table is not None and len(table)]
+        self.data = [self.fixes, headings or Headings.none(), *tables]
 
-        # Keyframes where something was measured, and a calibration for each segment between
-        kinds = [kind for one in self.data for kind in measurements_of(one, steps, self.prior)]
+        # Keyframes at measurements and gaps, and the calibration segments
+        kinds = [kind for table in self.data for kind in measurements_of(table, steps, self.prior)]
         kinds = _with_rough_fixes(kinds, steps, self.prior)
         lost = steps.is_gap
         gaps = [steps.time[lost] - steps.duration[lost], steps.time[lost]]
-        pieces = cut(steps, np.concatenate([*(one.keyframe_times() for one in kinds), *gaps]))
+        pieces = cut(steps, np.concatenate([*(kind.keyframe_times() for kind in kinds), *gaps]))
         segment = segments(pieces, steps)
         begins = {_segment_at(pieces, segment, time): prior for time, prior in others} | {0: self.prior}
         c = _prior_means(begins, int(segment[-1]) + 1)
         self.chain = Chain.of(pieces, segment, c)
         self.floors = _labels(floor, floors, len(steps) + 2)
 
-        # Where to start
-        kinds = [one.on(self.chain) for one in kinds]
+        # The initial walk
+        kinds = [kind.bind(self.chain) for kind in kinds]
         self._measurements: tuple[Measurement, ...] = tuple(kinds)
         self._associated = True
         initial = initial_walk(self.chain, self.positions, self.headings, steps, c, self.prior.sigma[0])
         self.sigma_direction = initial.sigma_direction
 
-        # All factors; no walls for a walk without a position, or off the plan
+        # All factors; without walls if the walk has no position, or is off the plan
         self.floor_sequence = None if floor is None else FloorSequence.of(floor, self._floor_of_pieces)
-        known = {s: (np.array(one.mean), one.covariance) for s, one in begins.items()}
+        prior_of_segment = {s: (np.array(prior.mean), prior.covariance) for s, prior in begins.items()}
         hold = _hold(self.positions, self.headings, self.floor_sequence, float(initial.poses[0, 2]))
-        kinds = [StepFactor(), *(one.initialized(initial.poses) for one in kinds)]
-        self._measurements = (*kinds, CalibrationFactor(known, self.prior.change), hold)
+        kinds = [StepFactor(), *(kind.initialized(initial.poses) for kind in kinds)]
+        self._measurements = (*kinds, CalibrationFactor(prior_of_segment, self.prior.change), hold)
         self.start = initial_state(initial.poses, initial.c, self._measurements)
         self.walled = False
         used = self.positions.fixes.position[self.positions.used]
@@ -109,9 +108,9 @@ class WalkGraph:
     @classmethod
     def of(cls, steps: Steps, data: Sequence[Any], **options: Any) -> WalkGraph:
         """The graph of measurements of any types; options: as of ``WalkGraph``."""
-        own = {type(one): one for one in data}
-        fixes, headings = own.pop(Fixes, None), own.pop(Headings, None)
-        return cls(steps, fixes, headings=headings, measurements=list(own.values()), **options)
+        by_type = {type(one): one for one in data}
+        fixes, headings = by_type.pop(Fixes, None), by_type.pop(Headings, None)
+        return cls(steps, fixes, headings=headings, measurements=list(by_type.values()), **options)
 
     def _use_plan(self, floor_sequence: FloorSequence) -> None:
         self.floor_sequence, self.walled, self._associated = floor_sequence, True, False
@@ -120,43 +119,41 @@ class WalkGraph:
         if use.turns or use.directions:
             self._measurements += (CorridorFactor.about(floor_sequence, use),)
 
-    # What it is made of
-
     @property
     def measurements(self) -> tuple[Measurement, ...]:
-        """All kinds of factors; those on the plan associated along the start if not along another walk."""
+        """All measurement kinds; those on the plan are associated along the start unless they already are."""
         if not self._associated:
             at = self.chain.evaluate(self.start)
-            self._measurements = tuple(one.associated(at) for one in self._measurements)
+            self._measurements = tuple(measurement.associated(at) for measurement in self._measurements)
             self._associated = True
         return self._measurements
 
     def find(self, kind: type[Kind]) -> Kind | None:
-        """The measurements of one kind, None if there are none."""
-        return next((one for one in self._measurements if isinstance(one, kind)), None)
+        """The measurements of one kind; None if there are none."""
+        return next((measurement for measurement in self._measurements if isinstance(measurement, kind)), None)
 
     @property
     def positions(self) -> FixFactor:
         """The fixes, with the classification of each."""
-        found = self.find(FixFactor)
-        assert found is not None, "every graph has one"
-        return found
+        factor = self.find(FixFactor)
+        assert factor is not None, "every graph has one"
+        return factor
 
     @property
     def headings(self) -> HeadingFactor:
         """The headings."""
-        found = self.find(HeadingFactor)
-        assert found is not None, "every graph has one"
-        return found
+        factor = self.find(HeadingFactor)
+        assert factor is not None, "every graph has one"
+        return factor
 
     @property
     def walls(self) -> WallFactor | None:
-        """The walls about the steps; None where none are known or asked for."""
-        return next((one for one in self.measurements if isinstance(one, WallFactor)), None)
+        """The walls along the walk; None if no plan is used."""
+        return next((measurement for measurement in self.measurements if isinstance(measurement, WallFactor)), None)
 
     @property
     def pieces(self) -> Pieces:
-        """The walk, cut."""
+        """The pieces of the walk."""
         return self.chain.pieces
 
     @property
@@ -166,7 +163,7 @@ class WalkGraph:
 
     @property
     def keyframe_time(self) -> Array:
-        """When the poses x0, x1, … are ``(k + 1,)``. [s]"""
+        """Times of the poses x0, x1, … ``(k + 1,)``. [s]"""
         return self.chain.time
 
     @property
@@ -174,14 +171,12 @@ class WalkGraph:
         row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
         return [self.floors[r] for r in row.tolist()]
 
-    # At one state
-
     def evaluate(self, state: State) -> Evaluation:
         """All factors at one state."""
         return self.chain.evaluate(state, self.measurements)
 
     def initial_values(self) -> gtsam.Values:
-        """Where the search starts, as GTSAM has it: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
+        """The start of the search as ``gtsam.Values``: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
         return self.start.to_values()
 
     def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
@@ -192,75 +187,78 @@ class WalkGraph:
         """The cost at ``values``: half the sum of squared, robustly weighted residuals, as GTSAM counts it."""
         return self.evaluate(self.start.updated(values)).cost
 
-    # The same measurements otherwise
-
     def rotated(self, angle: float) -> WalkGraph:
         """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""
         start = self.start.rotated(angle, pivot(self.start.poses, self.positions))
         return self._replaced(_measurements=self._restarted(start), start=start, _associated=not self.walled)
 
     def associated_at(self, start: State, stray: Array | float = STRAY, alike: float = 1.0) -> WalkGraph:
-        """Start the search at ``start``, whose rooms and corridors are taken for those of the walk.
+        """Start the search at ``start`` and associate rooms and corridors along it.
 
-        stray, alike: by how much it errs, see `Measurement.associated`.
+        stray, alike: error of ``start``, see `Measurement.associated`.
         """
         measurements = self._restarted(start)
         if self.walled:
             at = self.chain.evaluate(start)
-            measurements = tuple(one.associated(at, stray, alike) for one in measurements)
+            measurements = tuple(measurement.associated(at, stray, alike) for measurement in measurements)
         return self._replaced(_measurements=measurements, start=start, _associated=True)
 
     def without_plan(self) -> WalkGraph:
-        """Leave out what is evidence of the floor plan."""
-        kept = tuple(one for one in self._measurements if not one.on_plan)
+        """Remove all factors of the floor plan."""
+        kept = tuple(measurement for measurement in self._measurements if not measurement.on_plan)
         return self._replaced(_measurements=kept, walled=False, _associated=True)
 
     def staged(self, stage: Stage) -> WalkGraph:
         """All factors in their version for a stage of the search."""
-        return self._replaced(_measurements=tuple(one.staged(stage) for one in self.measurements))
+        return self._replaced(_measurements=tuple(measurement.staged(stage) for measurement in self.measurements))
 
     def alternatives(self) -> list[WalkGraph]:
-        """Versions from whose optima the search must start too; empty if one start will do."""
-        found = []
-        for n, one in enumerate(self.measurements):
-            for other in one.alternatives():
-                found.append(self._replaced(_measurements=(*self.measurements[:n], other, *self.measurements[n + 1 :])))
-        return found
+        """Versions from whose optima the search must also start; empty if one start is enough."""
+        graphs = []
+        for n, measurement in enumerate(self.measurements):
+            before, after = self.measurements[:n], self.measurements[n + 1 :]
+            for version in measurement.alternatives():
+                graphs.append(self._replaced(_measurements=(*before, version, *after)))
+        return graphs
 
     def refined(self, at: Evaluation) -> WalkGraph:
-        """The second pass from an optimum: less weight for outliers, common errors. Itself if nothing changes."""
-        refined = tuple(one.refined(at) for one in self.measurements)
-        if all(one is other for one, other in zip(refined, self.measurements, strict=True)):
+        """The second pass from an optimum: less weight for outliers, common errors. ``self`` if nothing changes."""
+        refined = tuple(measurement.refined(at) for measurement in self.measurements)
+        if all(new is old for new, old in zip(refined, self.measurements, strict=True)):
             return self
-        return self._with_variables(tuple(one.on(self.chain) for one in refined))
+        return self._with_variables(tuple(measurement.bind(self.chain) for measurement in refined))
 
     def corrected(self, at: Evaluation) -> WalkGraph | None:
-        """Leave out what an optimum shows to be listed wrongly; None if nothing is."""
-        corrected = [one.corrected(at) for one in self.measurements]
+        """Drop listed positions that the optimum ``at`` contradicts; None if there are none."""
+        corrected = [measurement.corrected(at) for measurement in self.measurements]
         if not any(corrected):
             return None
         merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
         return self._with_variables(merged)
 
     def decided(self, decisions: Mapping[str, Mapping[str, AnyArray]]) -> WalkGraph:
-        """Take over what was decided about measurements, by kind (beacons that are elsewhere)."""
-        kinds = [one.continued(decisions[one.name]) if one.name in decisions else one for one in self._measurements]
+        """Apply earlier decisions about measurements, by kind (relocated beacons)."""
+        kinds = [
+            kind.continued(decisions[kind.name]) if kind.name in decisions else kind for kind in self._measurements
+        ]
         return self._with_variables(tuple(kinds)) if decisions else self
 
     def classified_as(self, other: WalkGraph) -> WalkGraph:
         """Classify measurements (outliers, consistent chain) as ``other``, the same graph but for the plan."""
-        plan = tuple(one for one in self._measurements if one.on_plan)
-        return self._with_variables((*(one for one in other.measurements if not one.on_plan), *plan))
+        plan = tuple(measurement for measurement in self._measurements if measurement.on_plan)
+        return self._with_variables(
+            (*(measurement for measurement in other.measurements if not measurement.on_plan), *plan)
+        )
 
     def same_association(self, other: WalkGraph) -> bool:
-        """True if both lead through the same rooms and corridors."""
+        """True if both graphs have the same rooms and corridors."""
         return all(a.same_association(b) for a, b in zip(self.measurements, other.measurements, strict=True))
 
     def _restarted(self, start: State) -> tuple[Measurement, ...]:
-        return tuple(one.restarted(start.poses) for one in self._measurements)
+        return tuple(measurement.restarted(start.poses) for measurement in self._measurements)
 
     def _with_variables(self, measurements: tuple[Measurement, ...]) -> WalkGraph:
-        """With the variables that these measurements bring, at their initial values."""
+        """Replace the measurements; variables that they add are at their initial values."""
         start = initial_state(self.start.poses, self.start.c, measurements)
         return self._replaced(_measurements=measurements, start=start)
 
@@ -281,11 +279,14 @@ def segments(pieces: Pieces, steps: Steps) -> Index:
 
 def _with_rough_fixes(kinds: list[Measurement], steps: Steps, prior: Prior) -> list[Measurement]:
     """Add approximate positions from other measurements if no fix can be used."""
-    fixed = any(isinstance(one, FixFactor) and one.used.any() for one in kinds)
-    rough = next((rough for one in kinds if len(rough := one.rough_fixes())), None)
+    fixed = any(isinstance(kind, FixFactor) and kind.used.any() for kind in kinds)
+    rough = next((rough for kind in kinds if len(rough := kind.rough_fixes())), None)
     if fixed or rough is None:
         return kinds
-    return [FixFactor.of(rough, steps, prior, approximate=True), *(one for one in kinds if one.name not in FIX_KINDS)]
+    return [
+        FixFactor.of(rough, steps, prior, approximate=True),
+        *(kind for kind in kinds if kind.name not in FIX_KINDS),
+    ]
 
 
 def _hold(
@@ -318,7 +319,7 @@ def _check(
     floor: FloorPlan | Building | None,
     prior: Prior | None,
 ) -> None:
-    """Raise on arguments of other types, and on fixes that are not in metres."""
+    """Raise TypeError for arguments of other types, ValueError for fixes that are not in metres."""
     expect("WalkGraph, steps", steps, Steps, instead="detect_steps(recording)")
     expect("WalkGraph, fixes", fixes, Fixes, None, instead="read_fixes(path, recording, frame)")
     expect("WalkGraph, headings", headings, Headings, None, instead="magnetic_headings(recording, frame, near)")
@@ -330,11 +331,11 @@ def _check(
 
 
 def _labels(floor: FloorPlan | Building | None, floors: Sequence[str] | None, rows: int) -> tuple[str, ...]:
-    """The floor's label of each row."""
+    """The floor's label of each row. Raises ValueError if a building of several floors comes without ``floors``."""
     if floors is not None:
         return tuple(floors)
-    known = () if floor is None else Building.around(floor).labels
-    if len(known) > 1:
-        found = f"none, with the floors {', '.join(known)[:80]}"
-        raise ValueError(f"WalkGraph, floors: found {found}, expected a label for each row, as of floors_of(…)")
-    return (known[0] if len(known) == 1 else "",) * rows
+    labels = () if floor is None else Building.around(floor).labels
+    if len(labels) > 1:
+        missing = f"none, with the floors {', '.join(labels)[:80]}"
+        raise ValueError(f"WalkGraph, floors: found {missing}, expected a label for each row, as of floors_of(…)")
+    return (labels[0] if len(labels) == 1 else "",) * rows

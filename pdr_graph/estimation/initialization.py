@@ -1,13 +1,13 @@
-"""The start of the search: dead reckoning aligned with the fixes, in closed form.
+"""The initial walk: dead reckoning aligned with the fixes, in closed form.
 
-The optimum is found by Gauss–Newton, which needs headings that are roughly right. With the track of each segment (about
-a hundred steps) as complex numbers z, turning and scaling it is a product with one complex number a, and "the fix lies
-where the turned track says" is *linear* in the unknowns p_s (where segment s starts) and a_s:
+Gauss–Newton needs headings that are roughly right. With the track of each segment (about a hundred steps) as complex
+numbers z, rotation and scale are a product with one complex number a, and the condition that the track passes a fix is
+*linear* in the unknowns p_s (start of segment s) and a_s:
 
     fix at z:      p_s + a_s (z − z_s) = f                joint:   p_{s+1} = p_s + a_s (z_{s+1} − z_s)
     slow change:   a_{s+1} = a_s                          weak:    a_s = 0
 
-a banded least squares, re-weighted a few times against outliers. It needs no start and has no local minimum.
+a banded least-squares problem, re-weighted a few times against outliers. It needs no start and has no local minima.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
 
 SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
 SIGMA_CHANGE = 0.2  # [rad, ratio] by which direction and scale change between segments
-ANY_TURN = 1.0  # [rad] of uncertain turn beyond which nothing is known of it
-SIGMA_SCALE = 3.0  # keeps a finite where no two fixes measure it
+ANY_TURN = 1.0  # [rad] sigma of a turn above which it counts as unknown
+SIGMA_SCALE = 3.0  # sigma of a about 0: keeps it finite where no two fixes measure it
 REWEIGHTINGS = 5
-HUBER = 2.0  # [σ]
-AMBIGUOUS = 0.35  # [rad] of uncertain direction above which the scale is not fitted, and several starts are tried
-LONGER, BEYOND = 1.5, 20.0  # times as far as strides and sigmas say, and [m], that a walk may lead from its fixes
-ROUGH_TRACK = 0.05  # of the way walked: the error of dead reckoning when it is asked for a direction
+HUBER = 2.0  # [σ] width of Huber's weight
+AMBIGUOUS = 0.35  # [rad] sigma of the direction above which the scale is not fitted, and several starts are used
+LONGER, BEYOND = 1.5, 20.0  # scale and margin [m] of the distance that a walk may lead from its fixes
+ROUGH_TRACK = 0.05  # error of dead reckoning as share of the distance walked, for the sigma of the direction
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Alignment:
     """A track aligned with fixes.
 
     position: ``(k,)`` complex, of each keyframe [m]; turned: ``(k,)`` angle to add to each keyframe's heading [rad].
-    scale: ``(s,)`` by which each segment was stretched.
+    scale: ``(s,)`` factor of each segment's length.
     """
 
     position: Complex
@@ -62,8 +62,7 @@ def align(
 
     track: ``(k,)`` complex positions of the keyframes [m]; segment: ``(k,)`` the segment of each, 0, 0, …, 1, …;
     fix_keyframe: ``(f,)`` index of the keyframe at each fix; fix: ``(f,)`` complex [m]; sigma: ``(f,)`` [m].
-    gap: ``(s - 1,)`` how far the walker may have gone, unrecorded and in any direction, from each segment to the next
-        [m]; none by default. lost: ``(s - 1,)`` how little is known of their turn there [rad].
+    gap, lost: ``(s - 1,)`` sigmas of the unrecorded displacement [m] and turn [rad] between segments; 0 by default.
     """
     starts = np.flatnonzero(np.diff(segment, prepend=-1))
     offset = track - track[starts[segment]]
@@ -85,7 +84,7 @@ def align(
 def _solve(
     move: Complex, joints: tuple[Array, Array], of_fix: Index, z: Complex, fix: Complex, weight: Array
 ) -> tuple[Complex, Complex]:
-    """Solve the module's four kinds of row for p, a of each segment.
+    """Solve the four kinds of equation of this module for p, a of each segment.
 
     move: ``(s - 1,)`` z_{s+1} − z_s; joints: weights ``(s - 1,)`` of the joint and of the slow change.
     """
@@ -116,9 +115,10 @@ def _solve(
 
 
 def sigma_direction(at_fixes: Complex, sigma: Array, walked: float) -> float:
-    """How well the fixes determine the direction of the whole track [rad]; infinite with fewer than two.
+    """Sigma [rad] of the direction of the whole track by its fixes; infinite with fewer than two.
 
-    Their errors, and the track's own, over their spread along the track. at_fixes: ``(f,)`` complex; walked [m].
+    It is the error of fixes and track over their spread. at_fixes: ``(f,)`` complex positions of the track at the
+    fixes; sigma: ``(f,)`` of the fixes [m]; walked: distance [m].
     """
     weight = 1.0 / (sigma**2 + (ROUGH_TRACK * walked) ** 2)
     centre = np.average(at_fixes, weights=weight) if len(at_fixes) else 0.0
@@ -149,10 +149,10 @@ def as_complex(xy: Array) -> Complex:
 
 @dataclass(frozen=True)
 class InitialWalk:
-    """Where the search for the walk starts.
+    """The start of the search.
 
-    poses: ``(k + 1, 3)`` of the keyframes; c: ``(s, 3)``; sigma_direction: how well fixes and headings determine the
-    direction of the whole walk [rad].
+    poses: ``(k + 1, 3)`` of the keyframes; c: ``(s, 3)``; sigma_direction: sigma of the direction of the whole walk by
+    fixes and headings [rad].
     """
 
     poses: Array
@@ -173,14 +173,14 @@ def initial_walk(
     c: ``(s, 3)`` prior means of the calibrations; sigma_stride: prior sigma of R_s [-].
     """
     start = _on_fixes(chain, fixes, steps, c, sigma_stride)
-    known = headings.headings
-    if not len(known):
+    measured = headings.headings
+    if not len(measured):
         return start
-    weight = known.sigma**-2.0
+    weight = measured.sigma**-2.0
     sigma = float(weight.sum() ** -0.5)
     if sigma > start.sigma_direction:
         return start
-    apart = wrap_angle(known.heading - start.poses[headings.keyframe, 2])
+    apart = wrap_angle(measured.heading - start.poses[headings.keyframe, 2])
     turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
     return replace(start.rotated(turn, pivot(start.poses, fixes)), sigma_direction=sigma)
 
@@ -212,7 +212,7 @@ def _gaps(chain: Chain, steps: Steps) -> tuple[Array, Array]:
     lost = np.flatnonzero(steps.is_gap)
     begins = chain.time[chain.segment_first[1:]]
     after = np.searchsorted(begins, np.round(steps.time[lost], DECIMALS))
-    inside = after < len(begins)  # after a gap with which the recording ends there is no segment
+    inside = after < len(begins)  # no segment follows a gap at the end of the recording
     gap, turn = np.zeros((2, len(begins)))
     for total, sigma in ((gap, steps.sigma_length), (turn, steps.sigma_turn)):
         np.maximum.at(total, after[inside], sigma[lost[inside]])
@@ -220,7 +220,7 @@ def _gaps(chain: Chain, steps: Steps) -> tuple[Array, Array]:
 
 
 def reach(chain: Chain, fixes: FixFactor, steps: Steps) -> tuple[Array, Array]:
-    """South-west and north-east corner ``(2,)`` [m] of the area that the walk can have reached."""
+    """South-west and north-east corners ``(2,)`` [m] of the area that the walk can have reached."""
     place, at = fixes.fixes.position[fixes.used], np.append(chain.pieces.first, len(chain.pieces.length))
     walked = np.append(0.0, np.cumsum(chain.pieces.length))[at]
     at_fixes = np.sort(walked[fixes.keyframe[fixes.used]])

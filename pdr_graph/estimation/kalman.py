@@ -4,27 +4,27 @@ The fusion of [gps-dr] as one extended Kalman filter over (x, y, θ, R_s, R_d, b
 same pieces and fixes:
 
     predict   p ← p + R_s l e(θ + half the turn),  θ ← θ + R_d turn + b time      (Secs. 2, 3: strides, gyro)
-              Q from the stride's variance (Sec. 4), and from sway and turn, of which the paper says nothing
+              Q from the stride's variance (Sec. 4), and from sway and turn, which are not in the paper
     correct   with validated magnetic headings, R by both tests of the field      (Sec. 3)
               with fixes, R by the receiver's accuracy or HDOP                    (Sec. 4)
 
-The paper has one filter for the heading and another for the position, so that its fixes correct no heading and no
-stride: with both in one state they do. Its magnetometer tells the heading from the first step on, as our first magnetic
-heading does here, carried back by the gyro. A fix beyond the gate is rejected; after several in a row the filter is
-re-initialised where they are.
+The paper has one filter for the heading and another for the position, so its fixes correct neither heading nor stride;
+in one state they do. Its magnetometer measures the heading from the first step on; here the first magnetic heading is
+carried back to the start by the gyro. A fix beyond the gate is rejected; after several in a row the filter is
+re-initialised at their position.
 
-An unknown direction, or one from a rough compass, is too wide for one linearisation: a mixture of filters, one per
+An unknown direction, or one from a rough compass, is too uncertain for one linearisation: a mixture of filters, one per
 direction, runs in parallel, and measurements decide between them. A measurement beyond the gate of a hypothesis does
-not move it.
+not correct it.
 
-The smoother is that of "Maximum likelihood estimates of linear dynamic systems", AIAA Journal 3(8), 1965. From the last
-moment back, each state is corrected by the one after it:
+The smoother is that of Rauch, Tung and Striebel, "Maximum likelihood estimates of linear dynamic systems", AIAA
+Journal 3(8), 1965. Backwards from the end, each state is corrected by the one after it:
 
     C_k = P_k F_kᵀ (P⁻_{k+1})⁻¹
     x̂_k = x_k + C_k (x̂_{k+1} − x⁻_{k+1}),      P̂_k = P_k + C_k (P̂_{k+1} − P⁻_{k+1}) C_kᵀ
 
-with x, P as the filter knew them and x⁻, P⁻ as it predicted. It is linear about the filter's walk, where the graph is
-linearised again and again about its own.
+with the filter's posterior x, P and prediction x⁻, P⁻. It is linearised once, along the filter's walk; the graph is
+relinearised along its own.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ from pdr_graph.estimation.results import calibration_of, warnings
 from pdr_graph.geometry import interpolate, row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
-DIRECTIONS = 12
+DIRECTIONS = 12  # hypotheses for an unknown direction
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
 GATE = 5.0  # [σ] of a measurement, χ² of 25, beyond which it is rejected, as outliers in the graph
 HOPELESS = 1e-6  # probability below which a hypothesis is dropped
-EXACT = 1e-3  # [rad] as which a narrow direction is taken when its neighbours' probability is asked for
-SAME = 1.0  # [σ] from the best within which another hypothesis says the same
+EXACT = 1e-3  # [rad] least sigma for the weights of directions
+SAME = 1.0  # [σ] from the best within which hypotheses are merged
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class GaussianMixture:
     """Hypotheses, each an extended Kalman filter.
 
     mean: ``(h, 6)`` x, y, θ, R_s, R_d, b; covariance: ``(h, 6, 6)``; log_weight: ``(h,)`` log of the probability;
-    origin: ``(h,)`` the hypothesis, before any measurement of this moment, that each one was.
+    origin: ``(h,)`` index of each before the measurements of this moment.
     """
 
     mean: Array
@@ -74,7 +74,7 @@ class GaussianMixture:
         return int(np.argmax(self.log_weight))
 
     def summary(self) -> tuple[Array, Array]:
-        """Mean ``(6,)`` of the most probable hypothesis, and the covariance ``(6, 6)`` of all about it."""
+        """Mean ``(6,)`` of the most probable hypothesis, and covariance ``(6, 6)`` of the mixture about it."""
         if len(self) == 1:
             return self.mean[0], self.covariance[0]
         apart = _apart(self.mean, self.mean[self.best])
@@ -82,7 +82,7 @@ class GaussianMixture:
         return self.mean[self.best], np.einsum("h,hij->ij", np.exp(self.log_weight), spread)
 
     def take(self, rows: Index) -> GaussianMixture:
-        """Some of the hypotheses, their probabilities made to sum to 1."""
+        """Select hypotheses and normalise their probabilities."""
         log_weight = self.log_weight[rows]
         log_weight = log_weight - np.logaddexp.reduce(log_weight)
         return GaussianMixture(self.mean[rows], self.covariance[rows], log_weight, self.origin[rows])
@@ -90,7 +90,7 @@ class GaussianMixture:
 
 @dataclass(frozen=True)
 class Surprise:
-    """How a measurement met each hypothesis: ``(h,)`` how many sigmas off, and the weight that it was given."""
+    """Innovation of a measurement under each hypothesis ``(h,)`` [σ], and its weight ``(h,)``."""
 
     sigmas: Array
     weight: Array
@@ -99,22 +99,22 @@ class Surprise:
 def measured(
     bank: GaussianMixture, H: Array, gap: Array, R: Array, share: float = 1.0
 ) -> tuple[GaussianMixture, Surprise]:
-    """The bank after a measurement, with Huber's weight up to the gate and none beyond.
+    """Correct the mixture with a measurement, with Huber's weight up to the gate and weight 0 beyond.
 
-    H: ``(d, 6)`` how the measurement depends on the state; gap: ``(h, d)`` measured less expected; R: ``(d, d)``;
-    share: of its information that others do not say too. What is off for one is judged by R alone.
-    A gap beyond the gate costs a hypothesis as much as one at the gate: an outlier decides nothing.
+    H: ``(d, 6)`` measurement matrix; gap: ``(h, d)`` innovation; R: ``(d, d)``; share: of its information that is
+    independent of other measurements; it scales R for the gain, not for the gate.
+    An innovation beyond the gate costs a hypothesis as much as one at the gate, so an outlier decides nothing.
     """
-    seen = H @ bank.covariance
-    expected = seen @ H.T
+    cross = H @ bank.covariance
+    expected = cross @ H.T
     S = expected + R
     sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
     weight = np.where(sigmas < GATE, huber_weight(sigmas, HUBER_WIDTH), 0.0)
     log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
 
     weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
-    K = (weight > 0)[:, None, None] * seen.transpose(0, 2, 1) @ np.linalg.inv(weighted)
-    covariance = bank.covariance - K @ seen
+    K = (weight > 0)[:, None, None] * cross.transpose(0, 2, 1) @ np.linalg.inv(weighted)
+    covariance = bank.covariance - K @ cross
     mean = bank.mean + np.einsum("hij,hj->hi", K, gap)
     covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
     return GaussianMixture(mean, covariance, log_weight - np.logaddexp.reduce(log_weight), bank.origin), Surprise(
@@ -123,7 +123,7 @@ def measured(
 
 
 def thinned(bank: GaussianMixture) -> GaussianMixture:
-    """Without hypotheses that became hopeless, and with those that say what the best says counted as it."""
+    """Drop improbable hypotheses, and merge those near the best with it."""
     if len(bank) == 1:
         return bank
     pose = _apart(bank.mean, bank.mean[bank.best])[:, :3]
@@ -136,26 +136,26 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
     return replace(bank, log_weight=log_weight).take(np.flatnonzero(keep))
 
 
-def by_direction(one: GaussianMixture) -> GaussianMixture:
-    """One hypothesis whose direction is not well known, as DIRECTIONS narrow ones around the circle.
+def by_direction(wide: GaussianMixture) -> GaussianMixture:
+    """Split one hypothesis of uncertain direction into DIRECTIONS narrow ones around the circle.
 
-    Together they are the Gaussian that it was, with Huber's tails: those far from a direction that a compass told are
-    kept, with little probability. The first is in the direction that it had.
+    Together they have its Gaussian with Huber's tails: directions far from a compass heading keep a small probability.
+    The first has the direction of ``wide``.
     """
-    V, width = one.covariance[0, 2, 2], np.pi / DIRECTIONS
+    V, width = wide.covariance[0, 2, 2], np.pi / DIRECTIONS
     off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)))
-    wider, by_heading = max(V - width**2, 0.0), one.covariance[0, 2] / V
-    narrow = one.covariance[0] - wider * np.outer(by_heading, by_heading)
+    wider, by_heading = max(V - width**2, 0.0), wide.covariance[0, 2] / V
+    narrow = wide.covariance[0] - wider * np.outer(by_heading, by_heading)
     all_round = np.zeros(DIRECTIONS, dtype=np.intp)
     log_weight = -_cost(np.abs(off) / np.sqrt(max(wider, EXACT**2)))
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(
-        one.mean + off[:, None] * by_heading, np.tile(narrow, (DIRECTIONS, 1, 1)), log_weight, all_round
+        wide.mean + off[:, None] * by_heading, np.tile(narrow, (DIRECTIONS, 1, 1)), log_weight, all_round
     )
 
 
 def _cost(sigmas: Array) -> Array:
-    """What a gap of so many sigmas has against a hypothesis: Huber's loss up to the gate, no more beyond."""
+    """Cost of an innovation [σ]: Huber's loss, constant beyond the gate."""
     return 0.5 * np.minimum(sigmas, HUBER_WIDTH) ** 2 + HUBER_WIDTH * (np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH)
 
 
@@ -173,53 +173,53 @@ OF_POSITION, OF_HEADING = np.eye(2, 6), np.eye(1, 6, 2)
 
 @dataclass(frozen=True)
 class Meeting:
-    """How one fix met the walk: distance [m] from where it was expected, in sigmas, the weight it was given, and
-    whether the filter was re-initialised there.
+    """How one fix was used: its index, distance [m] and innovation [σ] from the prediction, weight, and True if the
+    filter was re-initialised there.
     """
 
     fix: int
     distance: float
     sigmas: float
     weight: float
-    anew: bool
+    reset: bool
 
 
 @dataclass(frozen=True)
 class Moment:
-    """The walk at the start, or at the end of one piece.
+    """State of the filter at the start, or at the end of one piece.
 
-    predicted: before the measurements of this moment, known: after them. Hypothesis n of ``predicted`` came from
+    predicted: before the measurements of this moment; posterior: after them. Hypothesis n of ``predicted`` came from
     ``parent (h,)`` n of the moment before, by a movement whose derivative is ``motion (h, 6, 6)`` n.
     """
 
     parent: Index
     motion: Array
     predicted: GaussianMixture
-    known: GaussianMixture
+    posterior: GaussianMixture
     met: tuple[Meeting, ...]
 
 
 def kalman_filter(graph: WalkGraph) -> Estimate:
-    """The causal estimate at every row: each pose knows the fixes up to its time, and no wall.
+    """The causal estimate at every row: each pose uses the measurements up to its time.
 
     graph: the same measurements as for ``smooth``; its walls are not used.
     """
     expect("kalman_filter, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
-    known, met, last = list[tuple[Array, Array]](), list[Meeting](), _start(graph).known
+    summaries, met, last = list[tuple[Array, Array]](), list[Meeting](), _start(graph).posterior
     for moment in moments(graph):
-        last = moment.known
-        known.append(last.summary())
+        last = moment.posterior
+        summaries.append(last.summary())
         met += moment.met
-    means, covariances = (np.array(column) for column in zip(*known, strict=True))
+    means, covariances = (np.array(column) for column in zip(*summaries, strict=True))
     return estimate_of(graph, means, covariances, met, last)
 
 
 def estimate_of(
     graph: WalkGraph, means: Array, covariances: Array, met: list[Meeting], last: GaussianMixture
 ) -> Estimate:
-    """States ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` before and after each piece, as an estimate.
+    """The estimate from states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` at the start and after each piece.
 
-    met: how fixes were met; last: the bank at the end.
+    met: how fixes were used; last: the mixture at the end.
     """
     rows = np.concatenate([[0], graph.pieces.row_end + 1])
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
@@ -240,24 +240,24 @@ def estimate_of(
 
 
 def moments(graph: WalkGraph) -> Iterator[Moment]:
-    """Once through the walk: its start, then the end of each piece."""
+    """Run the filter; yields the start, then the end of each piece."""
     fixes_at, headings_at = _by_keyframe(graph)
     moment, refused = _start(graph), 0
     for keyframe in range(len(fixes_at)):
         if keyframe > 0:
-            *before, moment = _predicted(moment.known, graph, keyframe - 1)
+            *before, moment = _predicted(moment.posterior, graph, keyframe - 1)
             yield from before
         for n in fixes_at[keyframe].tolist():
             moment, refused = _fixed(moment, graph, n, refused)
-        known = moment.known
+        mixture = moment.posterior
         for n in headings_at[keyframe].tolist():
-            known = _pointed(known, graph, n, OF_HEADING, float(graph.headings.headings.sigma[n] ** 2))
-        moment = replace(moment, known=thinned(known))
+            mixture = _pointed(mixture, graph, n, OF_HEADING, float(graph.headings.headings.sigma[n] ** 2))
+        moment = replace(moment, posterior=thinned(mixture))
         yield moment
 
 
 def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
-    """The fixes and the headings of each keyframe; the first heading is told before the start."""
+    """The fixes and the headings of each keyframe, without the first heading, which `_start` uses."""
     keyframes = np.arange(1, len(graph.pieces.last) + 1)
     fixes = graph.positions
     used = np.flatnonzero(fixes.used)
@@ -268,26 +268,26 @@ def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
 
 
 def _start(graph: WalkGraph) -> Moment:
-    """Before any fix: everywhere near the first, in the direction that the compass tells, or in any.
+    """The initial state: near the first fix with a wide covariance, in the compass direction or in any.
 
-    Without a fix at (0, 0), and without a compass with heading 0: the start is the frame.
+    Without fixes at (0, 0), and without a compass with heading 0: the start defines the frame.
     """
     fixes = graph.positions
-    fixed, told = fixes.used.any(), len(graph.headings.headings) > 0
+    fixed, has_heading = fixes.used.any(), len(graph.headings.headings) > 0
     place = FAR if fixed else FRAME_SIGMA
     mean, covariance = np.zeros(6), np.zeros((6, 6))
     mean[:2] = fixes.fixes.position[fixes.used][0] if fixed else 0.0
     mean[3:], covariance[3:, 3:] = graph.prior.mean, graph.prior.covariance
-    covariance[:3, :3] = np.diag(np.square([place, place, FAR if fixed or told else FRAME_SIGMA]))
-    own = np.zeros(1, dtype=np.intp)
-    bank = GaussianMixture(mean[None], covariance[None], np.zeros(1), own)
-    if told:
+    covariance[:3, :3] = np.diag(np.square([place, place, FAR if fixed or has_heading else FRAME_SIGMA]))
+    single = np.zeros(1, dtype=np.intp)
+    bank = GaussianMixture(mean[None], covariance[None], np.zeros(1), single)
+    if has_heading:
         bank = _first_heading(bank, graph)
-    return Moment(own, np.eye(6)[None], bank, by_direction(bank) if fixed or told else bank, ())
+    return Moment(single, np.eye(6)[None], bank, by_direction(bank) if fixed or has_heading else bank, ())
 
 
 def _first_heading(bank: GaussianMixture, graph: WalkGraph) -> GaussianMixture:
-    """The first heading, carried back to the start: it measures θ + R_d turn + b time to its own moment."""
+    """Correct the start with the first heading, a measurement of θ + R_d turn + b time up to its keyframe."""
     pieces = graph.pieces
     until = pieces.last[: graph.headings.keyframe[0]]
     H = np.zeros((1, 6))
@@ -297,8 +297,8 @@ def _first_heading(bank: GaussianMixture, graph: WalkGraph) -> GaussianMixture:
 
 
 def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
-    """After each piece of interval ``i``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a random
-    walk. Nothing is measured meanwhile, so that what each piece does to a state is known at once, ``(k, h, …)``.
+    """Predict through each piece of interval ``i``: p ← p + R_s l e(θ + half the turn), θ ← θ + R_d turn + b time, c a
+    random walk. There are no measurements between, so all pieces are computed at once, ``(k, h, …)``.
     """
     pieces, here = graph.pieces, slice(graph.pieces.first[i], graph.pieces.last[i] + 1)
     length, (turn, time) = pieces.length[here, None], 2 * (pieces.to_end - pieces.to_middle)[:, here, None]
@@ -323,112 +323,122 @@ def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
     Q = np.zeros_like(F)
     Q[..., :3, :3] = (G * variance[:, None, None]) @ G.swapaxes(2, 3)
 
-    own, P, found = np.arange(len(bank)), bank.covariance + np.diag(np.append(np.zeros(3), _changed(graph, i))), []
+    rows, P, moments_of_pieces = (
+        np.arange(len(bank)),
+        bank.covariance + np.diag(np.append(np.zeros(3), _changed(graph, i))),
+        [],
+    )
     for m, motion in enumerate(F):
         P = motion @ P @ motion.swapaxes(1, 2) + Q[m]
-        after = GaussianMixture(mean[m], P, bank.log_weight, own)
-        found.append(Moment(own, motion, after, after, ()))
-    return found
+        after = GaussianMixture(mean[m], P, bank.log_weight, rows)
+        moments_of_pieces.append(Moment(rows, motion, after, after, ()))
+    return moments_of_pieces
 
 
 def _changed(graph: WalkGraph, i: int) -> Array:
-    """Variance ``(3,)`` by which the calibration changes before interval ``i``: where another segment begins."""
+    """Variance ``(3,)`` of the change of calibration before interval ``i``; 0 unless a segment begins there."""
     begins = i > 0 and graph.segment[i] != graph.segment[i - 1]
     return np.square(graph.prior.change) if begins else np.zeros(3)
 
 
 def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Moment, int]:
-    """After fix ``n``, where ``refused`` before it were refused in a row; and how many now are."""
+    """Correct with fix ``n``. refused: number of fixes rejected in a row before it; its new value is returned."""
     fixes = graph.positions
     place, R = fixes.fixes.position[n], fixes.sigma[n] ** 2 * np.eye(2)
     share = float(fixes.sigma[n] / fixes.independent_sigma[n]) ** 2
-    bank = moment.known
-    known, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
-    meeting = _meeting(n, np.hypot(*(place - bank.mean[known.best, :2])), surprise, known.best)
+    bank = moment.posterior
+    updated, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+    meeting = _meeting(n, np.hypot(*(place - bank.mean[updated.best, :2])), surprise, updated.best)
     refused = refused + 1 if meeting.weight == 0.0 else 0
     if refused == PATIENCE:
-        moment, refused = _anew(moment), 0
-        bank = moment.known
-        known, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
-        meeting = replace(meeting, weight=1.0, anew=True)
-    return replace(moment, known=known, met=(*moment.met, meeting)), refused
+        moment, refused = _reinitialised(moment), 0
+        bank = moment.posterior
+        updated, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
+        meeting = replace(meeting, weight=1.0, reset=True)
+    return replace(moment, posterior=updated, met=(*moment.met, meeting)), refused
 
 
 def _meeting(n: int, distance: float, surprise: Surprise, best: int) -> Meeting:
-    return Meeting(n, float(distance), float(surprise.sigmas[best]), float(surprise.weight[best]), anew=False)
+    return Meeting(n, float(distance), float(surprise.sigmas[best]), float(surprise.weight[best]), reset=False)
 
 
-def _anew(moment: Moment) -> Moment:
-    """A lost filter before the fix that it believes again: anywhere, in the direction that it has or in any other.
+def _reinitialised(moment: Moment) -> Moment:
+    """The prediction with an unknown pose: any position, directions around the circle.
 
-    What it refused changed nothing, so that this is the prediction with its pose forgotten.
+    Rejected fixes did not change the prediction.
     """
-    own = moment.known.origin[[moment.known.best]]
-    lost = moment.predicted.take(own)
+    winner = moment.posterior.origin[[moment.posterior.best]]
+    lost = moment.predicted.take(winner)
     forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
     anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
-    return Moment(moment.parent[own], moment.motion[own], anywhere, by_direction(anywhere), moment.met)
+    return Moment(moment.parent[winner], moment.motion[winner], anywhere, by_direction(anywhere), moment.met)
 
 
 def _pointed(bank: GaussianMixture, graph: WalkGraph, n: int, H: Array, variance: float) -> GaussianMixture:
-    """After heading ``n``, of which H ``(1, 6)`` depends on the state."""
+    """Correct with heading ``n``. H: ``(1, 6)`` measurement matrix; variance [rad²]."""
     gap = np.asarray(wrap_angle(graph.headings.headings.heading[n] - bank.mean @ H.T))
     return measured(bank, H, gap, np.array([[variance]]))[0]
 
 
 def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:
-    """What became of every fix; those outside the recording were not met."""
+    """Reports of all fixes; those outside the recording were not used."""
     distance, sigmas, weight = (np.full(len(graph.positions), fill) for fill in (np.nan, np.nan, 0.0))
-    for one in met:
-        distance[one.fix], sigmas[one.fix], weight[one.fix] = one.distance, one.sigmas, one.weight
+    for meeting in met:
+        distance[meeting.fix], sigmas[meeting.fix], weight[meeting.fix] = (
+            meeting.distance,
+            meeting.sigmas,
+            meeting.weight,
+        )
     reports = list(graph.positions.reported(distance, sigmas, weight, "where it was expected"))
-    for one in met:
-        if one.anew:
-            reason = f"{one.sigmas:.1f} sigma from where it was expected, as those before: the filter is re-initialised"
-            reports[one.fix] = replace(reports[one.fix], reason=reason)
+    for meeting in met:
+        if meeting.reset:
+            reason = (
+                f"{meeting.sigmas:.1f} sigma from where it was expected, as those before: the filter is re-initialised"
+            )
+            reports[meeting.fix] = replace(reports[meeting.fix], reason=reason)
     return tuple(reports)
 
 
 def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
     """Warnings about rejected fixes and re-initialisation."""
-    refused = sum(one.weight == 0.0 for one in met)
-    anew = [f"{graph.positions.fixes.time[one.fix]:.1f} s" for one in met if one.anew]
+    refused = sum(meeting.weight == 0.0 for meeting in met)
+    resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
     holds_for = {
         f"{refused} fixes more than {GATE:.0f} sigma from where they were expected were rejected": refused > 0,
-        f"the filter was lost and re-initialised at {', '.join(anew)}": bool(anew),
+        f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
     }
     return tuple(text for text, holds in holds_for.items() if holds)
 
 
 def kalman_smoother(graph: WalkGraph) -> Estimate:
-    """The filter's most probable walk at every row, given the fixes before and after; it knows no wall.
+    """The smoothed walk at every row, along the filter's most probable hypothesis.
 
     graph: the same measurements as for ``smooth``; its walls are not used. Rejected fixes stay rejected.
     """
     expect("kalman_smoother, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
     run = list(moments(graph))
     means, covariances = _backward(run)
-    met = [one for moment in run for one in moment.met]
-    estimate = estimate_of(graph, means, covariances, met, run[-1].known)
+    met = [meeting for moment in run for meeting in moment.met]
+    estimate = estimate_of(graph, means, covariances, met, run[-1].posterior)
     track = estimate.trajectory
-    given = graph.positions.fixes
-    apart = np.hypot(*(given.position - interpolate(given.time, track.time, track.position)).T)
-    fixes = tuple(replace(fix, residual=float(d)) for fix, d in zip(estimate.fixes, apart, strict=True))
-    return replace(estimate, reports={"fixes": fixes})
+    fixes = graph.positions.fixes
+    distance = np.hypot(*(fixes.position - interpolate(fixes.time, track.time, track.position)).T)
+    reports = tuple(replace(fix, residual=float(d)) for fix, d in zip(estimate.fixes, distance, strict=True))
+    return replace(estimate, reports={"fixes": reports})
 
 
 def _backward(run: list[Moment]) -> tuple[Array, Array]:
-    """Smoothed states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` along the hypothesis that won."""
-    own = run[-1].known.best
-    mean, P = run[-1].known.mean[own], run[-1].known.covariance[own]
+    """Smoothed states ``(m + 1, 6)`` and covariances ``(m + 1, 6, 6)`` along the last, most probable hypothesis."""
+    hypothesis = run[-1].posterior.best
+    mean, P = run[-1].posterior.mean[hypothesis], run[-1].posterior.covariance[hypothesis]
     means, covariances = [mean], [P]
     for before, after in zip(run[-2::-1], run[:0:-1], strict=True):
-        n = after.known.origin[own]
-        own, F, predicted = after.parent[n], after.motion[n], after.predicted
-        known = before.known
-        C = np.linalg.solve(predicted.covariance[n], F @ known.covariance[own]).T
-        mean = known.mean[own] + C @ (mean - predicted.mean[n])
-        P = known.covariance[own] + C @ (P - predicted.covariance[n]) @ C.T
+        n = after.posterior.origin[hypothesis]
+        hypothesis, F, predicted = after.parent[n], after.motion[n], after.predicted
+        filtered = before.posterior
+        C = np.linalg.solve(predicted.covariance[n], F @ filtered.covariance[hypothesis]).T
+        mean = filtered.mean[hypothesis] + C @ (mean - predicted.mean[n])
+        P = filtered.covariance[hypothesis] + C @ (P - predicted.covariance[n]) @ C.T
         means.append(mean)
         covariances.append(P)
     return np.array(means[::-1]), np.array(covariances[::-1])

@@ -1,8 +1,8 @@
 """Several walks in one graph: of one person on many days, or of a group.
 
-The walks follow one another in the time of one walk's steps, with a row between each two that leads anywhere; so the
-graph of a walk is that of many. Closures bind them: places seen again, encounters. Where each walk is by itself known,
-by `smooth`, the optimum of all together is sought from there.
+The steps of the walks are concatenated on one time axis, with a gap of unknown displacement between each two, so that
+the graph of one walk serves for many. Closures connect them: recognised places, encounters. The search for the joint
+optimum starts from the separate solutions by `smooth`.
 """
 
 from __future__ import annotations
@@ -25,36 +25,42 @@ from pdr_graph.geometry import interpolate, nearest, row_times, wrap_angle
 from pdr_graph.measurements import Closures, by_type, with_offset
 from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, Headings, Trajectory
 
-BETWEEN = 3600.0  # [s] of the common time from one walk to the next
-ANYWHERE = 1e4 / BETWEEN  # [m/s]: the next walk begins anywhere within ten kilometres
-ANY_TURN = 30.0  # [rad]
+BETWEEN = 3600.0  # [s] between two walks on the common time axis
+ANYWHERE = 1e4 / BETWEEN  # [m/s] sigma of the speed there: the next walk starts anywhere within ten kilometres
+ANY_TURN = 30.0  # [rad] sigma of the turn there
 Data = TypeVar("Data")
 
 
 def smooth_together(graphs: Sequence[WalkGraph], alone: Sequence[Estimate], closures: Closures) -> list[Estimate]:
     """The most probable walks given all measurements in ``graphs`` and ``closures`` between them.
 
-    graphs: in one frame, on one plan or without; alone: each as it is by itself, to start from; closures: `walk` says
-    of which of them. Beacons of one label are one, and all phones hear them alike.
+    graphs: in one frame, on one plan or without; alone: the separate solution of each; closures: with the indices of
+    their walks. Beacons of one label are the same beacon, with the same path loss for all phones.
     """
     begins = np.cumsum([0.0] + [graph.steps.end - graph.steps.start + BETWEEN for graph in graphs[:-1]])
     begins -= [graph.steps.start for graph in graphs]
     joint = _joint(graphs, begins, closures)
-    found = near_start(joint.associated_at(_start(joint, alone, begins)))
-    return list(_parted(found, graphs, alone, begins.tolist()))
+    optimum = near_start(joint.associated_at(_start(joint, alone, begins)))
+    return list(_parted(optimum, graphs, alone, begins.tolist()))
 
 
 def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> WalkGraph:
-    """One graph of all walks."""
+    """One graph of all walks; begins: offset of each walk's time [s]."""
     steps = [shifted(graph.steps, by) for graph, by in zip(graphs, begins, strict=True)]
     whole = steps[0]
-    for own in steps[1:]:
-        between = gap(whole.end, own.start, 0.0, ANY_TURN, ANYWHERE)
-        whole = append_steps(append_steps(whole, between), own)
+    for walk_steps in steps[1:]:
+        between = gap(whole.end, walk_steps.start, 0.0, ANY_TURN, ANYWHERE)
+        whole = append_steps(append_steps(whole, between), walk_steps)
     floors = [graph.floors for graph in graphs]
-    labels = [*floors[0][:-1], *(label for own in floors[1:] for label in own[:-1]), floors[-1][-1]]
+    labels = [
+        *floors[0][:-1],
+        *(label for labels_of_walk in floors[1:] for label in labels_of_walk[:-1]),
+        floors[-1][-1],
+    ]
     bound = [
-        replace(own, walk=np.full_like(own.walk, n)) for n, graph in enumerate(graphs) for own in _of(graph, Closures)
+        replace(table, walk=np.full_like(table.walk, n))
+        for n, graph in enumerate(graphs)
+        for table in _of(graph, Closures)
     ]
     tables = [
         with_offset(table, by)
@@ -72,69 +78,71 @@ def _joint(graphs: Sequence[WalkGraph], begins: Array, closures: Closures) -> Wa
         floors=labels,
         measurements=(*by_type(tables), Closures.concatenate([closures, *bound]).shifted(begins)),
         prior=graphs[0].prior,
-        others=[(own.start, graph.prior) for own, graph in zip(steps[1:], graphs[1:], strict=True)],
+        others=[(walk_steps.start, graph.prior) for walk_steps, graph in zip(steps[1:], graphs[1:], strict=True)],
     )
 
 
 def _of(graph: WalkGraph, kind: type[Data]) -> Iterator[Data]:
-    """What was measured of one kind."""
-    return (one for one in graph.data if isinstance(one, kind))
+    """The data of one type."""
+    return (table for table in graph.data if isinstance(table, kind))
 
 
 def _start(joint: WalkGraph, alone: Sequence[Estimate], begins: Array) -> State:
-    """Every walk where it is by itself."""
-    time = np.concatenate([one.trajectory.time + by for one, by in zip(alone, begins, strict=True)])
-    position = np.concatenate([one.trajectory.position for one in alone])
-    heading = np.concatenate([np.unwrap(one.trajectory.heading) for one in alone])
+    """The separate solutions as initial state."""
+    time = np.concatenate([estimate.trajectory.time + by for estimate, by in zip(alone, begins, strict=True)])
+    position = np.concatenate([estimate.trajectory.position for estimate in alone])
+    heading = np.concatenate([np.unwrap(estimate.trajectory.heading) for estimate in alone])
     at = joint.keyframe_time
     poses = interpolate(at, time, np.column_stack([position, heading]))
-    told = [(one.calibration, by) for one, by in zip(alone, begins, strict=True) if one.calibration is not None]
-    c_time = np.concatenate([c.start + by for c, by in told])
-    c = np.concatenate([c.value for c, _ in told])
+    calibrations = [
+        (estimate.calibration, by)
+        for estimate, by in zip(alone, begins, strict=True)
+        if estimate.calibration is not None
+    ]
+    c_time = np.concatenate([c.start + by for c, by in calibrations])
+    c = np.concatenate([c.value for c, _ in calibrations])
     first = at[joint.chain.segment_first]
     return joint.start.replaced(x=poses, c=c[np.searchsorted(c_time, first + 1e-3, side="right") - 1])
 
 
 def _within(graph: WalkGraph) -> Fixes:
-    """The fixes of a walk, one shortly outside the recording at its end: beyond, the next walk is not far."""
-    fixes, steps = graph.given, graph.steps
-    held = np.clip(fixes.time, steps.start, steps.end)
-    near = np.abs(held - fixes.time) <= LONGEST_OVERHANG
-    sigma = np.hypot(fixes.sigma, WALKING_SPEED * (held - fixes.time))
-    return replace(fixes, time=held, sigma=sigma)[near]
+    """The fixes of a walk; one shortly outside the recording is moved to its end, away from the next walk."""
+    fixes, steps = graph.fixes, graph.steps
+    time = np.clip(fixes.time, steps.start, steps.end)
+    near = np.abs(time - fixes.time) <= LONGEST_OVERHANG
+    sigma = np.hypot(fixes.sigma, WALKING_SPEED * (time - fixes.time))
+    return replace(fixes, time=time, sigma=sigma)[near]
 
 
 def _parted(
-    found: Optimum, graphs: Sequence[WalkGraph], alone: Sequence[Estimate], begins: Sequence[float]
+    optimum: Optimum, graphs: Sequence[WalkGraph], alone: Sequence[Estimate], begins: Sequence[float]
 ) -> Iterator[Estimate]:
-    """Each of the walks, as all together have it. begins: in the common time [s]."""
+    """The estimate of each walk from the joint optimum. begins: offset of each walk's time [s]."""
     times = [row_times(graph.steps) for graph in graphs]
-    poses, covariance, of_c = _rows(found, np.concatenate([t + by for t, by in zip(times, begins, strict=True)]))
-    reports, c = iter(found.graph.positions.reports(found.at)), found.state.c
+    poses, covariance, of_c = _rows(optimum, np.concatenate([t + by for t, by in zip(times, begins, strict=True)]))
+    reports, c = iter(optimum.graph.positions.reports(optimum.at)), optimum.state.c
     cuts = np.cumsum([len(time) for time in times])[:-1]
     parts = zip(graphs, alone, begins, times, np.split(poses, cuts), np.split(covariance, cuts), strict=True)
-    for graph, one, by, time, own, its_covariance in parts:
-        track = Trajectory(time, own[:, :2], wrap_angle(own[:, 2]), graph.floors, its_covariance)
+    for graph, estimate, by, time, walk_poses, its_covariance in parts:
+        track = Trajectory(time, walk_poses[:, :2], wrap_angle(walk_poses[:, 2]), graph.floors, its_covariance)
         fixes = tuple(replace(r, time=r.time - by) for r in islice(reports, len(_within(graph))))
-        calibration = _calibration(found.graph, graph, by, c, of_c)
-        reached = {"iterations": found.iterations, "cost": found.cost, "converged": found.converged}
+        calibration = _calibration(optimum.graph, graph, by, c, of_c)
+        reached = {"iterations": optimum.iterations, "cost": optimum.cost, "converged": optimum.converged}
         yield replace(
-            one, trajectory=track, calibration=calibration, reports={**one.reports, "fixes": fixes}, **reached
+            estimate, trajectory=track, calibration=calibration, reports={**estimate.reports, "fixes": fixes}, **reached
         )
 
 
-def _rows(found: Optimum, time: Array) -> tuple[Array, Array, Array]:
-    """Poses ``(n, 3)`` and their covariances ``(n, 3, 3)`` in the output axes, at the start and at ends of pieces; and
-    the covariances of c.
-    """
-    pieces, at = found.graph.pieces, found.at
+def _rows(optimum: Optimum, time: Array) -> tuple[Array, Array, Array]:
+    """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]; covariances of c."""
+    pieces, at = optimum.graph.pieces, optimum.at
     which = nearest(pieces.keyframe_time[pieces.interval] + pieces.to_end[1], time[1:])
-    covariance, of_c = covariance_of_ends(at, found.net, which)
+    covariance, of_c = covariance_of_ends(at, optimum.net, which)
     return np.concatenate([at.pose_i[:1], at.ends[which]]), covariance, of_c
 
 
 def _calibration(joint: WalkGraph, graph: WalkGraph, by: float, c: Array, covariance: Array) -> Calibration:
-    """What all together taught of one walk's walker."""
+    """The calibration of one walk from the joint estimate."""
     start = joint.keyframe_time[joint.chain.segment_first] - by
-    own = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
-    return Calibration(start[own], c[own], covariance[own], prior_sigma(graph.prior, np.arange(len(own))))
+    rows = np.flatnonzero((start > graph.steps.start - INSTANT) & (start < graph.steps.end))
+    return Calibration(start[rows], c[rows], covariance[rows], prior_sigma(graph.prior, np.arange(len(rows))))

@@ -1,4 +1,4 @@
-"""The most probable walk, and other walks that explain the measurements about as well."""
+"""The search for the most probable walk, and for other walks that explain the measurements about as well."""
 
 from __future__ import annotations
 
@@ -7,36 +7,35 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.endings import alternative_endings, fixes_determine_path
 from pdr_graph.estimation.factors.base import Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
-from pdr_graph.estimation.path_modes import hypotheses
+from pdr_graph.estimation.path_modes import alternative_endings, fixes_determine_path, hypotheses
 from pdr_graph.types import Array, Index
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
-CONVERGED = 3e-5  # an iteration that takes less than this share, or this much, off the cost is the last
-ROUGHLY = 1e-2  # the same where only the rooms and corridors about the walk are sought
-ALIKE = 30.0  # steps in a row whose places err alike, between fixes
-LONGEST_MOVE = 2.0  # [m] of any pose in one iteration where walls are near, whose pull is local
-UNLIKELY = 12.0  # cost above the best at which another solution is not worth mentioning
-USUAL = 1.5  # times the cost of a walk without walls that one between walls has
-STRAINED = 3.0  # cost above the usual at which other paths are sought
-ATTEMPTS = 2
-DIRECTIONS = 8  # to start in where any is possible
-UNSEEN = 4.5  # cost above the usual at which a path that the particles missed must be reckoned with
-DIFFERENT = 0.5  # [m] apart at some step: another solution
-SAME_PATH = 4.0  # [m] apart on average: half the distance from the middle of an aisle to that of the next
+CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an iteration is the last
+ROUGHLY = 1e-2  # the same where only the association with rooms and corridors is needed
+ALIKE = 30.0  # steps in a row with the same position error, between fixes
+LONGEST_MOVE = 2.0  # [m] of any pose in one iteration with walls, whose gradients are valid only nearby
+UNLIKELY = 12.0  # cost above the best at which another solution is dropped
+USUAL = 1.5  # usual ratio of the cost with walls to that without
+STRAINED = 3.0  # cost above the usual at which further paths are searched
+ATTEMPTS = 2  # of the particle filter
+DIRECTIONS = 8  # initial directions where any is possible
+UNSEEN = 4.5  # cost above the usual of a path that the particles may have missed
+DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
+SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance between two aisles
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where the optimiser stopped.
+    """Result of the optimiser.
 
-    at: all factors there; net: the graph factorised just before the last move; unseen: the negative log posterior of a
-    path that was not found.
+    at: all factors at the optimum; net: the graph factorised just before the last move; unseen: the negative log
+    posterior of a path that the search may have missed.
     """
 
     graph: WalkGraph
@@ -48,7 +47,7 @@ class Optimum:
 
     @property
     def state(self) -> State:
-        """The variables there."""
+        """The variables at the optimum."""
         return self.at.state
 
     @property
@@ -63,57 +62,57 @@ class Optimum:
 
 
 def solutions(graph: WalkGraph) -> list[Optimum]:
-    """The most probable walk first, then different ones that are not hopeless.
+    """Distinct solutions, the most probable first; much less probable ones are dropped.
 
-    With a plan, the paths that it admits are followed; without, any direction where the measurements leave it open (one
-    fix; two at the ends of a loop).
+    With a plan, the search starts on the paths that it admits; without, in several directions if the measurements do
+    not determine the direction (one fix; two at the ends of a loop).
     """
     return _distinct(_in_the_building(graph) if graph.walled else [solve_robust(start) for start in _rotated(graph)])
 
 
 def corrected_solutions(graph: WalkGraph) -> list[Optimum]:
-    """As `solutions`, again without what the most probable walk shows to be listed wrongly (beacons elsewhere)."""
-    found = solutions(graph)
-    while corrected := found[0].graph.corrected(found[0].at):
-        found = solutions(corrected)
-    return found
+    """As `solutions`, repeated without listed positions that the most probable walk contradicts (relocated beacons)."""
+    optima = solutions(graph)
+    while corrected := optima[0].graph.corrected(optima[0].at):
+        optima = solutions(corrected)
+    return optima
 
 
 def near_start(graph: WalkGraph) -> Optimum:
-    """The most probable walk near the start of ``graph``, whose rooms and corridors are those of the walk."""
+    """The local optimum near the start of ``graph``, with rooms and corridors associated along it."""
     first = solve_robust(graph)
     return _between_own_walls(first.graph, first)
 
 
-def probabilities(found: list[Optimum], path: Index) -> Array:
-    """Probabilities ``(n,)`` of different solutions: the less measurements and plan have against one, the likelier.
+def probabilities(optima: list[Optimum], path: Index) -> Array:
+    """Probabilities ``(n,)`` of different solutions, by their negative log posterior.
 
-    path: ``(n,)`` as of `paths`; solutions on one path share its weight, that of the best. What all lack to 1 is of
-    paths on the plan that nobody found: the more the best is strained beyond the walk without walls, the more. On
-    simulated walks (`scripts/reproduce topology` has others) cost and price count as they are; how sharply a solution
-    is determined (Laplace's approximation) and how many particles went its path tell nothing more.
+    path: ``(n,)`` see `paths`; solutions on one path share the weight of the best. The remainder to 1 is the
+    probability of paths that the search missed; it grows with the excess of the best cost over the usual cost. On
+    simulated walks (`scripts/reproduce topology` shows others) cost and price need no scale; the curvature at a
+    solution (Laplace's approximation) and the number of particles on its path add no information.
     """
-    surprise = np.array([one.surprise for one in found])
-    least = min(surprise.min(), found[0].unseen)
+    surprise = np.array([optimum.surprise for optimum in optima])
+    least = min(surprise.min(), optima[0].unseen)
     weight, together = np.exp(least - surprise), path[:, None] == path
     weight = weight * np.max(weight * together, axis=1) / (together @ weight)
-    return weight / (weight.sum() + np.exp(least - found[0].unseen))
+    return weight / (weight.sum() + np.exp(least - optima[0].unseen))
 
 
-def paths(found: list[Optimum]) -> Index:
-    """Which path each solution takes ``(n,)``: the first solution's that it keeps near."""
-    tracks = np.array([one.at.ends[:, :2] for one in found])
+def paths(optima: list[Optimum]) -> Index:
+    """The path of each solution ``(n,)``: index of the first solution within SAME_PATH of it on average."""
+    tracks = np.array([optimum.at.ends[:, :2] for optimum in optima])
     near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SAME_PATH
     return np.argmax(near, axis=1)
 
 
 def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Optimum:
-    """Gauss–Newton, with Levenberg–Marquardt damping where a step would raise the cost.
+    """Optimise by Gauss–Newton, with Levenberg–Marquardt damping where a step would raise the cost.
 
-    converged: share of the cost, or cost, below which a step ends it.
+    converged: decrease of the cost, relative and absolute, below which the search ends.
 
-    The loop is our own because GTSAM's hands each Python callback a copy of all values (quadratic in the walk's
-    length). METIS ordering: the default overflows the stack on long chains.
+    The loop is not GTSAM's because that passes a copy of all values to each Python callback (quadratic in the length
+    of the walk). METIS ordering: the default overflows the stack on long chains.
     """
     at, damping, longest = graph.evaluate(start), 0.0, LONGEST_MOVE if graph.walled else np.inf
     linear = at.linearized()
@@ -141,7 +140,7 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
 def _damped(
     linear: gtsam.GaussianFactorGraph, damping: float, stay: dict[float, gtsam.GaussianFactorGraph]
 ) -> gtsam.GaussianFactorGraph:
-    """The graph with Levenberg–Marquardt's prior on every variable to stay where it is; ``stay`` keeps these."""
+    """The graph with Levenberg–Marquardt's zero prior on the step of every variable; ``stay`` caches these priors."""
     if damping == 0:
         return linear
     if damping not in stay:
@@ -156,34 +155,31 @@ def _damped(
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:
-    """The starts that the measurements leave open: one, or as many directions."""
+    """The graph, rotated to DIRECTIONS starts if the measurements do not determine its direction."""
     if not graph.positions.used.any() or graph.sigma_direction < AMBIGUOUS:
         return [graph]
     return [graph, *(graph.rotated(angle) for angle in np.arange(1, DIRECTIONS) * 2 * np.pi / DIRECTIONS)]
 
 
 def solve_robust(graph: WalkGraph) -> Optimum:
-    """The optimum under Huber's loss, with all that is consistent, each instance for itself; then again from there,
-    with little weight for outliers, and with the common errors of the others.
+    """The optimum in two passes: consistent measurements with Huber's loss and independent errors; then, from there,
+    low weight for outliers, and models of common errors.
     """
     first = _solve_alternatives(graph) or optimize(graph, graph.start)
-    again = graph.refined(first.at)
-    return first if again is graph else optimize(again, _continued(again.start, first.state))
+    refined = graph.refined(first.at)
+    return first if refined is graph else optimize(refined, _continued(refined.start, first.state))
 
 
 def _solve_alternatives(graph: WalkGraph) -> Optimum | None:
-    """The better of the optima that versions of the graph lead to; None if it has none.
-
-    An optimum near a closure that holds, say, knows of no other.
-    """
-    starts = [optimize(one, one.start).state for one in graph.alternatives()]
+    """The best optimum from the alternative versions of the graph (closures firm or unused); None without any."""
+    starts = [optimize(version, version.start).state for version in graph.alternatives()]
     return min((optimize(graph, start) for start in starts), key=_negative_log_posterior) if starts else None
 
 
-def _continued(start: State, found: State) -> State:
-    """What was found of the variables that there were before; of new ones the start."""
-    known = {symbol: rows for symbol, rows in found.arrays.items() if len(rows) == len(start.arrays.get(symbol, ()))}
-    return start.replaced(**{symbol: rows for symbol, rows in known.items() if symbol in start.arrays})
+def _continued(start: State, optimum: State) -> State:
+    """The optimum of the variables that were there before; new ones at ``start``."""
+    shared = {symbol: rows for symbol, rows in optimum.arrays.items() if len(rows) == len(start.arrays.get(symbol, ()))}
+    return start.replaced(**{symbol: rows for symbol, rows in shared.items() if symbol in start.arrays})
 
 
 def _in_the_building(graph: WalkGraph) -> list[Optimum]:
@@ -193,22 +189,22 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     """
     without_walls = solve_robust(graph.without_plan())
     robust, expected = graph.classified_as(without_walls.graph), USUAL * without_walls.cost
-    found = _distinct(_paths_of_fixes(robust, without_walls))
-    if found and found[0].surprise < expected + STRAINED:
-        return [replace(one, unseen=expected + UNSEEN) for one in found]
-    aligned, found = [robust.start, _continued(robust.start, without_walls.state)], list[Optimum]()
+    optima = _distinct(_paths_of_fixes(robust, without_walls))
+    if optima and optima[0].surprise < expected + STRAINED:
+        return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+    aligned, optima = [robust.start, _continued(robust.start, without_walls.state)], list[Optimum]()
     for attempt in range(ATTEMPTS):
         starts = hypotheses(robust, attempt) + (aligned if attempt == 0 else [])
-        found += [
+        optima += [
             _solve_tight_walls(near) for near in _distinct([_solve_loose_walls(robust, start) for start in starts])
         ]
-        if min(one.surprise for one in found) < expected + STRAINED:
+        if min(optimum.surprise for optimum in optima) < expected + STRAINED:
             break
-    return [replace(one, unseen=expected + UNSEEN) for one in found]
+    return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
 
 
 def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
-    """An optimum for each path, if the fixes determine it but for its end; else an empty list."""
+    """An optimum for each path if the fixes determine it except for its end; else an empty list."""
     until = fixes_determine_path(graph, without_walls.net)
     if until is None:
         return []
@@ -220,46 +216,45 @@ def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
 
 
 def _solve_relaxed(graph: WalkGraph, path: State, sigma: Array) -> Optimum:
-    """About the optimum near a path that errs by ``sigma (m,)`` [m], between the loose walls that it may be between."""
-    about = graph.associated_at(path, sigma, ALIKE)
-    return _staged(about, path, ROUGHLY)
+    """Approximate optimum near a path with sigma ``(m,)`` [m], with loose walls of the most probable regions."""
+    return _staged(graph.associated_at(path, sigma, ALIKE), path, ROUGHLY)
 
 
 def _solve_loose_walls(graph: WalkGraph, path: State) -> Optimum:
-    """The optimum near one path, between the loose walls of the rooms and corridors that it leads through."""
+    """The optimum near a path, with loose walls of the rooms and corridors that it leads through."""
     return _staged(graph.associated_at(path), path, CONVERGED)
 
 
 def _staged(graph: WalkGraph, path: State, converged: float) -> Optimum:
-    """The optimum with all factors as in a rough search; it keeps the graph as it is without."""
+    """The optimum in the rough stage, together with the original graph."""
     return replace(optimize(graph.staged(Stage.ROUGH), path, converged), graph=graph)
 
 
 def _solve_tight_walls(near: Optimum) -> Optimum:
-    """The optimum from there between the walls as they are, then between those that it has itself."""
+    """The optimum with tight walls from ``near``, then with walls associated along itself."""
     return _between_own_walls(near.graph, optimize(near.graph.staged(Stage.FINAL), near.state))
 
 
 def _between_own_walls(graph: WalkGraph, first: Optimum) -> Optimum:
-    """An optimum, or the one near it between the walls of the rooms and corridors that it has itself."""
-    again = graph.associated_at(first.state)
-    return (
-        first
-        if again.same_association(first.graph)
-        else min(first, optimize(again, first.state), key=_negative_log_posterior)
-    )
+    """The better of ``first`` and the optimum near it with walls associated along it."""
+    associated = graph.associated_at(first.state)
+    if associated.same_association(first.graph):
+        return first
+    return min(first, optimize(associated, first.state), key=_negative_log_posterior)
 
 
-def _negative_log_posterior(one: Optimum) -> float:
-    return one.surprise
+def _negative_log_posterior(optimum: Optimum) -> float:
+    return optimum.surprise
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:
-    """Different solutions that are not hopeless, the most probable first."""
+    """Distinct solutions within UNLIKELY of the best, the most probable first."""
     kept: list[Optimum] = []
-    for one in sorted(solutions, key=lambda s: round(s.surprise, 3)):  # of equals the first: heading 0 with one fix
-        track = one.at.ends[:, :2]
+    for solution in sorted(
+        solutions, key=lambda s: round(s.surprise, 3)
+    ):  # of equals the first: heading 0 with one fix
+        track = solution.at.ends[:, :2]
         apart = [np.abs(track - other.at.ends[:, :2]).max() for other in kept]
-        if all(a > DIFFERENT for a in apart) and (not kept or one.surprise - kept[0].surprise < UNLIKELY):
-            kept.append(one)
+        if all(a > DIFFERENT for a in apart) and (not kept or solution.surprise - kept[0].surprise < UNLIKELY):
+            kept.append(solution)
     return kept

@@ -1,11 +1,11 @@
-"""A particle filter on the plan, keyframe by keyframe, against walls, doors and stairs; batch and live.
+"""A particle filter on the plan with walls, doors and stairs; batch and live.
 
 As in Woodman & Harle (2008), *Pedestrian localisation for indoor environments*, with the walker's calibration
 (R_s, R_d, b) as states, rejuvenated by a kernel (Liu & West 2001); the number of particles adapts to their spread (Fox
 2003). Fixes may be outliers, and walls may be wrong.
 
-Walls are local: the optimum next to a wrong aisle is a walk through that aisle. So a `ParticleFilter` starts with
-thousands of particles, weighted by walls, fixes and compass. The ancestors of the survivors are the possible paths.
+Walls are local constraints: an optimisation that starts in a wrong aisle ends in that aisle. A `ParticleFilter` has
+thousands of particles, weighted by walls, fixes and compass; the ancestors of the survivors are the possible paths.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask
 
-BODY = 0.12  # [m] that the middle of a walker keeps from any wall
-LOOK = 0.24  # [m] between two places at which a step is held against the walls: twice BODY, so that none is missed
-MOST_LOOKS = 100  # of a step, however long
-DOUBTED, RARE = 0.2, 4  # [rad] of a turn that may be the phone's: for one in four it was any
-TRIES = 4  # other draws of a step that would cross a wall
+BODY = 0.12  # [m] least distance of a walker's centre from any wall
+LOOK = 0.24  # [m] between points of a step that are tested against walls: twice BODY, so that no wall is missed
+MOST_LOOKS = 100  # points of a step, however long
+DOUBTED, RARE = 0.2, 4  # [rad] sigma of a turn that may be the phone's; one in so many particles draws any turn
+TRIES = 4  # further draws of a step that would cross a wall
 CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
-STAIRS_SIGMA = 1.0  # [m] from stairs or a lift, as far as a barometer knows when
+STAIRS_SIGMA = 1.0  # [m] distance from stairs or a lift at a floor change, whose time a barometer measures roughly
 
 
 def stepped(
@@ -48,9 +48,9 @@ def stepped(
 ) -> tuple[Array, Array]:
     """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
 
-    A particle that would cross a wall draws its errors again, a few times; this costs its log-odds.
-    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
-    tiles: of the field that are computed at once, see there.
+    A particle that would cross a wall draws its errors again, up to TRIES times, at the cost of the log-odds.
+    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad]; tiles: see
+    `DistanceField.approximate`.
     """
     count = min(np.ceil(length / LOOK), MOST_LOOKS)
     looks = np.arange(1, count + 1)[:, None] / count
@@ -80,7 +80,7 @@ def stepped(
 
 
 def stood(state: Array, turn: float, time: float, sigma: Array, random: np.random.Generator) -> Array:
-    """States ``(6, n)`` after a pause: the phone may have turned."""
+    """States ``(6, n)`` after a pause, in which the phone may have turned."""
     return _moved(state, 0.0, turn, time, sigma, random)[0]
 
 
@@ -112,25 +112,25 @@ def _moved(
     return after, way
 
 
-PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles for each square [m] and direction [rad] that they occupy
-AMONG = 8000  # particles at most, of which so many are in a bin: fewer at most, fewer in each
-RESAMPLE = 0.5  # of the particles in effect
-KERNEL = 0.2  # of their spread, by which copies differ in (R_s, R_d, b)
-WIDE = np.array([1.5, 1.5, 2.0])  # times the prior's sigma: what is rare must not be missed
-CALM = np.array([0.7, 0.7, 1.0])  # times the sigmas of a step's length, sway and turn, which state what is unknown too
-LEAST_STRIDE = 0.1  # R_s of who seems not to get on: its logarithm is asked for
+PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles per occupied bin of position [m] and direction [rad]
+AMONG = 8000  # particles at most for which PER_BIN holds; it scales with the largest number of particles
+RESAMPLE = 0.5  # effective share of particles below which they are resampled
+KERNEL = 0.2  # width of the kernel of (R_s, R_d, b), as share of their spread
+WIDE = np.array([1.5, 1.5, 2.0])  # scale of the prior's sigmas, so that rare calibrations are not missed
+CALM = np.array([0.7, 0.7, 1.0])  # scale of the sigmas of length, sway and turn, which include common errors
+LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
 
-LEAST_SIGMA = 1.0  # [m] of a fix: particles lie no denser
+LEAST_SIGMA = 1.0  # [m] of a fix: particles are no denser
 LEAST_SIGMA_DIRECTION = 0.1  # [rad] at the start
-FAR, SOUGHT, LOST_PRICE = 4.0, 5, 4.0  # [σ] of a fix from all; one in so many is put there; log-odds of that
-OUTLIER_PRICE = 8.0  # log-odds that an outlier costs at most
+FAR, SOUGHT, LOST_PRICE = 4.0, 5, 4.0  # [σ] of a fix from all particles; one in so many moves there; its log-odds
+OUTLIER_PRICE = 8.0  # largest log-odds of an outlier
 
 
 @dataclass(frozen=True)
 class KeyframeMeasurements:
-    """What was measured at a keyframe.
+    """The measurements at a keyframe.
 
-    position: of fixes ``(f, 2)`` [m]; sigma: ``(f,)`` of each per axis [m]; outlier: ``(f,)`` known ones;
+    position: of fixes ``(f, 2)`` [m]; sigma: ``(f,)`` per axis [m]; outlier: ``(f,)``;
     heading, sigma_heading: ``(h,)`` walking directions [rad].
     """
 
@@ -156,10 +156,10 @@ class Paths:
 
 
 class ParticleFilter:
-    """Particles ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b, and their ancestors at the keyframes that are kept.
+    """Particles ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b, and their ancestors at the stored keyframes.
 
-    prior: of (R_s, R_d, b); fewest, most: particles, as many as needed between; tiles: of distances to walls that are
-    computed at once, by default all that are missing: a walk under way cannot wait for them.
+    prior: of (R_s, R_d, b); fewest, most: limits of the number of particles, which adapts; tiles: most tiles of wall
+    distances that one step computes, by default all missing ones; live steps have no time for that.
     """
 
     def __init__(self, prior: Prior, seed: int, *, fewest: int, most: int, tiles: int | None = None):
@@ -177,12 +177,12 @@ class ParticleFilter:
         heading: float,
         sigma_heading: float,
         way: complex = 0j,
-        seen: KeyframeMeasurements = NOTHING,
+        measured: KeyframeMeasurements = NOTHING,
     ) -> None:
-        """The first keyframe: particles such that steps lead each to a place as it is known.
+        """Start at the first keyframe, with particles whose steps lead to ``place``.
 
-        place: ``(2,)`` ± sigma [m]; heading: at the keyframe, ± sigma_heading [rad]; way: from the keyframe to the
-        place as steps have it, turned to that heading [m]; seen: at the keyframe.
+        place: ``(2,)``, with sigma [m]; heading: at the keyframe, with sigma_heading [rad]; way: dead-reckoned
+        displacement from the keyframe to the place, for that heading, complex [m]; measured: at the keyframe.
         """
         n, random = self.most, self.random
         spread = max(sigma_heading, LEAST_SIGMA_DIRECTION)
@@ -194,10 +194,10 @@ class ParticleFilter:
         led = way * c[0] * np.exp(1j * turned)
         start = place[:, None] + sigma * random.standard_normal((2, n)) - [led.real, led.imag]
         self.begin_at(np.concatenate([start, [heading + turned], c]))
-        self.weight = _likelihood(seen, self.state)
+        self.weight = _likelihood(measured, self.state)
 
     def begin_at(self, state: Array) -> None:
-        """The first keyframe, with particles ``(6, n)`` where they are known to be."""
+        """Start at the first keyframe with particles ``(6, n)``."""
         n = state.shape[1]
         self.state, self.weight, self._steps = state, np.full(n, -np.log(n)), 0
         self._states, self._origins = [state], [np.arange(n)]
@@ -207,19 +207,19 @@ class ParticleFilter:
         pieces: Pieces,
         fields: Sequence[DistanceField],
         ways: Mapping[int, Sequence[DistanceField]] | None = None,
-        seen: KeyframeMeasurements = NOTHING,
+        measured: KeyframeMeasurements = NOTHING,
     ) -> None:
         """Move to the next keyframe, through an interval of ``pieces``.
 
-        fields: of each piece's floor; ways: the stairs and lifts that lead to the floor of a piece from that of the
-        one before, where it is another; seen: at the keyframe.
+        fields: of the floor of each piece; ways: by piece that starts on another floor than the one before, the stairs
+        and lifts between; measured: at the next keyframe.
         """
         turn, time = 2 * (pieces.to_end - pieces.to_middle)
         for m, floor in enumerate(fields):
             if ways and m in ways:
                 self.change_floor(ways[m])
             self.step(float(pieces.length[m]), turn[m], time[m], pieces.variance[m], floor)
-        self.close(seen)
+        self.close(measured)
 
     def change_floor(self, ways: Sequence[DistanceField]) -> None:
         """Change the floor, by stairs or lifts with these fields."""
@@ -235,15 +235,15 @@ class ParticleFilter:
         else:
             self.state = stood(self.state, turn, time, sigma, self.random)
 
-    def close(self, seen: KeyframeMeasurements = NOTHING) -> None:
+    def close(self, measured: KeyframeMeasurements = NOTHING) -> None:
         """Close a keyframe: weight by fixes and compass, resample."""
         state, random = self.state, self.random
         state[3:] += np.sqrt(self._steps / STEPS_PER_SEGMENT) * self._change * random.standard_normal(state[3:].shape)
         np.maximum(state[3], LEAST_STRIDE, out=state[3])
-        far = _far_fix(seen, state)
+        far = _far_fix(measured, state)
         if far is not None:
-            self._seek(seen, far)
-        weight = self.weight + _likelihood(seen, self.state)
+            self._seek(measured, far)
+        weight = self.weight + _likelihood(measured, self.state)
         weight -= np.logaddexp.reduce(weight)
         origin = np.arange(len(weight))
         if np.exp(-np.logaddexp.reduce(2 * weight)) < RESAMPLE * len(weight):
@@ -255,7 +255,7 @@ class ParticleFilter:
         self._origins.append(origin)
 
     def paths(self) -> Paths:
-        """The ancestors of the last keyframe's particles, at all keyframes that are kept."""
+        """The ancestors of the present particles at all stored keyframes."""
         which = np.arange(len(self.weight))
         paths = np.empty((len(self._states), 6, len(which)))
         for k in range(len(paths) - 1, -1, -1):
@@ -264,15 +264,15 @@ class ParticleFilter:
         return Paths(paths, np.exp(self.weight))
 
     def forget(self, count: int) -> None:
-        """Let go of the first ``count`` keyframes that are kept, not of the last."""
+        """Drop the first ``count`` stored keyframes."""
         del self._states[:count], self._origins[:count]
 
-    def _seek(self, seen: KeyframeMeasurements, f: int) -> None:
-        """Move some particles to fix ``f`` at a price; later fixes decide whether they survive."""
+    def _seek(self, measured: KeyframeMeasurements, f: int) -> None:
+        """Move one in SOUGHT particles to fix ``f`` at a price; later fixes decide whether they survive."""
         state, weight, n = self.state.copy(), self.weight.copy(), self.state.shape[1]
         put = np.arange(0, n, SOUGHT)
-        place = self.random.standard_normal((2, len(put))) * max(seen.sigma[f], LEAST_SIGMA)
-        state[:2, put] = seen.position[f][:, None] + place
+        place = self.random.standard_normal((2, len(put))) * max(measured.sigma[f], LEAST_SIGMA)
+        state[:2, put] = measured.position[f][:, None] + place
         state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
         weight[put] = np.logaddexp.reduce(weight) - np.log(n) - LOST_PRICE
         self.state, self.weight = state, weight
@@ -284,34 +284,34 @@ class ParticleFilter:
         return int(np.clip(PER_BIN * self.most / AMONG * len(bins), self.fewest, self.most))
 
 
-def _likelihood(seen: KeyframeMeasurements, state: Array) -> Array:
+def _likelihood(measured: KeyframeMeasurements, state: Array) -> Array:
     """Log-likelihood ``(n,)`` of the measurements; an outlier costs OUTLIER_PRICE at most."""
     total = np.zeros(state.shape[1])
-    for position, sigma in zip(seen.position, seen.sigma, strict=True):
+    for position, sigma in zip(measured.position, measured.sigma, strict=True):
         apart = np.hypot(*(state[:2] - position[:, None])) / max(sigma, LEAST_SIGMA)
         total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
-    for heading, sigma in zip(seen.heading, seen.sigma_heading, strict=True):
+    for heading, sigma in zip(measured.heading, measured.sigma_heading, strict=True):
         apart = wrap_angle(heading - state[2]) / sigma
         total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
     return total
 
 
-def _far_fix(seen: KeyframeMeasurements, state: Array) -> int | None:
-    """The fix that lies far from all particles, if any: it is an outlier, or they are in the wrong place."""
-    fixes = np.flatnonzero(~seen.outlier)
-    distance = [np.hypot(*(state[:2] - seen.position[f][:, None])).min() for f in fixes]
-    apart = np.divide(distance, seen.sigma[fixes])
+def _far_fix(measured: KeyframeMeasurements, state: Array) -> int | None:
+    """Index of the fix farthest from all particles if beyond FAR: an outlier, or all particles are wrong; else None."""
+    fixes = np.flatnonzero(~measured.outlier)
+    distance = [np.hypot(*(state[:2] - measured.position[f][:, None])).min() for f in fixes]
+    apart = np.divide(distance, measured.sigma[fixes])
     return int(fixes[np.argmax(apart)]) if np.max(apart, initial=0.0) > FAR else None
 
 
 def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
-    """Systematic resampling: which particles ``(n,)`` go on."""
+    """Indices of the surviving particles ``(n,)`` by systematic resampling."""
     share = np.cumsum(np.exp(weight))
     return np.minimum(np.searchsorted(share, share[-1] * (np.arange(n) + random.uniform()) / n), len(weight) - 1)
 
 
 def _varied(c: Array, prior: Prior, random: np.random.Generator) -> Array:
-    """Calibrations ``(3, n)`` somewhat beside what they are, where the prior admits it (a Metropolis move)."""
+    """Calibrations ``(3, n)`` after a Metropolis move with the kernel, which the prior accepts or rejects."""
     before = _errors(c, prior)
     root = np.linalg.cholesky(np.cov(before) + 1e-12 * np.eye(3))
     after = before + KERNEL * root @ random.standard_normal(c.shape)
@@ -321,7 +321,7 @@ def _varied(c: Array, prior: Prior, random: np.random.Generator) -> Array:
 
 
 def _calibrated(errors: Array, prior: Prior) -> Array:
-    """(R_s, R_d, b) ``(3, n)`` of errors about the prior's mean: R_s by its logarithm, or walls would favour walkers
+    """(R_s, R_d, b) ``(3, n)`` from errors about the prior's mean; R_s by its logarithm, or walls would favour walkers
     who hardly move.
     """
     stride, turn, drift = prior.mean
@@ -338,23 +338,23 @@ FEWEST, MOST = 1000, 8000  # particles
 
 
 def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
-    """The paths that plan, fixes and headings admit.
+    """The possible paths by plan, fixes and headings.
 
-    graph: with walls, and at least one fix that is used. times: as many particles as usual.
+    graph: with walls, and at least one used fix. times: multiple of the usual number of particles.
     """
-    cloud = ParticleFilter(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
-    _begin(cloud, graph)
-    return _advanced(cloud, graph, 0)
+    particles = ParticleFilter(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
+    _begin(particles, graph)
+    return _advanced(particles, graph, 0)
 
 
 def particles_from(graph: WalkGraph, keyframe: int, state: Array) -> Paths:
-    """As `particle_filter`, from a keyframe on at which particles ``(6, n)`` are known."""
-    cloud = ParticleFilter(graph.prior, 0, fewest=FEWEST, most=MOST)
-    cloud.begin_at(state)
-    return _advanced(cloud, graph, keyframe)
+    """As `particle_filter`, from a keyframe with particles ``state (6, n)``."""
+    particles = ParticleFilter(graph.prior, 0, fewest=FEWEST, most=MOST)
+    particles.begin_at(state)
+    return _advanced(particles, graph, keyframe)
 
 
-def _advanced(cloud: ParticleFilter, graph: WalkGraph, begin: int) -> Paths:
+def _advanced(particles: ParticleFilter, graph: WalkGraph, begin: int) -> Paths:
     """The paths of particles from keyframe ``begin`` to the end."""
     floor_sequence, pieces = graph.floor_sequence, graph.pieces
     assert floor_sequence is not None, "asked for with a plan"
@@ -362,35 +362,35 @@ def _advanced(cloud: ParticleFilter, graph: WalkGraph, begin: int) -> Paths:
     for interval in range(begin, len(pieces.first)):
         first = int(pieces.first[interval])
         here = range(first, int(pieces.last[interval]) + 1)
-        cloud.advance(
+        particles.advance(
             _pieces(graph, interval),
             [floor_sequence.field(m) for m in here],
             {m - first: ways[m] for m in here if m in ways},
             measurements_at(graph.measurements, interval + 1),
         )
-    return cloud.paths()
+    return particles.paths()
 
 
 def _pieces(graph: WalkGraph, interval: int) -> Pieces:
     """The pieces of an interval; a gap with a loop closure is a pause.
 
-    If the walker walked on, the start aligned with the fixes finds it.
+    If the walker did walk on during such a gap, the start that is aligned with the fixes leads to the optimum.
     """
-    own = graph.pieces.only(interval)
+    pieces = graph.pieces.only(interval)
     closures = graph.find(LoopClosureFactor)
     bound = np.flatnonzero((closures.keyframe == (interval, interval + 1)).all(axis=1)) if closures else []
     if closures is None or not len(bound):
-        return own
+        return pieces
     stood = closures.closures.sigma[bound].min() ** 2
-    return replace(own, variance=np.minimum(own.variance, [stood, stood, np.inf]))
+    return replace(pieces, variance=np.minimum(pieces.variance, [stood, stood, np.inf]))
 
 
-def _begin(cloud: ParticleFilter, graph: WalkGraph) -> None:
+def _begin(particles: ParticleFilter, graph: WalkGraph) -> None:
     """Start the particles so that the steps lead to the first fix."""
     fixes, (track, _) = graph.positions, graph.chain.track
     used = np.flatnonzero(fixes.used)
     first = used[np.argmin(fixes.keyframe[used])]
-    cloud.begin(
+    particles.begin(
         fixes.fixes.position[first],
         float(fixes.independent_sigma[first]),
         float(graph.start.poses[0, 2]),
@@ -402,13 +402,15 @@ def _begin(cloud: ParticleFilter, graph: WalkGraph) -> None:
 
 def measurements_at(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
     """The fixes and headings at a keyframe."""
-    seen = KeyframeMeasurements()
-    for one in measurements:
-        if isinstance(one, FixFactor):
-            here = one.used & (one.keyframe == keyframe)
-            position, sigma = one.fixes.position[here], one.independent_sigma[here]
-            seen = replace(seen, position=position, sigma=sigma, outlier=one.outlier[here])
-        elif isinstance(one, HeadingFactor):
-            here = one.keyframe == keyframe
-            seen = replace(seen, heading=one.headings.heading[here], sigma_heading=one.headings.sigma[here])
-    return seen
+    collected = KeyframeMeasurements()
+    for measurement in measurements:
+        if isinstance(measurement, FixFactor):
+            here = measurement.used & (measurement.keyframe == keyframe)
+            position, sigma = measurement.fixes.position[here], measurement.independent_sigma[here]
+            collected = replace(collected, position=position, sigma=sigma, outlier=measurement.outlier[here])
+        elif isinstance(measurement, HeadingFactor):
+            here = measurement.keyframe == keyframe
+            collected = replace(
+                collected, heading=measurement.headings.heading[here], sigma_heading=measurement.headings.sigma[here]
+            )
+    return collected

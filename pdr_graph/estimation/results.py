@@ -1,4 +1,4 @@
-"""What an estimate says of itself: what was estimated of the walker, and what to know before trusting it."""
+"""Calibration, warnings and missing results of an estimate."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def prior_sigma(prior: Prior, segment: Index) -> Array:
 
 @dataclass(frozen=True)
 class Placement:
-    """What placed a walk: how many fixes were used; whether there were headings, a plan, and walls that were used."""
+    """What determined the position: number of used fixes; True for headings, a plan, walls that were used."""
 
     used: int
     headings: bool
@@ -39,7 +39,7 @@ class Placement:
     walled: bool
 
     def warnings(self) -> tuple[str, ...]:
-        """Warn of a walk whose place or direction is not known, and of a plan that is elsewhere."""
+        """Warn of an unknown position or direction, and of a plan that is elsewhere."""
         warned = {
             "no position fix: the track starts at (0, 0) with heading 0": self.used == 0,
             "one position fix: the direction of the walk is unknown, heading 0 was assumed": self.used == 1
@@ -57,7 +57,7 @@ def warnings(
 ) -> tuple[str, ...]:
     """Warn of what a user must know before trusting the result.
 
-    walks: how many explain the measurements; probability: that it took the path that the estimate has.
+    walks: number of distinct solutions; probability: of the path of the estimate.
     """
     fixes, headings = graph.positions, len(graph.headings.headings) > 0
     placement = Placement(int(fixes.used.sum()), headings, graph.floor_sequence is not None, graph.walled)
@@ -102,7 +102,7 @@ def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
 
 
 def missing_of(estimate: Estimate, fixes: int) -> tuple[str, ...]:
-    """Return what could not be had of a walk with so many fixes, a line each."""
+    """Return what could not be estimated for a walk with so many fixes, a line each."""
     if fixes and not used_fixes(estimate.fixes):
         missing = ("a place: no fix lies within the recording",)
     elif is_a_guess(estimate.fixes):
@@ -113,15 +113,15 @@ def missing_of(estimate: Estimate, fixes: int) -> tuple[str, ...]:
 
 
 def used_fixes(fixes: Sequence[FixReport]) -> list[FixReport]:
-    """Return the reports of the fixes that were used: no duplicates, and none outside the recording."""
+    """Return the reports without duplicate epochs and fixes outside the recording."""
     return [fix for fix in fixes if fix.reason not in (DUPLICATE, OUTSIDE)]
 
 
 def is_a_guess(fixes: Sequence[FixReport]) -> bool:
-    """Whether as many fixes say that the walk was elsewhere as say that it was where it is."""
+    """True if at least half of the used fixes were rejected."""
     return 2 * _rejected(fixes) >= max(len(used_fixes(fixes)), 1)
 
 
 def _rejected(fixes: Sequence[FixReport]) -> int:
-    """How many of the used fixes were rejected; none of loud beacons, which are let go of on purpose."""
+    """Number of used fixes that were rejected, without the rough fixes of beacons, which are always dropped."""
     return sum(fix.weight < REJECTED and fix.reason != LOUD_BEACON for fix in used_fixes(fixes))

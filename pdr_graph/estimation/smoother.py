@@ -15,29 +15,33 @@ from pdr_graph.types import Array, Estimate, Trajectory
 
 
 def smooth(graph: WalkGraph) -> Estimate:
-    """The most probable walk given every measurement in ``graph``, with the covariance of every step.
+    """The most probable walk given all measurements in ``graph``, with the covariance of every step.
 
-    Where other walks explain the measurements about as well, they widen the covariance and a warning says so.
+    If other walks explain the measurements about as well, they widen the covariance and add a warning.
 
-    Raises TypeError without a graph, RuntimeError where GTSAM finds no solution.
+    Raises TypeError without a graph, RuntimeError if GTSAM finds no solution.
     """
     expect("smooth, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
 
-    # The optimum, and whatever else explains the measurements; again without what is listed wrongly
-    found = corrected_solutions(graph)
-    best = found[0]
+    # The optimum and other solutions
+    optima = corrected_solutions(graph)
+    best = optima[0]
 
     # Every step, with its covariance
     rows = poses_of_rows(best)
-    path = paths(found)
-    probability = probabilities(found, path)
+    path = paths(optima)
+    probability = probabilities(optima, path)
     of_path = float(probability[path == 0].sum())
-    covariance, of_c = _mixture_covariance(found, probability / probability.sum())
+    covariance, of_c = _mixture_covariance(optima, probability / probability.sum())
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
 
-    # What was estimated of the walker, what became of each measurement, and what to know before trusting it
+    # Calibration, reports, warnings
     calibration = calibration_of(graph, best.state.c, of_c)
-    reports = {one.name: told for one in best.graph.measurements if (told := one.reports(best.at))}
+    reports = {
+        measurement.name: reports_of_kind
+        for measurement in best.graph.measurements
+        if (reports_of_kind := measurement.reports(best.at))
+    }
     used = graph.positions
     return Estimate(
         trajectory=trajectory,
@@ -49,7 +53,7 @@ def smooth(graph: WalkGraph) -> Estimate:
         converged=best.converged,
         probability=of_path,
         warnings=(
-            *warnings(graph, len(found), of_path, best.converged, calibration),
+            *warnings(graph, len(optima), of_path, best.converged, calibration),
             *contradiction_warnings(reports.get(used.name, ())),
         ),
     )
@@ -61,13 +65,13 @@ def poses_of_rows(optimum: Optimum) -> Array:
     return np.concatenate([at.pose_i[:1], at.ends[at.pieces.row_end]])
 
 
-def _mixture_covariance(found: list[Optimum], weight: Array) -> tuple[Array, Array]:
+def _mixture_covariance(optima: list[Optimum], weight: Array) -> tuple[Array, Array]:
     """Covariance of each row about the best solution, the others counted by their probability; that of c."""
-    rows = poses_of_rows(found[0])
-    row_end = found[0].at.pieces.row_end
-    covariance, of_c = covariance_of_ends(found[0].at, found[0].net, row_end)
+    rows = poses_of_rows(optima[0])
+    row_end = optima[0].at.pieces.row_end
+    covariance, of_c = covariance_of_ends(optima[0].at, optima[0].net, row_end)
     total = weight[0] * covariance
-    for w, other in zip(weight[1:], found[1:], strict=True):
+    for w, other in zip(weight[1:], optima[1:], strict=True):
         covariance, _ = covariance_of_ends(other.at, other.net, row_end)
         apart = poses_of_rows(other) - rows
         apart[:, 2] = wrap_angle(apart[:, 2])

@@ -1,7 +1,7 @@
-"""The interface of a live estimator: events in, in order of arrival; poses out; what journal and replay need of it.
+"""Interfaces of live estimators: events in the order of arrival as input, poses as output; for journal and replay.
 
-A fix is ``Fixes`` of one row or of several, steps of another front end are ``Steps``; times are seconds of one clock,
-any, that does not jump.
+A fix is ``Fixes`` of one or several rows; steps of another front end are ``Steps``. Times are in seconds on any one
+clock without jumps.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from pdr_graph.frames import Frame
 from pdr_graph.measurements import last_time, take
 from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
 
-PACKET = 0.1  # [s] of samples that a phone hands over at once
-NO_DATA = "no data received"  # what is wrong with a sensor that is not there
+PACKET = 0.1  # [s] of samples that a phone delivers at once
+NO_DATA = "no data received"  # issue of a missing sensor
 NO_STEPS = "no steps can be detected, so that there are the fixes alone"
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Of one sensor. sensor: its name, as of ``Recording.signals``; time: ``(n,)`` [s]; values: as of ``Signal``."""
+    """Samples of one sensor. sensor: name as in ``Recording.signals``; time: ``(n,)`` [s]; values: see ``Signal``."""
 
     sensor: str
     time: Array
@@ -35,7 +35,7 @@ class Samples:
 
 @dataclass(frozen=True)
 class Scan:
-    """What a radio heard. radio: "bluetooth" or "wifi"."""
+    """Signals received by one radio. radio: "bluetooth" or "wifi"; heard: transmitters and levels."""
 
     radio: str
     heard: Sightings
@@ -46,9 +46,9 @@ EVENTS = (Samples, Scan, Steps, *KINDS)
 
 
 def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:
-    """Yield a recording as it would have arrived: samples in packets, then what was measured meanwhile.
+    """Yield a recording as live events: packets of samples, each followed by the measurements of the same time.
 
-    packet: what a phone hands over at once [s].
+    packet: duration of a packet [s].
     """
     expect("events_of, recording", recording, Recording, instead="load(path)")
     arriving: list[tuple[float, int, Event]] = []
@@ -65,12 +65,12 @@ def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:
         order = np.argsort(complete, kind="stable")
         packets = _packets(complete[order], packet)
         arriving += [(time, 3, take(table, order[rows])) for time, rows in packets]
-    for _, _, event in sorted(arriving, key=lambda one: one[:2]):
+    for _, _, event in sorted(arriving, key=lambda row: row[:2]):
         yield event
 
 
 def _packets(time: Array, packet: float) -> Iterator[tuple[float, slice]]:
-    """When each packet of times ``(n,)``, in order, is complete [s], and its rows."""
+    """The end [s] and the rows of each packet of sorted times ``(n,)`` [s]."""
     number = np.floor(time / packet).astype(np.int64)
     bounds = np.flatnonzero(np.diff(number, prepend=number[:1] - 1, append=number[-1:] + 1)).tolist()
     for begin, end in pairwise(bounds):
@@ -83,7 +83,7 @@ def _some(heard: Sightings, rows: slice) -> Sightings:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the walker is now.
+    """The current pose of the walker.
 
     time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
     (x, y, heading) in the output axes [m, m, rad].
@@ -98,7 +98,7 @@ class Pose:
 
 
 def trajectory_of(poses: Sequence[Pose]) -> Trajectory:
-    """Poses one after the other."""
+    """The trajectory of consecutive poses."""
     return Trajectory(
         time=np.array([pose.time for pose in poses]),
         position=np.array([(pose.x, pose.y) for pose in poses]).reshape(-1, 2),
@@ -109,7 +109,7 @@ def trajectory_of(poses: Sequence[Pose]) -> Trajectory:
 
 
 class Status(Protocol):
-    """How well a navigator does. issues: what is wrong now; unknown: what the sensors do not tell; a line each."""
+    """State of a navigator. issues: present problems; unknown: what the sensors do not measure; a line each."""
 
     @property
     def issues(self) -> tuple[str, ...]: ...  # noqa: D102
@@ -119,10 +119,10 @@ class Status(Protocol):
 
 
 class LiveEstimator(Protocol):
-    """A navigator: events in, in order of arrival; a pose at once, and the walk smoothed so far."""
+    """A navigator: takes events in order of arrival; returns the current pose and the walk smoothed so far."""
 
     def push(self, event: Event) -> None:
-        """Take in an event. Bad data lowers the status; an exception means that the event was not taken."""
+        """Process an event. Bad data becomes an issue in the status; after an exception the event was not used."""
         ...
 
     @property
@@ -132,7 +132,7 @@ class LiveEstimator(Protocol):
 
     @property
     def steps(self) -> int:
-        """How many steps there have been, those that may still turn out not to be any among them."""
+        """Number of steps so far, with the provisional ones."""
         ...
 
     @property
@@ -142,30 +142,30 @@ class LiveEstimator(Protocol):
 
     @property
     def status(self) -> Status:
-        """How well it does."""
+        """The present state."""
         ...
 
     def finish(self) -> Estimate:
-        """The walk, no more events coming."""
+        """End the walk and return its estimate."""
         ...
 
 
 class Georeferenced(LiveEstimator, Protocol):
-    """A navigator whose poses have a place on earth."""
+    """A navigator whose poses have a frame on earth."""
 
     @property
     def frame(self) -> Frame | None:
-        """That of the poses, None before anything defines it."""
+        """The frame of the poses; None before anything defines it."""
         ...
 
 
 class Journaled(LiveEstimator, Protocol):
-    """A navigator that a journal can keep. Checkpoint: a dataclass that `storage.encode` takes."""
+    """A navigator for a journal. Checkpoint: a dataclass that `storage.encode` accepts."""
 
     Checkpoint: ClassVar[type]
 
     def snapshot(self) -> Any:
-        """All that the rest of the walk depends on, a ``Checkpoint``; `finalized` rows are not part of it."""
+        """Return the state, a ``Checkpoint``, without the rows that `finalized` returned."""
         ...
 
     def finalized(self) -> Trajectory:

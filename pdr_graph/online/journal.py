@@ -32,31 +32,31 @@ SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, bytes BLOB NOT NULL)",
     "CREATE TABLE event (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",
     "CREATE TABLE snapshot (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",  # the state after that event
-    "CREATE TABLE trajectory (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",  # the rows that settled by then
+    "CREATE TABLE trajectory (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",  # the rows finalised by then
 )
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What the navigator was made with: texts, numbers, None, lists and dictionaries of these."""
+    """An option of the navigator: texts, numbers, None, lists and dictionaries of these."""
 
     value: Any
 
 
 def open_store(path: Path, settings: Mapping[str, Any], synchronous: str) -> tuple[sqlite3.Connection, dict[str, Any]]:
-    """The database, and the settings that it was made with: these, if it is new.
+    """Open or create the database; returns it with its settings, which are ``settings`` if it is new.
 
-    Raises InputError if the file is something else, of a newer version, damaged or in use; OSError of the disk.
+    Raises InputError if the file is of another kind or version, damaged or in use; OSError if the disk fails.
     """
     rows = [(name, encode(Setting(value))) for name, value in settings.items()]
     opened = storage.create_or_open(path, JOURNAL, SCHEMA, {"INSERT INTO setting VALUES (?, ?)": rows})
     try:
         with explained(path):
-            opened.execute("PRAGMA wal_autocheckpoint = 0")  # but after each snapshot
+            opened.execute("PRAGMA wal_autocheckpoint = 0")  # it is done after each snapshot instead
             opened.execute(f"PRAGMA synchronous = {synchronous}")
-            said = opened.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if said != "ok":
-                raise sqlite3.DatabaseError(said)
+            verdict = opened.execute("PRAGMA quick_check(1)").fetchone()[0]
+            if verdict != "ok":
+                raise sqlite3.DatabaseError(verdict)
             rows = opened.execute("SELECT name, bytes FROM setting").fetchall()
         return opened, {name: read(path, f"setting {name}", blob, Setting).value for name, blob in rows}
     except BaseException:
@@ -65,7 +65,7 @@ def open_store(path: Path, settings: Mapping[str, Any], synchronous: str) -> tup
 
 
 def read(path: Path, place: str, blob: bytes, *kinds: type) -> Any:
-    """Decode bytes of the file, of one of some kinds. Raises InputError if they are damaged."""
+    """Decode bytes of the file as one of ``kinds``. Raises InputError if they are damaged."""
     try:
         return decode(blob, *kinds)
     except ValueError as error:
@@ -73,21 +73,21 @@ def read(path: Path, place: str, blob: bytes, *kinds: type) -> Any:
 
 
 def explained(path: Path) -> AbstractContextManager[None]:
-    """What SQLite says of a journal, as this package says it."""
+    """Translate errors of SQLite into those of this package."""
     return storage.explained(path, JOURNAL)
 
 
 SNAPSHOT_EVENTS = 2000  # events between snapshots: a minute of a phone's sensors
-LARGEST = 4 << 20  # [bytes] of events between snapshots; part of the VERSION, as it says when they are
-INTERVAL = "events between snapshots"  # a setting of the journal's own
+SNAPSHOT_BYTES = 4 << 20  # bytes of events between snapshots; a change of it needs a new version of the journal
+INTERVAL = "events between snapshots"  # name of the setting of the journal itself
 SYNCHRONOUS = {"process": "OFF", "snapshot": "NORMAL", "power": "FULL"}
 Navigator = TypeVar("Navigator", bound=Journaled)
 
 
 class Journal(Generic[Navigator]):
-    """A navigator whose events outlive the process, begun or resumed by `Journal.open`. One thread at a time.
+    """A navigator whose events survive the process, started or resumed by `Journal.open`. One thread at a time.
 
-    navigator: rebuilt at every snapshot, not to be kept. count: events acknowledged so far, over all processes.
+    navigator: replaced at every snapshot, so do not store it. count: events acknowledged so far by all processes.
     """
 
     def __init__(
@@ -113,44 +113,44 @@ class Journal(Generic[Navigator]):
         durable: Literal["process", "snapshot", "power"] = "process",
         every: int = SNAPSHOT_EVENTS,
     ) -> Journal[Navigator]:
-        """Begin a journal, or go on with the walk of one that exists.
+        """Start a journal, or continue the walk of an existing one.
 
-        make: a navigator at the start of a walk; restored: one with the state of a snapshot.
-        settings: what the navigator was made with, as JSON has it; must be the same when the walk goes on.
-        durable: what outlives what. "process": every event the end of the process, but a power cut may damage the file,
-            which is then told; "snapshot": a power cut costs the events since the last snapshot, which waits for the
-            disk; "power": it costs nothing, and each event waits for the disk.
-        every: events between snapshots; of a journal that exists its own.
+        make: returns a navigator at the start of a walk; restored: returns one with the state of a snapshot.
+        settings: options of the navigator, of JSON types; they must be the same when the walk continues.
+        durable: "process": every event survives the end of the process, but a power cut may damage the file, which is
+            detected; "snapshot": a power cut costs the events since the last snapshot, which waits for the disk;
+            "power": a power cut costs nothing, and each event waits for the disk.
+        every: events between snapshots of a new journal; an existing one has its own.
 
         Raises InputError if the file is no journal, is damaged, of another version or other settings, or in use;
         OSError if it cannot be written.
         """
-        path, given = Path(path), settings or {}
-        database, found = open_store(path, {INTERVAL: every, **given}, SYNCHRONOUS[durable])
+        path, requested = Path(path), settings or {}
+        database, stored = open_store(path, {INTERVAL: every, **requested}, SYNCHRONOUS[durable])
         try:
-            every = found.pop(INTERVAL, every)
-            _compare(path, found, given)
+            every = stored.pop(INTERVAL, every)
+            _compare(path, stored, requested)
             return cls(path, database, make, restored, every)
         except BaseException:
             database.close()
             raise
 
     def push(self, event: Event) -> None:
-        """Take in an event; once this returns, it is in the journal.
+        """Process an event; after the return it is in the journal.
 
-        If it raises, the event is not in the journal and the navigator as it was before: OSError if the disk is full
-        or fails, TypeError if the event is malformed, or what the navigator raises.
+        After an exception the event is not in the journal and the navigator has its former state. Raises OSError if the
+        disk is full or fails, TypeError if the event is malformed, or any error of the navigator.
         """
         expect("Journal.push, event", event, *EVENTS, instead="events_of(recording)")
         blob, event = encode_and_decode(event)
         self._execute("INSERT INTO event VALUES (?, ?)", self.count + 1, blob)
         try:
             self.navigator.push(event)
-        except BaseException:  # or Ctrl-C: it may have taken half of it
+        except BaseException:  # also Ctrl-C: the navigator may have used half of the event
             self._execute("DELETE FROM event WHERE number > ?", self.count)
             self._resume()
             raise
-        self._took(blob)
+        self._acknowledge(blob)
 
     @property
     def pose(self) -> Pose | None:
@@ -159,12 +159,12 @@ class Journal(Generic[Navigator]):
 
     @property
     def steps(self) -> int:
-        """How many there have been."""
+        """Number of steps so far."""
         return self.navigator.steps
 
     @property
     def status(self) -> Status:
-        """The navigator's."""
+        """The state of the navigator."""
         return self.navigator.status
 
     @property
@@ -173,12 +173,12 @@ class Journal(Generic[Navigator]):
         return self._from_the_beginning(self.navigator.trajectory)
 
     def finish(self) -> Estimate:
-        """The walk, no more events coming; its trajectory from the beginning."""
+        """End the walk and return its estimate, with the trajectory from the beginning."""
         estimate = self.navigator.finish()
         return replace(estimate, trajectory=self._from_the_beginning(estimate.trajectory))
 
     def close(self) -> None:
-        """Let another process go on with it."""
+        """Close the file, so that another process can continue the walk."""
         self._database.close()
 
     def __enter__(self) -> Journal[Navigator]:
@@ -188,26 +188,26 @@ class Journal(Generic[Navigator]):
         self.close()
 
     def _resume(self) -> None:
-        """The navigator after all the events in the file."""
-        kept = self._execute("SELECT number, bytes FROM snapshot").fetchone()
-        if kept is None:
+        """Restore the navigator from the snapshot and push all later events of the file."""
+        snapshot = self._execute("SELECT number, bytes FROM snapshot").fetchone()
+        if snapshot is None:
             self.count, self.navigator = 0, self._make()
         else:
-            self.count, state = kept
+            self.count, state = snapshot
             kind = self._make().Checkpoint
             self.navigator = self._restored(read(self._path, f"snapshot {self.count}", state, kind))
-        self._kept, self._bytes = self.count, 0
-        self._settled: dict[int, bytes] = {}
+        self._snapshot_count, self._bytes = self.count, 0
+        self._finalized: dict[int, bytes] = {}  # encoded rows that are not in the file yet, by number of events
         while (blob := self._blob_of(self.count + 1)) is not None:
             event = read(self._path, f"event {self.count + 1}", blob, *EVENTS)
             try:
                 self.navigator.push(event)
-            except Exception:  # killed before it could be taken out again, as `push` does: not acknowledged
+            except Exception:  # the process ended before `push` could delete this event, which was not acknowledged
                 if self._blob_of(self.count + 2) is not None:
                     raise
                 self._execute("DELETE FROM event WHERE number > ?", self.count)
                 return self._resume()
-            self._took(blob)
+            self._acknowledge(blob)
         (last,) = self._execute("SELECT max(number) FROM event").fetchone()
         if last is not None and last > self.count:
             raise InputError(self._path, f"event {self.count + 1}", "none", f"all the events up to {last}")
@@ -220,45 +220,49 @@ class Journal(Generic[Navigator]):
         with explained(self._path):
             return self._database.execute(statement, values)
 
-    def _took(self, blob: bytes) -> None:
+    def _acknowledge(self, blob: bytes) -> None:
+        """Count an event, and take a snapshot if one is due."""
         self.count += 1
         self._bytes += len(blob)
-        if self.count - self._kept >= self._every or self._bytes >= LARGEST:
-            self._shorten()
+        if self.count - self._snapshot_count >= self._every or self._bytes >= SNAPSHOT_BYTES:
+            self._take_snapshot()
 
-    def _shorten(self) -> None:
-        """Go on from a snapshot, and keep it instead of the events before."""
-        settled = self.navigator.finalized()
+    def _take_snapshot(self) -> None:
+        """Continue from a snapshot, and store it in place of the events before."""
+        rows = self.navigator.finalized()
         state, checkpoint = encode_and_decode(self.navigator.snapshot())
         self.navigator = self._restored(checkpoint)
-        self._kept, self._bytes = self.count, 0
-        if len(settled):
-            self._settled[self.count] = encode(settled)
+        self._snapshot_count, self._bytes = self.count, 0
+        if len(rows):
+            self._finalized[self.count] = encode(rows)
         try:
-            self._keep(state)
-        except sqlite3.OperationalError:  # a full disk: the events are still there, the next snapshot stands for these
+            self._store(state)
+        except sqlite3.OperationalError:  # a full disk: the events stay in the file until the next snapshot
             if self._database.in_transaction:
                 self._database.execute("ROLLBACK")
         else:
-            self._settled.clear()
+            self._finalized.clear()
 
-    def _keep(self, state: bytes) -> None:
+    def _store(self, state: bytes) -> None:
+        """Write a snapshot and the finalised rows, and delete the events before, in one transaction."""
         execute = self._database.execute
         execute("BEGIN")
-        self._database.executemany("INSERT OR REPLACE INTO trajectory VALUES (?, ?)", self._settled.items())
+        self._database.executemany("INSERT OR REPLACE INTO trajectory VALUES (?, ?)", self._finalized.items())
         execute("DELETE FROM snapshot")
         execute("INSERT INTO snapshot VALUES (?, ?)", (self.count, state))
         execute("DELETE FROM event WHERE number <= ?", (self.count,))
         execute("COMMIT")
-        execute("PRAGMA wal_checkpoint(RESTART)")  # room is used again and not given back, which would take longer
+        execute("PRAGMA wal_checkpoint(RESTART)")  # reuses the space of the log; truncating it would take longer
 
     def _from_the_beginning(self, latest: Trajectory) -> Trajectory:
-        kept = dict(self._execute("SELECT number, bytes FROM trajectory ORDER BY number").fetchall())
-        parts = (kept | self._settled).items()
+        """All finalised rows, followed by ``latest``."""
+        stored = dict(self._execute("SELECT number, bytes FROM trajectory ORDER BY number").fetchall())
+        parts = (stored | self._finalized).items()
         return _joined([*(read(self._path, f"trajectory {n}", blob, Trajectory) for n, blob in parts), latest])
 
 
 def _joined(parts: list[Trajectory]) -> Trajectory:
+    """Concatenate trajectories that follow one another."""
     covariances = [part.covariance for part in parts if part.covariance is not None]
     return replace(
         parts[-1],
@@ -270,7 +274,8 @@ def _joined(parts: list[Trajectory]) -> Trajectory:
     )
 
 
-def _compare(path: Path, found: dict[str, Any], given: Mapping[str, Any]) -> None:
-    for name in sorted(found.keys() | given.keys()):
-        if found.get(name) != (wanted := encode_and_decode(Setting(given.get(name)))[1].value):
-            raise InputError(path, name, f"{found.get(name)}", f"{wanted}, or that with which the walk began")
+def _compare(path: Path, stored: dict[str, Any], requested: Mapping[str, Any]) -> None:
+    """Raise InputError if the requested settings differ from the stored ones."""
+    for name in sorted(stored.keys() | requested.keys()):
+        if stored.get(name) != (wanted := encode_and_decode(Setting(requested.get(name)))[1].value):
+            raise InputError(path, name, f"{stored.get(name)}", f"{wanted}, or that with which the walk began")

@@ -1,9 +1,9 @@
-"""The live walk: samples, fixes and scans in, a pose at once, and the walk smoothed as it goes.
+"""The navigator of a live walk: takes samples, fixes and scans; returns the current pose and the walk smoothed so far.
 
-    samples ─► StepStream ─► certain steps ─► IncrementalGraph (iSAM2) ─┐ re-anchors
-                   └─────► the last, provisional ones ──► the filter's pose
+    samples ─► StepStream ─► certain steps ─► LiveSmoother (iSAM2) ─┐ pose of the last keyframe
+                   └─────► provisional steps ──► prediction ◄───────┘ ──► current pose
 
-Nothing that is pushed can end the walk: what cannot be used is counted, and the status says what is wrong.
+No data can end the walk: unusable data are counted, and the status states the problem.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ from pdr_graph.types import LONLAT, Array, Beacons, Calibration, Estimate, Fixes
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
-FARTHEST, FINEST = 1e8, 1e-4  # [m] from the origin of a frame, of a sigma at most; and at least
-AHEAD = 30.0  # [s] by which a fix may lie in the future: other clocks than the sensors' do
+FARTHEST, FINEST = 1e8, 1e-4  # [m] largest coordinate and sigma of a usable fix; least sigma
+AHEAD = 30.0  # [s] by which a fix may lie in the future, if its clock is not that of the sensors
 UNSURE = "the measurements leave open which way the walk went: the most probable one is given"
-SILENT = 2.0  # [s] without a sample of a sensor that the others have meanwhile
+SILENT = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
 
 
 @dataclass(frozen=True)
 class Status:
-    """How well the navigator does.
+    """State of the navigator.
 
     state: "waiting" for steps, "no absolute position" until the first fix, "initialising heading" until the direction
-    of the walk is known, "running"; issues: what is wrong now, a line each; unknown: what the sensors did not tell of
-    the steps, a line each; sensors: how each is; keyframes: in the window; fixes: accepted; late, early: fixes that
-    were too old for the window or far in the future; restarts: how often fixes showed that the walk was elsewhere;
-    rebuilds: why the graph was built again, a line each.
+    of the walk is certain, "running"; issues: present problems, a line each; unknown: what the sensors do not measure,
+    a line each; sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers
+    of fixes too old for the window or far in the future; restarts: how often fixes contradicted the estimate; rebuilds:
+    reason of each rebuild of the solver.
     """
 
     state: str
@@ -70,10 +70,10 @@ class Status:
 
 @dataclass(frozen=True)
 class NavigatorCheckpoint:
-    """What a `Navigator` knows; rows that were handed out are not among it.
+    """State of a `Navigator`, without the rows that `finalized` returned.
 
-    taken, early, absurd: numbers of fixes; certain: of steps; gaps: of those; unknown: notes of the steps; place: where
-    the walk was first known to be; last_fixes: the last position of each receiver.
+    taken, early, absurd: numbers of accepted, early and unusable fixes; certain: of certain steps; gaps: of gaps;
+    unknown: notes of the steps; place: first position ``(2,)``; last_fixes: the last position of each receiver.
     """
 
     taken: int
@@ -92,13 +92,13 @@ class NavigatorCheckpoint:
 
 
 class Navigator:
-    """A walk under way.
+    """Estimator of a walk under way.
 
-    floor: whose walls are factors; lag: steps older than this are finalized [s], None: never; walker: whose strides
-    these are; frame: of the poses, by default the plan's, else the radio map's, else that of the first fix; prior: see
-    ``Prior``, by default as of the walker's profile; beacons: places of the beacons that scans hear; radio_map: makes
-    fixes of scans; start_floor: label of the floor where the walk begins, of a building with several; epoch: Unix time
-    [s] of the events' 0, for the earth's magnetic field.
+    floor: plan or building whose walls are factors; lag: steps older than this are finalized [s], None: never; walker:
+    of this walk; frame: of the poses, by default the plan's, else the radio map's, else that of the first fix; prior:
+    see ``Prior``, by default from the walker's profile; beacons: with their positions; radio_map: for fixes from scans;
+    start_floor: label of the floor where the walk begins, for a building of several floors; epoch: Unix time [s] of
+    time 0 of the events, for the earth's magnetic field.
     """
 
     Checkpoint: ClassVar = NavigatorCheckpoint
@@ -128,32 +128,32 @@ class Navigator:
         self._gait = StepStream(self.walker, self._compass.update)
         prior = prior or prior_of(self.walker.profile)
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "")
-        self._place: Array | None = None  # where the walk was first known to be
+        self._place: Array | None = None  # the first position ``(2,)`` [m]
         self._epoch = epoch
-        self._steps: list[Steps] = []  # since rows were handed out
+        self._steps: list[Steps] = []  # since `finalized` was last called
         self._beacons = beacons
         self._tail: Steps | None = None
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._accepted, self._early, self._absurd, self._certain = 0, 0, 0, 0
-        self._unknown = dict[str, None]()  # what the sensors did not tell of the steps, each line once
+        self._unknown = dict[str, None]()  # what the sensors do not measure, each line once
         self._gaps = 0
-        known = frame or (self.building.floors[0].frame if self.building else None)
+        common_frame = frame or (self.building.floors[0].frame if self.building else None)
         if radio_map is not None:
-            known = known or Frame.from_description(radio_map.frame)
-            if known.describe() != radio_map.frame:
+            common_frame = common_frame or Frame.from_description(radio_map.frame)
+            if common_frame.describe() != radio_map.frame:
                 raise ValueError(
-                    f"Navigator, radio_map: found the frame {radio_map.frame}, expected {known.describe()}"
+                    f"Navigator, radio_map: found the frame {radio_map.frame}, expected {common_frame.describe()}"
                 )
             from pdr_graph.estimation.live.scan_collector import (
                 ScanCollector,
             )  # it takes scipy.optimize, long to import
 
             self._graph.graph.collectors.append(ScanCollector(radio_map, self._use_radio_fixes))
-        if known is not None:
-            self._lie_in(known)
+        if common_frame is not None:
+            self._lie_in(common_frame)
 
     def push(self, event: Event) -> None:
-        """Take in an event, in the order in which they arrive."""
+        """Process an event; events must come in the order of arrival."""
         expect("Navigator.push, event", event, *EVENTS, instead="events_of(recording)")
         if isinstance(event, Samples):
             self._sample(event)
@@ -168,18 +168,18 @@ class Navigator:
 
     @property
     def steps(self) -> int:
-        """How many steps there have been, the provisional ones among them."""
+        """Number of steps so far, with the provisional ones."""
         return self._certain + (0 if self._tail is None else int((~self._tail.is_gap).sum()))
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """What the sensors did not tell of the steps so far, a line each."""
+        """What the sensors did not measure so far, a line each."""
         gaps = (f"{self._gaps} gaps in the recording",) if self._gaps else ()
         return (*self._unknown, *gaps)
 
     @property
     def pose(self) -> Pose | None:
-        """Where the walker is, by all that has come in; None before there are steps, or a second of standing."""
+        """The current pose from all data so far; None before the first steps, or a second of standing."""
         if not self._window.keyframes:
             return None
         belief = self._graph.belief(self._tail)
@@ -188,14 +188,14 @@ class Navigator:
 
     @property
     def trajectory(self) -> Trajectory:
-        """The walk smoothed so far: every step's end, and the present; without the rows that `finalized` returned."""
+        """The walk smoothed so far, with the current pose; without the rows that `finalized` returned."""
         if not self._window.keyframes:
             return _trajectory([])
-        return _trajectory([*self._graph.rows_past(), self._graph.rows(), self._graph.rows_ahead(self._tail)])
+        return _trajectory([*self._graph.pending_rows(), self._graph.rows(), self._graph.predicted_rows(self._tail)])
 
     @property
     def status(self) -> Status:
-        """How well it does."""
+        """The present state."""
         graph, state = self._graph, "waiting"
         if self._window.keyframes:
             state = "running" if graph.sure else "initialising heading" if self._accepted else "no absolute position"
@@ -215,10 +215,10 @@ class Navigator:
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         self._steps = self._steps[-1:]
-        return _trajectory(self._graph.hand_out())
+        return _trajectory(self._graph.pop_finalized())
 
     def finish(self) -> Estimate:
-        """The walk, no more events coming: the rows that were not handed out."""
+        """End the walk and return its estimate, without the rows that `finalized` returned."""
         last = self._gait.finish()
         self._tail = None
         if last is not None:
@@ -242,9 +242,9 @@ class Navigator:
         )
 
     def _warnings(self, reports: Mapping[str, Sequence[Any]], calibration: Calibration | None) -> tuple[str, ...]:
-        """Warn of what a user must know before trusting the smoothed walk, as `smooth` does."""
+        """The warnings of the smoothed walk, as those of `smooth`."""
         smoother, fixes = self._graph, reports.get("fixes", ())
-        used = 2 if smoother.sure else len(used_fixes(fixes))  # a walk that is sure was placed, if long ago
+        used = 2 if smoother.sure else len(used_fixes(fixes))  # a certain walk had fixes, perhaps long ago
         places = np.array([(fix.x, fix.y) for fix in used_fixes(fixes)]).reshape(-1, 2)
         plan = self.building
         walled = plan is not None and any(bool(floor.near(places).any()) for floor in plan.floors)
@@ -253,11 +253,11 @@ class Navigator:
             *placement.warnings(),
             *(() if calibration is None else calibration_warnings(calibration)),
             *contradiction_warnings(fixes),
-            *(() if smoother.sure or not smoother.graph.placed else (UNSURE,)),
+            *(() if smoother.sure or not smoother.graph.has_position else (UNSURE,)),
         )
 
     def _dead_reckoning(self) -> Trajectory:
-        """The steps that were not handed out, laid as a rigid shape on their fixes."""
+        """Dead reckoning of the steps since `finalized` was last called, rigidly aligned with their fixes."""
         if not self._steps:
             return _trajectory([])
         steps = concatenate_steps(self._steps)
@@ -274,7 +274,7 @@ class Navigator:
         return self._graph.graph.window
 
     def snapshot(self) -> NavigatorCheckpoint:
-        """All that the rest of the walk depends on; rows that were handed out are not among it."""
+        """Return the state, without the rows that `finalized` returned."""
         return NavigatorCheckpoint(
             taken=self._accepted,
             early=self._early,
@@ -293,7 +293,7 @@ class Navigator:
 
     @classmethod
     def restored(cls, checkpoint: NavigatorCheckpoint, **options: Any) -> Navigator:
-        """The navigator of a checkpoint; options: the same as of the one that it was taken of."""
+        """Create a navigator from a checkpoint; options: those of the navigator of the checkpoint."""
         nav = cls(**options)
         nav._accepted, nav._early, nav._absurd = checkpoint.taken, checkpoint.early, checkpoint.absurd
         nav._gaps, nav._unknown = checkpoint.gaps, dict.fromkeys(checkpoint.unknown)
@@ -310,20 +310,20 @@ class Navigator:
         return nav
 
     def _on_clock(self, time: Array) -> Array:
-        """Times as the sensors' now run: where that clock was put back, whichever is nearer to the present."""
+        """Times on the sensors' present clock; after a clock reset, with or without its offset, the nearer to now."""
         later = time + self._gait.offset
         now = self._now if self._window.keyframes else 0.0
         return np.where(np.abs(later - now) < np.abs(time - now), later, time)
 
     def _lie_in(self, frame: Frame) -> Frame:
-        """From now on everything lies in this frame."""
+        """Set the frame of all results, and place the beacons in it."""
         self.frame = frame
         if self._beacons is not None:
             self._graph.graph.collectors.append(LevelCollector(frame.place(self._beacons)))
         return frame
 
     def _locate(self, frame: Frame, place: Array) -> None:
-        """The first place that is known tells the compass where on earth it is."""
+        """Store the first position, which the compass needs for the earth's magnetic field."""
         self._place = place
         self._compass.locate(frame, place, self._epoch)
 
@@ -336,8 +336,8 @@ class Navigator:
         certain, self._tail = self._gait.advance()
         if certain is None:
             return
-        for found in self._compass.advance():
-            self._graph.point(-1 - found.stretch, found.time, found.heading, found.sigma)
+        for heading in self._compass.advance():
+            self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
         self._extend(certain)
 
     def _extend(self, steps: Steps) -> None:
@@ -345,7 +345,7 @@ class Navigator:
         self._certain += int((~steps.is_gap).sum())
         self._gaps += int(steps.is_gap.sum())
         self._unknown |= dict.fromkeys(steps.unknown)
-        self._floors.walked(steps)
+        self._floors.add_steps(steps)
         self._floors.advance(self._tail)
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
@@ -354,7 +354,7 @@ class Navigator:
         return self._tail.end if self._tail is not None else self._window.steps.end
 
     def _fix(self, fixes: Fixes) -> None:
-        """Fixes in the frame of the walk; the first may define it. Those that can be nobody's are counted."""
+        """Append fixes in the frame of the walk, which the first may define; unusable ones are counted."""
         on_earth = fixes.epsg != LONLAT or (np.abs(fixes.position) <= [180.0, 90.0]).all(axis=1)
         usable = np.abs(fixes.position).max(axis=1, initial=0.0) < FARTHEST
         usable &= on_earth & (fixes.sigma > FINEST) & (fixes.sigma < FARTHEST)
@@ -371,44 +371,44 @@ class Navigator:
         for n in range(len(fixes)):
             source, place = fixes.source[n], tuple(fixes.position[n].tolist())
             if source and self._last_fixes.get(source) == place:
-                continue  # a receiver says again what it had said: it saw nothing new
+                continue  # duplicate epoch
             self._last_fixes[source] = place
             if self._window.keyframes and fixes.time[n] > self._now + AHEAD:
                 self._early += 1
                 continue
             self._accepted += 1
-            self._floors.see(fixes[n])
+            self._floors.add_fixes(fixes[n])
             self._graph.append(fixes[n])
 
     def _use_radio_fixes(self, fixes: Fixes) -> None:
-        """Use the fixes of the radio map for what else fixes tell: floor, and place on earth."""
+        """Use fixes of the radio map for the floor and the first position too."""
         if self._place is None and self.frame is not None:
             self._locate(self.frame, fixes.position[0])
         self._accepted += len(fixes)
         for n in range(len(fixes)):
-            self._floors.see(fixes[n])
+            self._floors.add_fixes(fixes[n])
 
     def _issues(self) -> Iterator[str]:
-        """Say what is wrong now, a line each."""
+        """Yield the present problems, a line each."""
         if self._absurd:
             yield f"fixes: {self._absurd} could not be used"
         if self._accepted and not self._window.keyframes:
             yield f"accelerometer: {NO_STEPS}"
         health = self._gait.health
-        latest = max((one.last for one in health.values() if np.isfinite(one.last)), default=np.nan)
-        for name, one in health.items():
-            if one.samples and latest - one.last > SILENT:
-                yield f"{name}: silent for {latest - one.last:.0f} s"
-            elif not one.samples and np.isfinite(latest):
+        latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
+        for name, sensor in health.items():
+            if sensor.samples and latest - sensor.last > SILENT:
+                yield f"{name}: silent for {latest - sensor.last:.0f} s"
+            elif not sensor.samples and np.isfinite(latest):
                 yield f"{name}: {NO_DATA}"
-            if one.dropped:
-                yield f"{name}: {one.dropped} samples could not be used"
-            if one.clock_resets:
-                yield f"{name}: clock reset {one.clock_resets} times"
+            if sensor.dropped:
+                yield f"{name}: {sensor.dropped} samples could not be used"
+            if sensor.clock_resets:
+                yield f"{name}: clock reset {sensor.clock_resets} times"
 
 
 def _trajectory(parts: Sequence[TrajectoryRows]) -> Trajectory:
-    """Rows that follow one another."""
+    """The trajectory of rows that follow one another."""
     if not parts:
         return Trajectory(np.empty(0), np.empty((0, 2)), np.empty(0), (), np.empty((0, 3, 3)))
     rows = TrajectoryRows.joined(parts)

@@ -1,4 +1,4 @@
-"""A recording as if it were coming in live, with latency and memory: what ``pdr-graph replay`` does."""
+"""Replay of a recording as if it were live, with latency and memory: ``pdr-graph replay``."""
 
 from __future__ import annotations
 
@@ -34,47 +34,47 @@ from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
 
 PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
-EVERY = 50.0  # [s] of the walk between looks at the memory, doubled whenever there are too many
-MOST_LOOKS = 200
+MEMORY_INTERVAL = 50.0  # [s] of the walk between measurements of the memory, doubled at MOST_MEASUREMENTS
+MOST_MEASUREMENTS = 200
 MEGABYTE = 1e6
 Value = TypeVar("Value")
 
 
 class Latency:
-    """Seconds per step: pushing: all that came in since the step before; posing: to ask where the walker is."""
+    """Computing time per step [s]: pushing: of all events since the step before; posing: of the current pose."""
 
     def __init__(self) -> None:
         self.pushing, self.posing = list[float](), list[float]()
         self.memory = list[tuple[float, float]]()  # time of the walk [s], resident [MB]
         self._since = 0.0
-        self._every = EVERY
+        self._every = MEMORY_INTERVAL
 
     def push(self, push: Callable[[Any], None], event: Any) -> None:
-        """Do it; its time is of the step under way."""
+        """Call ``push`` with an event; its time counts for the next step."""
         began = time.perf_counter()
         push(event)
         self._since += time.perf_counter() - began
 
     def step(self, pose: Callable[[], Value]) -> Value:
-        """Ask for the pose; what was done since the step before is of this one."""
+        """Call ``pose`` and close the times of this step."""
         began = time.perf_counter()
-        found = pose()
+        current = pose()
         self.posing.append(time.perf_counter() - began)
         self.pushing.append(self._since)
         self._since = 0.0
-        return found
+        return current
 
-    def look(self, now: float) -> None:
-        """Look at the memory, if it is time to. now: of the walk. [s]"""
+    def measure_memory(self, now: float) -> None:
+        """Measure the memory if it is due. now: time of the walk [s]."""
         if self.memory and now < self.memory[-1][0] + self._every:
             return
         if (resident := _resident()) is not None:
             self.memory.append((round(now, 1), round(resident, 2)))
-        if len(self.memory) > MOST_LOOKS:
+        if len(self.memory) > MOST_MEASUREMENTS:
             self.memory, self._every = self.memory[::2], 2 * self._every
 
     def describe(self) -> dict[str, Any]:
-        """As ``latency.json`` has it: milliseconds per step, megabytes."""
+        """The content of ``latency.json``: milliseconds per step, megabytes."""
         return {
             "steps": len(self.pushing),
             "push": _spread(self.pushing),
@@ -93,7 +93,7 @@ def _spread(seconds: list[float]) -> dict[str, float] | None:
 
 
 def _resident() -> float | None:
-    """Memory of this process now [MB], where the system tells it."""
+    """Present memory of this process [MB]; None if the system does not provide it."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:
@@ -102,7 +102,7 @@ def _resident() -> float | None:
 
 
 def _peak() -> float | None:
-    """The most memory that this process ever had [MB], where the system tells it."""
+    """Peak memory of this process [MB]; None if the system does not provide it."""
     try:
         import resource  # not on Windows
     except ImportError:
@@ -114,8 +114,8 @@ def _peak() -> float | None:
 def replay_recording(recording: Path, out: Path, options: Options | None = None, kind: Any = None) -> tuple[str, ...]:
     """Push a recording through a navigator; write poses, latency, smoothed trajectory, picture, report and summary.
 
-    kind: of navigator, by default ``Navigator``. Returns what could not be estimated or written, a line each. Raises
-    InputError if an input cannot be used.
+    kind: class of the navigator, by default ``Navigator``. Returns what could not be estimated or written, a line each.
+    Raises InputError if an input cannot be used.
     """
     options = replace(options or Options(), method=LIVE)
     stage, latency = Stages(), Latency()
@@ -126,7 +126,7 @@ def replay_recording(recording: Path, out: Path, options: Options | None = None,
     out.mkdir(parents=True, exist_ok=True)
     with stage("opening"):
         nav = _opened(inputs, options, len(events), kind or _navigator())
-    gc.freeze()  # what is there by now stays: a collection that looks at all of it takes 30 ms of some step
+    gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
     with nav if isinstance(nav, Journal) else nullcontext():
         done = nav.count if isinstance(nav, Journal) else 0
         began = time.perf_counter()
@@ -142,7 +142,7 @@ def replay_recording(recording: Path, out: Path, options: Options | None = None,
 
 
 def _outside(walk: Recording, fixes: Fixes) -> Mask:
-    """``(f,)``: True for fixes so long before or after the recording that it never heard them."""
+    """True ``(f,)`` for fixes too long before or after the recording to be used."""
     if not walk.signals:
         return np.zeros(len(fixes), dtype=bool)
     start = min(float(signal.time[0]) for signal in walk.signals.values())
@@ -151,12 +151,12 @@ def _outside(walk: Recording, fixes: Fixes) -> Mask:
 
 
 def navigator_of(options: Options) -> tuple[Callable[[], Any], tuple[str, ...]]:
-    """What makes the navigator of a walk that is not recorded yet, and the labels of its floors.
+    """A function that creates the navigator of a live walk, and the labels of its floors.
 
     Raises InputError if a file cannot be used.
     """
     building = Building.load(options.plan) if options.plan else None
-    given = {
+    arguments = {
         "floor": building,
         "lag": options.lag,
         "walker": Walker.load(options.walker) if options.walker else Walker(),
@@ -164,38 +164,38 @@ def navigator_of(options: Options) -> tuple[Callable[[], Any], tuple[str, ...]]:
         "radio_map": load_radio_map(options.radio_map, building) if options.radio_map else None,
         "start_floor": options.floor,
     }
-    return partial(_navigator(), **given), building.labels if building else ()
+    return partial(_navigator(), **arguments), building.labels if building else ()
 
 
 def _opened(inputs: Inputs, options: Options, events: int, kind: Any) -> Any:
-    """The navigator of a walk, journalled if that was asked for; begun, or where it was interrupted."""
-    given = {"floor": inputs.building, "lag": options.lag, "walker": inputs.walker, "frame": inputs.frame}
-    given |= {"beacons": inputs.beacons, "radio_map": inputs.radio_map, "start_floor": options.floor}
+    """The navigator of a walk, new or resumed from the journal if the options name one."""
+    arguments = {"floor": inputs.building, "lag": options.lag, "walker": inputs.walker, "frame": inputs.frame}
+    arguments |= {"beacons": inputs.beacons, "radio_map": inputs.radio_map, "start_floor": options.floor}
     if options.journal is None:
-        return kind(**given)
+        return kind(**arguments)
     files = {"map": options.plan, "fixes": options.fixes, "beacons": options.beacons, "radio_map": options.radio_map}
     settings = {"recording": inputs.walk.source, "events": events, "walker": inputs.walker.describe()}
     files |= {"walker file": options.walker, "list beside it": beside(Path(inputs.walk.source))}
     hashes = {"map": plan_fingerprint}
     settings |= {name: hashes.get(name, fingerprint)(path) for name, path in files.items() if path}
     settings |= {"recorded_fixes": options.recorded_fixes, "lag": options.lag, "floor": options.floor}
-    return Journal.open(options.journal, partial(kind, **given), partial(kind.restored, **given), settings)
+    return Journal.open(options.journal, partial(kind, **arguments), partial(kind.restored, **arguments), settings)
 
 
 def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Trajectory:
-    """Push them, and keep the pose at once: the first there is, that when each step is known, and the last."""
+    """Push all events; returns the causal poses: the first, one at the detection of each step, and the last."""
     poses, most = list[Pose](), nav.steps
     for event in events:
         latency.push(nav.push, event)
         pose = None
-        if nav.steps > most:  # more than ever: the last ones may have been taken back
+        if nav.steps > most:  # a maximum, since provisional steps may be withdrawn
             most = nav.steps
             pose = latency.step(lambda: nav.pose)
         elif not poses:
             pose = nav.pose
         if pose is not None:
             poses.append(pose)
-            latency.look(pose.time)
+            latency.measure_memory(pose.time)
     last = nav.pose
     if last is not None and poses and last.time > poses[-1].time:
         poses.append(last)
@@ -209,28 +209,28 @@ def _navigator() -> Any:
 
 
 def _finished(nav: LiveEstimator, inputs: Inputs, outside: Fixes) -> Result:
-    """The smoothed walk, and what of it could not be had; the fixes alone where there are no steps.
+    """The smoothed walk with what could not be estimated; the smoothed fixes alone if there are no steps.
 
     outside: fixes that were not pushed since they lie outside the recording.
     """
-    found, steps, status = nav.finish(), nav.steps, nav.status
+    estimate, steps, status = nav.finish(), nav.steps, nav.status
     issues = tuple(line for line in status.issues if not line.endswith((NO_DATA, NO_STEPS)))
-    if not len(found.trajectory):
+    if not len(estimate.trajectory):
         return _without_steps(inputs, issues)
     late = outside.time[~duplicates(outside)]
-    issues += outside_warnings(late, float(found.trajectory.time[0]), float(found.trajectory.time[-1]))
+    issues += outside_warnings(late, float(estimate.trajectory.time[0]), float(estimate.trajectory.time[-1]))
     reports = [
         FixReport(t, x, y, sigma, float("nan"), 0.0, OUTSIDE)
         for t, (x, y), sigma in zip(outside.time, outside.position.tolist(), outside.sigma.tolist(), strict=True)
     ]
-    fixes = tuple(sorted((*found.fixes, *reports), key=lambda fix: fix.time)) if reports else found.fixes
-    found = replace(found, reports={**found.reports, "fixes": fixes})
-    missing = (*status.unknown, *missing_of(found, len(inputs.fixes)))
-    return Result(found, missing, step_count=steps, issues=issues)
+    fixes = tuple(sorted((*estimate.fixes, *reports), key=lambda fix: fix.time)) if reports else estimate.fixes
+    estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})
+    missing = (*status.unknown, *missing_of(estimate, len(inputs.fixes)))
+    return Result(estimate, missing, step_count=steps, issues=issues)
 
 
 def _without_steps(inputs: Inputs, issues: tuple[str, ...]) -> Result:
-    """The fixes alone, smoothed. Raises InputError where there are none, or the samples cannot be used at all."""
+    """The smoothed fixes alone. Raises InputError if there are none, or if the samples cannot be used."""
     walk = inputs.walk
     if walk.has_acceleration or not len(inputs.fixes):
         gait_signals(walk)

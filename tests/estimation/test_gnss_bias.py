@@ -41,7 +41,7 @@ def biased(graph):
     """The graph with what a receiver's fixes have in common, all of which are held."""
     fixes = graph.positions
     fixes = fixes.classified(fixes.outlier, fixes.used)
-    gnss = GnssBias.of(fixes, graph.steps).on(graph.chain)
+    gnss = GnssBias.of(fixes, graph.steps).bind(graph.chain)
     told = {FixFactor.name: fixes, GnssBias.name: gnss}
     return graph._with_variables(tuple(told.get(one.name, one) for one in graph.measurements))
 

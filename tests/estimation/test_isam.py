@@ -311,9 +311,9 @@ def test_factors_that_no_block_has_any_more_are_gone():
     """Only of poses that are looked at, and of kinds that were asked."""
     isam = holding(3)
     made, state = block([0.1], [0])
-    assert isam.gone([made], state) == []
+    assert isam.obsolete([made], state) == []
     three = block([0.1] * 3, range(3))[1]
-    assert isam.gone([block([0.1, 0.1], [0, 2])[0]], three) == [("pull", 1)]
+    assert isam.obsolete([block([0.1, 0.1], [0, 2])[0]], three) == [("pull", 1)]
 
 
 @pytest.mark.parametrize("keyframes", [12, 1000])

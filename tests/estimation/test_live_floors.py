@@ -28,10 +28,10 @@ def second_by_second(steps, barometer, floors, said=None, certain=6.0):
         some = (barometer.time > now - 1) & (barometer.time <= now)
         floors.push(barometer.time[some], barometer.values[some])
         if said is not None and np.any((said.time > now - 1) & (said.time <= now)):
-            floors.see(said[(said.time > now - 1) & (said.time <= now)])
+            floors.add_fixes(said[(said.time > now - 1) & (said.time <= now)])
         landed = steps.time[steps.time <= now - certain]
         if len(landed) and landed[-1] > sure:
-            floors.walked(part(steps, sure, landed[-1]))
+            floors.add_steps(part(steps, sure, landed[-1]))
             sure = landed[-1]
         if sure > steps.start:
             floors.advance(part(steps, sure, now))
@@ -111,7 +111,7 @@ def test_samples_that_are_no_good_are_passed_by(change):
         floors.push(time[some], hpa[some, None])
         landed = steps.time[steps.time <= now]
         if len(landed) and landed[-1] > sure:
-            floors.walked(part(steps, sure, landed[-1]))
+            floors.add_steps(part(steps, sure, landed[-1]))
             sure = landed[-1]
         floors.advance()
         told.append((now, floors.label, floors.climbing))
@@ -148,6 +148,6 @@ def test_a_restored_state_goes_on_as_it_was():
 def test_steps_of_one_chunk_may_be_none():
     floors = LiveFloors(None, "0")
     nothing = Steps(0.0, 5.0, *(np.empty(0) for _ in range(7)))
-    floors.walked(nothing)
+    floors.add_steps(nothing)
     floors.advance(replace(nothing, start=5.0, end=9.0))
     assert floors.label == "0"

@@ -14,7 +14,7 @@ from pdr_graph.types import Fixes
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 from live_speed import LOOP, said_events  # noqa: E402
-from said import held_by_walls, walk  # noqa: E402
+from synthetic_walks import held_by_walls, walk  # noqa: E402
 
 STEPS = 300
 

@@ -59,8 +59,8 @@ def rows_of(graph):
     if graph.final is not None:
         track = graph.final.trajectory
         return TrajectoryRows(track.time, np.column_stack([track.position, track.heading]), track.covariance, [])
-    past = graph.graph.past
-    return TrajectoryRows.joined([*past.final, *past.left, graph.rows(), graph.rows_ahead()])
+    past = graph.graph.finalized
+    return TrajectoryRows.joined([*past.final, *past.left, graph.rows(), graph.predicted_rows()])
 
 
 def apart(one, other):
@@ -184,10 +184,10 @@ def test_what_has_settled_does_not_move_any_more():
     graph, told = LiveSmoother(lag=LAG), None
     for now in walking(graph, steps, jumped):
         if steps.time[now - 1] > 140.0 and told is None:
-            told = [rows.pose.copy() for rows in graph.graph.past.final]
+            told = [rows.pose.copy() for rows in graph.graph.finalized.final]
     assert graph.restarts
     assert len(told) > 5
-    for before, rows in zip(told, graph.graph.past.final, strict=False):
+    for before, rows in zip(told, graph.graph.finalized.final, strict=False):
         assert before == pytest.approx(rows.pose)
 
 
@@ -264,15 +264,24 @@ def test_memory_is_bounded():
         later = replace(steps, start=steps.start + shift, end=steps.end + shift, time=steps.time + shift)
         for now in walking(graph, later, replace(fixes, time=fixes.time + shift)):
             if now % 250 == 0:
-                handed += sum(len(rows.time) for rows in graph.hand_out())
+                handed += sum(len(rows.time) for rows in graph.pop_finalized())
                 own, isam = graph.graph, graph.graph.isam
                 held = [own.window.keyframes, own.window.intervals, own.window.c, own.window.steps.chunks]
-                held += [own.log.rows(Fixes), own.decisions["fixes"]["number"], own.past.left, own.past.reports]
+                held += [
+                    own.log.rows(Fixes),
+                    own.decisions["fixes"]["number"],
+                    own.finalized.left,
+                    own.finalized.reports,
+                ]
                 held += [isam.factors, isam.marginal, isam.rebuilds, isam._smoother.getFactors().keyVector()]
                 slots = isam._smoother.getFactors().size()
                 sizes.append([len(one) for one in held] + [slots, len(own.window.steps.whole)])
     assert (np.max(sizes[20:], axis=0) <= 1.5 * np.max(sizes[4:12], axis=0) + 2).all()
-    left = sum(len(rows.time) for rows in graph.graph.past.left) + len(graph.rows().time) + len(graph.rows_ahead().time)
+    left = (
+        sum(len(rows.time) for rows in graph.graph.finalized.left)
+        + len(graph.rows().time)
+        + len(graph.predicted_rows().time)
+    )
     assert handed + left == 1 + 10_000 + 1, "the start, and the present"
 
 
@@ -284,7 +293,7 @@ def test_every_step_has_its_row_once_and_in_order(lag):
     expected = np.append(steps.start, steps.time)
     for now in walking(graph, steps, fixes, size=7):
         if now % 2:
-            handed += graph.hand_out()
+            handed += graph.pop_finalized()
         found = np.concatenate([*(rows.time for rows in handed), rows_of(graph).time])
         if now < 250:
             assert found == pytest.approx(expected[: now + 1], abs=2e-6)
@@ -375,7 +384,7 @@ def test_nothing_is_handed_out_before_a_fix_says_where_it_was():
     steps = wandering_walk(400, seed=3)
     graph = LiveSmoother(lag=LAG)
     for _ in walking(graph, steps, fixes_at([], np.empty((0, 2)))):
-        assert not graph.hand_out()
+        assert not graph.pop_finalized()
 
 
 @pytest.mark.parametrize("lag", [LAG, np.inf])

@@ -54,7 +54,7 @@ def on(cloud, floor, intervals, seen=None):
     """Straight on, so many intervals."""
     pieces = straight()
     for _ in range(intervals):
-        cloud.advance(pieces, [floor.distance] * len(pieces.length), seen=seen or KeyframeMeasurements())
+        cloud.advance(pieces, [floor.distance] * len(pieces.length), measured=seen or KeyframeMeasurements())
 
 
 def test_piece_by_piece_it_is_the_walk_at_once():
@@ -77,7 +77,7 @@ def test_piece_by_piece_it_is_the_walk_at_once():
         )
 
     cloud = ParticleFilter(graph.prior, 0, fewest=1000, most=8000)
-    cloud.begin(place[0], 0.5, graph.start.poses[0, 2], graph.sigma_direction, seen=seen(0))
+    cloud.begin(place[0], 0.5, graph.start.poses[0, 2], graph.sigma_direction, measured=seen(0))
     for interval, (first, last) in enumerate(zip(pieces.first, pieces.last, strict=True)):
         for m in range(first, last + 1):
             cloud.step(float(pieces.length[m]), turn[m], time[m], pieces.variance[m], graph.floor_sequence.field(m))

@@ -119,7 +119,7 @@ def test_size_and_replay_are_bounded(tmp_path):
         for number in range(60 * EVERY):
             journal.push(event(number))
             sizes.append(sum(file.stat().st_size for file in tmp_path.iterdir()))
-        assert not journal._settled, "all is in the file"
+        assert not journal._finalized, "all is in the file"
     rows = 8 * (2 + 1 + 1 + 9) * EVERY + 4096  # of a trajectory, that is kept for good, and a page cut short
     assert max(sizes[-EVERY:]) < max(sizes[EVERY : 2 * EVERY]) + 60 * rows
     with sqlite3.connect(tmp_path / "walk") as database:

@@ -85,7 +85,7 @@ def test_long_walks_are_looked_at_as_often_as_short_ones(monkeypatch):
     monkeypatch.setattr("pdr_graph.online.replay._resident", lambda: 100.0)
     latency = Latency()
     for now in range(100_000):
-        latency.look(float(now))
+        latency.measure_memory(float(now))
     assert 50 < len(latency.memory) <= 200
     assert latency.memory[0][0] == 0
     assert latency.memory[-1][0] > 99_000

@@ -24,7 +24,7 @@ def told_of(walk, start):
         gait.push(event.sensor, event.time, event.values)
         certain, tail = gait.advance()
         if certain is not None:
-            floors.walked(certain)
+            floors.add_steps(certain)
             waiting += certain.time.tolist()
         before, now = floors.label, float(event.time[-1])
         floors.advance(tail)

@@ -1,4 +1,4 @@
-"""Kinds of measurements: one file, one object each. This list is all that the rest of the package knows of them."""
+"""The measurement kinds: one file and one class each. The rest of the package loops over `KINDS` and names none."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.measurements import Closures, Levels, Ranges
 from pdr_graph.types import Fixes, Headings, Index, Steps
 
-# What each type of data makes: the kind made from the data, then kinds beside it, made from the first
+# Type of data: the kind made from it, then kinds that are made from the first
 KINDS: dict[type, tuple[Any, ...]] = {
     Fixes: (FixFactor, GnssBias),
     Headings: (HeadingFactor,),
@@ -30,7 +30,7 @@ def kind_of(data: Any) -> type[Measurement]:
     """The kind of measurement that a type of data makes. Raises TypeError for types that are not in `KINDS`."""
     kinds = KINDS.get(type(data))
     if kinds is None:
-        names = ", ".join(sorted(known.__name__ for known in KINDS))
+        names = ", ".join(sorted(data_type.__name__ for data_type in KINDS))
         raise TypeError(f"measurements: found {type(data).__name__}, expected one of {names}")
     return kinds[0]
 
@@ -38,12 +38,12 @@ def kind_of(data: Any) -> type[Measurement]:
 def measurements_of(
     data: Any, steps: Steps, prior: Prior, number: Index | None = None, decisions: Mapping[str, AnyArray] | None = None
 ) -> list[Measurement]:
-    """The factors of one walk from data of one type.
+    """The measurement kinds of one walk from data of one type.
 
-    number: ``(n,)`` of the instances, 0, 1, … by default; decisions: what was decided about instances before, while a
-    walk goes on.
+    number: ``(n,)`` permanent numbers of the instances, 0, 1, … by default; decisions: earlier decisions about
+    instances, for a walk under way.
     """
     kind: Any = kind_of(data)
-    own = kind.of(data, steps, prior, number)
-    own = own if decisions is None else own.continued(decisions)
-    return [own, *(beside.of(own, steps) for beside in KINDS[type(data)][1:])]
+    measurement = kind.of(data, steps, prior, number)
+    measurement = measurement if decisions is None else measurement.continued(decisions)
+    return [measurement, *(beside.of(measurement, steps) for beside in KINDS[type(data)][1:])]

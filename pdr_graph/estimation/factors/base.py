@@ -1,8 +1,8 @@
-"""What factors are made of: variables, residuals with derivatives, losses; and what a kind of measurement is.
+"""Building blocks of factors (variables, states, residuals with derivatives), and the interface of measurement kinds.
 
-A kind of measurement is one object, a `Measurement`: all its instances on one walk, the times at which it needs
-keyframes, the variables it adds, its residuals with derivatives and weights, and its reports. Batch smoother, live
-smoother, filter, GTSAM export, reports and journal loop over a list of them and name none.
+A `Measurement` is all instances of one kind on one walk: the times at which it needs keyframes, the variables it adds,
+its residuals with derivatives and weights, and its reports. Batch smoother, live smoother, filter, GTSAM export,
+reports and journal loop over a list of them and name none.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 AnyArray = NDArray[Any]
 POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
-TOLERANCE = {  # how far variables may move before most factors are linearised again
+TOLERANCE = {  # change of a variable at which most factors are linearised again; chosen by hand
     "x": np.array([0.2, 0.2, 0.05]),  # [m, m, rad]
     "c": np.array([0.01, 0.01, 0.002]),  # [-, -, rad/s]
     "g": np.array([0.2, 0.2, 0.2]),  # [σ, σ, s]
     "b": np.array([0.2, 0.2, 1.0]),  # [m, m, dB]
     "q": np.array([1.0, 0.1, 1.0]),  # [dBm, -, dB]
 }
-EXACT = 1e6  # times a number, in a signature of which any change counts
-ELSE = np.array([0.2, 0.2, 0.2])  # of variables of other symbols
+DEFAULT_TOLERANCE = np.array([0.2, 0.2, 0.2])  # of variables of other symbols
+EXACT = 1e6  # scale of a number in a factor's signature, so that any change of it counts
 
 
 def key(symbol: str, number: int = 0) -> int:
@@ -46,9 +46,9 @@ def key(symbol: str, number: int = 0) -> int:
 
 @dataclass(frozen=True)
 class Variables:
-    """Variables of one symbol that a measurement brings.
+    """Variables of one symbol that a measurement kind adds.
 
-    number: ``(n,)`` in their GTSAM keys; initial: ``(n, 3)``; needed: ``(n,)`` until when factors use them [s].
+    number: ``(n,)`` in their GTSAM keys; initial: ``(n, 3)``; needed: ``(n,)`` time of their last factor [s].
     """
 
     symbol: str
@@ -83,11 +83,11 @@ class State:
 
     def number(self, symbol: str) -> Index:
         """The numbers ``(n,)`` of the variables of one symbol."""
-        known = self.numbers.get(symbol)
-        return np.arange(len(self.arrays[symbol])) if known is None else known
+        numbers = self.numbers.get(symbol)
+        return np.arange(len(self.arrays[symbol])) if numbers is None else numbers
 
     def keys(self, symbol: str, rows: Index | slice = slice(None)) -> Index:
-        """GTSAM keys of some variables, given by their rows ``(m,)``."""
+        """GTSAM keys of the variables in rows ``(m,)``."""
         return key(symbol) + self.number(symbol)[rows]
 
     def replaced(self, **arrays: Array) -> State:
@@ -121,17 +121,17 @@ class State:
         """All variables as ``gtsam.Values``."""
         values = gtsam.Values()
         for symbol, rows in self.arrays.items():
-            for one, vector in zip(self.keys(symbol).tolist(), rows, strict=True):
-                insert(values, symbol, one, vector)
+            for variable_key, vector in zip(self.keys(symbol).tolist(), rows, strict=True):
+                insert(values, symbol, variable_key, vector)
         return values
 
     def updated(self, values: gtsam.Values) -> State:
         """Copy the estimates of all variables from ``values``, which must have them all."""
         arrays = {}
         for symbol, rows in self.arrays.items():
-            found = extract(values, symbol)
+            estimates = extract(values, symbol)
             arrays[symbol] = np.empty_like(rows)
-            arrays[symbol][np.argsort(self.number(symbol))] = found
+            arrays[symbol][np.argsort(self.number(symbol))] = estimates
         return replace(self, arrays=arrays)
 
 
@@ -148,9 +148,9 @@ def retracted(poses: Array, move: Array) -> Array:
     return np.column_stack([*columns, wrap_angle(poses[:, 2] + angle)])
 
 
-def insert(values: gtsam.Values, symbol: str, one: int, vector: Array) -> None:
+def insert(values: gtsam.Values, symbol: str, variable_key: int, vector: Array) -> None:
     """Add a variable to ``gtsam.Values``."""
-    values.insert(one, gtsam.Pose2(*vector) if symbol == POSE else np.asarray(vector))
+    values.insert(variable_key, gtsam.Pose2(*vector) if symbol == POSE else np.asarray(vector))
 
 
 def extract(values: gtsam.Values, symbol: str) -> Array:
@@ -162,7 +162,7 @@ def extract(values: gtsam.Values, symbol: str) -> Array:
 
 @dataclass(frozen=True)
 class Linearized:
-    """Values ``(k, r)`` that depend on x_i, x_j and c, and their derivatives by each, ``(k, r, 3)``."""
+    """Functions ``(k, r)`` of x_i, x_j and c, with their derivatives by each ``(k, r, 3)``."""
 
     value: Array
     by_i: Array
@@ -184,14 +184,14 @@ class FactorBlock:
     """Factors of one kind at one state, ``n`` of them with ``m`` rows in all.
 
     name: of the kind; residual: ``(m,)`` whitened; row_of: ``(m,)`` the factor of each row, ascending.
-    variables: of each factor, as symbol and rows ``(n,)`` of the state; jacobian: makes the derivatives ``(m, 3)`` of
+    variables: of each factor, as symbol and rows ``(n,)`` of the state; jacobian: returns the derivatives ``(m, 3)`` of
     all rows by each of these variables, in GTSAM's local coordinates.
-    number: ``(n,)`` that stays a factor's own while the walk goes on; loss: of its residual's norm; signed: of the
-    residual itself, where each has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
-    tolerance: by symbol, how far ``(3,)`` a variable may move before a live smoother linearises the factors again, None
-    where they are linear; signature: ``(n,)`` changes by 1 when a factor's data change by as much as matters; prior:
-    these are priors of variables that the kind has added.
-    native: makes factor n as GTSAM has it, where GTSAM has such a factor.
+    number: ``(n,)`` permanent number of each factor; loss: of the norm of its residual; signed: the loss is of the
+    residual itself, which has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
+    tolerance: by symbol, change ``(3,)`` of a variable at which a live smoother linearises the factors again, None for
+    linear factors; signature: ``(n,)`` of a factor's data, a change by 1 matters; prior: these are priors of variables
+    that the kind adds.
+    native: returns GTSAM's own version of factor n, where GTSAM has such a factor.
     """
 
     name: str
@@ -218,7 +218,7 @@ class FactorBlock:
         number: Index | None = None,
         **others: Any,
     ) -> FactorBlock:
-        """Factors with the same number of rows: residual ``(n, r)``; jacobian makes ``(n, r, 3)`` by each variable."""
+        """Factors with the same number of rows: residual ``(n, r)``; jacobian returns ``(n, r, 3)`` per variable."""
         n, r = residual.shape
 
         def rows() -> list[Array]:
@@ -236,13 +236,13 @@ class FactorBlock:
         return np.hstack([state[symbol][rows] for symbol, rows in self.variables])
 
     def limits(self) -> Array:
-        """How far its variables may move ``(3 v,)`` before a factor is linearised again."""
-        known = self.tolerance or {}
-        return np.concatenate([known.get(symbol, ELSE) for symbol, _ in self.variables])
+        """Change ``(3 v,)`` of its variables at which a factor is linearised again."""
+        tolerance = self.tolerance or {}
+        return np.concatenate([tolerance.get(symbol, DEFAULT_TOLERANCE) for symbol, _ in self.variables])
 
     @cached_property
     def deviation(self) -> Array:
-        """How many sigmas each factor is off ``(n,)``."""
+        """Deviation ``(n,)`` of each factor [σ]: the norm of its residual, or the signed residual."""
         if self.signed:
             return self.residual
         return np.sqrt(np.bincount(self.row_of, self.residual**2, len(self)))
@@ -266,7 +266,7 @@ class FactorBlock:
         return root * self.residual, [root[:, None] * by for by in self.jacobian()]
 
     def terms(self, state: State) -> Iterable[tuple[int, list[tuple[int, Array]], Array]]:
-        """Of each factor with rows: its index, key and derivatives ``(r, 3)`` of each variable, residuals ``(r,)``."""
+        """Per factor with rows: index, (key, derivatives ``(r, 3)``) of each variable, residuals ``(r,)``."""
         residual, blocks = self.weighted
         keys = [state.keys(symbol, rows).tolist() for symbol, rows in self.variables]
         bounds = np.searchsorted(self.row_of, np.arange(len(self) + 1)).tolist()
@@ -294,9 +294,9 @@ UNIT = _UnitNoise()
 
 
 class Stage(Enum):
-    """How far the search for the walk has come.
+    """Stage of the search for the walk.
 
-    ROUGH: which rooms it went through may be wrong; FINAL: the walk is near its optimum.
+    ROUGH: it may be in wrong rooms; FINAL: it is near its optimum.
     """
 
     ROUGH = "rough"
@@ -304,32 +304,31 @@ class Stage(Enum):
 
 
 class Measurement:
-    """A kind of measurement: all its instances on one walk.
+    """A measurement kind: all its instances on one walk.
 
-    Subclasses are frozen dataclasses; methods return new objects. What a method says here is what a kind does that
-    needs nothing else.
+    Subclasses are frozen dataclasses; methods return new objects. The methods here are defaults for simple kinds.
     """
 
     name: ClassVar[str] = ""
-    on_plan: ClassVar[bool] = False  # whether it is evidence of the floor plan
-    places: ClassVar[bool] = False  # whether it determines positions
+    on_plan: ClassVar[bool] = False  # True if it uses the floor plan
+    determines_position: ClassVar[bool] = False  # True if it measures absolute positions
     overhang: ClassVar[float] = 0.0  # [s] by which it may lie before or after the steps
-    yields_slowly: ClassVar[bool] = False  # whether the optimiser converges slowly with it from a distant start
+    converges_slowly: ClassVar[bool] = False  # True if the optimiser converges slowly with it from a distant start
 
     def keyframe_times(self) -> Array:
         """Times [s] at which keyframes are needed ``(t,)``."""
         return np.empty(0)
 
-    def on(self, chain: Chain) -> Self:
+    def bind(self, chain: Chain) -> Self:
         """Bind every instance to its keyframe in ``chain``."""
         return self
 
     def variables(self, poses: Array) -> Sequence[Variables]:
-        """The variables it brings, with initial values; poses: ``(k + 1, 3)`` where the walk starts."""
+        """The variables it adds, with initial values. poses: ``(k + 1, 3)`` of the initial walk."""
         return ()
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """All factors at one state, those of the instances in the first block."""
+        """All factors at one state; the first block is that of the instances."""
         return ()
 
     def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
@@ -341,11 +340,11 @@ class Measurement:
         return self
 
     def same_association(self, other: Measurement) -> bool:
-        """True if its instances are associated with the same things as those of another version of it."""
+        """True if ``other``, a version of the same kind, has the same rooms or corridors."""
         return True
 
     def initialized(self, poses: Array) -> Self:
-        """Take from the initial poses ``(k + 1, 3)`` what is not known otherwise (places of unknown beacons)."""
+        """Initialise unknown variables from the initial poses ``(k + 1, 3)`` (positions of unlisted beacons)."""
         return self
 
     def restarted(self, poses: Array) -> Self:
@@ -357,7 +356,7 @@ class Measurement:
         return self
 
     def alternatives(self) -> Sequence[Self]:
-        """Other versions from whose optima the search must start too, where one optimum does not show the other."""
+        """Versions from whose optima the search must also start, if one local optimum hides another."""
         return ()
 
     def refined(self, at: Evaluation) -> Measurement:
@@ -365,7 +364,7 @@ class Measurement:
         return self
 
     def corrected(self, at: Evaluation) -> Self | None:
-        """The measurement without what the optimum ``at`` shows to be listed wrongly; None if nothing is."""
+        """The measurement without listed positions that the optimum ``at`` contradicts; None if there are none."""
         return None
 
     def rough_fixes(self) -> Fixes:
@@ -378,24 +377,24 @@ class Measurement:
 
     @property
     def instances(self) -> tuple[Index, Array] | None:
-        """Numbers and times ``(n,)`` [s] of what `reports` has a report of each; None where it sums up."""
+        """Numbers and times ``(n,)`` [s] of the instances with a report each; None if reports are summaries."""
         return None
 
     @property
-    def astray(self) -> bool:
-        """True if its last instances agree with one another and all lie far from the walk."""
+    def diverged(self) -> bool:
+        """True if its last instances agree with one another and all lie far from the walk: the estimate diverged."""
         return False
 
     def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
-        """True if instances that were used before are now inconsistent: the walk was elsewhere."""
+        """True if instances that were used before are now inconsistent with the others."""
         return False
 
     def decisions(self) -> dict[str, AnyArray]:
-        """What was decided about its instances, for `continued`."""
+        """Decisions about its instances, for `continued`."""
         return {}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Take over what was decided about instances that are still there."""
+        """Apply earlier decisions to the instances that are still there."""
         return self
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[Any, ...]:
@@ -404,19 +403,19 @@ class Measurement:
 
     @property
     def price(self) -> float:
-        """What the association costs beside the residuals, in units of half a squared sigma."""
+        """Cost of the association in addition to the residuals, in units of half a squared sigma."""
         return 0.0
 
 
 def initial_state(poses: Array, c: Array, measurements: Iterable[Measurement]) -> State:
-    """The state in which a batch starts: poses, calibrations, and the variables that measurements bring."""
+    """The initial state of a batch: poses, calibrations, and the variables that measurements add."""
     arrays, numbers = {POSE: poses, CALIBRATION: c}, {}
-    for one in measurements:
-        for brought in one.variables(poses):
-            arrays[brought.symbol], numbers[brought.symbol] = brought.initial, brought.number
+    for measurement in measurements:
+        for new in measurement.variables(poses):
+            arrays[new.symbol], numbers[new.symbol] = new.initial, new.number
     return State(arrays, numbers)
 
 
 def poses_at(time: Array, keyframe_time: Array, poses: Array) -> Array:
-    """Poses ``(n, 3)`` at some times, linear between keyframes; headings are unwrapped."""
+    """Poses ``(n, 3)`` at times ``(n,)`` [s], linear between keyframes; headings are unwrapped."""
     return interpolate(time, keyframe_time, np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])]))

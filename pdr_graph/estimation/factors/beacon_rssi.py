@@ -1,16 +1,17 @@
-"""Bluetooth beacons as ranges: how strong each is tells how far it is, roughly.
+"""Bluetooth beacons: received levels as coarse ranges.
 
 Log-distance path loss (Rappaport, *Wireless Communications*, Sec. 4.9): a beacon m at height HEIGHT above the phone and
-d metres aside is heard with
+d metres aside is received with
 
-    rssi = P + a_m − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ,      φ its bearing from where the walker faces
+    rssi = P + a_m − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ,      φ its bearing relative to the walker's heading
 
-in the mean over a stretch of the walk, since the walker's body shades what is behind. Variables: q = (P, n, k) of the
-phone and the building, b_m = (x, y, a_m) of each beacon: known to a metre, or not at all. What a place adds or takes
-stays the same where nobody moves, so that levels are averaged over metres walked, not over seconds.
+on average over a stretch of the walk; the last term is shadowing by the walker's body. Variables: q = (P, n, k) of
+phone and building, b_m = (x, y, a_m) of each beacon, surveyed to a metre or unknown. Fading depends on the place and
+stays the same where nobody moves, so levels are averaged over metres walked, not over seconds.
 
-A beacon that is not where a list says it is, moved or swapped with another, is found by its levels, heard and *not*
-heard, held against every place where it could be: that a near beacon is silent tells more than how strong a far one is.
+A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels,
+received and *not* received, with those expected at every possible place: that a near beacon is not received is stronger
+evidence than the level of a far one.
 """
 
 from __future__ import annotations
@@ -36,27 +37,28 @@ if TYPE_CHECKING:
 
 STRETCH = 2.0  # [m] of the walk over which levels are averaged
 LEVEL_SIGMA = 5.0  # [dB] of such a mean: reflections, people, furniture
-HEIGHT = 1.5  # [m]
+HEIGHT = 1.5  # [m] of a beacon above the phone
 PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
-BIN, NEAREST = 15.0, 2.0  # [s], [m]
-LONGEST = 6.0  # [s] that a stretch may take while the walk goes on
+BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
+LONGEST = 6.0  # [s] that a stretch may take while a walk is under way
 POWER_SIGMA = 4.0  # [dB] of a beacon's power
-ANYWHERE = 30.0  # [m] about the place of its strongest level, of a beacon without a survey
+ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
 
-WEAKEST = -97.0  # [dBm] that phones hear
+# Relocated beacons
+WEAKEST = -97.0  # [dBm] that phones receive
 MOST_EVIDENCE = 4.5  # log-odds of one level at most
-RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon is taken to be elsewhere, and how far [m]
-GRID, BESIDE = 5.0, 20.0  # [m] between places that are tried, and how far beside the walk
-POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] of a beacon's own power that are tried
+RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
+GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
+POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 
 
 @dataclass(frozen=True, eq=False)
 class BeaconRssiFactor(Measurement):
-    """Mean levels of beacons on stretches of the walk, ``l`` of them, of ``m`` beacons.
+    """Mean levels of ``m`` beacons on stretches of the walk, ``l`` of them.
 
     listed: the levels, with the listed positions; position: ``(m, 2)`` as used, NaN where unknown [m]; prior:
-    ``(m, 3)`` of each beacon's variable, the place of its strongest level where unknown.
-    beacon_number: ``(m,)``, number: ``(l,)``, for good; keyframe: ``(l,)``.
+    ``(m, 3)`` mean of each beacon's variable, the place of its strongest level where unknown.
+    beacon_number: ``(m,)``, number: ``(l,)``: permanent numbers; keyframe: ``(l,)``.
     """
 
     listed: Levels
@@ -67,8 +69,8 @@ class BeaconRssiFactor(Measurement):
     keyframe: Index
 
     name: ClassVar[str] = "beacons"
-    places: ClassVar[bool] = True
-    yields_slowly: ClassVar[bool] = True
+    determines_position: ClassVar[bool] = True
+    converges_slowly: ClassVar[bool] = True
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
@@ -81,7 +83,7 @@ class BeaconRssiFactor(Measurement):
         """The middles of the stretches."""
         return self.listed.time
 
-    def on(self, chain: Chain) -> Self:
+    def bind(self, chain: Chain) -> Self:
         """Bind every level to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.listed.time))
 
@@ -90,25 +92,25 @@ class BeaconRssiFactor(Measurement):
         return {"beacon": self._identity, "position": self.position, "prior": self.prior}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Keep relocated beacons where they were found."""
+        """Apply earlier decisions: positions and priors of beacons."""
         if not decisions:
             return self
-        same, own = np.nonzero(decisions["beacon"][:, None] == self._identity)
+        same, rows = np.nonzero(decisions["beacon"][:, None] == self._identity)
         position, prior = self.position.copy(), self.prior.copy()
-        position[own], prior[own] = decisions["position"][same], decisions["prior"][same]
+        position[rows], prior[rows] = decisions["position"][same], decisions["prior"][same]
         return replace(self, position=position, prior=prior)
 
     @property
     def _identity(self) -> Index:
-        """A number for each beacon's label ``(m,)``, whichever table it is in."""
+        """A number ``(m,)`` for the label of each beacon, the same in every table."""
         return np.array([zlib.crc32(label.encode()) for label in self.listed.label], dtype=np.intp)
 
     def initialized(self, poses: Array) -> Self:
-        """Beacons whose place is unknown begin where they were strongest."""
+        """Initialise beacons of unknown position at the pose where they were strongest."""
         prior = np.column_stack([self.position, np.zeros(len(self.position))])
         for m in np.flatnonzero(np.isnan(self.position[:, 0])):
-            own = np.flatnonzero(self.listed.beacon == m)
-            prior[m, :2] = poses[self.keyframe[own[np.argmax(self.listed.rssi[own])]], :2]
+            rows = np.flatnonzero(self.listed.beacon == m)
+            prior[m, :2] = poses[self.keyframe[rows[np.argmax(self.listed.rssi[rows])]], :2]
         return replace(self, prior=prior)
 
     def variables(self, poses: Array) -> Sequence[Variables]:
@@ -118,7 +120,7 @@ class BeaconRssiFactor(Measurement):
         return beacons, Variables("q", np.zeros(1, dtype=np.intp), PATH_LOSS[None], np.full(1, np.inf))
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """The levels, and priors of beacons and path loss."""
+        """Factors of the levels, and priors of beacons and path loss."""
         return [self._levels(at), *self._priors(at)]
 
     def _levels(self, at: Evaluation) -> FactorBlock:
@@ -149,7 +151,7 @@ class BeaconRssiFactor(Measurement):
         b, q = at.state["b"], at.state["q"]
         place = np.where(np.isnan(self.position[:, 0]), ANYWHERE, self.listed.sigma)
         root = 1 / np.stack([place, place, np.full(len(b), POWER_SIGMA)], axis=1)
-        beacons, one = np.arange(len(b)), np.zeros(1, dtype=np.intp)
+        beacons, single = np.arange(len(b)), np.zeros(1, dtype=np.intp)
         return [
             FactorBlock.uniform(
                 f"{self.name}.place",
@@ -164,16 +166,16 @@ class BeaconRssiFactor(Measurement):
             FactorBlock.uniform(
                 f"{self.name}.path_loss",
                 (q - PATH_LOSS) / PATH_LOSS_SIGMA,
-                [("q", one)],
+                [("q", single)],
                 lambda: [np.diag(1 / PATH_LOSS_SIGMA)[None]],
-                one,
+                single,
                 tolerance=None,
                 prior=True,
             ),
         ]
 
     def rough_fixes(self) -> Fixes:
-        """Fixes at the surveyed beacons that were strongest, one in BIN seconds."""
+        """A rough fix at the strongest surveyed beacon in every BIN seconds."""
         levels = self.listed
         surveyed = np.flatnonzero(np.isfinite(levels.position[levels.beacon, 0]))
         order = surveyed[np.argsort(-levels.rssi[surveyed], kind="stable")]
@@ -183,10 +185,7 @@ class BeaconRssiFactor(Measurement):
         return Fixes(levels.time[chosen], levels.position[levels.beacon[chosen]], near, ("",) * len(chosen))
 
     def corrected(self, at: Evaluation) -> Self | None:
-        """Forget the listed places of beacons that are heard as if they were elsewhere; None if there are none.
-
-        A list that is wrong about one beacon is doubted about the next.
-        """
+        """Drop the listed positions of beacons whose levels fit another place; None if there are none."""
         moved = relocated_beacons(
             replace(self.listed, position=self.position), at.chain.time, at.state.poses[:, :2], at.state["q"][0]
         )
@@ -197,7 +196,7 @@ class BeaconRssiFactor(Measurement):
         return replace(self, position=position).initialized(at.state.poses)
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
-        """What the walk tells of each beacon that was heard on it."""
+        """Estimated position and mean residual of each beacon received on the walk."""
         [block] = at.blocks_of(self.name)
         off, of_beacon = np.abs(LEVEL_SIGMA * block.residual), self.listed.beacon[self.keyframe >= 0]
         return tuple(self._report(m, at.state["b"][m], off[of_beacon == m]) for m in np.unique(of_beacon).tolist())
@@ -219,9 +218,9 @@ class BeaconRssiFactor(Measurement):
 
 
 def levels_along(sightings: Sightings, beacons: Beacons, steps: Steps) -> Levels:
-    """Mean levels of the beacons that were heard, by stretches of the walk. beacons: in the frame of the walk."""
-    known = {name: m for m, name in enumerate(beacons.name)}
-    which = np.array([known.get(name, -1) for name in sightings.transmitter], dtype=np.intp)
+    """Mean levels of the received beacons, by stretches of the walk. beacons: in the frame of the walk."""
+    number = {name: m for m, name in enumerate(beacons.name)}
+    which = np.array([number.get(name, -1) for name in sightings.transmitter], dtype=np.intp)
     rows = (which >= 0) & (sightings.time >= steps.start) & (sightings.time <= steps.end)
     time, which, rssi = sightings.time[rows], which[rows], sightings.rssi[rows]
     walked = np.append(0.0, np.cumsum(steps.length))[np.searchsorted(steps.time, time)]
@@ -229,7 +228,7 @@ def levels_along(sightings: Sightings, beacons: Beacons, steps: Steps) -> Levels
 
 
 def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons: Beacons) -> Levels:
-    """Mean level of every beacon on every stretch, at the mean time of all that was heard there.
+    """Mean level of every beacon on every stretch, at the mean time of all advertisements there.
 
     stretch, time [s], beacon, rssi [dBm]: ``(n,)`` of single advertisements.
     """
@@ -244,22 +243,22 @@ def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons
 
 
 class LevelCollector:
-    """Mean levels of surveyed beacons while a walk goes on, stretch by stretch. beacons: in the frame of the walk.
+    """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
 
-    A stretch ends when the walker has gone on, or after LONGEST seconds.
+    A stretch ends after STRETCH metres, or after LONGEST seconds.
     """
 
     def __init__(self, beacons: Beacons):
         self._beacons = beacons
-        known = np.isfinite(beacons.position[:, 0])
-        self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if known[m]}
+        surveyed = np.isfinite(beacons.position[:, 0])
+        self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if surveyed[m]}
         self._by_minor = {number_of(name): m for name, m in self._by_name.items()}
-        self._waiting = np.empty((0, 3))  # time, beacon, rssi of the stretches that are not complete
-        self._window = np.empty((0, 3))  # of all that are in the window
-        self._met = list[int]()  # beacons, in the order in which they were first heard
+        self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
+        self._window = np.empty((0, 3))  # the same of all advertisements in the window
+        self._met = list[int]()  # beacons, in the order in which they were first received
 
     def collect(self, data: Any) -> bool:
-        """Take advertisements; whether any is of a surveyed beacon."""
+        """Store advertisements; True if any is of a surveyed beacon."""
         if not isinstance(data, Sightings):
             return False
         minors = data.minor or ("",) * len(data)
@@ -270,12 +269,12 @@ class LevelCollector:
             beacon = self._by_name.get(name.lower(), self._by_minor.get(minor) if minor else None)
             if beacon is not None and np.isfinite([time, rssi]).all():
                 rows.append((time, beacon, rssi))
-        known = np.array(rows).reshape(-1, 3)
-        self._waiting, self._window = np.vstack([self._waiting, known]), np.vstack([self._window, known])
+        table = np.array(rows).reshape(-1, 3)
+        self._waiting, self._window = np.vstack([self._waiting, table]), np.vstack([self._window, table])
         return len(rows) > 0
 
     def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
-        """The levels of the stretches that are complete until a moment [s]."""
+        """Yield, once, the levels of the stretches that are complete until ``until`` [s]."""
         time = self._waiting[:, 0]
         if not len(time) or time.min() > until:
             return
@@ -284,12 +283,12 @@ class LevelCollector:
         if complete.any():
             time, beacon, rssi = self._waiting[complete].T
             self._met += [m for m in dict.fromkeys(beacon.astype(int).tolist()) if m not in self._met]
-            found = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
-            yield self._among_met(found, np.unique(beacon.astype(np.intp)))
+            levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
+            yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
         self._waiting = self._waiting[~complete]
 
     def _among_met(self, levels: Levels, heard: Index) -> Levels:
-        """The same levels, in the table of all beacons that were met; heard: ``(m,)`` which are in theirs."""
+        """The levels, renumbered in the table of all beacons received so far. heard: ``(m,)`` beacons of ``levels``."""
         row = np.array([self._met.index(int(m)) for m in heard])
         met, beacons = np.array(self._met), self._beacons
         return Levels(
@@ -309,48 +308,51 @@ class LevelCollector:
         return [levels] if len(levels) else []
 
     def forget(self, before: float) -> None:
-        """Drop what was heard before a moment [s]."""
+        """Drop advertisements from before ``before`` [s]."""
         self._window = self._window[self._window[:, 0] >= before]
 
     def checkpoint(self) -> dict[str, AnyArray]:
-        """What it keeps, as arrays by name."""
+        """Return the state as arrays by name."""
         return {"waiting": self._waiting, "window": self._window, "met": np.array(self._met, dtype=float)}
 
     def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Go on from a checkpoint, of the same beacons."""
+        """Set the state to a checkpoint with the same beacons."""
         self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
         self._met = checkpoint["met"].astype(int).tolist()
 
 
 def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
-    """The surveyed beacons that must be elsewhere. position: ``(k, 2)`` of the walk at its keyframes; q: (P, n, k)."""
+    """Indices of surveyed beacons that are not at their listed positions.
+
+    position: ``(k, 2)`` of the walk at its keyframes [m]; q: (P, n, k).
+    """
     stretch, of = np.unique(levels.time, return_inverse=True)
     track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
     listed, surveyed = levels.position, np.flatnonzero(np.isfinite(levels.position[:, 0]))
     places = np.concatenate([listed[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
     expected = q[0] - 5 * q[1] * np.log10(square)
-    found = list[int]()
+    relocated = list[int]()
     for m in surveyed:
         level = np.full(len(stretch), np.nan)
-        own = levels.beacon == m
-        level[of[own]] = levels.rssi[own]
-        surprise = np.array([_surprise(level, at) for at in expected])
+        received = levels.beacon == m
+        level[of[received]] = levels.rssi[received]
+        cost = np.array([_negative_log_likelihood(level, at) for at in expected])
         near = np.hypot(*(places - listed[m]).T) < APART
-        if surprise[near].min() - surprise.min() > RELOCATED:
-            found.append(int(m))
-    return found
+        if cost[near].min() - cost.min() > RELOCATED:
+            relocated.append(int(m))
+    return relocated
 
 
 def _grid(track: Array) -> Array:
-    """Places ``(n, 2)`` about a walk."""
+    """Candidate positions ``(n, 2)`` [m] around a walk."""
     low, high = track.min(axis=0) - BESIDE, track.max(axis=0) + BESIDE
     axes = (np.arange(a, b, GRID) for a, b in zip(low, high, strict=True))
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
-def _surprise(level: Array, expected: Array) -> float:
-    """What levels ``(n,)``, NaN where nothing was heard, have against those expected, at the best power."""
+def _negative_log_likelihood(level: Array, expected: Array) -> float:
+    """Negative log-likelihood of levels ``(n,)``, NaN where not received, at the most likely power of the beacon."""
     heard = np.isfinite(level)
     off = (level[heard] - expected[heard] - POWERS[:, None]) / LEVEL_SIGMA
     silent = -log_ndtr((WEAKEST - expected[~heard] - POWERS[:, None]) / LEVEL_SIGMA)

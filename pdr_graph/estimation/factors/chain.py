@@ -1,4 +1,4 @@
-"""The chain of keyframes, and where the steps between them are at one state of the variables."""
+"""The chain of keyframes, and the poses of the steps between them at one state of the variables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Chain:
     pieces, bridge: of the ``k`` intervals; delta: ``(k, 3)`` displacement of each, x, y [m], heading [rad], with the
     prior mean of the calibration; segment: ``(k,)`` the calibration of each, as row of the state.
     number: ``(k + 1,)`` of each keyframe, segment_number: ``(s,)`` of each calibration, in GTSAM's keys; begins,
-    ends: whether the walk does with it.
+    ends: True if the walk begins or ends with this chain.
     """
 
     pieces: Pieces
@@ -65,7 +65,7 @@ class Chain:
 
     @property
     def time(self) -> Array:
-        """When the keyframes are ``(k + 1,)``. [s]"""
+        """Times of the keyframes ``(k + 1,)``. [s]"""
         return self.pieces.keyframe_time
 
     @property
@@ -108,7 +108,7 @@ class Evaluation:
 
     @property
     def pieces(self) -> Pieces:
-        """The walk, cut."""
+        """The pieces of the walk."""
         return self.chain.pieces
 
     @property
@@ -119,7 +119,7 @@ class Evaluation:
     @cached_property
     def blocks(self) -> list[FactorBlock]:
         """All factors, kind by kind."""
-        return [block for one in self.measurements for block in one.factors(self)]
+        return [block for measurement in self.measurements for block in measurement.factors(self)]
 
     def blocks_of(self, name: str) -> list[FactorBlock]:
         """The factors of one kind."""
@@ -132,8 +132,8 @@ class Evaluation:
 
     @property
     def surprise(self) -> float:
-        """The negative logarithm of the posterior: the cost, and the price of the rooms and corridors gone through."""
-        return self.cost + sum(one.price for one in self.measurements)
+        """The negative log posterior: the cost plus the price of the rooms and corridors on the way."""
+        return self.cost + sum(measurement.price for measurement in self.measurements)
 
     def linearized(self) -> gtsam.GaussianFactorGraph:
         """All factors as GTSAM's linear graph, whitened and weighted."""
@@ -160,8 +160,8 @@ class Evaluation:
             block.add_to(binding, self.state)
         ordering = gtsam.Ordering()
         for symbol, mask in alone.items():
-            for one in self.state.keys(symbol, np.flatnonzero(mask)).tolist():
-                ordering.push_back(one)
+            for key in self.state.keys(symbol, np.flatnonzero(mask)).tolist():
+                ordering.push_back(key)
         rest = gtsam.Ordering.MetisGaussianFactorGraph(binding) if binding.size() else gtsam.Ordering()
         for n in range(rest.size()):
             ordering.push_back(rest.at(n))

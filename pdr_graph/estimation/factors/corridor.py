@@ -1,8 +1,9 @@
-"""Corridors as evidence: turns at intersections, and directions of straight runs.
+"""Corridors as measurements: turns at intersections, and directions of straight runs.
 
 A turn matched to an intersection has two bounds: [map-matching] Eq. (6) limits its angle, from one corridor into the
 other; and it happens in the intersection, between the walls of both corridors. The residual is zero within the bounds
-and linear outside. Corridors and intersections are associated along one walk: association is data, no factor searches.
+and linear outside. Corridors and intersections are associated along one walk; the association is data, and no factor
+searches.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from pdr_graph.types import Array, Headings, Index
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-SIGMA_TURNED = 0.05  # [rad] of a heading change: a walker of whom only a few steps are straight in a corridor
+SIGMA_TURNED = 0.05  # [rad] of a heading change: few steps of a turn are straight in a corridor
 SIGMA_PLACE = 0.5  # [m] outside the intersection: corners are cut, and the step nearest to the turn is half a step off
-SIGMA_SIDE = 0.3  # of a corridor's width: how far aside a walker is at either end of a run; evenly spread, 1/√12
-SIGMA_AHEAD = 0.03  # [rad] between the way from end to end, and the keyframe's heading as its steps tell it
+SIGMA_SIDE = 0.3  # of a corridor's width, lateral position at either end of a run; 1/√12 if uniformly distributed
+SIGMA_AHEAD = 0.03  # [rad] between the line from end to end of a run and the keyframe's dead-reckoned heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +74,10 @@ class Turns:
         return np.sign(off) * beyond / SIGMA_TURNED, (beyond > 0) / SIGMA_TURNED
 
     def outside(self, turning: Linearized) -> Linearized:
-        """How far beyond each side ``(t, 4)`` of its intersection each turn is: r = max(0, n p − e) / σ.
+        """Residual ``(t, 4)`` of each turn beyond the sides of its intersection: r = max(0, n p − e) / σ.
 
-        Of an intersection with right angles the sum of the squares is that of the distance. turning: the poses of the
-        pieces that turn.
+        For a rectangular intersection the squares add up to that of the distance. turning: poses of the pieces that
+        turn.
         """
         beyond = np.einsum("tsk,tk->ts", self.normal, turning.value[:, :2]) - self.edge
         slope = np.zeros((*beyond.shape, 3))
@@ -110,8 +111,7 @@ class CorridorFactor(Measurement):
     def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
         """Match the turns and straight runs of the walk ``at``.
 
-        Turns are known where the plan draws its intersections. A run that begins or ends with one says its direction
-        by this alone.
+        Turns need a plan with drawn intersections. A run that begins or ends with a matched turn adds no direction.
         """
         turns, directions, pieces = list[Turns](), list[tuple[int, float, float]](), at.pieces
         for floor, begin, end in self.floor_sequence.spans:
@@ -119,9 +119,9 @@ class CorridorFactor(Measurement):
             track = _Track(at.ends[moved, :2], moved, np.append(-1, pieces.last), at.state.poses[:, 2])
             runs = [run for run in straight_runs(track.position, floor.distance) if track.keyframe(run) is not None]
             network = floor.drawn_network if self.use.turns else None
-            found = list(turns_between(runs, track.position, network)) if network else []
-            turns += [_turn(track, network, before, after, turn) for before, after, turn in found if network]
-            turning = [run for before, after, _ in found for run in (before, after)]
+            matched = list(turns_between(runs, track.position, network)) if network else []
+            turns += [_turn(track, network, before, after, turn) for before, after, turn in matched if network]
+            turning = [run for before, after, _ in matched for run in (before, after)]
             directions += [_direction(track, run) for run in runs if self.use.directions and run not in turning]
         keyframe, direction, sigma = np.array(directions).reshape(-1, 3).T
         rows = keyframe.astype(np.intp)
@@ -129,7 +129,7 @@ class CorridorFactor(Measurement):
         return replace(self, turns=Turns.together(turns), keyframe=rows, direction=headings)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """Directions of runs; heading changes and places of turns."""
+        """Factors of the directions of runs, and of the heading changes and places of turns."""
         number = at.state.number("x")[self.keyframe]
         directions = heading_block(f"{self.name}.direction", at, self.keyframe, self.direction, number)
         return [directions, *self._turns(at)] if len(self.turns) else [directions]
@@ -181,19 +181,19 @@ class _Track:
     heading: Array
 
     def keyframe(self, run: Run) -> int | None:
-        """The keyframe nearest to the middle of a run, None if there is none in it."""
+        """The keyframe nearest to the middle of a run; None if the run has none."""
         first, last = self.piece[run.first], self.piece[run.last - 1]
         middle = self.piece[(run.first + run.last) // 2]
         nearest = int(np.argmin(np.abs(self.keyframe_piece - middle)))
         return nearest if first <= self.keyframe_piece[nearest] <= last else None
 
     def aside(self, keyframe: int, begin: int, end: int) -> float:
-        """By how much a keyframe's heading is to the left of the way between two places. [rad]"""
+        """Angle [rad] of a keyframe's heading to the left of the line between two positions, by index."""
         return float(wrap_angle(self.heading[keyframe] - _bearing(self.position[end] - self.position[begin])))
 
 
 def _direction(track: _Track, run: Run) -> tuple[int, float, float]:
-    """Keyframe, heading and sigma of a straight run: end to end it leads along the corridor."""
+    """Keyframe, heading and sigma [rad] of a straight run, which leads along its corridor from end to end."""
     keyframe, ends = track.keyframe(run), (run.first, run.last - 1)
     assert keyframe is not None
     length = float(np.hypot(*(track.position[ends[1]] - track.position[ends[0]])))
@@ -202,7 +202,7 @@ def _direction(track: _Track, run: Run) -> tuple[int, float, float]:
 
 
 def _turn(track: _Track, network: Network, before: Run, after: Run, turn: Turn) -> Turns:
-    """[map-matching] Eq. (6) of the ways from the end of one run to the turn, and on to the end of the next."""
+    """The bounds of one turn, by [map-matching] Eq. (6) along the runs before and after it."""
     i, j = track.keyframe(before), track.keyframe(after)
     assert i is not None
     assert j is not None
@@ -213,8 +213,8 @@ def _turn(track: _Track, network: Network, before: Run, after: Run, turn: Turn) 
     side = np.roll(corners, -1, axis=0) - corners
     normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]
     edge = np.sum(normal * corners, axis=1)
-    one = (np.array([v]) for v in (i, j, least, most, track.piece[at], normal, edge))
-    return Turns(*one)
+    columns = (i, j, least, most, track.piece[at], normal, edge)
+    return Turns(*(np.array([column]) for column in columns))
 
 
 def _bearing(way: Array) -> float:

@@ -1,8 +1,8 @@
-"""Fixes: measured positions, and the longest consistent chain of them.
+"""Fixes: measured positions, and their longest consistent chain.
 
-A robust loss handles scattered outliers. Outliers in a row that agree with one another (a receiver locked to a
-reflection, a beacon listed wrongly) bend the walk until the good fixes beside them look wrong, and no loss recovers
-from there. But a walk through them must jump twice: so the longest chain of fixes is used first in which each is within
+A robust loss handles scattered outliers. Consecutive outliers that agree with one another (a receiver locked to a
+reflection, a wrongly listed beacon) bend the walk until the good fixes beside them look wrong, and no loss recovers
+from there. But a walk through them must jump twice. So the longest chain of fixes is used first in which each is within
 reach of the one before.
 """
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
-WALKING_SPEED = 1.4  # [m/s] at which such a fix grows stale
+WALKING_SPEED = 1.4  # [m/s] at which the sigma of such a fix grows
 OUTLIER = 5.0  # [σ] from a first optimum beyond which a fix is an outlier
-STRETCHED = 1.5  # times as far as strides say that a walk may lead
-WITHIN = 5.0  # [σ] of both fixes
-DRIVEN = 30.0  # [m/s] while the recording has a gap
+STRETCHED = 1.5  # ratio by which a walk may be longer than its strides say
+WITHIN = 5.0  # [σ] of both fixes, within reach
+DRIVEN = 30.0  # [m/s] reached during a gap in the recording
 MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
-LOOSELY = 5.0  # times its sigma, of the second factor of a fix that states only a radius
-PATIENCE = 4  # fixes that follow from one another, all far from the walk, until it is the walk that is wrong
-STANDING, ALONG = 120.0, 30.0  # [s] and [m] walked in which a receiver's errors stay alike: satellites and walkers move
+LOOSELY = 5.0  # scale of the sigma in the second factor of a fix that states only a radius
+PATIENCE = 4  # consistent fixes in a row, all far from the walk, at which the estimate has diverged
+STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of a receiver's errors
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
@@ -43,17 +43,15 @@ LOUD_BEACON = "a loud beacon: used only to find where to start"
 class FixFactor(Measurement):
     """Positions with independent errors: r = (p − z) / σ. [gps-dr] Sec. 4
 
-    fixes: all that were given, ``f`` of them; number: ``(f,)`` of each, for good.
+    fixes: all of them, ``f``; number: ``(f,)`` permanent numbers.
     sigma: ``(f,)`` per axis, wider outside the recording [m]; used: ``(f,)`` not far outside it, and no duplicate;
     duplicate: ``(f,)`` epochs that repeat the one before.
-    run: ``(f,)`` fixes in a row within reach of each other, −1 of unused ones; consistent: ``(f,)`` of the longest
-    chain that one walk can have made.
-    independent_sigma: ``(f,)`` with which fixes of one receiver count for what they are worth, each taken for
-    independent [m].
-    outlier: ``(f,)`` far from the first optimum; held: ``(f,)`` which have a factor at all.
-    biased: ``(f,)`` whose errors `GnssBias` has in common: they have no factor here.
-    keyframe: ``(f,)``; flat: within so many sigmas all places are about as likely; approximate: the fixes only tell
-    roughly where to start.
+    run: ``(f,)`` number of the run of fixes within reach of each other, −1 for unused ones; consistent: ``(f,)`` in the
+    longest chain that one walk can have made.
+    independent_sigma: ``(f,)`` wider, so that correlated fixes of one receiver may be treated as independent [m].
+    outlier: ``(f,)`` far from the first optimum; held: ``(f,)`` with a factor, here or in `GnssBias`.
+    biased: ``(f,)`` with a factor in `GnssBias`, which models their common error, and none here.
+    keyframe: ``(f,)``; flat: see `Prior.fix_flat`; approximate: the fixes only initialise the search.
     """
 
     fixes: Fixes
@@ -72,14 +70,14 @@ class FixFactor(Measurement):
     approximate: bool = False
 
     name: ClassVar[str] = "fixes"
-    places: ClassVar[bool] = True
+    determines_position: ClassVar[bool] = True
     overhang: ClassVar[float] = LONGEST_OVERHANG
 
     @classmethod
     def of(
         cls, fixes: Fixes, steps: Steps, prior: Prior, number: Index | None = None, *, approximate: bool = False
     ) -> FixFactor:
-        """The fixes of one walk. approximate: they only tell roughly where to start; number: 0, 1, … by default."""
+        """The fixes of one walk. approximate: they only initialise the search; number: 0, 1, … by default."""
         overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
         fresh, sigma = overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
         duplicate = duplicates(fixes)
@@ -110,7 +108,7 @@ class FixFactor(Measurement):
         """The times of the fixes that are used."""
         return self.fixes.time[self.used]
 
-    def on(self, chain: Chain) -> Self:
+    def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.fixes.time))
 
@@ -120,15 +118,15 @@ class FixFactor(Measurement):
         return np.flatnonzero(self.held & ~self.biased & (self.keyframe >= 0))
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """One factor for each fix; a second, loose one where a receiver states a radius: all else is flat there."""
+        """One factor for each fix; with ``flat`` a second, loose one, since the first has no gradient within it."""
         which = self.independent
         sigma = self.sigma if self.flat else self.independent_sigma
         loss = RobustLoss(self.outlier[which], flat=self.flat)
-        found = [self._positions(at, self.name, which, sigma[which], loss)]
+        blocks = [self._positions(at, self.name, which, sigma[which], loss)]
         if self.flat:
             loosely = LOOSELY * self.independent_sigma[which]
-            found.append(self._positions(at, f"{self.name}.radius", which, loosely, GAUSSIAN))
-        return found
+            blocks.append(self._positions(at, f"{self.name}.radius", which, loosely, GAUSSIAN))
+        return blocks
 
     def _positions(self, at: Evaluation, name: str, which: Index, sigma: Array, loss: Loss) -> FactorBlock:
         pose, position = at.state.poses[self.keyframe[which]], self.fixes.position[which]
@@ -137,8 +135,9 @@ class FixFactor(Measurement):
             return [pose_rotation(pose[:, 2])[:, :2] / sigma[:, None, None]]
 
         def native(n: int) -> gtsam.NonlinearFactor:
-            one = int(at.state.keys("x", self.keyframe[which])[n])
-            return gtsam.PoseTranslationPrior2D(one, position[n], loss.noise(n, NOISE.Isotropic.Sigma(2, sigma[n])))
+            pose_key = int(at.state.keys("x", self.keyframe[which])[n])
+            noise = loss.noise(n, NOISE.Isotropic.Sigma(2, sigma[n]))
+            return gtsam.PoseTranslationPrior2D(pose_key, position[n], noise)
 
         value = (pose[:, :2] - position) / sigma[:, None]
         variables = [("x", self.keyframe[which])]
@@ -161,7 +160,7 @@ class FixFactor(Measurement):
         return self.classified(far, held & (not self.approximate))
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
-        """The same fixes with these ``outlier (f,)``, without factors where not ``held (f,)``."""
+        """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
         sourced = np.array([bool(source) for source in self.fixes.source], dtype=bool)
         return replace(self, outlier=outlier, held=held, biased=held & sourced & (self.flat == 0))
 
@@ -178,7 +177,7 @@ class FixFactor(Measurement):
         return self.number, self.fixes.time
 
     @property
-    def astray(self) -> bool:
+    def diverged(self) -> bool:
         """True if the last consistent fixes all lie far from the walk."""
         last = np.flatnonzero(self.consistent & (self.keyframe >= 0))[-PATIENCE:]
         return len(last) == PATIENCE and bool(self.outlier[last].all())
@@ -193,7 +192,7 @@ class FixFactor(Measurement):
         return any(was.get(number, False) for number in self.number[lost].tolist())
 
     def decisions(self) -> dict[str, AnyArray]:
-        """Which fixes are outliers, held, and consistent with the others."""
+        """The masks of outliers, of fixes with a factor, and of the consistent chain."""
         masks = {"outlier": self.outlier, "held": self.held, "consistent": self.consistent}
         return {"number": self.number, **{name: np.asarray(mask) for name, mask in masks.items()}}
 
@@ -202,10 +201,10 @@ class FixFactor(Measurement):
         if not decisions:
             return self.classified(self.outlier, self.held)
         order = np.argsort(decisions["number"])
-        known = decisions["number"][order]
-        place = np.minimum(np.searchsorted(known, self.number), len(known) - 1)
+        stored = decisions["number"][order]
+        place = np.minimum(np.searchsorted(stored, self.number), len(stored) - 1)
         was = order[place]
-        decided = known[place] == self.number if len(known) else np.zeros(len(self), dtype=bool)
+        decided = stored[place] == self.number if len(stored) else np.zeros(len(self), dtype=bool)
         outlier = np.where(decided, decisions["outlier"][was], self.outlier)
         still = decisions["held"][was] & (self.consistent | outlier)
         return self.classified(outlier, np.where(decided, still, self.held) & self.used)
@@ -245,16 +244,16 @@ class FixFactor(Measurement):
 
 
 def fix_reason(sigmas: float, weight: float, outlier: bool, origin: str = "the walk") -> str:
-    """Why a fix that lies so many sigmas from ``origin`` has this weight."""
+    """The reason, as text, for the weight of a fix that lies so many sigmas from ``origin``."""
     trust = {0.0: "rejected", 1.0: "full weight"}.get(weight, "reduced weight")
     return f"{sigmas:.1f} sigma from {origin}: {'outlier' if outlier else trust}"
 
 
 def duplicates(fixes: Fixes) -> Mask:
-    """True ``(f,)`` where a receiver repeats its last position: it holds it while it believes to stand still."""
+    """True ``(f,)`` where a receiver repeats its last position, as receivers do while they detect no motion."""
     result = np.zeros(len(fixes), dtype=bool)
-    for own in by_source(fixes, np.ones(len(fixes), dtype=bool)):
-        result[own[1:]] = (np.diff(fixes.position[own], axis=0) == 0).all(axis=1)
+    for indices in by_source(fixes, np.ones(len(fixes), dtype=bool)):
+        result[indices[1:]] = (np.diff(fixes.position[indices], axis=0) == 0).all(axis=1)
     return result
 
 
@@ -268,29 +267,29 @@ def by_source(fixes: Fixes, used: Mask) -> list[Index]:
 
 
 def drift(steps: Steps, time: Array) -> Array:
-    """How far a receiver's errors have changed ``(n,)`` by some times: apart by 1, they are correlated by 1/e.
+    """Drift ``(n,)`` of a receiver's errors by times ``(n,)`` [s]: at a difference of 1 their correlation is 1/e.
 
-    Paths of the signals change with the place, and little where nobody moves.
+    Signal paths change with the place, and little where nobody moves.
     """
     return time / STANDING + distance_walked(steps, time) / ALONG
 
 
 def alike(drifted: Array) -> tuple[Index, Index]:
-    """The first that errs like each of a source's fixes ``(f,)``, in order of time, and the one after the last."""
+    """Begin and end ``(f,)`` of the range of fixes with about the same error as each, from their drift ``(f,)``."""
     return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
 
 
 def independent_sigmas(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
-    """Sigmas ``(f,)`` [m] with which fixes that err alike count for what they are worth, each taken for independent."""
+    """Sigmas ``(f,)`` [m] with which n fixes of the same error have the information of one."""
     result = sigma.copy()
-    for own in by_source(fixes, used):
-        first, after = alike(drift(steps, fixes.time[own]))
-        result[own] *= np.sqrt(after - first)
+    for indices in by_source(fixes, used):
+        first, after = alike(drift(steps, fixes.time[indices]))
+        result[indices] *= np.sqrt(after - first)
     return result
 
 
 def consistent_chains(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[Index, Mask]:
-    """The run of every fix ``(f,)``, and whether it is of the longest chain that one walk can have made ``(f,)``.
+    """The run of every fix ``(f,)``, and a mask ``(f,)`` of the longest chain that one walk can have made.
 
     A run is a sequence of used fixes within reach of one another, used or dropped together. Others have run −1.
     sigma: ``(f,)`` [m] per axis.
@@ -301,24 +300,24 @@ def consistent_chains(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> t
     if len(order):
         moved = np.where(steps.is_gap, DRIVEN * steps.duration, steps.length)
         way = STRETCHED * distance_walked(steps, fixes.time[order], moved)
-        found = longest_consistent_chain(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS)
-        run[order], consistent[order] = found
+        chains = longest_consistent_chain(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS)
+        run[order], consistent[order] = chains
     return run, consistent
 
 
 def longest_consistent_chain(
     position: Array, error: Array, way: Array, jump: float, ends: int = 1
 ) -> tuple[Index, Mask]:
-    """The run of each of at least one fix ``(f,)``, and whether it is of the longest chain.
+    """The run of each fix ``(f,)``, and a mask ``(f,)`` of the longest chain of runs. At least one fix.
 
-    position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` at most [m]; way: ``(f,)`` at most, since the start [m].
-    jump: as how many fixes it counts against a chain to go where nobody could; ends: how many fixes at a run's end,
-    and at the start of the next, may lead on.
+    position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` largest error [m]; way: ``(f,)`` longest possible path
+    since the start [m]. jump: fixes that an impossible jump costs a chain; ends: number of fixes at the end of a run,
+    and at the start of the next, any of which may connect them.
     """
 
-    def reaches(one: Index, other: Index) -> Mask:
-        apart = np.linalg.norm(position[other] - position[one], axis=-1)
-        return apart <= way[other] - way[one] + np.hypot(error[one], error[other])
+    def reaches(earlier: Index, later: Index) -> Mask:
+        apart = np.linalg.norm(position[later] - position[earlier], axis=-1)
+        return apart <= way[later] - way[earlier] + np.hypot(error[earlier], error[later])
 
     every = np.arange(len(position))
     begins = np.append(True, ~reaches(every[:-1], every[1:]))

@@ -1,15 +1,15 @@
-"""What the fixes of one receiver have in common: a slowly varying offset, and a lag behind the other sensors.
+"""The common error of one receiver's fixes: a slowly varying offset, and a lag behind the other sensors.
 
 [gps-dr] leaves the *systematic* error of GPS open. Most of a phone's error stays the same from epoch to epoch (indoors
-it is correlated 0.9 after a second, 0.5 after ten), so that a minute of epochs is worth a few fixes, not sixty. With
-g = (g_x, g_y, lag) of the source as it was then, a fix of stated sigma σ says
+its correlation is 0.9 after a second, 0.5 after ten), so a minute of epochs has the information of a few fixes, not of
+sixty. With g = (g_x, g_y, lag) of the source at its time, a fix of stated sigma σ is modelled as
 
     z = p − R(θ) v lag + σ₀ (g_x, g_y) + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
 
-v the walking velocity in the body's axes, averaged over LATELY. (g_x, g_y) is a Gauss–Markov process of unit variance,
-lag a slow random walk; both are linear between nodes NODE apart. The process goes by its `drift`, in which 1 is the
-"time" in which it is correlated. σ₀ is the least sigma of those n fixes that err alike; what worse ones among them have
-beyond it they share as well.
+with v the walking velocity in the body's axes, averaged over LATELY. (g_x, g_y) is a Gauss–Markov process of unit
+variance, lag a slow random walk; both are linear between nodes NODE apart. The process runs in units of `drift`, with
+correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse ones among them is
+common to them as well.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from pdr_graph.types import Array, Complex, Index, Steps
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-WHITE = 0.3  # of the stated sigma
-NODE = 5.0  # [s]
-LAG, LAG_CHANGE = 1.0, 0.02  # [s] before any measurement; [s/√s]
-LATELY = 2.0  # [s]
-AMBLE = 1.0  # [m/s] at which a walker is thought to go on until the next node
-SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # each source has its own numbers, whichever others there are
+WHITE = 0.3  # share of white noise in the stated sigma
+NODE = 5.0  # [s] between nodes
+LAG, LAG_CHANGE = 1.0, 0.02  # prior sigma of the lag [s]; its random walk [s/√s]
+LATELY = 2.0  # [s] over which the velocity is averaged
+AMBLE = 1.0  # [m/s] assumed after the last step, until the next node
+SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
 
 
@@ -43,12 +43,11 @@ QUARTER = rotation(np.pi / 2)
 class GnssBias(Measurement):
     """Offset and lag of each receiver along the walk; none before the second pass.
 
-    fixes: those of the walk; steps: of the walk; velocity: ``(k + 1, 2)`` of the walk at its keyframes [m/s], see
-    `velocities`.
-    fix: ``(f,)`` which of the fixes; offset, white: ``(f,)`` sigmas of what they share and do not [m]; node: ``(f,)``
-    row of the node before each, share: ``(f,)`` how far it is on to the next.
-    node_number: ``(m,)``; node_time: ``(m,)`` [s]; keep: ``(m,)`` share of the node before that is left, 0 for the
-    first of a source; elapsed: ``(m,)`` time since the node before [s].
+    fixes, steps: of the walk; velocity: ``(k + 1, 2)`` of the walk at its keyframes [m/s], see `velocities`.
+    fix: ``(f,)`` indices of the biased fixes; offset, white: ``(f,)`` sigmas of common and independent error [m];
+    node: ``(f,)`` row of the node before each; share: ``(f,)`` position between this node and the next, 0 to 1.
+    node_number: ``(m,)``; node_time: ``(m,)`` [s]; keep: ``(m,)`` correlation with the node before, 0 for the first of
+    a source; elapsed: ``(m,)`` time since the node before [s].
     """
 
     fixes: FixFactor
@@ -71,7 +70,7 @@ class GnssBias(Measurement):
     def of(cls, fixes: FixFactor, steps: Steps) -> GnssBias:
         """The biases of the receivers whose fixes are marked as biased."""
         sources = by_source(fixes.fixes, fixes.biased)
-        parts = [_nodes(fixes.fixes.time[own], steps, fixes.fixes.source[own[0]]) for own in sources]
+        parts = [_nodes(fixes.fixes.time[indices], steps, fixes.fixes.source[indices[0]]) for indices in sources]
         none = ((np.empty(0, np.intp), np.empty(0), np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0)),)
         node, share, number, time, keep, elapsed = ([*column] for column in zip(*(parts or none), strict=True))
         first = np.cumsum([0] + [len(n) for n in number[:-1]])
@@ -82,13 +81,13 @@ class GnssBias(Measurement):
         return cls(fixes, steps, np.empty((0, 2)), joined, offset[joined], white[joined], rows, *rest)
 
     def refined(self, at: Evaluation) -> GnssBias:
-        """Model the common errors of the fixes that are left to it."""
+        """Model the common errors of the fixes that the second pass marks as biased."""
         fixes = self.fixes.refined(at)
         return self if fixes is self.fixes else self.of(fixes, self.steps)
 
-    def on(self, chain: Chain) -> Self:
-        """Bind every fix to its keyframe, and ask the steps how fast the walker went there."""
-        return replace(self, fixes=self.fixes.on(chain), velocity=velocities(*chain.track, chain.time))
+    def bind(self, chain: Chain) -> Self:
+        """Bind every fix to its keyframe, and compute the velocity there."""
+        return replace(self, fixes=self.fixes.bind(chain), velocity=velocities(*chain.track, chain.time))
 
     def variables(self, poses: Array) -> Sequence[Variables]:
         """A node (g_x, g_y [-], lag [s]) every NODE seconds in which there are fixes."""
@@ -100,7 +99,7 @@ class GnssBias(Measurement):
         return (Variables(self.symbol, self.node_number, np.zeros((len(self.node_number), 3)), needed),)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """The fixes, what each source begins with, and how each node follows from the one before."""
+        """Factors of the fixes, the prior of each source's first node, and the process from node to node."""
         return [self._fixes(at), *self._process(at)] if len(self.fix) else ()
 
     def _fixes(self, at: Evaluation) -> FactorBlock:
@@ -159,7 +158,7 @@ class GnssBias(Measurement):
 
 
 def velocities(track: Complex, heading: Array, time: Array) -> Array:
-    """Mean velocity ``(k + 1, 2)`` [m/s] over LATELY, ahead and to the left, of a dead-reckoned track.
+    """Mean velocity ``(k + 1, 2)`` [m/s] of a dead-reckoned track over LATELY, forward and to the left.
 
     track: ``(k + 1,)`` [m]; heading: ``(k + 1,)`` [rad]; time: ``(k + 1,)`` [s].
     """
@@ -168,21 +167,21 @@ def velocities(track: Complex, heading: Array, time: Array) -> Array:
 
 
 def _sigmas(fixes: FixFactor, sources: Sequence[Index], steps: Steps) -> tuple[Array, Array]:
-    """Sigmas ``(f,)`` [m] of all fixes of what fixes that err alike share, and of what they do not."""
+    """Sigmas ``(f,)`` [m] of the common and of the independent error of every fix."""
     offset, white = fixes.sigma.copy(), fixes.sigma.copy()
-    for own in sources:
-        first, after = alike(drift(steps, fixes.fixes.time[own]))
-        offset[own] = [fixes.sigma[own[a:b]].min() for a, b in zip(first, after, strict=True)]
-        beyond = fixes.sigma[own] ** 2 - offset[own] ** 2
-        white[own] = np.sqrt(WHITE**2 * offset[own] ** 2 + (after - first) * beyond)
+    for indices in sources:
+        first, after = alike(drift(steps, fixes.fixes.time[indices]))
+        offset[indices] = [fixes.sigma[indices[a:b]].min() for a, b in zip(first, after, strict=True)]
+        beyond = fixes.sigma[indices] ** 2 - offset[indices] ** 2
+        white[indices] = np.sqrt(WHITE**2 * offset[indices] ** 2 + (after - first) * beyond)
     return offset, white
 
 
 def _nodes(time: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
-    """Nodes about a source's fixes at ``time (f,)``, at multiples of NODE: the same whichever fixes are in a window.
+    """Nodes around a source's fixes at ``time (f,)``, at multiples of NODE, so that they do not depend on a window.
 
-    Returns the row of the node before each fix, how far it is on to the next; and of each node its number, time, what
-    is kept of the node before, and the time since.
+    Returns per fix the row of the node before and the share to the next; per node its number, time, correlation with
+    the node before, and the time since.
     """
     before = np.floor(time / NODE).astype(np.intp)
     grid = np.unique([before, before + 1]).astype(np.intp)

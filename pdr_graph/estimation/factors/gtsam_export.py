@@ -1,6 +1,6 @@
-"""A walk's factors as GTSAM has them: for its own optimisers, for iSAM2, and to check ours against.
+"""Export of a walk's factors to GTSAM, for its own optimisers and to check ours.
 
-Factors that GTSAM has itself are its own; the others are ``gtsam.CustomFactor``, through one guard.
+Factors that exist in GTSAM are GTSAM's own; the others are ``gtsam.CustomFactor`` behind a guard.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from pdr_graph.types import Array
 
 
 class FactorError(RuntimeError):
-    """A factor's callback failed. GTSAM itself would crash or go on in silence."""
+    """A factor's callback failed; without the check GTSAM would crash or continue silently."""
 
 
 def to_gtsam(chain: Chain, measurements: Sequence[Measurement], start: State) -> gtsam.NonlinearFactorGraph:
-    """All factors of a walk; ``start`` tells which variables there are."""
+    """All factors of a walk; ``start`` has all its variables."""
     whole, evaluated = gtsam.NonlinearFactorGraph(), _Evaluated(chain, measurements, start)
     for position, block in enumerate(evaluated.at_start.blocks):
         for n in range(len(block)):
@@ -29,7 +29,7 @@ def to_gtsam(chain: Chain, measurements: Sequence[Measurement], start: State) ->
 
 
 class _Evaluated:
-    """The walk at the values of a callback: evaluated once for all factors that are asked at the same values."""
+    """Evaluates the walk at the values of a callback, once for all factors at the same values."""
 
     def __init__(self, chain: Chain, measurements: Sequence[Measurement], start: State):
         self._chain, self._measurements = chain, measurements
@@ -44,7 +44,7 @@ class _Evaluated:
 
 
 def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) -> gtsam.CustomFactor:
-    """Factor ``n`` of the block at a ``position`` in the list of blocks."""
+    """Factor ``n`` of ``block``, which is at ``position`` in the list of blocks."""
     state, number = evaluated.at_start.state, int(block.number[n])
     rows = int(np.sum(block.row_of == n) if block.most_rows is None else block.most_rows[n])
     keys = [int(state.keys(symbol, which)[n]) for symbol, which in block.variables]
@@ -52,12 +52,12 @@ def _custom(evaluated: _Evaluated, position: int, block: FactorBlock, n: int) ->
     def linearized(values: gtsam.Values) -> tuple[Array, list[Array]]:
         now = evaluated.at(values).blocks[position]
         at = np.flatnonzero(now.number == number)
-        own = now.row_of == at[0] if len(at) else np.zeros(len(now.residual), dtype=bool)
+        rows_of_factor = now.row_of == at[0] if len(at) else np.zeros(len(now.residual), dtype=bool)
         residual, by = np.zeros(rows), [np.zeros((rows, 3)) for _ in keys]
-        count = int(own.sum())
-        residual[:count] = now.residual[own]
-        for one, block_of_one in zip(by, now.jacobian(), strict=True):
-            one[:count] = block_of_one[own]
+        count = int(rows_of_factor.sum())
+        residual[:count] = now.residual[rows_of_factor]
+        for target, source in zip(by, now.jacobian(), strict=True):
+            target[:count] = source[rows_of_factor]
         return residual, by
 
     return guarded(block.name, block.loss.noise(n, UNIT[rows]), keys, linearized)
@@ -72,8 +72,8 @@ def guarded(
     """A ``gtsam.CustomFactor`` whose callback cannot corrupt the solver.
 
     linearized: values → residual ``(r,)`` and one block ``(r, 3)`` per key. The guard checks shapes and finiteness and
-    fills every block: an unset block crashes the process, a wrong shape is accepted in silence, and a NaN ends the
-    optimiser without a word (gtsam 4.3.0).
+    fills every block: in gtsam 4.3.0 an unset block crashes the process, a wrong shape is accepted silently, and a NaN
+    ends the optimiser silently.
     """
     rows = noise.dim()
 

@@ -1,4 +1,4 @@
-"""Headings: walking directions measured now and then, by a compass or given by the user."""
+"""Headings: walking directions, measured by a compass or stated by the user."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HeadingReport:
-    """What became of one heading.
+    """How one heading was used.
 
-    heading, sigma, residual: from the walk's to the measured heading [rad]; weight: share of its stated information
-    that was used, 0-1.
+    heading, sigma [rad]; residual: measured minus estimated heading [rad]; weight: share of its stated information that
+    was used, 0-1.
     """
 
     time: float
@@ -40,7 +40,7 @@ class HeadingReport:
 class HeadingFactor(Measurement):
     """Walking directions: r = wrap(θ − z) / σ, under Huber's loss. [heading] Sec. 3
 
-    headings: ``h`` of them; number: ``(h,)`` of each, for good; keyframe: ``(h,)``.
+    headings: ``h`` of them; number: ``(h,)`` permanent numbers; keyframe: ``(h,)``.
     """
 
     headings: Headings
@@ -51,7 +51,7 @@ class HeadingFactor(Measurement):
 
     @classmethod
     def of(cls, headings: Headings, steps: Steps, prior: Prior, number: Index | None = None) -> HeadingFactor:
-        """The headings that were measured while the recording ran."""
+        """The headings measured during the recording."""
         inside = np.flatnonzero((headings.time >= steps.start) & (headings.time <= steps.end))
         kept = Headings(headings.time[inside], headings.heading[inside], headings.sigma[inside])
         return cls(kept, inside if number is None else number[inside], np.full(len(kept), -1))
@@ -60,7 +60,7 @@ class HeadingFactor(Measurement):
         """The times of the headings."""
         return self.headings.time
 
-    def on(self, chain: Chain) -> Self:
+    def bind(self, chain: Chain) -> Self:
         """Bind every heading to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.headings.time))
 
@@ -84,7 +84,7 @@ class HeadingFactor(Measurement):
 
 
 def heading_reports(headings: Headings, heading: Array, weight: Array) -> tuple[HeadingReport, ...]:
-    """Report headings ``(h,)`` beside the walk's heading there ``(h,)`` [rad] and the weight that each has."""
+    """Reports of headings, from the walk's heading ``(h,)`` [rad] at their times and their weight ``(h,)``."""
     residual = wrap_angle(headings.heading - heading)
     columns = (headings.time, headings.heading, headings.sigma, residual, weight)
     return tuple(

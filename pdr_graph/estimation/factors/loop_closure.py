@@ -1,6 +1,6 @@
-"""Loop closures: moments that were spent at one place.
+"""Loop closures: two moments at one place.
 
-A stop between two recordings, a place that was seen again, an encounter of two people.
+Sources are a stop between two recordings, a recognised place, an encounter of two people.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 CLOSURE_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one in ten may be wrong by metres
-FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # how closures hold
+FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # without robust loss, with it, without factors
 
 
 @dataclass(frozen=True, eq=False)
 class LoopClosureFactor(Measurement):
-    """Pairs of moments at one place, whichever way the walker faced: r = (p_j − p_i) / σ.
+    """Pairs of moments at one place, with any headings: r = (p_j − p_i) / σ.
 
-    ``BetweenFactorPose2`` would take the logarithm, in which the same distance counts up to π/2 times as much where
-    the walker faced opposite ways.
+    ``BetweenFactorPose2`` uses the logarithm, which weighs the same distance up to π/2 times as much if the headings
+    are opposite.
 
-    closures: ``l`` of them; number: ``(l,)`` of each, for good; keyframe: ``(l, 2)`` of both moments; hold: FIRM as if
-    they were certain, DOUBTED as they may be wrong, UNBOUND without factors.
+    closures: ``l`` of them; number: ``(l,)`` permanent numbers; keyframe: ``(l, 2)`` of both moments; hold: FIRM
+    without robust loss, DOUBTED with it, UNBOUND without factors.
     """
 
     closures: Closures
@@ -53,16 +53,16 @@ class LoopClosureFactor(Measurement):
         """Both times of each closure."""
         return self.closures.time.ravel()
 
-    def on(self, chain: Chain) -> Self:
+    def bind(self, chain: Chain) -> Self:
         """Bind both moments of every closure to their keyframes."""
         return replace(self, keyframe=chain.keyframe(self.closures.time.ravel()).reshape(-1, 2))
 
     def staged(self, stage: Stage) -> Self:
-        """Closures hold firmly while which rooms the walk went through may be wrong."""
+        """Firm in a rough search, doubted in a final one."""
         return replace(self, hold=FIRM if stage is Stage.ROUGH else DOUBTED)
 
     def alternatives(self) -> Sequence[Self]:
-        """All hold, or none does: an optimum near a closure that holds does not show the other."""
+        """All closures firm, or none used: the optimum near a firm closure hides the other."""
         return [replace(self, hold=hold) for hold in (FIRM, UNBOUND)] if len(self.closures) else []
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:

@@ -47,7 +47,7 @@ class Loss:
         return 0.5 * deviation**2
 
     def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
-        """GTSAM's noise model of factor ``n``, whose errors are as of ``noise``."""
+        """GTSAM's noise model of factor ``n`` with this loss; noise: its Gaussian model."""
         return noise
 
 

@@ -1,4 +1,4 @@
-"""Steps summed up between keyframes.
+"""Preintegration of steps between keyframes.
 
 A walk is cut into *pieces* at every step's end, at both ends of every pause, and at every keyframe (a fix has its own
 time: the step that it falls into is split linearly). The pieces between two keyframes i and j are preintegrated into
@@ -25,12 +25,12 @@ DECIMALS = 6  # of time [s]: see INSTANT
 PIECES_PER_KEYFRAME = 10  # reproduces the per-step optimum
 SIGMA_LATERAL = 0.25  # [m] of one step to the side: walkers weave about the phone's heading
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
-SIGMA_STANDING_TURN = 0.02  # [rad] by which a pause loosens the walking direction from the phone's
+SIGMA_STANDING_TURN = 0.02  # [rad] change between walking direction and phone during a pause
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """The walk, cut: ``m`` pieces in ``k`` intervals between ``k + 1`` keyframes.
+    """The pieces of a walk: ``m`` pieces in ``k`` intervals between ``k + 1`` keyframes.
 
     length: ``(m,)`` [m].
     to_middle, to_end: ``(2, m)`` turn [rad] and time [s] from the interval's start to the piece's middle and end.
@@ -57,7 +57,7 @@ class Pieces:
         return total - before[..., self.interval]
 
     def only(self, i: int) -> Pieces:
-        """Interval ``i`` alone."""
+        """The pieces of interval ``i`` alone."""
         here = slice(self.first[i], self.last[i] + 1)
         count = self.last[i] + 1 - self.first[i]
         return Pieces(
@@ -128,9 +128,9 @@ def cut(steps: Steps, at: Array) -> Pieces:
 
 
 def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
-    """What of the pieces ``whole``, of which the first begins at ``start``, lies between a keyframe and the next ones.
+    """The parts of the pieces ``whole`` between keyframes at ``begin`` and ``ends (k,)`` [s], in order.
 
-    ends: ``(k,)`` of these, in order [s].
+    start: start of the first whole piece [s].
     """
     within = whole[(whole[:, 0] > begin) & (whole[:, 0] < ends[-1]), 0]
     end = np.union1d(within, ends).astype(float)
@@ -142,7 +142,7 @@ def intervals(whole: Array, start: float, begin: float, ends: Array) -> Pieces:
 def _pieces(
     whole: Array, start: float, end: Array, interval: Index, first: Index, row_end: Index, begin: float | None = None
 ) -> Pieces:
-    """Pieces that end at ``end (m,)``, each a share of one whole piece; the first begins at ``begin``, or ``start``."""
+    """Pieces that end at ``end (m,)`` [s], each a share of one whole piece; the first from ``begin``, or ``start``."""
     begins = np.append(start if begin is None else begin, end[:-1])
     of = np.searchsorted(whole[:, 0], end)
     share = (end - begins) / np.diff(whole[:, 0], prepend=start)[of]
@@ -157,16 +157,16 @@ def _pieces(
 
 
 def whole_pieces(steps: Steps) -> Array:
-    """Pauses and steps before any split, the last until the recording's end.
+    """Pauses and steps before any split ``(m, 6)``; the last row is the pause until the end of the recording.
 
-    Rows: end [s], length [m], turn [rad], variances of length, sway and turn.
+    Columns: end [s], length [m], turn [rad], variances of length [m²], sway [m²] and turn [rad²].
     """
     n = len(steps)
     rows = np.zeros((2 * n + 1, 6))
     pauses, moves = rows[0:-1:2], rows[1::2]
     pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
     moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
-    sigma_lateral = np.where(~steps.is_gap, SIGMA_LATERAL, steps.sigma_length)  # a gap in the recording leads anywhere
+    sigma_lateral = np.where(~steps.is_gap, SIGMA_LATERAL, steps.sigma_length)  # the direction of a gap is unknown
     moves[:, 3:] = np.stack([steps.sigma_length, sigma_lateral, steps.sigma_turn], axis=1) ** 2
     rows[-1, :3] = steps.end, 0.0, steps.final_turn
     rows[0::2, 5] = SIGMA_STANDING_TURN**2
@@ -175,9 +175,9 @@ def whole_pieces(steps: Steps) -> Array:
 
 
 def _intervals(gap: Index) -> tuple[Index, Index]:
-    """Split each gap between required keyframes into equal intervals of few pieces: interval per piece, first pieces.
+    """Split the pieces between required keyframes into equal intervals: interval of each piece, first pieces.
 
-    gap: ``(m,)`` which gap each piece lies in, 0, 0, 1, …
+    gap: ``(m,)`` number of the span between required keyframes that each piece lies in, 0, 0, 1, …
     """
     size = np.bincount(gap)
     starts = np.concatenate([[0], np.cumsum(size)[:-1]])
@@ -221,11 +221,11 @@ def preintegrate(pieces: Pieces, c: Array) -> Increments:
 
 @dataclass(frozen=True)
 class Bridge:
-    """How the error of a whole interval spreads over the pieces in it.
+    """How the error of an interval is distributed over its pieces.
 
     root: ``(k, 3, 3)`` W with WᵀW = Q⁻¹, Q the covariance of the whole increment.
     gain: ``(m, 3, 3)`` G_k = Cov(Δ_k, Δ_K) Q⁻¹: the expected share of the whole interval's error after piece k.
-    spread: ``(m, 3, 3)`` covariance of Δ_k that is left when both ends are known.
+    spread: ``(m, 3, 3)`` covariance of Δ_k given both ends.
     """
 
     root: Array
@@ -234,7 +234,7 @@ class Bridge:
 
     @classmethod
     def none(cls) -> Bridge:
-        """That of no intervals."""
+        """The bridge of a chain without intervals."""
         return cls(*(np.empty((0, 3, 3)) for _ in range(3)))
 
     @classmethod
@@ -269,7 +269,7 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
     A_xx, A_xy, A_yy, S, Su_x, Su_y, Su_xx, Su_xy, Su_yy = pieces.running(np.array([*A, *swings]))
 
     def covariance(o_x: Array, o_y: Array) -> Array:
-        """Cov(Δ_k, Δ_o) ``(m, 3, 3)`` for each piece k and one at ``o`` that ends no earlier."""
+        """Cov(Δ_k, Δ_o) ``(m, 3, 3)`` of each piece k with a piece at ``o`` that ends no earlier."""
         xx = A_xx + S * y * o_y - y * Su_y - Su_y * o_y + Su_yy
         xy = A_xy - (S * y * o_x - y * Su_x - Su_y * o_x + Su_xy)
         yx = A_xy - (S * x * o_y - x * Su_y - Su_x * o_y + Su_xy)
@@ -277,13 +277,13 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
         columns = [xx, xy, Su_y - S * y, yx, yy, S * x - Su_x, Su_y - S * o_y, S * o_x - Su_x, S]
         return np.ascontiguousarray(np.array(columns).T).reshape(-1, 3, 3)
 
-    own = covariance(x, y)
+    at_piece = covariance(x, y)
     end = pieces.last[pieces.interval]
     cross = covariance(x[end], y[end])
-    inverse = np.linalg.inv(own[pieces.last])
+    inverse = np.linalg.inv(at_piece[pieces.last])
     gain = cross @ inverse[pieces.interval]
     return Bridge(
         root=np.linalg.cholesky(inverse).transpose(0, 2, 1).astype(float),
         gain=gain,
-        spread=own - gain @ cross.transpose(0, 2, 1),
+        spread=at_piece - gain @ cross.transpose(0, 2, 1),
     )

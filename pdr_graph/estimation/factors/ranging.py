@@ -1,14 +1,13 @@
-"""Ranges to anchors at known places: UWB, Wi-Fi RTT, BLE ranging.
+"""Ranges to anchors at surveyed positions: UWB, Wi-Fi RTT, BLE ranging.
 
-A range is the distance to an anchor, an anchor's bias, noise, and now and then a detour: without line of sight the
-signal goes round, so that errors are long and never short. The noise is a mixture (Jourdan, Dardari, Win, "Position
-error bound for UWB localization in dense cluttered environments", IEEE T-AES 44(2), 2008, Sec. III),
+A range is the distance to an anchor plus the anchor's bias, noise, and sometimes a detour: without line of sight the
+signal takes a longer path, so these errors are positive. The noise is a mixture (Jourdan, Dardari, Win, "Position error
+bound for UWB localization in dense cluttered environments", IEEE T-AES 44(2), 2008, Sec. III),
 
     z = d + b + ε,      p(ε) = (1 − NLOS) N(ε; 0, σ) + NLOS · (N(0, σ) + Exp(DETOUR))
 
-whose negative logarithm is the loss: of a range too long by many sigmas next to nothing is left, of one too short
-Huber's. Bias and place of each anchor are variables (x, y, b), about what was surveyed, so that a walk that tells them
-corrects them.
+whose negative logarithm is the loss: a range too long by many sigmas has almost no weight, one too short has Huber's.
+Position and bias of each anchor are variables (x, y, b) with the survey as prior, so that a walk can correct them.
 """
 
 from __future__ import annotations
@@ -31,32 +30,32 @@ from pdr_graph.types import Array, Fixes, Index, Steps
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-NLOS = 0.2  # share of ranges without line of sight, before anything is known
+NLOS = 0.2  # prior share of ranges without line of sight
 DETOUR = 3.0  # [m] mean length of a detour
 BIAS_SIGMA = 0.15  # [m] of an anchor's bias: antenna delays, calibrated or not
-FAR = 8.0  # [σ] beyond which a range without line of sight is all detour
-NEAR = 0.1  # [m] softens the distance at the anchor itself, where it has no direction
-BIN, FEWEST = 5.0, 3  # [s] of ranges, and anchors in it, that make a rough position
-DETOUR_WEIGHT = 0.5  # weight below which a range is taken for one without line of sight
+FAR = 8.0  # [σ] beyond which the exponential part of the density is used alone, since the exact form overflows
+NEAR = 0.1  # [m] softens the distance at the anchor itself, where it has no gradient
+BIN, FEWEST = 5.0, 3  # [s] of ranges, and least number of anchors in it, for a rough position
+DETOUR_WEIGHT = 0.5  # weight below which a range is reported as one without line of sight
 
 
 @dataclass(frozen=True)
 class LongErrors(Loss):
-    """The negative log of the mixture, by deviations s = (expected − measured) / σ; negative for ranges too long.
+    """Negative log of the mixture, of deviations s = (expected − measured) / σ, which are negative for long ranges.
 
-    scale: ``(n,)`` mean detour in sigmas of each range.
+    scale: ``(n,)`` mean detour [σ] of each range.
     """
 
     scale: Array
 
     def weight(self, deviation: Array) -> Array:
-        """Huber's weight where a range is too short, else the probability that it had line of sight."""
+        """Huber's weight for short ranges; else the probability of line of sight."""
         excess = -deviation
         line, detour = self._likelihoods(np.maximum(excess, 0.0))
         return np.where(excess < 0, huber_weight(deviation), line / (line + detour))
 
     def cost(self, deviation: Array) -> Array:
-        """Negative log likelihood, 0 where a range is as expected; Huber's loss where it is too short."""
+        """Negative log-likelihood, 0 at the expected range; Huber's loss for short ranges."""
         excess = -deviation
         line, detour = self._likelihoods(np.maximum(excess, 0.0))
         at_zero = sum(self._likelihoods(np.zeros(len(excess))))
@@ -65,11 +64,11 @@ class LongErrors(Loss):
         return np.where(excess < 0, short, long)
 
     def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
-        """GTSAM has no loss with a sign: Huber's, for its own optimisers."""
+        """GTSAM's noise model with Huber's loss, since GTSAM has no asymmetric loss."""
         return RobustLoss(np.zeros(len(self.scale), dtype=bool)).noise(n, noise)
 
     def _likelihoods(self, excess: Array) -> tuple[Array, Array]:
-        """Of errors ``(n,)`` [σ]: with line of sight, and with a detour (an exponentially modified Gaussian)."""
+        """Likelihoods of errors ``(n,)`` [σ] with line of sight, and with a detour (exponentially modified normal)."""
         gauss = np.exp(-0.5 * excess**2)
         near = np.minimum(excess, FAR)
         modified = np.exp(-0.5 * near**2) * erfcx((1 / self.scale - near) / np.sqrt(2)) / (2 * self.scale)
@@ -82,8 +81,8 @@ class LongErrors(Loss):
 class RangeFactor(Measurement):
     """Ranges to anchors: r = (|a − p| + b − z) / σ.
 
-    ranges: ``n`` of them, to ``m`` anchors; number: ``(n,)`` of each, for good; keyframe: ``(n,)``; detours: errors are
-    the mixture above, instead of Huber's loss for a first optimum.
+    ranges: ``n`` of them, to ``m`` anchors; number: ``(n,)`` permanent numbers; keyframe: ``(n,)``; detours: use the
+    mixture above; False for a first optimum with Huber's loss.
     """
 
     ranges: Ranges
@@ -93,11 +92,11 @@ class RangeFactor(Measurement):
 
     name: ClassVar[str] = "ranges"
     symbol: ClassVar[str] = "r"
-    places: ClassVar[bool] = True
+    determines_position: ClassVar[bool] = True
 
     @classmethod
     def of(cls, ranges: Ranges, steps: Steps, prior: Prior, number: Index | None = None) -> RangeFactor:
-        """The ranges that were measured while the recording ran."""
+        """The ranges measured during the recording."""
         number = np.arange(len(ranges)) if number is None else number
         inside = np.flatnonzero((ranges.time >= steps.start) & (ranges.time <= steps.end))
         return cls(take(ranges, inside), number[inside], np.full(len(inside), -1))
@@ -106,16 +105,16 @@ class RangeFactor(Measurement):
         """The times of the ranges."""
         return self.ranges.time
 
-    def on(self, chain: Chain) -> Self:
+    def bind(self, chain: Chain) -> Self:
         """Bind every range to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.ranges.time))
 
     def variables(self, poses: Array) -> Sequence[Variables]:
-        """Place and bias (x, y, b) [m] of each anchor to which there are ranges."""
+        """Position and bias (x, y, b) [m] of each anchor with ranges."""
         return (Variables(self.symbol, self._met, self._surveyed, np.full(len(self._met), np.inf)),)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """The ranges, and what was surveyed of the anchors."""
+        """Factors of the ranges, and priors of the anchors from the survey."""
         which = np.flatnonzero(self.keyframe >= 0)
         keyframe, m = self.keyframe[which], np.searchsorted(self._met, self.ranges.anchor[which])
         pose, anchor, sigma = at.state.poses[keyframe], at.state[self.symbol][m], self.ranges.sigma[which]
@@ -132,8 +131,8 @@ class RangeFactor(Measurement):
 
         loss = LongErrors(DETOUR / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
         variables = [("x", keyframe), (self.symbol, m)]
-        own = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
-        return [own, self._anchors(at)]
+        ranges = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
+        return [ranges, self._anchors(at)]
 
     def _anchors(self, at: Evaluation) -> FactorBlock:
         every, place = np.arange(len(self._met)), self.ranges.position_sigma[self._met]
@@ -150,7 +149,7 @@ class RangeFactor(Measurement):
 
     @cached_property
     def _met(self) -> Index:
-        """The anchors ``(a,)`` to which there are ranges."""
+        """Indices ``(a,)`` of the anchors with ranges."""
         return np.unique(self.ranges.anchor)
 
     @property
@@ -158,24 +157,24 @@ class RangeFactor(Measurement):
         return np.column_stack([self.ranges.position[self._met], np.zeros(len(self._met))])
 
     def refined(self, at: Evaluation) -> Self:
-        """Model detours, once a first optimum is known."""
+        """Model detours in the second pass."""
         return self if self.detours else replace(self, detours=True)
 
     def continued(self, decisions: Mapping[str, Array]) -> Self:
-        """Model detours: a live walk is near its optimum."""
+        """Model detours at once, since a live walk starts near its optimum."""
         return replace(self, detours=True)
 
     def rough_fixes(self) -> Fixes:
-        """A position from the ranges of BIN seconds to three anchors or more; else near the nearest anchor."""
-        bins, found = np.floor(self.ranges.time / BIN), list[tuple[float, float, float, float]]()
-        for one in np.unique(bins):
-            own = take(self.ranges, np.flatnonzero(bins == one))
-            nearest = int(np.argmin(own.range))
-            (x, y), sigma = own.position[own.anchor[nearest]], float(own.range[nearest]) + BIN
-            if len(np.unique(own.anchor)) >= FEWEST:
-                (x, y), sigma = _trilaterated(own), BIN
-            found.append((float(own.time.mean()), float(x), float(y), sigma))
-        time, x, y, sigma = np.array(found).reshape(-1, 4).T
+        """A rough position per BIN seconds: trilaterated with FEWEST anchors or more, else at the nearest anchor."""
+        bins, rough = np.floor(self.ranges.time / BIN), list[tuple[float, float, float, float]]()
+        for bin_number in np.unique(bins):
+            ranges = take(self.ranges, np.flatnonzero(bins == bin_number))
+            nearest = int(np.argmin(ranges.range))
+            (x, y), sigma = ranges.position[ranges.anchor[nearest]], float(ranges.range[nearest]) + BIN
+            if len(np.unique(ranges.anchor)) >= FEWEST:
+                (x, y), sigma = _trilaterated(ranges), BIN
+            rough.append((float(ranges.time.mean()), float(x), float(y), sigma))
+        time, x, y, sigma = np.array(rough).reshape(-1, 4).T
         return Fixes(time, np.column_stack([x, y]), sigma)
 
     @property
@@ -206,7 +205,7 @@ class RangeFactor(Measurement):
 
 
 def _trilaterated(ranges: Ranges) -> Array:
-    """A position ``(2,)`` [m] that ranges agree on, long ones counting for little."""
+    """The trilaterated position ``(2,)`` [m], with a robust loss against long ranges."""
     from scipy.optimize import least_squares  # here, since few walks have ranges and it takes time to load
 
     anchors = ranges.position[ranges.anchor]

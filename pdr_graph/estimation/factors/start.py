@@ -23,7 +23,7 @@ FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 @dataclass(frozen=True)
 class CorridorUse:
-    """Which evidence of corridors is used beside their walls, which tell much of the same."""
+    """Which corridor measurements are used in addition to walls, which contain much of the same information."""
 
     turns: bool = False
     directions: bool = False
@@ -36,9 +36,9 @@ class Prior:
     mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
-    wall_margin: clearance that people keep from walls [m]; wall_sigma: how loosely [m]; corridors: see ``CorridorUse``.
-    fix_flat: within so many sigmas of a fix all positions are about equally likely, for receivers that state only a
-        radius; the common error of one source is then not modelled.
+    wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m]; corridors: see ``CorridorUse``.
+    fix_flat: distance from a fix [σ] within which all positions are about equally likely, for receivers that state only
+        a radius; the common error of one source is then not modelled.
     """
 
     mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
@@ -51,7 +51,7 @@ class Prior:
     fix_flat: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise ValueError on what no factor can be made of."""
+        """Raise ValueError if a standard deviation is not positive and finite."""
         for name in ("sigma", "change"):
             if not all(np.isfinite(s) and s > 0 for s in getattr(self, name)):
                 raise ValueError(f"Prior.{name}: found {getattr(self, name)}, expected standard deviations above 0")
@@ -72,8 +72,8 @@ class CalibrationFactor(Measurement):
 
     [map-matching] Eqs. (4), (5), [calibration-walk] Sec. 3.3
 
-    begins: mean ``(3,)`` and covariance ``(3, 3)`` of the segments with which a walk begins, by row; change: standard
-    deviations of a change from one segment to the next.
+    begins: by row, mean ``(3,)`` and covariance ``(3, 3)`` of the segments that start a walk; change: standard
+    deviations of the change from one segment to the next.
     """
 
     begins: Mapping[int, tuple[Array, Array]]
@@ -84,14 +84,14 @@ class CalibrationFactor(Measurement):
     @cached_property
     def _priors(self) -> tuple[Array, Array, Array]:
         """Means ``(n, 3)``, covariances ``(n, 3, 3)`` and roots of the information ``(n, 3, 3)``, in order of rows."""
-        known = [self.begins[s] for s in sorted(self.begins)]
-        mean = np.array([mean for mean, _ in known]).reshape(-1, 3)
-        covariance = np.array([covariance for _, covariance in known]).reshape(-1, 3, 3)
+        distributions = [self.begins[s] for s in sorted(self.begins)]
+        mean = np.array([mean for mean, _ in distributions]).reshape(-1, 3)
+        covariance = np.array([covariance for _, covariance in distributions]).reshape(-1, 3, 3)
         root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1).astype(float)
         return mean, covariance, root
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """A factor for each segment with which a walk begins, one for each that follows another."""
+        """A prior for each segment that starts a walk, a change factor for each other segment."""
         c, first = at.state.c, np.array(sorted(self.begins), dtype=np.intp)
         follows = np.arange(len(c)) > 0
         follows[first] = False
@@ -132,7 +132,7 @@ class CalibrationFactor(Measurement):
 
 @dataclass(frozen=True, eq=False)
 class StartFactor(Measurement):
-    """Prior of the first pose, for when nothing else determines it.
+    """Prior of the first pose, where nothing else determines it.
 
     pose: ``(3,)``; sigmas: ``(3,)`` of x, y [m] and heading [rad], infinite where other measurements determine it.
     """
@@ -154,9 +154,9 @@ class StartFactor(Measurement):
 
     @classmethod
     def frame(cls, heading: float, plan_size: float | None, known_heading: bool) -> StartFactor:
-        """The start of a walk without fixes at (0, 0): it defines the frame, or is anywhere on a plan of this size [m].
+        """The start at (0, 0) of a walk without fixes: it defines the frame, or is anywhere on a plan of this size [m].
 
-        known_heading: a compass tells the direction.
+        known_heading: a compass measures the direction.
         """
         place = FRAME_SIGMA if plan_size is None else plan_size
         turn = FRAME_SIGMA if plan_size is None and not known_heading else ANY_HEADING
@@ -180,9 +180,9 @@ class StartFactor(Measurement):
             return [(root @ turned_back @ pose_rotation(pose[2:])[0])[None]]
 
         def native(_: int) -> gtsam.NonlinearFactor:
-            one, prior = int(at.state.keys("x", first)[0]), gtsam.Pose2(*self.pose)
-            return gtsam.PoseRotationPrior2D(one, prior, NOISE.Isotropic.Sigma(1, float(self.sigmas[2])))
+            pose_key, prior = int(at.state.keys("x", first)[0]), gtsam.Pose2(*self.pose)
+            return gtsam.PoseRotationPrior2D(pose_key, prior, NOISE.Isotropic.Sigma(1, float(self.sigmas[2])))
 
-        # GTSAM's prior of a whole pose takes the logarithm, in which a place counts otherwise where the heading is off
-        number, own = at.state.number("x")[first], None if held.all() else native
-        return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, native=own)]
+        # GTSAM's prior of a whole pose uses the logarithm, in which the cost of a position depends on the heading error
+        number, exported = at.state.number("x")[first], None if held.all() else native
+        return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, native=exported)]

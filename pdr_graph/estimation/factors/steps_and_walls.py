@@ -17,11 +17,11 @@ from pdr_graph.types import Array, Index
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-BODY, BODY_SIGMA = 0.15, 0.1  # [m] that the middle of a walker keeps from any wall; its sigma, as share of the margin's
+BODY, BODY_SIGMA = 0.15, 0.1  # [m] half the width of a body; sigma of that limit, as share of the margin's
 C_TOLERANCE = np.array([0.01, 0.01, 0.002])
 OF_STEPS = {"x": np.array([0.5, 0.5, 0.02]), "c": C_TOLERANCE}  # nearly linear in translations
 OF_WALLS = {"x": np.array([0.15, 0.15, 0.02]), "c": C_TOLERANCE}
-LOOSE = 3.0  # times the sigma of walls in a rough search: tight walls keep a walk that starts 3° off in the wrong aisle
+LOOSE = 3.0  # scale of the walls' sigma in a rough search: tight walls keep a walk that starts 3° off in a wrong aisle
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ class StepFactor(Measurement):
 class WallFactor(Measurement):
     """Walls: steps keep clear of them, and bodies stay out of them.
 
-    floor_sequence: the floor of each piece; fields: distances to the walls of a region; field_of: ``(m,)`` which
-    of them for each piece, −1 none; region_price: what it costs that the walk leads through these regions.
-    margin: clearance that people keep [m]; sigma: how loosely [m].
+    floor_sequence: the floor of each piece; fields: distances to the walls of a region; field_of: ``(m,)`` index of the
+    field of each piece, −1 none; region_price: price of the regions that the walk leads through.
+    margin: clearance that people keep [m]; sigma: of that clearance [m].
     """
 
     floor_sequence: FloorSequence | None
@@ -68,23 +68,18 @@ class WallFactor(Measurement):
 
     @classmethod
     def about(cls, floor_sequence: FloorSequence, margin: float, sigma: float) -> WallFactor:
-        """The walls of the floors that a walk is on, associated with none of its pieces yet."""
+        """The walls of the floors of a walk, before their association with its pieces."""
         return cls(floor_sequence, (), np.full(len(floor_sequence.level), NOWHERE), 0.0, margin, sigma)
 
     def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
-        """The walls of the regions that the walk ``at`` leads through.
-
-        stray: by how much it errs, everywhere or at the end of each piece ``(m,)`` [m]; alike: how many pieces in a row
-        err alike.
-        """
+        """Associate each piece with the walls of its region along the walk ``at``; stray, alike: see the base class."""
         if self.floor_sequence is None:
             return self
-        found = self.floor_sequence.walls_along(at.ends[:, :2], at.pieces.length > 0, stray, alike)
-        fields, field_of, price = found
+        fields, field_of, price = self.floor_sequence.walls_along(at.ends[:, :2], at.pieces.length > 0, stray, alike)
         return replace(self, fields=fields, field_of=field_of, region_price=price)
 
     def staged(self, stage: Stage) -> Self:
-        """Walls hold loosely in a rough search."""
+        """Wider sigma in a rough search."""
         return replace(self, sigma=LOOSE * self.sigma) if stage is Stage.ROUGH else self
 
     def same_association(self, other: Measurement) -> bool:
@@ -151,5 +146,5 @@ class WallFactor(Measurement):
 
     @property
     def price(self) -> float:
-        """What it costs to lead through these regions."""
+        """Price of the regions that the walk leads through."""
         return self.region_price

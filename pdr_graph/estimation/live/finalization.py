@@ -1,4 +1,4 @@
-"""Finalised part of a walk under way: rows and reports that have left the window."""
+"""The finalised part of a walk under way: rows and reports that have left the window."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pdr_graph.estimation.live.step_buffer import Interval
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array
 
-SPARSE = 5.0  # [s] between the covariances of rows that leave the window
+COVARIANCE_INTERVAL = 5.0  # [s] between covariances of the first keyframe; rows between are interpolated
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class TrajectoryRows:
 
     @classmethod
     def joined(cls, parts: Sequence[TrajectoryRows]) -> TrajectoryRows:
-        """Rows that follow one another."""
+        """Concatenate rows that follow one another."""
         names = ("time", "pose", "covariance")
         columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
         return cls(**columns, floor=[label for part in parts for label in part.floor])
@@ -36,7 +36,7 @@ class TrajectoryRows:
 
 @dataclass(frozen=True)
 class FinalizedCheckpoint:
-    """What a `FinalizedTrajectory` knows, but for the reports."""
+    """State of a `FinalizedTrajectory` without its reports."""
 
     final: list[TrajectoryRows]
     left: list[TrajectoryRows]
@@ -47,11 +47,12 @@ class FinalizedCheckpoint:
 
 
 class FinalizedTrajectory:
-    """Finalised rows and reports that were not taken yet.
+    """Finalised rows and reports that `pop_finalized` has not returned yet.
 
-    final: rows with their covariance; left: the last ones, with the spread about their keyframes alone; reports: by
-    kind and number of the instance; anchored: it has been known for sure where the walk was: until then all goes with
-    the start of the window, which was ``hinge``; edge: when the first keyframe's covariance was last taken, and it.
+    final: rows with covariance; left: later rows, whose covariance is still relative to their keyframes; reports: by
+    kind and number of the instance; anchored: the position of the walk has been certain once; until then all rows move
+    with the start of the window, whose last pose was ``hinge``; edge: time [s] of the last covariance of the first
+    keyframe, and that covariance.
     """
 
     def __init__(self) -> None:
@@ -61,34 +62,36 @@ class FinalizedTrajectory:
         self.edge = 0.0, np.eye(3) * FRAME_SIGMA**2
 
     def take(self, leaving: Sequence[Interval], at: Evaluation, start: Array | None) -> None:
-        """Take the rows of intervals that leave, as ``at`` has them; start: the pose at the walk's, if that leaves."""
+        """Append the rows of intervals that leave the window; start: first pose of the walk if it leaves with them."""
         if start is not None:
             at_start = np.array([leaving[0].begin])
             self.left.append(TrajectoryRows(at_start, start[None], np.zeros((1, 3, 3)), [leaving[0].label]))
-        for n, one in enumerate(leaving):
-            pose = at.ends[at.pieces.first[n] + one.row_piece]
+        for n, interval in enumerate(leaving):
+            pose = at.ends[at.pieces.first[n] + interval.row_piece]
             R = pose_rotation(np.full(len(pose), at.pose_i[n, 2]))
-            spread = R @ one.bridge.spread[one.row_piece] @ R.transpose(0, 2, 1)
-            self.left.append(TrajectoryRows(one.row_time, pose, spread, [one.label] * len(pose)))
+            spread = R @ interval.bridge.spread[interval.row_piece] @ R.transpose(0, 2, 1)
+            self.left.append(TrajectoryRows(interval.row_time, pose, spread, [interval.label] * len(pose)))
 
     def rows(self, time: float, covariance: Array) -> list[TrajectoryRows]:
-        """All rows. time, covariance: of the first keyframe that is in the window.
+        """All rows; covariances are interpolated between that of ``edge`` and that of the first keyframe in the window.
 
-        Between two keyframes that left, the covariance changes evenly.
+        time [s], covariance ``(3, 3)``: of this keyframe.
         """
-        (before, one), found = self.edge, list(self.final)
+        (edge_time, edge_covariance), all_rows = self.edge, list(self.final)
         for rows in self.left:
-            share = ((rows.time - before) / (time - before))[:, None, None]
-            found.append(replace(rows, covariance=(1 - share) * one + share * covariance + rows.covariance))
-        return found
+            share = ((rows.time - edge_time) / (time - edge_time))[:, None, None]
+            all_rows.append(
+                replace(rows, covariance=(1 - share) * edge_covariance + share * covariance + rows.covariance)
+            )
+        return all_rows
 
     def finalize(self, time: float, covariance: Array) -> None:
-        """Give the rows that have left their covariance, as `rows`."""
+        """Make all rows final, with covariances as of `rows`."""
         self.final = self.rows(time, covariance)
         self.left, self.edge = [], (time, covariance)
 
     def move(self, after: Array) -> None:
-        """Move with the start of the window, now at a pose ``(3,)``, what left it before that was sure."""
+        """Move all rows rigidly with the start of the window, which is now at pose ``after (3,)``."""
         before, self.hinge = self.hinge, after
         turn = after[2] - before[2]
         R = pose_rotation(np.array([turn]))[0]
@@ -98,19 +101,19 @@ class FinalizedTrajectory:
                 pose = np.column_stack([moved, rows.pose[:, 2] + turn])
                 past[k] = replace(rows, pose=pose, covariance=R @ rows.covariance @ R.T)
 
-    def hand_out(self) -> list[TrajectoryRows]:
-        """Return the final rows, once; none until the position of the walk is certain."""
+    def pop_finalized(self) -> list[TrajectoryRows]:
+        """Return and remove the final rows; none until the position of the walk is certain."""
         if not self.anchored:
             return []
-        handed, self.final, self.reports = self.final, [], {}
-        return handed
+        rows, self.final, self.reports = self.final, [], {}
+        return rows
 
     def checkpoint(self) -> FinalizedCheckpoint:
-        """All that it knows but the reports."""
+        """Return the state without the reports."""
         return FinalizedCheckpoint(list(self.final), list(self.left), self.anchored, self.hinge, *self.edge)
 
     def restore(self, checkpoint: FinalizedCheckpoint) -> None:
-        """Go on from a checkpoint."""
+        """Set the state to a checkpoint."""
         self.final, self.left = list(checkpoint.final), list(checkpoint.left)
         self.anchored, self.hinge = checkpoint.anchored, checkpoint.hinge
         self.edge = checkpoint.edge_time, checkpoint.edge

@@ -1,9 +1,8 @@
-"""iSAM2 that cannot be corrupted: named factors, and a shadow copy of all that it holds.
+"""A transactional iSAM2: named factors, and a shadow copy of all factors and values.
 
-``ISAM2.update`` is not transactional (gtsam 4.3.0): after an exception the object may crash or go on with stale
-estimates, and a NaN passes without a word. So whatever goes in is kept here too, under a name; when an update fails the
-object is thrown away and a new one is made of the shadow. What marginalised variables left behind are factors of
-GTSAM's own, and are kept with the others.
+``ISAM2.update`` is not transactional (gtsam 4.3.0): after an exception the object may crash or continue with stale
+estimates, and a NaN raises nothing. So every factor is stored here too, under a name. When an update fails, a new
+object is built from the shadow copy. The marginals of finalised variables are GTSAM's own factors; they are stored too.
 """
 
 from __future__ import annotations
@@ -24,18 +23,17 @@ from pdr_graph.types import Array, Index, Mask
 
 IntegerArray = NDArray[np.int64]
 
-Name = tuple[str, int]  # of the block, and the factor's own number
-RELINEARIZE = 0.01  # [m, rad, -] that a variable moves before GTSAM's own factors of it are linearised again
-HELD = 1e3  # [m, rad, -] standard deviation of a hold on what nothing determines
-HOLD = "hold"
+Name = tuple[str, int]  # of the block, and of the factor within it
+RELINEARIZE = 0.01  # [m, rad, -] change of a variable at which GTSAM relinearises its own factors; chosen by hand
+HOLD, HOLD_SIGMA = "hold", 1e3  # prior of a variable that no factor determines: name; sigma [m, rad, -]
 DROPPED = "left out, not finite"
-WEIGHT_CHANGE = 0.1  # of a robust weight, until a factor is linearised again
+WEIGHT_CHANGE = 0.1  # change of a robust weight at which a factor is linearised again; chosen by hand
 POSE_CHARACTER, SYMBOL_BITS = ord(POSE), 56  # the first byte of a key is its symbol
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A factor in the graph. point: its variables where it was linearised; weight, signature: as of `FactorBlock`."""
+    """A linearised factor. point: linearisation point ``(3 v,)``; weight, signature: see `FactorBlock`."""
 
     factor: gtsam.NonlinearFactor
     keys: tuple[int, ...]
@@ -50,10 +48,10 @@ class Linear:
 
 
 class TransactionalISAM:
-    """The variables of a walk under way, and its factors by name; those older than ``lag`` [s] are marginalised.
+    """Variables and named factors of a walk under way; variables older than ``lag`` [s] are marginalised.
 
-    values: the estimate; marginal: what variables that were marginalised have left behind; rebuilds: reasons of each
-    rebuild.
+    relinearize: see RELINEARIZE. values: the estimate; marginal: factors of marginalised variables; rebuilds: the
+    reason of each rebuild; updates: number of updates.
     """
 
     def __init__(self, lag: float = np.inf, relinearize: float = RELINEARIZE):
@@ -75,41 +73,41 @@ class TransactionalISAM:
     def changes(
         self, block: FactorBlock, state: State, tighter: float = 1.0, again: Collection[Name] = ()
     ) -> dict[Name, Linear]:
-        """The factors of a block that are new, or must be linearised again, by ``tighter`` times its tolerance.
+        """The factors of a block that are new or must be linearised again, at ``tighter`` times its tolerance.
 
-        Factors of variables that a kind has brought are new only with one of their variables, or if named in ``again``.
+        Priors of variables that a kind adds are new only if one of their variables is, or if ``again`` names them.
         """
         if not len(block):
             return {}
-        known = [self.factors.get((block.name, number)) for number in block.number.tolist()]
+        stored = [self.factors.get((block.name, number)) for number in block.number.tolist()]
         point = block.point(state)
         signature = np.zeros(len(block)) if block.signature is None else block.signature
         keys = np.stack([state.keys(symbol, rows) for symbol, rows in block.variables], axis=1)
-        due = np.array([one is None for one in known]) & (np.bincount(block.row_of, minlength=len(block)) > 0)
+        due = np.array([factor is None for factor in stored]) & (np.bincount(block.row_of, minlength=len(block)) > 0)
         if block.prior:
             names, rows = [(block.name, number) for number in block.number[due].tolist()], keys[due].tolist()
             alive = [all(self.values.exists(key) for key in row) for row in rows]
-            due[due] = [not known or name in again for name, known in zip(names, alive, strict=True)]
-        seen = np.array([n for n, one in enumerate(known) if one is not None], dtype=np.intp)
-        if len(seen):
-            due[seen] = _stale([known[n] for n in seen.tolist()], block, point[seen], seen, signature[seen], tighter)
+            due[due] = [not complete or name in again for name, complete in zip(names, alive, strict=True)]
+        old = np.array([n for n, factor in enumerate(stored) if factor is not None], dtype=np.intp)
+        if len(old):
+            due[old] = _stale([stored[n] for n in old.tolist()], block, point[old], old, signature[old], tighter)
         if not due.any():
             return {}
         return _linear(block, state, np.flatnonzero(due), keys, point, signature)
 
-    def gone(self, blocks: Sequence[FactorBlock], state: State) -> list[Name]:
-        """The factors of the keyframes in ``state`` that no block has any more."""
+    def obsolete(self, blocks: Sequence[FactorBlock], state: State) -> list[Name]:
+        """Names of the stored factors of the keyframes in ``state`` that no block has any more."""
         present = {name: set[int]() for name in {block.name for block in blocks if not block.prior}}
         for block in blocks:
             if not block.prior:
                 present[block.name].update(block.number[np.unique(block.row_of)].tolist())
         alive = set(state.keys("x").tolist())
-        found = []
-        for name, one in self.factors.items():
+        names = []
+        for name, factor in self.factors.items():
             numbers = present.get(name[0])
-            if numbers is not None and name[1] not in numbers and one.poses and alive.issuperset(one.poses):
-                found.append(name)
-        return found
+            if numbers is not None and name[1] not in numbers and factor.poses and alive.issuperset(factor.poses):
+                names.append(name)
+        return names
 
     def update(
         self,
@@ -118,9 +116,9 @@ class TransactionalISAM:
         values: gtsam.Values | None = None,
         times: Mapping[int, float] | None = None,
     ) -> None:
-        """One incremental update: factors of known names are replaced.
+        """Update incrementally; a factor with the name of a stored one replaces it.
 
-        values: of new variables; times: of these, and of those that must stay alive [s].
+        values: of new variables; times: [s] of these, and of variables that must stay alive.
         """
         values, times = values or gtsam.Values(), dict[Any, Any](times or {})
         replaced = [name for name in {*remove, *add} if name in self.factors]
@@ -131,7 +129,7 @@ class TransactionalISAM:
         self._times.update(times)
         self._symbols |= {key >> SYMBOL_BITS for key in times}
         try:
-            self._smoother.update(_graph(one.factor for one in add.values()), values, times, slots)
+            self._smoother.update(_graph(linear.factor for linear in add.values()), values, times, slots)
             self._accept(list(add))
         except (RuntimeError, ValueError, IndexError) as error:
             self._rebuild(values, f"{type(error).__name__}: {str(error).strip().splitlines()[0][:100]}")
@@ -141,27 +139,27 @@ class TransactionalISAM:
         return np.asarray(self._smoother.getISAM2().jointMarginalCovariance(keys).fullMatrix())
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
-        """All factors, those of what was marginalised too."""
-        return _graph([*(one.factor for one in self.factors.values()), *self.marginal])
+        """All factors, with the marginals."""
+        return _graph([*(linear.factor for linear in self.factors.values()), *self.marginal])
 
     def marginal_cost(self) -> float:
         """Cost of the marginal at the estimate."""
         return float(sum(factor.error(self.values) for factor in self.marginal))
 
-    def moved_to(self, values: gtsam.Values, relinearize: float | None = None) -> TransactionalISAM:
-        """The same variables at other values, with the marginalised past but without factors; `start` adds these."""
-        again = TransactionalISAM(self.lag, self.relinearize if relinearize is None else relinearize)
-        again.marginal, again.rebuilds, again._times = self.marginal, self.rebuilds, dict(self._times)
-        again.values = values
-        return again
+    def with_values(self, values: gtsam.Values, relinearize: float | None = None) -> TransactionalISAM:
+        """The same variables at other values, with the marginals but without other factors; `start` adds these."""
+        isam = TransactionalISAM(self.lag, self.relinearize if relinearize is None else relinearize)
+        isam.marginal, isam.rebuilds, isam._times = self.marginal, self.rebuilds, dict(self._times)
+        isam.values = values
+        return isam
 
     def start(self, factors: Mapping[Name, Linear]) -> None:
-        """Begin with these factors, after `moved_to` or `restored`."""
+        """Add the first factors, after `with_values` or `restored`."""
         self.factors = dict(factors)
         self._start_or_hold(gtsam.Values(self.values))
 
     def checkpoint(self) -> IsamCheckpoint:
-        """The variables and the marginalised past."""
+        """Variables and marginals."""
         return IsamCheckpoint(
             lag=self.lag,
             rebuilds=list(self.rebuilds),
@@ -173,66 +171,66 @@ class TransactionalISAM:
 
     @classmethod
     def restored(cls, checkpoint: IsamCheckpoint) -> TransactionalISAM:
-        """From a checkpoint; `start` adds the factors."""
-        own, values = cls(checkpoint.lag), gtsam.Values()
+        """Create from a checkpoint, without factors; `start` adds them."""
+        isam, values = cls(checkpoint.lag), gtsam.Values()
         for key, time, numbers in zip(checkpoint.keys.tolist(), checkpoint.times, checkpoint.variables, strict=True):
             _insert(values, key, numbers)
-            own._times[key] = float(time)
-        own.marginal = [_unpacked(one, values) for one in checkpoint.marginal]
-        own.values, own.rebuilds = values, list(checkpoint.rebuilds)
-        return own
+            isam._times[key] = float(time)
+        isam.marginal = [_unpacked(packed, values) for packed in checkpoint.marginal]
+        isam.values, isam.rebuilds = values, list(checkpoint.rebuilds)
+        return isam
 
     def _accept(self, added: list[Name]) -> None:
-        """Take over what an update has found; RuntimeError if it is not finite."""
-        found = self._smoother.calculateEstimate()
-        if not all(np.isfinite(extract(found, chr(symbol))).all() for symbol in self._symbols):
+        """Copy the estimate after an update. Raises RuntimeError if it is not finite."""
+        estimate = self._smoother.calculateEstimate()
+        if not all(np.isfinite(extract(estimate, chr(symbol))).all() for symbol in self._symbols):
             raise RuntimeError("the estimate is not finite")
         slots = dict(zip(added, self._smoother.getISAM2Result().getNewFactorsIndices(), strict=False))
         self._slots |= slots
-        if found.size() < len(self._times):
-            self._forget(found)
-        self.values = found
+        if estimate.size() < len(self._times):
+            self._forget(estimate)
+        self.values = estimate
         self.updates += 1
 
-    def _forget(self, found: gtsam.Values) -> None:
-        """What was marginalised is no longer known by name."""
-        self._times = {key: time for key, time in self._times.items() if found.exists(key)}
-        for name in [n for n, one in self.factors.items() if not all(key in self._times for key in one.keys)]:
+    def _forget(self, estimate: gtsam.Values) -> None:
+        """Remove the names of marginalised variables and their factors, and copy the new marginals."""
+        self._times = {key: time for key, time in self._times.items() if estimate.exists(key)}
+        for name in [n for n, factor in self.factors.items() if not all(key in self._times for key in factor.keys)]:
             del self.factors[name], self._slots[name]
-        held, ours = self._smoother.getFactors(), set(self._slots.values())
-        left = [held.at(slot) for slot in range(held.size()) if slot not in ours and held.exists(slot)]
+        stored, named = self._smoother.getFactors(), set(self._slots.values())
+        marginals = [stored.at(slot) for slot in range(stored.size()) if slot not in named and stored.exists(slot)]
         point = self._smoother.getISAM2().getLinearizationPoint()
-        self.marginal = [_anchored(factor, point) for factor in left]
+        self.marginal = [_anchored(factor, point) for factor in marginals]
 
     def _rebuild(self, values: gtsam.Values, why: str) -> None:
-        """Build a new object from the copy, without factors that are not finite; hold undetermined variables."""
-        known = gtsam.Values(self.values)
-        known.insert(values)
-        bad = [name for name, one in self.factors.items() if not _finite(one.factor, known)]
+        """Rebuild iSAM2 from the copy, without factors that are not finite; add priors if it is underdetermined."""
+        initial = gtsam.Values(self.values)
+        initial.insert(values)
+        bad = [name for name, factor in self.factors.items() if not _finite(factor.factor, initial)]
         for name in bad:
             del self.factors[name]
         self.rebuilds.append(f"{why}; {len(bad)} factors {DROPPED}" if bad else why)
-        self._start_or_hold(known)
+        self._start_or_hold(initial)
 
-    def _start_or_hold(self, known: gtsam.Values) -> None:
-        """Start from these values; where the factors do not determine them all, hold each loosely where it is."""
+    def _start_or_hold(self, initial: gtsam.Values) -> None:
+        """Start from these values; add a weak prior of each variable if the factors are underdetermined."""
         try:
-            self._start(known)
+            self._start(initial)
         except (RuntimeError, ValueError, IndexError):
-            for key in known.keys():
-                self.factors[HOLD, key] = Linear(_hold(known, key), (key,), np.empty(0), 1.0, 0.0)
-            self._start(known)
+            for key in initial.keys():
+                self.factors[HOLD, key] = Linear(_hold(initial, key), (key,), np.empty(0), 1.0, 0.0)
+            self._start(initial)
 
-    def _start(self, known: gtsam.Values) -> None:
+    def _start(self, initial: gtsam.Values) -> None:
         self._smoother = _smoother(self.lag, self.relinearize)
         self._slots, self._symbols = {}, {key >> SYMBOL_BITS for key in self._times}
-        self._smoother.update(self.graph(), known, {key: self._times[key] for key in known.keys()}, [])
+        self._smoother.update(self.graph(), initial, {key: self._times[key] for key in initial.keys()}, [])
         self._accept(list(self.factors))
 
 
 @dataclass(frozen=True)
 class PackedFactor:
-    """A linear factor. keys: ``(v,)``; information: ``(3 v + 1, 3 v + 1)``, that of the residual in the last row."""
+    """A linear factor. keys: ``(v,)``; information: augmented, ``(3 v + 1, 3 v + 1)``, residuals in the last row."""
 
     keys: IntegerArray
     information: Array
@@ -240,7 +238,7 @@ class PackedFactor:
 
 @dataclass(frozen=True)
 class IsamCheckpoint:
-    """Variables ``(n, 3)`` with their keys and times [s], and the marginalised past."""
+    """Variables ``(n, 3)`` with their keys and times [s], and the marginals."""
 
     lag: float
     rebuilds: list[str]
@@ -251,57 +249,59 @@ class IsamCheckpoint:
 
 
 def _stale(
-    known: Sequence[Linear | None], block: FactorBlock, point: Array, rows: Index, signature: Array, tighter: float
+    stored: Sequence[Linear | None], block: FactorBlock, point: Array, rows: Index, signature: Array, tighter: float
 ) -> Mask:
-    """Which factors have moved too far from where they were linearised, or have changed."""
-    was = [one for one in known if one is not None]
-    stale = np.abs(np.array([one.signature for one in was]) - signature) > tighter
+    """True ``(n,)`` for factors that moved too far from their linearisation point, or whose data changed."""
+    was = [factor for factor in stored if factor is not None]
+    stale = np.abs(np.array([factor.signature for factor in was]) - signature) > tighter
     if block.tolerance is None:
         return stale
-    apart = np.abs(point - np.array([one.point for one in was]))
+    apart = np.abs(point - np.array([factor.point for factor in was]))
     for n, (symbol, _) in enumerate(block.variables):
         if symbol == "x":
             apart[:, 3 * n + 2] = np.abs(wrap_angle(apart[:, 3 * n + 2]))
     stale |= (apart > block.limits() * tighter).any(axis=1)
     if block.loss is not GAUSSIAN:
-        stale |= np.abs(block.weight[rows] - [one.weight for one in was]) > WEIGHT_CHANGE * tighter
+        stale |= np.abs(block.weight[rows] - [factor.weight for factor in was]) > WEIGHT_CHANGE * tighter
     return stale
 
 
 def _linear(
     block: FactorBlock, state: State, which: Index, keys: Index, point: Array, signature: Array
 ) -> dict[Name, Linear]:
-    """Some factors of a block, linearised at ``state``."""
+    """The factors ``which`` of a block, linearised at ``state``."""
     residual, jacobian = block.weighted
-    first, weight, found = np.searchsorted(block.row_of, np.arange(len(block) + 1)), block.weight, dict[Name, Linear]()
+    first, weight, linear = np.searchsorted(block.row_of, np.arange(len(block) + 1)), block.weight, dict[Name, Linear]()
     variables, where = np.unique(keys[which], return_index=True)
     values = gtsam.Values()
     for key, numbers in zip(variables.tolist(), point[which].reshape(-1, 3)[where], strict=True):
         _insert(values, key, numbers)
     for n in which.tolist():
-        rows, own = slice(first[n], first[n + 1]), tuple(keys[n].tolist())
-        factor = linear_factor(own, [by[rows] for by in jacobian], residual[rows], values)
-        found[block.name, int(block.number[n])] = Linear(factor, own, point[n], float(weight[n]), float(signature[n]))
-    return found
+        rows, factor_keys = slice(first[n], first[n + 1]), tuple(keys[n].tolist())
+        factor = linear_factor(factor_keys, [by[rows] for by in jacobian], residual[rows], values)
+        linear[block.name, int(block.number[n])] = Linear(
+            factor, factor_keys, point[n], float(weight[n]), float(signature[n])
+        )
+    return linear
 
 
 def linear_factor(
     keys: Sequence[int], blocks: Sequence[Array], residual: Array, values: gtsam.Values
 ) -> gtsam.NonlinearFactor:
-    """A factor linearised at ``values``: whitened residuals ``(r,)``, and derivatives ``(r, 3)`` by each variable."""
+    """The linear factor at ``values`` with whitened ``residual (r,)`` and derivatives ``(r, 3)`` by each variable."""
     terms: list[Any] = [side for pair in zip(keys, blocks, strict=True) for side in pair]
     make: Any = gtsam.JacobianFactor  # its overloads are of one, two and three variables
     return gtsam.LinearContainerFactor(make(*terms, -residual, UNIT[len(residual)]), values)
 
 
 def _packed(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> PackedFactor:
-    """A factor, linear at these values."""
+    """A linear factor, packed; ``values`` must contain its variables."""
     gaussian = factor.linearize(values)
     return PackedFactor(np.array(list(gaussian.keys()), dtype=np.int64), np.asarray(gaussian.augmentedInformation()))
 
 
 def _unpacked(packed: PackedFactor, values: gtsam.Values) -> gtsam.NonlinearFactor:
-    """The sum of what each pair of keys has; GTSAM's own constructors take no more than three."""
+    """The factor as a sum of one term per pair of keys: GTSAM's own constructors take no more than three keys."""
     keys, information = packed.keys.tolist(), packed.information
     graph, zero, nothing = gtsam.GaussianFactorGraph(), np.zeros((3, 3)), np.zeros(3)
     block = [slice(3 * n, 3 * n + 3) for n in range(len(keys))]
@@ -315,9 +315,9 @@ def _unpacked(packed: PackedFactor, values: gtsam.Values) -> gtsam.NonlinearFact
 
 
 def _anchored(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.NonlinearFactor:
-    """A marginal with the values at which it is linear, which GTSAM's own does not have (4.3.0).
+    """A marginal with its linearisation point, which GTSAM's marginals do not store (gtsam 4.3.0).
 
-    Without them it holds at zero, wherever the variables are. iSAM2 does not linearise its variables again.
+    Without it the marginal would be evaluated at zero. iSAM2 never relinearises the variables of a marginal.
     """
     if not isinstance(factor, gtsam.LinearContainerFactor):
         return factor
@@ -326,7 +326,7 @@ def _anchored(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.Nonli
 
 
 def _numbers(values: gtsam.Values, key: int) -> Array:
-    """A variable as three numbers."""
+    """The value ``(3,)`` of a variable."""
     if key >> SYMBOL_BITS != POSE_CHARACTER:
         return values.atVector(key)
     pose = values.atPose2(key)
@@ -338,7 +338,7 @@ def _insert(values: gtsam.Values, key: int, numbers: Array) -> None:
 
 
 def _smoother(lag: float, relinearize: float) -> gtsam.IncrementalFixedLagSmoother:
-    """GTSAM's fixed-lag smoother; the settings that are not its defaults leak or jump otherwise (design section 3)."""
+    """GTSAM's fixed-lag smoother; with default settings it leaks memory or estimates jump (design section 3)."""
     parameters = gtsam.ISAM2Params()
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
     parameters.setRelinearizeThreshold(relinearize)
@@ -365,7 +365,8 @@ def _finite(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> bool:
 
 
 def _hold(values: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
-    noise = gtsam.noiseModel.Isotropic.Sigma(3, HELD)
+    """A weak prior of a variable at its present value."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, HOLD_SIGMA)
     if key >> SYMBOL_BITS == POSE_CHARACTER:
         return gtsam.PriorFactorPose2(key, values.atPose2(key), noise)
     return gtsam.PriorFactorVector(key, values.atVector(key), noise)

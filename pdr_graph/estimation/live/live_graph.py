@@ -1,7 +1,7 @@
-"""The factor graph of a walk under way: that of the batch over a window, and the marginal of what has left it.
+"""The factor graph of a walk under way: the batch's factors over a window, and the marginal of finalised variables.
 
-Measurements are the same objects as the batch's, made of the rows in the window; the incremental solver gets their
-factors linearised where the walk is, and again when a variable has moved.
+Measurements are the same objects as the batch's, made from the rows in the window. The incremental solver receives
+their factors linearised at the estimate, and again when a variable has moved.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live.finalization import SPARSE, FinalizedCheckpoint, FinalizedTrajectory
+from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.isam import IsamCheckpoint, Linear, Name, TransactionalISAM
 from pdr_graph.estimation.live.measurement_log import Collector, MeasurementLog, TableCheckpoint
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
@@ -29,16 +29,17 @@ from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation, wrap_angle
 from pdr_graph.types import Array, Index
 
-RECENT, EVERY = 150, 25  # intervals that are looked at each time; all are when so many keyframes have closed
-STILL = np.array([0.05, 0.05, 0.005])  # [m, m, rad] of a move that no factor notices
+RECENT = 150  # intervals that each update evaluates, chosen by hand
+FULL_CHECK = 25  # keyframes after which a relinearisation evaluates all intervals, chosen by hand
+UNMOVED = np.array([0.05, 0.05, 0.005])  # [m, m, rad] a move below the tolerance of every factor
 Decisions = dict[str, dict[str, AnyArray]]
 
 
 @dataclass(frozen=True)
 class LiveGraphCheckpoint:
-    """What a `LiveGraph` knows.
+    """State of a `LiveGraph`.
 
-    brought: names and numbers of the factors of variables that measurements have brought, while these are alive.
+    brought: names and numbers of the priors of variables that measurements add, while these variables are alive.
     """
 
     window: WindowCheckpoint
@@ -59,20 +60,19 @@ class LiveGraphCheckpoint:
 
 
 class LiveGraph:
-    """Every measurement of a walk under way as a factor.
+    """The factors of a walk under way, and the solver that they go to.
 
-    prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the one that
-    the walk is on.
-
-    c_prior: mean and covariance of the calibration with which the window begins; decisions: about measurements, by
-    kind; too_late: how many came after their time had left the window.
+    prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the first
+    floor.
+    c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind;
+    too_late: number of measurements from before the window.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
         self.prior, self.lag = prior or Prior(), lag
         if plan is not None and len(plan.labels) == 1:
             floor = plan.labels[0]
-        self.window, self.log, self.past = Window(self.prior, plan, floor), MeasurementLog(), FinalizedTrajectory()
+        self.window, self.log, self.finalized = Window(self.prior, plan, floor), MeasurementLog(), FinalizedTrajectory()
         self.isam, self.collectors = TransactionalISAM(lag), list[Collector]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
@@ -80,23 +80,21 @@ class LiveGraph:
         self._arrivals = list[float]()
         self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
         self._current: tuple[Part, list[Measurement]] | None = None
-        self._outdated, self._version = False, 0  # whether rows or intervals have come since `_current` was made
-        self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not on a chain yet
-        self._last: tuple[Any, gtsam.Values, Evaluation] | None = None  # the latest evaluation, and of what
-        self._leaving = 0  # keyframes that the solver has marginalised or is about to, and the window still has
-        self._looked: Array | None = None  # the poses where the factors were last looked at
-
-    # What comes in
+        self._outdated, self._version = False, 0  # True if rows or intervals are newer than `_current`
+        self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
+        self._last: tuple[Any, gtsam.Values, Evaluation] | None = None  # the latest evaluation, and its input
+        self._leaving = 0  # keyframes still in the window that the solver has marginalised or is about to
+        self._checked_poses: Array | None = None  # where the factors were last checked for relinearisation
 
     def begin(self) -> None:
         """Set the first keyframe, at the start of the steps."""
         self.window.begin()
-        self.past.edge = self.window.times[0], self.past.edge[1]
+        self.finalized.edge = self.window.times[0], self.finalized.edge[1]
         self.log.forget(self.window.times[0] - max(self.overhangs.values(), default=0.0))
         self.update()
 
     def append(self, data: Any, number: Index | None = None) -> None:
-        """Append measurements; those from before the window count as too late."""
+        """Append measurements; those from before the window are dropped and counted as late."""
         times = self.log.times(data)
         if self.window.times:
             early = times < self.window.times[0] - self.log.overhang(data)
@@ -110,29 +108,29 @@ class LiveGraph:
 
     @property
     def overhangs(self) -> dict[str, float]:
-        """By how much measurements may lie outside the steps, by kind [s]."""
+        """Time [s] by which measurements may lie outside the steps, by kind."""
         return self.log.overhangs
 
     def collect(self, data: Any) -> bool:
-        """Take raw data (advertisements, scans); whether anything makes measurements of it."""
-        return any([one.collect(data) for one in self.collectors])
+        """Pass raw data (advertisements, scans) to all collectors; True if one of them uses it."""
+        return any([collector.collect(data) for collector in self.collectors])
 
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
-        """Close the keyframes that steps and measurements have made.
+        """Close the keyframes due after new steps and measurements.
 
-        Returns the new intervals, and whether measurements were reached.
+        Returns the new intervals, and True if the steps have reached the time of new measurements.
         """
         window, covered = self.window, self.window.steps.end
-        for one in self.collectors:
-            for data in one.due(covered, window.steps.walked_by):
+        for collector in self.collectors:
+            for data in collector.due(covered, window.steps.walked_by):
                 self.append(data)
         window.finished = at_end
         reached = [time for time in self._arrivals if time <= covered + CLOSE or at_end]
         ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
         if ends:
-            # What the update with these keyframes marginalises; the calibration of the last interval is linked to the next
+            # Before the update marginalises them; the last interval links its calibration to the next
             self._leaving = int(np.searchsorted(window.times[:-2], ends[-1] - self.isam.lag))
-            self.let_go()
+            self.finalize_leaving()
         new = window.cut(ends)
         within = [time for time in reached if window.times[0] <= time <= window.times[-1]]
         for time in within:
@@ -144,16 +142,14 @@ class LiveGraph:
         self.log.version += bool(reached)
         return new, bool(reached)
 
-    # The graph at the estimate
-
     @property
-    def placed(self) -> bool:
-        """Whether anything in the window tells where the walk was."""
-        times = self.log.placing_times()
+    def has_position(self) -> bool:
+        """True if a measurement in the window determines a position."""
+        times = self.log.position_times()
         return bool(len(times)) and bool(self.window.times) and float(times.min()) <= self.window.times[-1] + CLOSE
 
     def current(self, everything: bool = False) -> tuple[Part, list[Measurement]]:
-        """The last intervals, or all, and the measurements on them."""
+        """The last RECENT intervals, or all, and the measurements bound to them."""
         if everything and len(self.window.intervals) > RECENT:
             return self._measured(self.window.part(ALL))
         if self._current is None or self._outdated or self._version != self.log.version:
@@ -180,7 +176,7 @@ class LiveGraph:
 
     @property
     def total_cost(self) -> float:
-        """The cost of the window and of the marginal, to compare one estimate with another."""
+        """Cost of the window plus that of the marginal, to compare estimates."""
         return self.cost + self.isam.marginal_cost()
 
     def _measured(self, part: Part) -> tuple[Part, list[Measurement]]:
@@ -188,15 +184,15 @@ class LiveGraph:
         state = self.log.version, chain.time[0] if part.first else -np.inf, window.finished
         if self._measured_at != state:
             end = np.inf if window.finished else window.times[-1]
-            found = list[Measurement]()
+            measurements = list[Measurement]()
             if window.steps.chunks:
-                found = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
-            self._measured_at, self._measurements = state, found
-        measured = [one.on(chain) for one in self._measurements]
-        return part, [StepFactor(), *measured, *self._held(part), *self._on_plan(part)]
+                measurements = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
+            self._measured_at, self._measurements = state, measurements
+        measured = [measurement.bind(chain) for measurement in self._measurements]
+        return part, [StepFactor(), *measured, *self._priors(part), *self._on_plan(part)]
 
-    def _held(self, part: Part) -> list[Measurement]:
-        """What is believed of calibration and start, while these are in the window."""
+    def _priors(self, part: Part) -> list[Measurement]:
+        """Priors of calibration and first pose, while these are in the window."""
         row = {number: n for n, number in enumerate(part.segments.tolist())}
         begins = {row[self._begins]: self.c_prior} if self._begins in row else {}
         keyframe, hold = self._hold
@@ -204,69 +200,73 @@ class LiveGraph:
         return [CalibrationFactor(begins, self.prior.change), *held]
 
     def _on_plan(self, part: Part) -> list[Measurement]:
-        """Walls and corridors."""
-        walls, use, plan = part.walls(), self.prior.corridors, self.window.known_plan
-        found: list[Measurement] = [] if walls is None else [walls]
+        """Factors of walls and corridors, if the plan is used."""
+        walls, use, plan = part.walls(), self.prior.corridors, self.window.located_plan
+        evidence: list[Measurement] = [] if walls is None else [walls]
         if plan is not None and (use.turns or use.directions) and part.intervals:
-            labels = [one.label for one in part.intervals for _ in one.fields]
+            labels = [interval.label for interval in part.intervals for _ in interval.fields]
             at = part.chain.evaluate(part.state(self.isam.values, ()))
-            found.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
-        return found
-
-    # The incremental solver
+            evidence.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
+        return evidence
 
     def update(self, everything: bool = False) -> None:
-        """Give the solver what is new, and what must be linearised again."""
-        self.let_go()
+        """Update the solver with new factors, and with those that must be relinearised."""
+        self.finalize_leaving()
         at = self.evaluate(everything)
         values, times = self._new_variables(at)
         add = self._changes(at)
-        self._update(add, self.isam.gone(at.blocks, at.state), values, times)
+        self._update(add, self.isam.obsolete(at.blocks, at.state), values, times)
 
     def relinearize(self, tighter: float = 1.0, everything: bool = False) -> bool:
-        """Linearise again what has moved; whether anything had."""
+        """Relinearise factors whose variables have moved; False if there were none."""
         if tighter == 1.0 and self._unmoved():
             return False
-        self.let_go()
-        at = self.evaluate(everything or self.window.count % EVERY == 0)
+        self.finalize_leaving()
+        at = self.evaluate(everything or self.window.count % FULL_CHECK == 0)
         add = self._changes(at, tighter)
-        remove = self.isam.gone(at.blocks, at.state)
+        remove = self.isam.obsolete(at.blocks, at.state)
         if add or remove:
             self._update(add, remove)
         return bool(add or remove)
 
     def _unmoved(self) -> bool:
-        """Whether no pose has moved since the factors were last looked at by as much as would matter to any."""
-        if self._looked is None or self._outdated or len(self._looked) != len(self.window.pose):
+        """True if no pose has moved by as much as any factor tolerates since the last check."""
+        if self._checked_poses is None or self._outdated or len(self._checked_poses) != len(self.window.pose):
             return False
-        apart = np.abs(self.window.pose - self._looked)
+        apart = np.abs(self.window.pose - self._checked_poses)
         apart[:, 2] = np.abs(wrap_angle(apart[:, 2]))
-        return bool((apart < STILL).all())
+        return bool((apart < UNMOVED).all())
 
     def associate_walls(self, pieces: int) -> float:
-        """Find the walls about the last so many pieces; returns what it costs to lead there."""
-        self._looked = None
+        """Associate the last ``pieces`` with walls; returns the price of the regions they lead through."""
+        self._checked_poses = None
         price = self.window.associate_walls(pieces)
         if self._current is not None and not self._outdated:
             part, measurements = self._current
             walls = part.walls()
-            self._current = part, [walls if isinstance(one, WallFactor) and walls else one for one in measurements]
+            self._current = (
+                part,
+                [
+                    walls if isinstance(measurement, WallFactor) and walls else measurement
+                    for measurement in measurements
+                ],
+            )
         return price
 
     def rebuild(self, lag: float) -> None:
-        """Forget the marginal, and put all factors of the window into a new solver."""
+        """Put all factors of the window into a new solver, without the marginal."""
         rebuilds, self.isam = self.isam.rebuilds, TransactionalISAM(lag)
         self.isam.rebuilds, self._begins = rebuilds, self.window.segments[0]
         pose = self.window.pose[0].copy()
-        hold = StartFactor.heading(float(pose[2])) if self.placed else StartFactor.fixed(pose)
+        hold = StartFactor.heading(float(pose[2])) if self.has_position else StartFactor.fixed(pose)
         self._hold, self._current = (self.window.keyframes[0], hold), None
-        self.log.version += 1  # decisions may be others
+        self.log.version += 1  # the decisions may have changed
         self.update(everything=True)
 
-    def start_at(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
-        """Go on with a solver that has the same variables, at other values; again: factors that it must have.
+    def restart_solver(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
+        """Start ``isam``, a solver with the same variables at other values, and use it from now on.
 
-        These are such as tell of variables that measurements have brought.
+        again: names of the priors to add again, of variables that measurements add.
         """
         self.isam = isam
         self.window.read(isam.values)
@@ -274,22 +274,25 @@ class LiveGraph:
         isam.start(self._changes(at, again=again))
         self.window.read(isam.values)
 
-    def return_to(self, isam: TransactionalISAM) -> None:
-        """Go back to a solver, whose estimate the window has again."""
+    def restore_solver(self, isam: TransactionalISAM) -> None:
+        """Use a former solver again; the caller has restored its estimate in the window."""
         self.isam, self._current = isam, None
 
     def _changes(self, at: Evaluation, tighter: float = 1.0, again: Collection[Name] = ()) -> dict[Name, Linear]:
-        self._looked = self.window.pose.copy()
+        """New and relinearised factors of the evaluation ``at``."""
+        self._checked_poses = self.window.pose.copy()
         add: dict[Name, Linear] = {}
         for block in at.blocks:
             add |= self.isam.changes(block, at.state, tighter, again)
         return add
 
     def _new_variables(self, at: Evaluation) -> tuple[gtsam.Values, dict[int, float]]:
-        """The variables that the solver does not have yet, and until when all are needed [s]."""
+        """Variables that the solver does not have yet, and the time [s] until which each variable is needed."""
         values, times, now = gtsam.Values(), dict[int, float](), self.window.times[-1]
         needed = {"x": at.chain.time, "c": self._segment_ends(at.state)}
-        needed |= {one.symbol: one.needed for m in at.measurements for one in m.variables(at.state.poses)}
+        needed |= {
+            variables.symbol: variables.needed for m in at.measurements for variables in m.variables(at.state.poses)
+        }
         for symbol, until in needed.items():
             keys = at.state.keys(symbol).tolist()
             for key, vector, time in zip(keys, at.state[symbol], until.tolist(), strict=True):
@@ -302,7 +305,7 @@ class LiveGraph:
 
     def _segment_ends(self, state: State) -> Array:
         """The end of the last interval of each calibration ``(s,)``. [s]"""
-        ends = {one.segment: one.end for one in self.window.intervals}
+        ends = {interval.segment: interval.end for interval in self.window.intervals}
         return np.array([ends.get(segment, self.window.times[-1]) for segment in state.number("c").tolist()])
 
     def _update(
@@ -312,85 +315,85 @@ class LiveGraph:
         values: gtsam.Values | None = None,
         times: dict[int, float] | None = None,
     ) -> None:
-        """Update the solver, and take its estimate over."""
+        """Update the solver and copy its estimate to the window."""
         self.isam.update(add, remove, values, times)
         self._leaving = next((n for n, number in enumerate(self.window.keyframes) if X(number) in self.isam), 0)
         self.window.read(self.isam.values, self._leaving)
 
-    def let_go(self) -> None:
-        """Let go of the keyframes that leave, and of what was measured there."""
-        gone, window = self._leaving, self.window
-        if not gone:
+    def finalize_leaving(self) -> None:
+        """Finalise the keyframes that leave the window: move their rows and reports to `finalized`."""
+        count, window = self._leaving, self.window
+        if not count:
             return
-        self._leaving, until = 0, window.times[gone]
+        self._leaving, until = 0, window.times[count]
         complete = self._current is not None and len(self._current[0].intervals) == len(window.intervals)
         late = self._outdated and min(self._arrivals, default=until) < until
         at = self._evaluate(self._current) if complete and not late else self.evaluate(everything=True)
         self._report_until(until, at)
-        self.past.take(window.intervals[:gone], at, window.pose[0].copy() if window.complete else None)
-        window.forget(gone)
+        self.finalized.take(window.intervals[:count], at, window.pose[0].copy() if window.complete else None)
+        window.forget(count)
         self._current = None
-        if not self.past.anchored:
-            self.past.hinge = window.pose[0].copy()
+        if not self.finalized.anchored:
+            self.finalized.hinge = window.pose[0].copy()
         self.log.forget(until)
-        for one in self.collectors:
-            one.forget(until)
+        for collector in self.collectors:
+            collector.forget(until)
         self._arrivals = [time for time in self._arrivals if time >= until]
-        if window.times[0] > self.past.edge[0] + SPARSE:
-            self.past.finalize(window.times[0], self.covariance(0))
+        if window.times[0] > self.finalized.edge[0] + COVARIANCE_INTERVAL:
+            self.finalized.finalize(window.times[0], self.covariance(0))
 
     def _report_until(self, until: float, at: Evaluation) -> None:
-        """Keep the reports of instances from before a moment [s]."""
-        for one in at.measurements:
-            if one.instances is None:
+        """Store the reports of instances from before ``until`` [s]."""
+        for measurement in at.measurements:
+            if measurement.instances is None:
                 continue
-            numbers, times = one.instances
+            numbers, times = measurement.instances
             early = np.flatnonzero(times < until)
             if len(early):
-                reports = zip(numbers[early].tolist(), one.reports(at, early), strict=True)
-                self.past.reports.setdefault(one.name, {}).update(reports)
+                reports = zip(numbers[early].tolist(), measurement.reports(at, early), strict=True)
+                self.finalized.reports.setdefault(measurement.name, {}).update(reports)
 
     def covariance(self, n: int) -> Array:
-        """Covariance ``(3, 3)`` of a keyframe, by its place in order, in the output axes."""
+        """Covariance ``(3, 3)`` of the n-th keyframe of the window, in the output axes."""
         R = pose_rotation(self.window.pose[[n], 2])[0]
         return R @ self.isam.covariance([X(self.window.keyframes[n])]) @ R.T
 
-    # Decisions
-
-    def decide(self, measurements: Sequence[Measurement]) -> bool:
-        """Keep what was decided about measurements; whether that changes anything."""
+    def store_decisions(self, measurements: Sequence[Measurement]) -> bool:
+        """Store the decisions about measurements; True if any has changed."""
         changed = False
-        for one in measurements:
-            if decided := one.decisions():
-                known = self.decisions.get(one.name, {})
-                merged = _merged(known, decided)
-                changed |= not _same(known, merged)
-                self.decisions[one.name] = merged
+        for measurement in measurements:
+            if decided := measurement.decisions():
+                stored = self.decisions.get(measurement.name, {})
+                merged = _merged(stored, decided)
+                changed |= not _same(stored, merged)
+                self.decisions[measurement.name] = merged
         return changed
 
     def batch_graph(self) -> WalkGraph:
-        """The window as the batch has it."""
+        """The batch's graph of the window."""
         window, steps = self.window, self.window.steps.steps
-        raw = [data for one in self.collectors for data in one.complete(steps)]
+        raw = [data for collector in self.collectors for data in collector.complete(steps)]
         data = [
-            one for one in self.log.until(np.inf if window.finished else steps.end) if type(one) not in map(type, raw)
+            rows
+            for rows in self.log.until(np.inf if window.finished else steps.end)
+            if type(rows) not in map(type, raw)
         ]
         prior = Prior(**{**vars(self.prior), "mean": tuple(self.c_prior[0].tolist())})
-        labels = None if window.known_plan is None else window.row_labels()
-        graph = WalkGraph.of(steps, [*data, *raw], floor=window.known_plan, floors=labels, prior=prior)
-        return graph.decided({name: known for name, known in self.decisions.items() if "number" not in known})
+        labels = None if window.located_plan is None else window.row_labels()
+        graph = WalkGraph.of(steps, [*data, *raw], floor=window.located_plan, floors=labels, prior=prior)
+        return graph.decided({name: rows for name, rows in self.decisions.items() if "number" not in rows})
 
     def checkpoint(self) -> LiveGraphCheckpoint:
-        """All that the rest of the walk depends on."""
-        self.let_go()
-        brought = [name for name, one in self.isam.factors.items() if not one.poses]
+        """Return the state, from which the walk continues bit by bit the same."""
+        self.finalize_leaving()
+        brought = [name for name, factor in self.isam.factors.items() if not factor.poses]
         keyframe, hold = self._hold
         return LiveGraphCheckpoint(
             window=self.window.checkpoint(),
-            past=self.past.checkpoint(),
+            past=self.finalized.checkpoint(),
             isam=self.isam.checkpoint(),
             tables=self.log.checkpoint(),
-            collectors=[one.checkpoint() for one in self.collectors],
+            collectors=[collector.checkpoint() for collector in self.collectors],
             decisions=self.decisions,
             brought=brought,
             c_mean=self.c_prior[0],
@@ -404,32 +407,32 @@ class LiveGraph:
         )
 
     def restore(self, checkpoint: LiveGraphCheckpoint) -> None:
-        """Go on from a checkpoint, with the same prior, lag, plan and collectors."""
+        """Set the state to a checkpoint of a graph with the same prior, lag, plan and collectors."""
         self.log.restore(checkpoint.tables)
         self.decisions, self.too_late = checkpoint.decisions, checkpoint.too_late
         self.c_prior, self._begins = (checkpoint.c_mean, checkpoint.c_covariance), checkpoint.begins
         self._hold = checkpoint.hold_keyframe, StartFactor(checkpoint.hold_pose, checkpoint.hold_sigmas)
         self._arrivals = list(checkpoint.arrivals)
-        self.past.restore(checkpoint.past)
-        for one, known in zip(self.collectors, checkpoint.collectors, strict=True):
-            one.restore(known)
+        self.finalized.restore(checkpoint.past)
+        for collector, stored in zip(self.collectors, checkpoint.collectors, strict=True):
+            collector.restore(stored)
         self.window.restore(checkpoint.window)
         isam = TransactionalISAM.restored(checkpoint.isam)
         if self.window.keyframes:
             self.window.read(isam.values)
             self.window.associate_walls(ALL)
-            self.start_at(isam, [(name, number) for name, number in checkpoint.brought])
+            self.restart_solver(isam, [(name, number) for name, number in checkpoint.brought])
 
 
-def _same(one: Mapping[str, AnyArray], other: Mapping[str, AnyArray]) -> bool:
-    """Whether two sets of decisions are the same."""
-    if one.keys() != other.keys():
+def _same(old: Mapping[str, AnyArray], new: Mapping[str, AnyArray]) -> bool:
+    """True if two sets of decisions are the same."""
+    if old.keys() != new.keys():
         return False
-    return all(np.array_equal(one[name], rows, equal_nan=rows.dtype == float) for name, rows in other.items())
+    return all(np.array_equal(old[name], rows, equal_nan=rows.dtype == float) for name, rows in new.items())
 
 
 def _merged(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
-    """Decisions about instances by number: the new ones, and the old ones about others."""
+    """The new decisions, and the old ones about instances that have no new one."""
     if "number" not in new or not old:
         return new
     if np.array_equal(old["number"], new["number"]):

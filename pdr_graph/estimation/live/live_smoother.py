@@ -1,10 +1,10 @@
-"""The live smoother: a walk estimated step by step, about the path that explains its measurements best.
+"""The live smoother: estimates a walk step by step, along the path that explains its measurements best.
 
-Steps come in order; a keyframe closes after ten pieces of them, where something was measured, and at gaps. What comes
-late splits the interval that it falls into.
+Steps come in order. A keyframe closes after ten pieces, at each measurement and at gaps; a late measurement splits the
+interval that it falls into.
 
-Until the direction of the walk is sure there is nothing to linearise about: now and then the batch solves the window
-(`solve_batch`), and nothing leaves it.
+Until the direction of the walk is certain there is no estimate to linearise at: the batch solves the whole window at
+intervals (`solve_batch`), and no keyframe leaves the window.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.batch_start import BatchSolution, solve_batch
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.live_output import LiveOutput
-from pdr_graph.estimation.live.particles import OtherPath, ParallelParticleFilter
+from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
@@ -29,21 +29,52 @@ from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.types import Estimate, Headings, Steps
 
-CONVERGED = 1e-4  # of the tolerances, at the end of the walk
-ROUNDS = 4  # of linearising again after a keyframe, one with each of the next steps
-SETTLES = 1e-4  # at the end: when a round takes less than this share off the cost
-AGAIN, SPACED = 3.0, 0.2  # [s], and share of its duration, before a walk that is not sure is solved again
-CHECKED = 5  # keyframes after which the cost is looked at
-STRAINED, OF_KEYFRAME, OF_FIX = 8.0, 0.4, 3.0  # cost beyond which a walk is strained: twice what good ones have
-LONGEST_OPEN = 180.0  # [s] until the most probable of several paths is taken: nobody can wait for a longer walk
-CORRECTED = 30.0  # [s] between two looks for what is listed wrongly
-REVIEWED = 50.0  # [s] after which a walk on a plan is solved once more
-LOOKED_BACK = 60  # pieces whose walls are asked for again
+
+@dataclass(frozen=True)
+class Schedule:
+    """When the live smoother refines, reviews and restarts its estimate. All values are chosen by hand.
+
+    rounds: relinearisations after a keyframe, one with each of the next steps; wall_pieces: last pieces whose walls are
+    associated again at a keyframe.
+    final_tolerance: share of the usual relinearisation thresholds, for the end of the walk; final_decrease: share of
+    the cost by which a final round must lower it for another to follow.
+    batch_interval [s], batch_share: the batch solves an ambiguous walk again after this time and this share of the
+    walk's duration, whichever is longer; longest_ambiguous: time [s] after which the most probable path is accepted.
+    correction_interval: time [s] between searches for wrongly listed positions; review_after: time [s] after which the
+    batch solves a walk on a plan once more, while all of it is in the window.
+    cost_interval: keyframes between checks of the cost; cost_base, cost_per_keyframe, cost_per_fix: the limit of the
+    cost, twice that of correct walks.
+    """
+
+    rounds: int = 4
+    wall_pieces: int = 60
+    final_tolerance: float = 1e-4
+    final_decrease: float = 1e-4
+    batch_interval: float = 3.0
+    batch_share: float = 0.2
+    longest_ambiguous: float = 180.0
+    correction_interval: float = 30.0
+    review_after: float = 50.0
+    cost_interval: int = 5
+    cost_base: float = 8.0
+    cost_per_keyframe: float = 0.4
+    cost_per_fix: float = 3.0
+
+    def batch_delay(self, duration: float) -> float:
+        """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
+        return max(self.batch_interval, self.batch_share * duration)
+
+    def cost_limit(self, keyframes: int, fixes: int) -> float:
+        """Cost above which a window with so many keyframes and fixes cannot be on the correct path."""
+        return self.cost_base + self.cost_per_keyframe * keyframes + self.cost_per_fix * fixes
+
+
+SCHEDULE = Schedule()
 
 
 @dataclass(frozen=True)
 class SmootherCheckpoint:
-    """What a `LiveSmoother` knows."""
+    """State of a `LiveSmoother`; fields as its attributes. tried, taken: alternative paths tried, and accepted."""
 
     graph: LiveGraphCheckpoint
     sure: bool
@@ -56,83 +87,81 @@ class SmootherCheckpoint:
 
 
 class LiveSmoother(LiveOutput):
-    """Every measurement of a walk under way as a factor, about the path that explains them best.
+    """Estimates a walk under way from all its measurements; arguments as of ``LiveGraph``.
 
-    Arguments as of ``LiveGraph``. sure: it is known where the walk was and which way it went; restarts: how often
-    measurements said that it was elsewhere; tried, taken: other paths, and those that were better.
+    sure: position and direction of the walk are certain; restarts: how often measurements contradicted the estimate;
+    next_batch, next_correction: times [s] before which neither is repeated; reviewed: the batch has solved the walk
+    once more; alternatives_tried, alternatives_accepted: numbers of other paths.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
         self.graph = LiveGraph(prior, lag, plan, floor)
         self.sure, self.finished = False, False
         self.next_batch, self.next_correction, self.restarts = -np.inf, -np.inf, 0
-        self.reviewed = False  # once, when more of the walk was known
-        self.tried, self.taken = 0, 0
+        self.reviewed = False
+        self.alternatives_tried, self.alternatives_accepted = 0, 0
         self._walls_due, self._rounds_due = False, 0
         self._particles: ParallelParticleFilter | None = None
         self._final: Estimate | None = None
         super().__init__()
 
-    # What comes in
-
     def extend(self, steps: Steps, floor: str | None = None) -> None:
-        """Append the next steps of the walk, on a floor; the first begin at its start."""
+        """Append the next steps of the walk. floor: label of their floor, by default that of the steps before."""
         window = self.graph.window
         window.steps.append(steps)
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
         busy = self._close() or self._refine()
-        if self._particles is not None and self._particles.work(busy):
+        if self._particles is not None and self._particles.process(busy):
             self._compare(self._particles)
 
     def append(self, data: Any) -> None:
-        """Append measurements of any type that makes factors; those from before the window count as too late."""
+        """Append measurements of any type in `KINDS`; those from before the window are dropped and counted as late."""
         self.graph.append(data)
         window = self.graph.window
         if window.keyframes and bool((self.graph.log.times(data) <= window.steps.end).any()):
             self._close()
 
     def collect(self, data: Any) -> bool:
-        """Take raw data (advertisements, scans); whether anything makes measurements of it."""
+        """Pass raw data (advertisements, scans) to the collectors; True if one of them uses it."""
         return self.graph.collect(data)
 
-    def point(self, number: int, time: float, heading: float, sigma: float) -> None:
-        """Set walking direction ``number`` [rad]; the last counts. One of an infinite sigma tells nothing."""
+    def set_heading(self, number: int, time: float, heading: float, sigma: float) -> None:
+        """Set or replace heading ``number`` (time [s], heading and sigma [rad]); an infinite sigma removes it."""
         if np.isfinite(sigma):
-            one = Headings(np.array([time]), np.array([heading]), np.array([sigma]))
-            self.graph.append(one, np.array([number]))
+            row = Headings(np.array([time]), np.array([heading]), np.array([sigma]))
+            self.graph.append(row, np.array([number]))
         else:
             self.graph.log.remove(Headings, number)
 
     def finish(self) -> None:
-        """End the walk here.
+        """End the walk.
 
-        If all of it is in the window the batch has the last word; else everything is linearised where it is until
-        nothing moves.
+        If the window still holds the whole walk, the batch solves it; else the window is relinearised until the cost no
+        longer decreases.
         """
         graph = self.graph
         if not graph.window.keyframes:
             return
         self.finished = graph.window.finished = True
         self._close(at_end=True)
-        if not self.sure and graph.placed:
+        if not self.sure and graph.has_position:
             self._solve_again()
         if graph.window.complete:
             self._final = smooth(graph.batch_graph())
             return
         best, least = graph.isam, graph.total_cost
-        graph.start_at(best.moved_to(gtsam.Values(best.values), relinearize=0.0), best.factors)
-        while graph.relinearize(CONVERGED, everything=True) and graph.total_cost < least * (1 - SETTLES):
+        graph.restart_solver(best.with_values(gtsam.Values(best.values), relinearize=0.0), best.factors)
+        enough = 1 - SCHEDULE.final_decrease
+        while graph.relinearize(SCHEDULE.final_tolerance, everything=True) and graph.total_cost < least * enough:
             best, least = graph.isam, graph.total_cost
-            graph.start_at(best.moved_to(gtsam.Values(best.values)), best.factors)
+            graph.restart_solver(best.with_values(gtsam.Values(best.values)), best.factors)
         if graph.total_cost > least:
-            graph.start_at(best.moved_to(gtsam.Values(best.values)), best.factors)
-
-    # Keyframes
+            graph.restart_solver(best.with_values(gtsam.Values(best.values)), best.factors)
 
     def _close(self, at_end: bool = False) -> bool:
-        """Close the keyframes that steps and measurements have made, and update; whether there are any."""
+        """Close the keyframes due after new steps and measurements, and update; False if none was due."""
         graph = self.graph
         new, reached = graph.close_keyframes(at_end)
         if not (new or reached):
@@ -140,7 +169,7 @@ class LiveSmoother(LiveOutput):
         contradicted = reached and self._contradicted()
         if contradicted and self.sure:
             self._restart()
-        if not self.sure and graph.placed and graph.window.times[-1] >= self.next_batch:
+        if not self.sure and graph.has_position and graph.window.times[-1] >= self.next_batch:
             self._solve_again()
         else:
             graph.update()
@@ -148,65 +177,64 @@ class LiveSmoother(LiveOutput):
             self._reclassify()
             self._correct()
         self._follow(new)
-        graph.let_go()
-        self._walls_due, self._rounds_due = graph.window.plan is not None, ROUNDS
+        graph.finalize_leaving()
+        self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
         return True
 
     def _refine(self) -> bool:
-        """Do one thing in the steps between keyframes: find the walls, or linearise again what has moved.
+        """Associate walls, or relinearise once: the work is spread over the steps between keyframes.
 
-        Returns whether there was anything to do.
+        Returns True if anything was due.
         """
         due = bool(self._rounds_due) or self._walls_due
         if self._walls_due:
             self._walls_due = False
-            self._find_walls(LOOKED_BACK)
+            self._associate_walls(SCHEDULE.wall_pieces)
         elif self._rounds_due:
             self._rounds_due = self._rounds_due - 1 if self.graph.relinearize() else 0
         return due
 
-    def _find_walls(self, pieces: int) -> float:
-        """Find the walls, once the walk has been solved on the plan."""
+    def _associate_walls(self, pieces: int) -> float:
+        """Associate the last pieces with walls and return the price; no walls before the batch solved the walk."""
         return self.graph.associate_walls(pieces) if np.isfinite(self.next_batch) else 0.0
 
     def _contradicted(self) -> bool:
         """True if measurements contradict earlier decisions; stores the new decisions."""
         _, measurements = self.graph.current()
         decisions = self.graph.decisions
-        contradicted = any([one.contradicts(decisions.get(one.name, {})) for one in measurements])
-        self.graph.decide(measurements)
+        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in measurements])
+        self.graph.store_decisions(measurements)
         return contradicted
 
-    # Where the walk is
-
     def _solve_again(self) -> None:
-        """Begin again from the walk as the batch has it."""
+        """Restart from the batch solution of the window."""
         graph, window = self.graph, self.graph.window
-        graph.let_go()
+        graph.finalize_leaving()
         solution = solve_batch(graph.batch_graph())
         self._adopt(solution)
-        long = window.times[-1] - window.times[0] > LONGEST_OPEN
-        self.sure = solution.sure or (long and len(graph.log.placing_times()) > 2)
-        if not graph.past.anchored:
-            graph.past.move(window.pose[0].copy())
-        graph.past.anchored |= self.sure
-        self.next_batch = window.times[-1] + max(AGAIN, SPACED * (window.times[-1] - window.times[0]))
+        long = window.times[-1] - window.times[0] > SCHEDULE.longest_ambiguous
+        self.sure = solution.sure or (long and len(graph.log.position_times()) > 2)
+        if not graph.finalized.anchored:
+            graph.finalized.move(window.pose[0].copy())
+        graph.finalized.anchored |= self.sure
+        self.next_batch = window.times[-1] + SCHEDULE.batch_delay(window.times[-1] - window.times[0])
         graph.rebuild(graph.lag if self.sure else np.inf)
-        self._find_walls(ALL)
-        for _ in range(ROUNDS):
+        self._associate_walls(ALL)
+        for _ in range(SCHEDULE.rounds):
             graph.relinearize()
 
     def _adopt(self, solution: BatchSolution) -> None:
+        """Copy poses, calibrations and decisions of the batch into the window."""
         graph, window = self.graph, self.graph.window
         for name, decisions in solution.decisions.items():
             graph.decisions[name] = self._numbered(name, decisions)
         window.pose = solution.poses(np.array(window.times))
-        for one in window.intervals:
-            window.c[one.segment] = solution.calibration(one.end)
-            one.fields = [None] * len(one.fields)
+        for interval in window.intervals:
+            window.c[interval.segment] = solution.calibration(interval.end)
+            interval.fields = [None] * len(interval.fields)
 
     def _numbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
-        """The batch's decisions, about instances as the window numbers them."""
+        """Decisions of the batch with the row numbers of the measurement log."""
         numbers = self.graph.log.numbers(name)
         if "number" not in decisions or numbers is None:
             return decisions
@@ -226,117 +254,117 @@ class LiveSmoother(LiveOutput):
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
         graph = self.graph
         at = graph.evaluate()
-        again = [one.reclassified(at) for one in at.measurements]
-        if graph.decide(again):
+        reclassified = [measurement.reclassified(at) for measurement in at.measurements]
+        if graph.store_decisions(reclassified):
             graph.log.version += 1
             graph.update()
-        astray = any(one.astray for one in again)
-        if astray and graph.window.times[-1] >= self.next_batch:
+        diverged = any(measurement.diverged for measurement in reclassified)
+        if diverged and graph.window.times[-1] >= self.next_batch:
             self._restart()
             self._solve_again()
 
     def _correct(self) -> None:
-        """Now and then: leave out what the walk shows to be listed wrongly."""
+        """At intervals, drop listed positions that contradict the walk (relocated beacons)."""
         window = self.graph.window
         if window.times[-1] < self.next_correction:
             return
-        self.next_correction = window.times[-1] + CORRECTED
+        self.next_correction = window.times[-1] + SCHEDULE.correction_interval
         at = self.graph.evaluate(everything=True)
-        corrected = [one for one in (kind.corrected(at) for kind in at.measurements) if one is not None]
+        corrected = [new for kind in at.measurements if (new := kind.corrected(at)) is not None]
         if corrected:
-            self.graph.decide(corrected)
+            self.graph.store_decisions(corrected)
             self.graph.log.version += 1
             self.graph.update(everything=True)
 
-    # Where else it may be
-
     def _follow(self, new: list[Interval]) -> None:
-        """Send the particles after the walk; they begin where the walk is once that is sure."""
+        """Pass new intervals to the particle filter, which starts at the estimate as soon as that is certain."""
         window = self.graph.window
-        plan = window.known_plan
+        plan = window.located_plan
         if plan is None or not self.sure:
             self._particles = None
         elif self._particles is None:
             begin = window.times[-1]
-            self._particles = ParallelParticleFilter(plan, self.graph.prior, self.last_belief(), begin, window.floor)
+            belief = self.keyframe_belief()
+            self._particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
         else:
-            for one in new:
-                self._particles.add(one, self._seen(one.j))
+            for interval in new:
+                self._particles.enqueue(interval, self._measurements_at(interval.j))
             self._particles.forget(window.times[0])
 
-    def _seen(self, keyframe: int) -> KeyframeMeasurements:
-        """What was measured at a keyframe, by its number, as particles take it."""
+    def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
+        """Fixes and headings at the keyframe with this number, for the particles."""
         part, measurements = self.graph.current()
         return measurements_at(measurements, int(np.flatnonzero(part.chain.number == keyframe)[0]))
 
     def _compare(self, particles: ParallelParticleFilter) -> None:
-        """Try the path of most particles where it is elsewhere, once the batch's; restart where all is strained."""
+        """Try the path of most particles where it differs, once that of the batch; restart if the cost is too high."""
         window = self.graph.window
         at = int(np.searchsorted(window.times, particles.times[-1] - CLOSE))
-        other = particles.elsewhere(window.pose[min(at, len(window.times) - 1), :2])
-        if other is None and self._review_due():
+        alternative = particles.alternative_path(window.pose[min(at, len(window.times) - 1), :2])
+        if alternative is None and self._review_due():
             self.reviewed = True
             solution = solve_batch(self.graph.batch_graph())
             c = np.tile(solution.c[-1], (len(solution.time), 1))
-            other = OtherPath(solution.time, np.column_stack([solution.pose, c]))
-        if other is not None and other.time[-1] >= window.times[0]:
-            self._try(other)
-        elif window.count % CHECKED == 0 and window.times[-1] >= self.next_batch and self._strained():
+            alternative = AlternativePath(solution.time, np.column_stack([solution.pose, c]))
+        if alternative is not None and alternative.time[-1] >= window.times[0]:
+            self._try(alternative)
+        elif self._cost_check_due() and self._cost_too_high():
             self._restart()
             self.graph.c_prior = np.array(self.graph.prior.mean), self.graph.prior.covariance
             self._solve_again()
 
     def _review_due(self) -> bool:
-        """Whether a walk that was soon sure is to be solved once more, before any of it leaves the window."""
+        """True if the batch should solve the walk once more, before any of it leaves the window."""
         window = self.graph.window
-        long = window.times[-1] - window.times[0] > REVIEWED
-        return not self.reviewed and self.graph.placed and window.complete and long
+        long = window.times[-1] - window.times[0] > SCHEDULE.review_after
+        return not self.reviewed and self.graph.has_position and window.complete and long
 
-    def _strained(self) -> bool:
-        """Whether so much speaks against the walk that it can hardly have gone this way, and there are fixes to ask."""
-        fixes = len(self.graph.log.placing_times())
-        limit = STRAINED + OF_KEYFRAME * len(self.graph.window.keyframes) + OF_FIX * fixes
-        return fixes > 1 and self.graph.cost > limit
+    def _cost_check_due(self) -> bool:
+        window = self.graph.window
+        return window.count % SCHEDULE.cost_interval == 0 and window.times[-1] >= self.next_batch
 
-    def _try(self, other: OtherPath) -> None:
-        """Move to another path, and back if that has more against it."""
+    def _cost_too_high(self) -> bool:
+        """True if the cost is too high for a correct path, and there are fixes to find another."""
+        fixes = len(self.graph.log.position_times())
+        return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
+
+    def _try(self, alternative: AlternativePath) -> None:
+        """Optimise from an alternative path; return to the present one unless the alternative costs less."""
         graph, window = self.graph, self.graph.window
-        self.tried += 1
+        self.alternatives_tried += 1
         isam, pose, c = graph.isam, window.pose.copy(), dict(window.c)
-        walls = [one.fields for one in window.intervals]
-        before = graph.total_cost + self._find_walls(ALL)
-        self._move_to(other)
-        price = self._find_walls(ALL)
-        for _ in range(ROUNDS):
+        walls = [interval.fields for interval in window.intervals]
+        before = graph.total_cost + self._associate_walls(ALL)
+        self._move_to(alternative)
+        price = self._associate_walls(ALL)
+        for _ in range(SCHEDULE.rounds):
             graph.relinearize()
         if graph.total_cost + price < before:
-            self.taken += 1
+            self.alternatives_accepted += 1
             return
-        for one, fields in zip(window.intervals, walls, strict=True):
-            one.fields = fields
+        for interval, fields in zip(window.intervals, walls, strict=True):
+            interval.fields = fields
         window.pose, window.c = pose, c
-        graph.return_to(isam)
+        graph.restore_solver(isam)
 
-    def _move_to(self, other: OtherPath) -> None:
-        """Put the same graph at another path; beyond its end as the steps lead on."""
+    def _move_to(self, path: AlternativePath) -> None:
+        """Move the window to a path; keyframes after its end are dead-reckoned."""
         graph, window = self.graph, self.graph.window
         times = np.array(window.times)
-        within = np.flatnonzero((times >= other.time[0] - CLOSE) & (times <= other.time[-1] + CLOSE))
-        window.pose[within] = other.poses(times[within])
-        window.lead_on(int(within[-1]), other.state[-1, 3:])
+        within = np.flatnonzero((times >= path.time[0] - CLOSE) & (times <= path.time[-1] + CLOSE))
+        window.pose[within] = path.poses(times[within])
+        window.dead_reckon(int(within[-1]), path.state[-1, 3:])
         values = gtsam.Values(graph.isam.values)
         for number, pose in zip(window.keyframes, window.pose, strict=True):
             values.update(X(number), gtsam.Pose2(*pose))
-        for one in window.intervals:
-            if one.begin >= other.time[0] - CLOSE:
-                window.c[one.segment] = other.state[-1, 3:]
-                values.update(C(one.segment), other.state[-1, 3:])
-        graph.start_at(graph.isam.moved_to(values), graph.isam.factors)
-
-    # Checkpoints
+        for interval in window.intervals:
+            if interval.begin >= path.time[0] - CLOSE:
+                window.c[interval.segment] = path.state[-1, 3:]
+                values.update(C(interval.segment), path.state[-1, 3:])
+        graph.restart_solver(graph.isam.with_values(values), graph.isam.factors)
 
     def checkpoint(self) -> SmootherCheckpoint:
-        """All that the rest of the walk depends on; rows that were taken are not included."""
+        """Return the state, without the rows that `pop_finalized` returned."""
         return SmootherCheckpoint(
             graph=self.graph.checkpoint(),
             sure=self.sure,
@@ -344,13 +372,14 @@ class LiveSmoother(LiveOutput):
             next_correction=self.next_correction,
             restarts=self.restarts,
             reviewed=self.reviewed,
-            tried=self.tried,
-            taken=self.taken,
+            tried=self.alternatives_tried,
+            taken=self.alternatives_accepted,
         )
 
     def restore(self, checkpoint: SmootherCheckpoint) -> None:
-        """Go on from a checkpoint, with the same prior, lag, plan and collectors."""
+        """Set the state to a checkpoint of a smoother with the same prior, lag, plan and collectors."""
         self.sure, self.next_batch, self.restarts = checkpoint.sure, checkpoint.next_batch, checkpoint.restarts
         self.next_correction = checkpoint.next_correction
-        self.reviewed, self.tried, self.taken = checkpoint.reviewed, checkpoint.tried, checkpoint.taken
+        self.reviewed = checkpoint.reviewed
+        self.alternatives_tried, self.alternatives_accepted = checkpoint.tried, checkpoint.taken
         self.graph.restore(checkpoint.graph)

@@ -1,4 +1,4 @@
-"""What was measured in the window of a walk under way, by type of data."""
+"""The measurements in the window of a walk under way, by type of data."""
 
 from __future__ import annotations
 
@@ -18,18 +18,21 @@ from pdr_graph.types import INSTANT, Array, Index, Mask, Steps
 
 
 class Collector(Protocol):
-    """What makes measurements out of raw data that comes in bit by bit (advertisements, scans)."""
+    """Makes measurements from raw data that arrive piecemeal (advertisements, scans)."""
 
     def collect(self, data: Any) -> bool:
-        """Take raw data; whether it was of use."""
+        """Store raw data; True if any of it is usable."""
         ...
 
     def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Any]:
-        """Measurements that are complete until a moment [s], once; walked: how far the steps have led by some times."""
+        """Return, once, the measurements that are complete until ``until`` [s].
+
+        walked: times [s] to the distance walked by then [m].
+        """
         ...
 
     def complete(self, steps: Steps) -> Iterable[Any]:
-        """All measurements of the data that is kept, as a batch would make them."""
+        """All measurements of the stored data, as the batch makes them."""
         ...
 
     def forget(self, before: float) -> None:
@@ -37,7 +40,7 @@ class Collector(Protocol):
         ...
 
     def checkpoint(self) -> dict[str, Array]:
-        """What it keeps, as arrays by name."""
+        """Return the state as arrays by name."""
         ...
 
     def restore(self, checkpoint: Mapping[str, Array]) -> None:
@@ -47,7 +50,7 @@ class Collector(Protocol):
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of one type of data. number: ``(n,)`` of each row, for good; count: of all rows that there have been."""
+    """Rows of one type of data. number: ``(n,)`` permanent row numbers; count: number of all rows so far."""
 
     data: Any
     number: Index
@@ -56,7 +59,7 @@ class Table:
 
 @dataclass(frozen=True)
 class TableCheckpoint:
-    """A `Table`. data: as of `storage.encode`, which tells its type by name: any of `KINDS`."""
+    """A `Table`. data: by `storage.encode`, with the name of its type, which is in `KINDS`."""
 
     data: bytes
     number: Index
@@ -68,31 +71,31 @@ class MeasurementLog:
 
     def __init__(self) -> None:
         self._tables: dict[type, Table] = {}
-        self.version = 0  # of what `measurements` returns
+        self.version = 0  # increases when `measurements` would return others
 
     def append(self, data: Any, number: Index | None = None) -> None:
-        """Append rows; number: ``(n,)`` of these, the next ones by default; rows of known numbers are replaced."""
+        """Append rows. number: ``(n,)``, the next numbers by default; stored rows with these numbers are replaced."""
         kind_of(data)
-        known = self._tables.get(type(data))
-        count = 0 if known is None else known.count
+        table = self._tables.get(type(data))
+        count = 0 if table is None else table.count
         number = count + np.arange(len(data)) if number is None else number
         self.version += 1
-        if known is not None:
-            kept = np.flatnonzero(~np.isin(known.number, number))
-            number = np.concatenate([known.number[kept], number])
-            data = appended(take(known.data, kept), data)
+        if table is not None:
+            kept = np.flatnonzero(~np.isin(table.number, number))
+            number = np.concatenate([table.number[kept], number])
+            data = appended(take(table.data, kept), data)
         order = np.argsort(last_time(data), kind="stable")
         count = max(count, int(number.max(initial=-1)) + 1)
         self._tables[type(data)] = Table(take(data, order), number[order], count)
 
     @property
     def overhangs(self) -> dict[str, float]:
-        """By how much measurements may lie outside the steps, by kind [s]."""
+        """Time [s] by which measurements may lie outside the steps, by kind."""
         return {kind_of(table.data).name: self.overhang(table.data) for table in self._tables.values()}
 
     @staticmethod
     def overhang(data: Any) -> float:
-        """By how much measurements of a type may lie outside the steps. [s]"""
+        """Time [s] by which measurements of the type of ``data`` may lie outside the steps."""
         return kind_of(data).overhang + INSTANT
 
     @staticmethod
@@ -103,40 +106,40 @@ class MeasurementLog:
 
     @staticmethod
     def select(data: Any, kept: Mask) -> Any:
-        """Some rows."""
+        """The rows of ``data`` whose times are all ``kept``, ``(n,)`` or ``(n, 2)``."""
         return take(data, np.flatnonzero(kept if kept.ndim == 1 else kept.all(axis=1)))
 
     def numbers(self, name: str) -> Index | None:
-        """The numbers of the rows of one kind, in order of time; None if there are none."""
-        return next((one.number for one in self._tables.values() if kind_of(one.data).name == name), None)
+        """Row numbers of one kind, in order of time; None without rows."""
+        return next((table.number for table in self._tables.values() if kind_of(table.data).name == name), None)
 
-    def placing_times(self) -> Array:
-        """The times of the rows that tell where the walk was. [s]"""
-        placing = [last_time(table.data) for table in self._tables.values() if kind_of(table.data).places]
-        return np.concatenate([np.empty(0), *placing])
+    def position_times(self) -> Array:
+        """Times ``(n,)`` [s] of the rows that determine positions."""
+        times = [last_time(table.data) for table in self._tables.values() if kind_of(table.data).determines_position]
+        return np.concatenate([np.empty(0), *times])
 
     def until(self, end: float) -> list[Any]:
-        """The rows of all types up to a moment [s]."""
-        data = [table.data for table in self._tables.values()]
-        return [take(one, np.flatnonzero(last_time(one) <= end + INSTANT)) for one in data]
+        """The rows of all types up to ``end`` [s]."""
+        tables = [table.data for table in self._tables.values()]
+        return [take(rows, np.flatnonzero(last_time(rows) <= end + INSTANT)) for rows in tables]
 
     def remove(self, kind: type, number: int) -> None:
-        """Remove a row, if it is there."""
+        """Remove the row with this number, if there is one."""
         table = self._tables.get(kind)
         if table is not None:
             self._keep(kind, table, table.number != number)
             self.version += 1
 
     def rows(self, kind: type) -> Any | None:
-        """All rows of one type, None if there never was one."""
+        """All rows of one type; None if none was ever appended."""
         table = self._tables.get(kind)
         return None if table is None else table.data
 
     def measurements(
         self, steps: Steps, prior: Prior, begin: float, end: float, decisions: Mapping[str, Mapping[str, AnyArray]]
     ) -> list[Measurement]:
-        """All kinds, from the rows between two moments [s], with what was decided about them; not yet on a chain."""
-        found = list[Measurement]()
+        """All measurement kinds of the rows between ``begin`` and ``end`` [s], with decisions; not bound to a chain."""
+        measurements = list[Measurement]()
         for kind in KINDS:
             table = self._tables.get(kind)
             if table is None:
@@ -144,12 +147,12 @@ class MeasurementLog:
             time, slack = last_time(table.data), kind_of(table.data).overhang + INSTANT
             which = np.flatnonzero((time >= begin - slack) & (time <= end + INSTANT))
             if len(which):
-                known = decisions.get(kind_of(table.data).name, {})
-                found += measurements_of(take(table.data, which), steps, prior, table.number[which], known)
-        return found
+                stored = decisions.get(kind_of(table.data).name, {})
+                measurements += measurements_of(take(table.data, which), steps, prior, table.number[which], stored)
+        return measurements
 
     def forget(self, before: float) -> None:
-        """Drop the rows from before a moment [s]."""
+        """Drop the rows from before ``before`` [s]."""
         for kind, table in list(self._tables.items()):
             time = table.data.time
             kept = (time if time.ndim == 1 else time.min(axis=1)) >= before - INSTANT
@@ -158,13 +161,13 @@ class MeasurementLog:
                 self.version += 1
 
     def checkpoint(self) -> list[TableCheckpoint]:
-        """All tables."""
-        return [TableCheckpoint(encode(one.data), one.number, one.count) for one in self._tables.values()]
+        """Return all tables."""
+        return [TableCheckpoint(encode(table.data), table.number, table.count) for table in self._tables.values()]
 
     def restore(self, checkpoint: Sequence[TableCheckpoint]) -> None:
-        """Go on from a checkpoint. Raises ValueError if a table is of none of `KINDS`."""
-        tables = [Table(decode(one.data, *KINDS), one.number.copy(), one.count) for one in checkpoint]
-        self._tables = {type(one.data): one for one in tables}
+        """Set the tables to those of a checkpoint. Raises ValueError if the type of a table is not in `KINDS`."""
+        tables = [Table(decode(table.data, *KINDS), table.number.copy(), table.count) for table in checkpoint]
+        self._tables = {type(table.data): table for table in tables}
 
     def _keep(self, kind: type, table: Table, kept: Any) -> None:
         which = np.flatnonzero(kept)

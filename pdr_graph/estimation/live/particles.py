@@ -1,7 +1,7 @@
-"""Where else the plan lets a walk under way have gone: a cloud of particles beside the graph.
+"""A particle filter beside the graph of a walk under way, to find other paths on the plan.
 
-Walls are local: a graph that went into the wrong aisle stays there. The cloud goes with every step, and where most of
-it is elsewhere than the graph the way that it took is one to try.
+Walls are local constraints: a graph in the wrong aisle stays there. The particles follow every step; if most of them
+are elsewhere than the graph, their path is an alternative for it.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.types import Array
 
 FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
-JOBS, BACKLOG = 3, 15  # of the cloud with each step that has nothing else to do, and with any when so many wait
-MOSTLY = 0.7  # of the particles in one bundle, of which the present is right 96 times in a hundred
-AGREED = 2  # keyframes in a row at which they are elsewhere
+JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
+DOMINANT = 0.7  # share of the particles in one mode, whose present position is right in 96 % of cases
+CONFIRMATIONS = 2  # keyframes in a row at which that mode must differ from the graph; chosen by hand
 SEED = 0
 
 
 @dataclass(frozen=True)
-class OtherPath:
-    """time ``(k,)`` [s] and state ``(k, 6)``: x, y, θ, R_s, R_d, b."""
+class AlternativePath:
+    """A path by particles or batch: time ``(k,)`` [s], state ``(k, 6)`` x, y, θ, R_s, R_d, b."""
 
     time: Array
     state: Array
 
     def poses(self, time: Array) -> Array:
-        """Poses ``(n, 3)`` at some times."""
+        """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
         return poses_at(time, self.time, self.state[:, :3])
 
 
@@ -53,64 +53,67 @@ class _Piece:
 @dataclass(frozen=True)
 class _Keyframe:
     time: float
-    seen: KeyframeMeasurements
+    measurements: KeyframeMeasurements
 
 
 class ParallelParticleFilter:
-    """The cloud of a walk whose place and direction are known by ``belief`` at a ``time`` [s], on a floor."""
+    """A particle filter that runs in small jobs between the updates of the graph.
+
+    belief, time [s], label: state and floor at which it starts. times: of its keyframes [s].
+    """
 
     def __init__(self, plan: Building, prior: Prior, belief: Belief, time: float, label: str):
         self.plan, self.label, self.times = plan, label, [time]
         self._jobs: deque[_Piece | _Keyframe] = deque()
         self._apart = 0
         spread = np.sqrt(np.diag(belief.covariance))
-        self._cloud = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, tiles=1)
-        self._cloud.begin(belief.mean[:2], float(spread[:2].max()), float(belief.mean[2]), float(spread[2]))
+        self._filter = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, tiles=1)
+        self._filter.begin(belief.mean[:2], float(spread[:2].max()), float(belief.mean[2]), float(spread[2]))
 
-    def add(self, one: Interval, seen: KeyframeMeasurements) -> None:
-        """The next interval, and what was measured at its end: to be done bit by bit."""
-        pieces = one.pieces
+    def enqueue(self, interval: Interval, measurements: KeyframeMeasurements) -> None:
+        """Queue the next interval and the measurements at its end."""
+        pieces = interval.pieces
         turn, time = (2 * (pieces.to_end - pieces.to_middle)).tolist()
         for m, length in enumerate(pieces.length.tolist()):
-            self._jobs.append(_Piece(length, turn[m], time[m], pieces.variance[m], one.label))
-        self._jobs.append(_Keyframe(one.end, seen))
+            self._jobs.append(_Piece(length, turn[m], time[m], pieces.variance[m], interval.label))
+        self._jobs.append(_Keyframe(interval.end, measurements))
 
-    def work(self, busy: bool) -> bool:
-        """Do some of what is to be done, later if the graph is busy; whether a keyframe was."""
+    def process(self, busy: bool) -> bool:
+        """Do up to JOBS queued jobs, none if the graph is ``busy`` and few wait; True if a keyframe was closed."""
         if busy and len(self._jobs) < BACKLOG:
             return False
         for _ in range(min(JOBS, len(self._jobs))):
             job = self._jobs.popleft()
             if isinstance(job, _Keyframe):
-                self._cloud.close(job.seen)
+                self._filter.close(job.measurements)
                 self.times.append(job.time)
                 return True
             if job.label != self.label:
-                self._cloud.change_floor(self._between(self.label, job.label))
+                self._filter.change_floor(self._between(self.label, job.label))
                 self.label = job.label
             floor = self.plan.floors[self.plan.index(job.label)]
-            self._cloud.step(job.length, job.turn, job.time, job.variance, floor.distance)
+            self._filter.step(job.length, job.turn, job.time, job.variance, floor.distance)
         return False
 
-    def elsewhere(self, place: Array) -> OtherPath | None:
-        """The way of most particles, if for a while it has not been where the graph is, now at ``place (2,)`` [m]."""
-        paths = self._cloud.paths()
+    def alternative_path(self, position: Array) -> AlternativePath | None:
+        """The path of most particles if it has differed from the graph, now at ``position (2,)`` [m], for a while."""
+        paths = self._filter.paths()
         share, which = dominant_modes(paths)[0]
-        way = paths.state[:, :, which]
-        apart = share > MOSTLY and np.hypot(*(way[-1, :2] - place)) > SAME_PATH
+        path = paths.state[:, :, which]
+        apart = share > DOMINANT and np.hypot(*(path[-1, :2] - position)) > SAME_PATH
         self._apart = self._apart + 1 if apart else 0
-        if self._apart < AGREED:
+        if self._apart < CONFIRMATIONS:
             return None
         self._apart = 0
-        return OtherPath(np.array(self.times), way)
+        return AlternativePath(np.array(self.times), path)
 
     def forget(self, before: float) -> None:
-        """Let go of what was before the window [s]."""
+        """Drop keyframes from before ``before`` [s]."""
         count = min(int(np.searchsorted(self.times, before)), len(self.times) - 1)
-        self._cloud.forget(count)
+        self._filter.forget(count)
         del self.times[:count]
 
-    def _between(self, one: str, other: str) -> list[DistanceField]:
-        """The stairs and lifts that lead from one floor to another."""
-        floors = {self.plan.index(one), self.plan.index(other)}
+    def _between(self, label: str, other: str) -> list[DistanceField]:
+        """Distance fields of the stairs and lifts between two floors."""
+        floors = {self.plan.index(label), self.plan.index(other)}
         return [way.field for way in self.plan.connections if floors <= set(way.floors)]

@@ -1,4 +1,4 @@
-"""Fixes of a radio map while a walk goes on, made of what Wi-Fi and Bluetooth hear."""
+"""Fixes of a radio map from Wi-Fi and Bluetooth scans of a walk under way."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ from pdr_graph.types import Array, Fixes, Sightings
 
 
 class ScanCollector:
-    """The fixes of a radio map while a walk goes on, block of scans by block; a `Collector`."""
+    """Makes fixes of a radio map, one per block of scans; a `Collector`. listener: is called with each."""
 
     def __init__(self, radio_map: RadioMap, listener: Callable[[Fixes], None]):
         self._map, self._listener = radio_map, listener
         self._names: dict[str, int] = {name: n for n, name in enumerate(radio_map.transmitter)}
-        self._heard = np.empty((0, 3))  # time, transmitter, rssi; any that the map does not know by a number of its own
-        self._block = -np.inf  # the last that was located
+        self._received = np.empty((0, 3))  # time [s], transmitter number, rssi [dBm]
+        self._block = -np.inf  # the last block with a fix
 
     def collect(self, data: Any) -> bool:
-        """Take what a radio heard."""
+        """Store the levels of all transmitters; True if there are any."""
         if not isinstance(data, Sightings):
             return False
         names = [self._names.setdefault(name, len(self._names)) for name in data.transmitter]
-        heard = np.column_stack([data.time, names, data.rssi])
-        self._heard = np.concatenate([self._heard, heard[np.isfinite(heard).all(axis=1)]])
+        rows = np.column_stack([data.time, names, data.rssi])
+        self._received = np.concatenate([self._received, rows[np.isfinite(rows).all(axis=1)]])
         return len(data) > 0
 
     def due(self, until: float, walked: object) -> Iterator[Fixes]:
-        """The fixes of the blocks of scans that are complete until a moment [s], each once."""
+        """Yield, once, the fixes of the blocks of scans that are complete until ``until`` [s]."""
         complete = (until - 1.5 * WINDOW + SCAN_INTERVAL) // WINDOW  # its last scan ends half a window after it
-        if complete <= self._block or not len(self._heard):
+        if complete <= self._block or not len(self._received):
             return
-        time, who, rssi = self._heard.T
-        known = list(self._names)
-        scans = scans_in([Sightings(time, tuple(known[n] for n in who.astype(int).tolist()), rssi)])
+        time, transmitter, rssi = self._received.T
+        names = list(self._names)
+        scans = scans_in([Sightings(time, tuple(names[n] for n in transmitter.astype(int).tolist()), rssi)])
         block = scans.time // WINDOW
         fixes = self._map.located(scans[(block > self._block) & (block <= complete)])
         self._block = min(complete, block.max(initial=self._block))
@@ -46,21 +46,21 @@ class ScanCollector:
             yield fixes
 
     def complete(self, steps: object) -> tuple[()]:
-        """None beside those that `due` has told: a fix is a measurement like any other."""
+        """Empty: the log stores the fixes that `due` yielded."""
         return ()
 
     def forget(self, before: float) -> None:
-        """Drop what was heard before a moment [s]."""
-        self._heard = self._heard[self._heard[:, 0] >= before]
+        """Drop levels received before ``before`` [s]."""
+        self._received = self._received[self._received[:, 0] >= before]
 
     def checkpoint(self) -> dict[str, Any]:
-        """What it keeps, as arrays by name."""
+        """Return the state as arrays by name."""
         names = "\n".join(list(self._names)[len(self._map.transmitter) :]).encode()
-        return {"heard": self._heard, "block": np.array(self._block), "names": np.frombuffer(names, np.uint8)}
+        return {"heard": self._received, "block": np.array(self._block), "names": np.frombuffer(names, np.uint8)}
 
     def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Go on from a checkpoint, with the same map."""
-        self._heard, self._block = checkpoint["heard"].reshape(-1, 3), float(checkpoint["block"])
+        """Set the state to a checkpoint with the same map."""
+        self._received, self._block = checkpoint["heard"].reshape(-1, 3), float(checkpoint["block"])
         names = checkpoint["names"].astype(np.uint8).tobytes().decode()
         for name in filter(None, names.split("\n")):
             self._names.setdefault(name, len(self._names))

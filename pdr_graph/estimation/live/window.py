@@ -1,4 +1,4 @@
-"""The window of a walk under way: its keyframes, the intervals between them, their walls, and the estimate of all."""
+"""The window of a walk under way: keyframes, the intervals between them, their walls, and the estimate."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.types import Array, Index
 
-ALL = 10**9  # pieces
-LINKED = 300  # intervals whose chain is kept from one keyframe to the next
+ALL = 10**9  # more pieces or intervals than any window has
+CACHED = 300  # intervals whose chain is kept from one keyframe to the next; twice those that an update evaluates
 
 
 @dataclass(frozen=True)
 class WindowCheckpoint:
-    """What a `Window` knows but for the poses, which the incremental solver has.
+    """State of a `Window` without its poses, which the incremental solver stores.
 
-    calibrations: ``(s, 4)`` number and value of each segment; segments: ``(k,)`` of each interval; labels: floors.
+    calibrations: ``(s, 4)`` number and value of each segment; segments, labels: segment and floor of each interval.
     """
 
     floor: str
@@ -45,10 +45,10 @@ class WindowCheckpoint:
 
 
 class Window:
-    """Keyframes in order of time, which need not be that of their numbers.
+    """Keyframes in order of time; their numbers may be in another order.
 
-    steps: those of the walk; keyframes, times, pose ``(k, 3)``: number, time [s] and estimate of each; intervals:
-    between one and the next; c: estimate ``(3,)`` of each segment; floor: label of that on which the walk goes on.
+    steps: of the walk; keyframes, times, pose ``(k, 3)``: number, time [s] and estimate of each; intervals: between
+    consecutive keyframes; c: estimate ``(3,)`` of each segment; floor: label of the present floor.
     """
 
     def __init__(self, prior: Prior, plan: Building | None, floor: str):
@@ -56,16 +56,16 @@ class Window:
         self.keyframes, self.times, self.pose = list[int](), list[float](), np.empty((0, 3))
         self.intervals, self.c = list[Interval](), dict[int, Array]()
         self.segment, self.in_segment, self.count, self.finished = 0, 0, 0, False
-        self._chain: Chain | None = None  # of the last intervals
+        self._chain: Chain | None = None  # of the last intervals, None if it must be built again
 
     def begin(self) -> None:
-        """Set the first keyframe."""
+        """Set the first keyframe, at the start of the steps."""
         self.keyframes, self.times, self.count = [0], [self.steps.start], 1
         self.pose, self.c = np.zeros((1, 3)), {0: np.array(self.prior.mean)}
 
     @property
     def complete(self) -> bool:
-        """Whether all of the walk is still in it."""
+        """True if the whole walk is still in the window."""
         return bool(self.keyframes) and self.keyframes[0] == 0
 
     def cut(self, ends: Iterable[float]) -> list[Interval]:
@@ -74,21 +74,21 @@ class Window:
         for end in ends:
             segment = self._segment_until(end)
             new.append(self._interval(self.keyframes[-1], self._number(), self.times[-1], end, segment, self.floor))
-            ahead = self._led(self.pose[-1], new[-1], self.c[segment])
+            ahead = self._pose_after(self.pose[-1], new[-1], self.c[segment])
             self.pose = np.concatenate([self.pose, ahead[None]])
             self.keyframes.append(new[-1].j)
             self.times.append(new[-1].end)
             self.intervals.append(new[-1])
         if self._chain is not None and new:
-            self._chain = _extended(self._chain.after(max(0, len(self._chain.segment) - LINKED)), new)
+            self._chain = _extended(self._chain.after(max(0, len(self._chain.segment) - CACHED)), new)
         return new
 
     def has_keyframe(self, time: float) -> bool:
-        """Whether there is a keyframe at a moment."""
+        """True if there is a keyframe at this time [s]."""
         return bool(np.abs(np.array(self.times) - time).min() <= CLOSE)
 
     def split(self, time: float) -> None:
-        """Set a keyframe in an interval that was closed."""
+        """Insert a keyframe at ``time`` [s] into a closed interval; its pose is interpolated."""
         at = int(np.searchsorted(self.times, time))
         old, number = self.intervals[at - 1], self._number()
         halves = [
@@ -109,7 +109,7 @@ class Window:
         self.pose = np.insert(self.pose, at, between, axis=0)
 
     def part(self, last: int) -> Part:
-        """The last so many intervals, as the factors take them."""
+        """The last ``last`` intervals, as a chain for the factors."""
         count = min(last, len(self.intervals))
         first = len(self.intervals) - count
         if self._chain is None or len(self._chain.segment) < count:
@@ -118,51 +118,51 @@ class Window:
         return Part(self, self.intervals[first:], self._chain.after(len(self._chain.segment) - count))
 
     @property
-    def known_plan(self) -> Building | None:
-        """The plan, where it is known on which of its floors the walk is."""
+    def located_plan(self) -> Building | None:
+        """The plan if it has the present floor, else None."""
         return self.plan if self.plan is not None and self.floor in self.plan.labels else None
 
     def associate_walls(self, pieces: int) -> float:
-        """Find the walls about the last so many pieces, where the walk leads now; returns what it costs."""
-        if self.known_plan is None or not self.intervals:
+        """Associate the last ``pieces`` with the walls along the estimate; returns the price of their regions."""
+        if self.located_plan is None or not self.intervals:
             return 0.0
-        count = np.cumsum([len(one.fields) for one in reversed(self.intervals)])
+        count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
         last = self.part(1 + int(np.searchsorted(count, min(pieces, count[-1]))))
-        labels = [one.label for one in last.intervals for _ in one.fields]
+        labels = [interval.label for interval in last.intervals for _ in interval.fields]
         walls = WallFactor.about(
-            FloorSequence.of(self.known_plan, labels), self.prior.wall_margin, self.prior.wall_sigma
+            FloorSequence.of(self.located_plan, labels), self.prior.wall_margin, self.prior.wall_sigma
         )
         walls = walls.associated(last.chain.evaluate(last.state(gtsam.Values(), ())))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
-        for one, first in zip(last.intervals, last.chain.pieces.first.tolist(), strict=True):
-            one.fields = named[first : first + len(one.fields)]
+        for interval, first in zip(last.intervals, last.chain.pieces.first.tolist(), strict=True):
+            interval.fields = named[first : first + len(interval.fields)]
         return walls.price
 
-    def lead_on(self, after: int, c: Array) -> None:
-        """Place the keyframes after one, by its place in order, where the steps lead."""
+    def dead_reckon(self, after: int, c: Array) -> None:
+        """Dead-reckon the keyframes after the n-th, ``after``, with calibration ``c (3,)``."""
         for n in range(after + 1, len(self.times)):
-            self.pose[n] = self._led(self.pose[n - 1], self.intervals[n - 1], c)
+            self.pose[n] = self._pose_after(self.pose[n - 1], self.intervals[n - 1], c)
 
     def read(self, values: gtsam.Values, first: int = 0) -> None:
-        """Copy poses, from the keyframe ``first`` on by its place in order, and calibrations from ``values``."""
+        """Copy calibrations and the poses from the ``first``-th keyframe on from ``values``."""
         self.pose = self.pose.copy()
         self.pose[first + np.argsort(self.keyframes[first:])] = extract(values, "x")
         self.c |= {segment: values.atVector(C(segment)) for segment in self.c if values.exists(C(segment))}
 
     @property
     def segments(self) -> list[int]:
-        """The calibrations of its intervals."""
-        return sorted({one.segment for one in self.intervals} or {self.segment})
+        """Numbers of the calibration segments in the window, ascending."""
+        return sorted({interval.segment for interval in self.intervals} or {self.segment})
 
     def row_labels(self) -> list[str]:
-        """The floor's label of each row of the trajectory of the steps that are kept: start, steps, end."""
-        ends = np.array([one.end for one in self.intervals])
-        steps, labels = self.steps.steps, [*(one.label for one in self.intervals), self.floor]
+        """The floor's label of each trajectory row of the stored steps: start, steps, end."""
+        ends = np.array([interval.end for interval in self.intervals])
+        steps, labels = self.steps.steps, [*(interval.label for interval in self.intervals), self.floor]
         rows = [steps.start, *steps.time.tolist(), steps.end]
         return [labels[n] for n in np.searchsorted(ends, np.array(rows) - CLOSE).tolist()]
 
     def forget(self, count: int) -> None:
-        """Let go of the first so many keyframes."""
+        """Drop the first ``count`` keyframes."""
         del self.keyframes[:count], self.times[:count], self.intervals[:count]
         if self._chain is not None and len(self._chain.segment) > len(self.intervals):
             self._chain = self._chain.after(len(self._chain.segment) - len(self.intervals))
@@ -172,7 +172,7 @@ class Window:
         self.c = {segment: value for segment, value in self.c.items() if segment in kept}
 
     def checkpoint(self) -> WindowCheckpoint:
-        """All that it knows but for the poses."""
+        """Return the state without the poses."""
         return WindowCheckpoint(
             floor=self.floor,
             segment=self.segment,
@@ -181,28 +181,28 @@ class Window:
             steps=self.steps.checkpoint(),
             keyframes=list(self.keyframes),
             times=list(self.times),
-            segments=[one.segment for one in self.intervals],
-            labels=[one.label for one in self.intervals],
+            segments=[interval.segment for interval in self.intervals],
+            labels=[interval.label for interval in self.intervals],
             calibrations=np.array([[segment, *value] for segment, value in self.c.items()]).reshape(-1, 4),
         )
 
     def restore(self, checkpoint: WindowCheckpoint) -> None:
-        """Go on from a checkpoint, with the same prior and plan; the poses are to be read."""
+        """Set the state to a checkpoint of a window with the same prior and plan; `read` must add the poses."""
         self.floor, self.steps = checkpoint.floor, StepBuffer.restored(checkpoint.steps)
         self.segment, self.in_segment, self.count = checkpoint.segment, checkpoint.in_segment, checkpoint.count
         self.keyframes, self.times = list(checkpoint.keyframes), list(checkpoint.times)
         self.c = {int(segment): np.array(value) for segment, *value in checkpoint.calibrations}
         spans = zip(self.keyframes, self.keyframes[1:], self.times, self.times[1:], strict=False)
-        told = zip(spans, checkpoint.segments, checkpoint.labels, strict=True)
-        self.intervals = [self._interval(*span, segment, label) for span, segment, label in told]
+        rows = zip(spans, checkpoint.segments, checkpoint.labels, strict=True)
+        self.intervals = [self._interval(*span, segment, label) for span, segment, label in rows]
         self.pose = np.zeros((len(self.keyframes), 3))
 
     def _interval(self, i: int, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
         return self.steps.interval(i, j, begin, end, segment, np.array(self.prior.mean), label)
 
-    def _led(self, pose: Array, one: Interval, c: Array) -> Array:
-        """Where the steps of an interval lead."""
-        moved = preintegrate(one.pieces, c[None]).delta[-1]
+    def _pose_after(self, pose: Array, interval: Interval, c: Array) -> Array:
+        """The pose ``(3,)`` after the steps of an interval."""
+        moved = preintegrate(interval.pieces, c[None]).delta[-1]
         return pose + np.append(rotation(pose[2]) @ moved[:2], moved[2])
 
     def _number(self) -> int:
@@ -210,9 +210,9 @@ class Window:
         return self.count - 1
 
     def _segment_until(self, end: float) -> int:
-        """The calibration of the interval up to ``end`` [s]: another after so many steps, and over a gap."""
+        """The segment of the interval up to ``end`` [s]; a new one after STEPS_PER_SEGMENT steps and after a gap."""
         due = self.in_segment >= STEPS_PER_SEGMENT or self.steps.gap_within(self.times[-1], end)
-        if due and self.intervals:  # else nothing in the window would link it to the one before
+        if due and self.intervals:  # an empty window has no link from the segment before
             self.segment, self.in_segment = self.segment + 1, 0
             self.c[self.segment] = self.c[self.segment - 1]
         self.in_segment += len(self.steps.rows(self.times[-1], end))
@@ -220,26 +220,23 @@ class Window:
 
 
 def _extended(chain: Chain, new: Sequence[Interval]) -> Chain:
-    """A chain and the intervals that follow it."""
+    """A chain with new intervals appended."""
     if not new:
         return chain
-    of_segment = [*chain.segment_number[chain.segment].tolist(), *(one.segment for one in new)]
+    of_segment = [*chain.segment_number[chain.segment].tolist(), *(interval.segment for interval in new)]
     segment_number, segment = np.unique(np.array(of_segment, dtype=np.intp), return_inverse=True)
     return Chain(
-        pieces=Pieces.together([chain.pieces, *(one.pieces for one in new)]),
-        bridge=Bridge.together([chain.bridge, *(one.bridge for one in new)]),
-        delta=np.concatenate([chain.delta, [one.delta for one in new]]),
+        pieces=Pieces.together([chain.pieces, *(interval.pieces for interval in new)]),
+        bridge=Bridge.together([chain.bridge, *(interval.bridge for interval in new)]),
+        delta=np.concatenate([chain.delta, [interval.delta for interval in new]]),
         segment=segment.astype(np.intp),
-        number=np.append(chain.number, [one.j for one in new]),
+        number=np.append(chain.number, [interval.j for interval in new]),
         segment_number=segment_number,
     )
 
 
 class Part:
-    """The last intervals of a window, as a chain of keyframes with their state.
-
-    intervals: in order; the window must not change while it is used.
-    """
+    """The last intervals of a window as a chain of keyframes; valid until the window changes."""
 
     def __init__(self, window: Window, intervals: list[Interval], chain: Chain):
         self.window, self.intervals = window, intervals
@@ -248,34 +245,34 @@ class Part:
 
     @property
     def segments(self) -> Index:
-        """The numbers ``(s,)`` of its calibrations."""
+        """Numbers ``(s,)`` of the calibration segments."""
         return self.chain.segment_number
 
     def state(self, values: gtsam.Values, measurements: Iterable[Measurement]) -> State:
-        """All its variables: poses and calibrations of the window, others as in ``values``, or initial."""
+        """Poses and calibrations of the window; other variables from ``values`` if there, else initial."""
         c = np.array([self.window.c[segment] for segment in self.segments.tolist()])
         arrays = {"x": self.window.pose[self.first :], "c": c}
         numbers = {"x": self.chain.number, "c": self.segments}
         state = State(arrays, numbers)
-        for one in measurements:
-            for brought in one.variables(state.poses):
-                state = State(
-                    {**state.arrays, brought.symbol: brought.initial}, {**state.numbers, brought.symbol: brought.number}
-                )
-                keys = state.keys(brought.symbol).tolist()
-                known = [n for n, key in enumerate(keys) if values.exists(key)]
-                if known:
-                    current = brought.initial.copy()
-                    current[known] = [values.atVector(keys[n]) for n in known]
-                    state = state.replaced(**{brought.symbol: current})
+        for measurement in measurements:
+            for new in measurement.variables(state.poses):
+                state = State({**state.arrays, new.symbol: new.initial}, {**state.numbers, new.symbol: new.number})
+                keys = state.keys(new.symbol).tolist()
+                alive = [n for n, key in enumerate(keys) if values.exists(key)]
+                if alive:
+                    current = new.initial.copy()
+                    current[alive] = [values.atVector(keys[n]) for n in alive]
+                    state = state.replaced(**{new.symbol: current})
         return state
 
     def walls(self) -> WallFactor | None:
-        """The walls about its steps, None without a plan."""
+        """The walls that its pieces are associated with; None without a plan."""
         if self.window.plan is None:
             return None
         number: dict[DistanceField | None, int] = {None: -1}
-        field_of = [number.setdefault(field, len(number) - 1) for one in self.intervals for field in one.fields]
+        field_of = [
+            number.setdefault(field, len(number) - 1) for interval in self.intervals for field in interval.fields
+        ]
         fields = tuple(field for field in number if field is not None)
         prior = self.window.prior
         return WallFactor(None, fields, np.array(field_of, dtype=np.intp), 0.0, prior.wall_margin, prior.wall_sigma)

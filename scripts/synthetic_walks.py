@@ -1,4 +1,4 @@
-"""Walks as a front end would say them: steps and fixes, without a phone."""
+"""Synthetic walks for benchmarks: the steps of a front end, and fixes."""
 
 import numpy as np
 
@@ -7,16 +7,16 @@ from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.types import Fixes, Steps
 
 PERIOD = 0.53  # [s] per step
-LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] the middle line of maps/loop
+LOOP_LOW, LOOP_HIGH = np.array([1.25, 1.25]), np.array([43.75, 26.75])  # [m] corners of the centre line of maps/loop
 
 
 def walk(n, every):
-    """``n`` steps as a front end would say them, with a fix of 3 m every so many steps, at its own time."""
+    """``n`` measured steps, with a fix of 3 m sigma every ``every`` steps, between step times."""
     return walk_and_truth(n, every)[:2]
 
 
 def walk_and_truth(n, every, seed=0):
-    """The same, and where the walk was."""
+    """Steps and fixes of `walk`, and the true trajectory."""
     random = np.random.default_rng(seed)
     time_, sigma_length, sigma_turn = PERIOD * np.arange(1, n + 1), np.full(n, 0.07), np.full(n, 0.02)
 
@@ -29,8 +29,8 @@ def walk_and_truth(n, every, seed=0):
     at = np.arange(every, n + 1, every)
     place = truth.position[at] + random.normal(0, 3, (len(at), 2))
     fixes = Fixes(truth.time[at] - 0.1, place, np.full(len(at), 3.0), ("",) * len(at))
-    said = steps(length * 0.95 + random.normal(0, 0.07, n), turn * 0.99 + random.normal(0, 0.02, n) - 0.0005)
-    return said, fixes, truth
+    measured = steps(length * 0.95 + random.normal(0, 0.07, n), turn * 0.99 + random.normal(0, 0.02, n) - 0.0005)
+    return measured, fixes, truth
 
 
 def held_by_walls(n, period=PERIOD):
