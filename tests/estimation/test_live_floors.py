@@ -65,8 +65,8 @@ def test_half_an_hour_of_stairs_is_as_the_whole_walk_and_what_is_kept_does_not_g
     levels = [3.6 * n for n in (0, 1, 2, 1, 0, -1, -2, -1) * 3]
     steps, barometer = along(*flights(*levels, floor_time=70.0))
     floors, sizes = LiveFloors(None, "F1"), []
-    look = floors._look
-    floors._look = lambda *given: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*given))
+    look = floors._estimate
+    floors._estimate = lambda *given: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*given))
     told = second_by_second(steps, barometer, floors)
     assert labels_of(told) == ["F1", "F2", "F3", "F2", "F1", "B1", "B2", "B1"] * 3
     assert max(sizes) < 1.6 * LONGEST / 0.5
