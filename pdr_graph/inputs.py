@@ -14,8 +14,8 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.io.beacons import beside, drawn_beacons, read_beacons
-from pdr_graph.io.ranges import read_ranges
+from pdr_graph.io.beacons import SURVEY_SIGMA, beside, drawn_beacons, read_beacons
+from pdr_graph.io.ranges import ANCHOR_SIGMA, read_ranges
 from pdr_graph.io.tables import read_fixes, read_trajectory
 from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Recording
 
@@ -114,7 +114,7 @@ def read(recording: Path, options: Options | None = None) -> Inputs:
     listed_fixes = read_fixes(options.fixes, walk, notes=notes) if options.fixes else Fixes.none()
     building = Building.load(options.plan) if options.plan else None
     listed = beside(recording) if options.recorded_fixes else None
-    walk = replace(walk, beacons=_beacons(walk, options.beacons, listed, building, notes))
+    walk = replace(walk, beacons=_beacons(walk, options, listed, building, notes))
     radio_map = load_radio_map(options.radio_map, building) if options.radio_map else None
     recorded = walk.fixes if options.recorded_fixes else Fixes.none()
     frame, fixes = _in_one_frame(building, radio_map, listed_fixes, recorded, notes)
@@ -152,18 +152,19 @@ def _anchors(walk: Recording, ranges: Path, frame: Frame, located: bool) -> tupl
 
 
 def _beacons(
-    walk: Recording, path: Path | None, listed: Path | None, building: Building | None, notes: list[str]
+    walk: Recording, options: Options, listed: Path | None, building: Building | None, notes: list[str]
 ) -> Beacons | None:
-    """Beacon positions from the list at ``path``, else from that beside the recording, else from the plan."""
-    if path is not None:
-        return read_beacons(path, walk)
+    """Beacon positions from ``options.beacons``, else from the list beside the recording, else from the plan."""
+    unstated = SURVEY_SIGMA if options.ranges is None else ANCHOR_SIGMA
+    if options.beacons is not None:
+        return read_beacons(options.beacons, walk, unstated)
     if listed is not None and walk.bluetooth is not None:
         try:
-            return read_beacons(listed, walk)
+            return read_beacons(listed, walk, unstated)
         except InputError as error:  # no option named this file
             notes.append(f"beacons were left out: {error}")
     drawn = [(area, floor.label) for floor in building.floors for area in floor.of_kind(BEACON)] if building else []
-    return drawn_beacons(drawn, walk) if drawn else None
+    return drawn_beacons(drawn, walk, unstated) if drawn else None
 
 
 def load_radio_map(path: Path, building: Building | None) -> RadioMap:

@@ -35,8 +35,8 @@ def plot(
 ) -> Figure:
     """Draw a walk: dead reckoning in grey, the estimate with its 95 % region, fixes by weight.
 
-    floor: the plan, drawn below; truth: drawn on top. Returns a `matplotlib.figure.Figure`; a walk over several floors
-    of a building has axes for each, the lowest at the lower left.
+    floor: the plan, drawn below; truth: drawn on top; title: above the picture. Returns a `matplotlib.figure.Figure`;
+    a walk over several floors of a building has axes for each, the lowest at the lower left.
     """
     expect("plot, estimate", estimate, Estimate, instead="smooth(graph)")
     expect("plot, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")

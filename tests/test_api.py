@@ -33,7 +33,7 @@ Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=
 fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)
 Samples(sensor, time, values)
 Scan(radio, heard)
-Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, given=, \
+Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, user_fixes=, \
 beacons=, access_points=)
 Sightings(time, transmitter, rssi, minor=)
 Signal(time, values)

@@ -25,12 +25,13 @@ def beside(recording: Path) -> Path | None:
     return path if recording.is_file() and path.is_file() else None
 
 
-def read_beacons(path: str | Path, recording: Recording | None = None) -> Beacons:
+def read_beacons(path: str | Path, recording: Recording | None = None, unstated: float = SURVEY_SIGMA) -> Beacons:
     """Read a table of beacons.
 
     Columns are ``beacon,x,y[,sigma][,floor]`` in the output frame, ``beacon,lat,lon[,sigma][,floor]``, or IPIN's
     ``bleID,Lat,Lon,floor``. ``beacon`` is the address as in the recording, or a name that ends in the minor number of
-    an iBeacon, such as BLE3. Without a recording the names stay as in the list.
+    an iBeacon, such as BLE3. Without a recording the names stay as in the list. unstated: sigma of places without a
+    stated one [m].
 
     Raises InputError naming the line.
     """
@@ -41,7 +42,7 @@ def read_beacons(path: str | Path, recording: Recording | None = None) -> Beacon
         check_geodetic(path, numbers)
     label = words["beacon"] if any(words["beacon"]) else words["bleid"]
     position = np.stack([numbers[n] for n in (("lon", "lat") if geodetic else ("x", "y"))], axis=1)
-    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(label), np.nan)), nan=SURVEY_SIGMA)
+    sigma = np.nan_to_num(numbers.get("sigma", np.full(len(label), np.nan)), nan=unstated)
     for n, name in enumerate(label):
         if not name or name in label[:n]:
             found = f"{name[:40]!r} twice" if name else "no name"
@@ -50,12 +51,12 @@ def read_beacons(path: str | Path, recording: Recording | None = None) -> Beacon
     return Beacons(_names(label, recording), position, np.maximum(sigma, MINIMUM_SIGMA), words["floor"], label, epsg)
 
 
-def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording) -> Beacons:
+def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording, unstated: float = SURVEY_SIGMA) -> Beacons:
     """The beacons drawn in a plan, named by their id, mac, uuid or name. drawn: areas and the label of their floor."""
     keys = ("id", "mac", "uuid")
     label = tuple(str(next((a.properties[k] for k in keys if a.properties.get(k)), a.name)) for a, _ in drawn)
     position = np.array([shapely.get_coordinates(area.shape).mean(axis=0) for area, _ in drawn])
-    sigma = np.full(len(label), SURVEY_SIGMA)
+    sigma = np.full(len(label), unstated)
     return Beacons(_names(label, recording), position, sigma, tuple(floor for _, floor in drawn), label)
 
 

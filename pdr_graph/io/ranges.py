@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.beacons import SURVEY_SIGMA as DEFAULT_BEACON_SIGMA
 from pdr_graph.io.tables import read_table
 from pdr_graph.measurements import Ranges
 from pdr_graph.types import Beacons, Recording
 
 RANGE_SIGMA = 0.3  # [m] of a range with line of sight, if the table has no sigma; chosen by hand
-ANCHOR_SIGMA = 0.1  # [m] per axis of an anchor's position, if the list has no sigma; chosen by hand
+ANCHOR_SIGMA = 0.1  # [m] per axis of an anchor's place whose list states none: tape or laser; chosen by hand
 MAXIMUM_RANGE = 1000.0  # [m]; a larger distance is in other units
 
 
@@ -41,8 +40,7 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
         expected = f"one of {', '.join(anchors.label)[:80]}"
         raise InputError(path, f"data row {int(np.argmax(anchor < 0)) + 1}, anchor", f"{unknown[:40]!r}", expected)
     order = np.argsort(time, kind="stable")
-    survey = np.where(anchors.sigma == DEFAULT_BEACON_SIGMA, ANCHOR_SIGMA, anchors.sigma)
-    ranges = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, survey)
+    ranges = Ranges(time, anchor, distance, sigma, anchors.label, anchors.position, anchors.sigma)
     _check_clock(path, ranges, recording)
     return replace(ranges, time=time[order], anchor=anchor[order], range=distance[order], sigma=sigma[order])
 

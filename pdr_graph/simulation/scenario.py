@@ -96,7 +96,8 @@ class UserFixes:
 class Scenario(OneLineRepr):
     """The description of one simulated walk (docs/simulation.md).
 
-    name: of its file; seed: of all random numbers; recorder: of RECORDERS; platform: "android" or "ios"; start: Unix
+    name: of its file; route: where the walker goes; walker, phone: who walks, and how the phone is carried and errs;
+    seed: of all random numbers; recorder: of RECORDERS; platform: "android" or "ios"; start: Unix
     time [s]; place: longitude and latitude of (0, 0) [deg]; plan: its file, None without one; plans: its floors by
     label; gnss, user_fixes: None for none; beacons, access_points: the transmitters within reach.
     """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.ranges import ANCHOR_SIGMA, RANGE_SIGMA, read_ranges
+from pdr_graph.io.ranges import RANGE_SIGMA, read_ranges
 from pdr_graph.types import Beacons, Recording, Signal
 
 TABLE = "time,anchor,range,sigma\n102.5,b,7.5,\n101.0,A,3.25,0.1\n"
@@ -18,7 +18,7 @@ def walk():
 
 @pytest.fixture
 def anchors():
-    """Two anchors; the second has no stated sigma (`read_beacons` then sets 1 m)."""
+    """Two anchors."""
     return Beacons(("A", "B"), np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([0.05, 1.0]), ("", ""), ("A", "B"))
 
 
@@ -30,7 +30,7 @@ def test_rows_are_sorted_and_anchor_names_match_in_any_case(tmp_path, walk, anch
     assert ranges.anchor.tolist() == [0, 1]
     assert ranges.range.tolist() == [3.25, 7.5]
     assert ranges.sigma.tolist() == [0.1, RANGE_SIGMA]
-    assert ranges.position_sigma.tolist() == [0.05, ANCHOR_SIGMA]
+    assert ranges.position_sigma.tolist() == [0.05, 1.0]
 
 
 @pytest.mark.parametrize(
