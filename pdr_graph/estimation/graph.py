@@ -108,7 +108,7 @@ class WalkGraph:
     @classmethod
     def of(cls, steps: Steps, data: Sequence[Any], **options: Any) -> WalkGraph:
         """The graph of measurements of any types; options: as of ``WalkGraph``."""
-        by_type = {type(one): one for one in data}
+        by_type = {type(table): table for table in data}
         fixes, headings = by_type.pop(Fixes, None), by_type.pop(Headings, None)
         return cls(steps, fixes, headings=headings, measurements=list(by_type.values()), **options)
 

@@ -1,4 +1,4 @@
-"""Beacons as ranges, and those that are not where their list says."""
+"""Beacons as ranges, and relocated beacons."""
 
 from dataclasses import replace
 
@@ -52,8 +52,8 @@ def crooked(track, seed=0):
     return replace(said, turn=said.turn + random.normal(0, 0.03, len(said)), length=0.9 * said.length)
 
 
-def test_beacons_alone_place_a_walk():
-    """No fix at all: six beacons tell where it was, within some metres, and the covariance says how well."""
+def test_beacons_alone_determine_the_position():
+    """Without any fix, six beacons give the position within some metres, with a correct covariance."""
     truth = dead_reckon(round_the_block(), start=fixes_at([0.0], [[40.0, -20.0]]), heading=1.0)
     inside = []
     for seed in range(5):
@@ -66,8 +66,8 @@ def test_beacons_alone_place_a_walk():
     assert np.mean(inside) > 0.6
 
 
-def test_two_entries_of_a_list_that_are_swapped_are_found():
-    """Both are heard near the other's place; the others stay where they are."""
+def test_two_swapped_list_entries_are_detected():
+    """Both beacons are received near the other's place; the others keep their positions."""
     truth = dead_reckon(round_the_block())
     beacons = beacons_about(truth)
     order = np.array([0, 4, 2, 3, 1, 5])
@@ -84,7 +84,7 @@ def test_two_entries_of_a_list_that_are_swapped_are_found():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_beacons_in_their_place_are_left_there(seed):
+def test_correctly_listed_beacons_keep_their_positions(seed):
     truth = dead_reckon(round_the_block())
     beacons, said = beacons_about(truth, seed), crooked(truth, seed)
     fixes = fixes_at(truth.time[::20], truth.position[::20], 3.0)
@@ -92,7 +92,7 @@ def test_beacons_in_their_place_are_left_there(seed):
     assert {report.reason for report in estimate.beacons} == {"heard where it is listed"}
 
 
-def test_a_beacon_that_nobody_surveyed_is_placed_by_the_walk():
+def test_an_unsurveyed_beacon_is_located_by_the_walk():
     truth = dead_reckon(round_the_block())
     beacons = beacons_about(truth)
     unknown = replace(beacons, position=np.where(np.arange(6)[:, None] == 2, np.nan, beacons.position))
@@ -104,8 +104,8 @@ def test_a_beacon_that_nobody_surveyed_is_placed_by_the_walk():
     assert (report.x, report.y) == pytest.approx(beacons.position[2], abs=4.0)
 
 
-def test_live_every_level_that_was_heard_is_in_the_graph(monkeypatch):
-    """Also those that are due at the very keyframe at which the walk is laid out anew."""
+def test_live_every_received_level_is_in_the_graph(monkeypatch):
+    """Also levels that are due at the keyframe at which the batch restarts the walk."""
     said, taken, due = round_the_block(120), list[float](), LevelCollector.due
 
     def noted(*given):

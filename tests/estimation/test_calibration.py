@@ -1,4 +1,4 @@
-"""A walker's own calibration: what a known line or enough fixes teach, and what the next walk gains."""
+"""Calibration of a walker by a known line or by fixes, and its use in the next walk."""
 
 from dataclasses import replace
 
@@ -38,8 +38,8 @@ def along(route, error=(0.0, 0.0, 0.0), laps=1, step=0.7, noise=0.0, seed=0):
     return Steps(0.0, float(time[-1]) + 0.1, time, *columns)
 
 
-def test_the_three_coefficients_are_told_apart():
-    """Left and right loops tell a drift from a turn error; the size of the eight tells the length."""
+def test_the_three_coefficients_are_separable():
+    """Left and right loops separate drift from turn error; the size of the figure eight determines the length."""
     route = read_route(EIGHT)
     profile, estimate, laps = calibrate(along(route, (0.08, 0.0015, 0.03), laps=4), route)
     assert laps == 4
@@ -51,7 +51,7 @@ def test_the_three_coefficients_are_told_apart():
 
 
 @pytest.mark.parametrize("turned", [0.0, 2.0])
-def test_the_direction_at_the_start_does_not_matter(turned):
+def test_the_initial_direction_does_not_matter(turned):
     """The paper names it as a cause of its errors: hips turn before the first step."""
     route, steps = read_route(EIGHT), along(read_route(EIGHT), (0.05, 0.0, 0.0))
     turn = steps.turn.copy()
@@ -60,8 +60,8 @@ def test_the_direction_at_the_start_does_not_matter(turned):
     assert profile.E_length == pytest.approx(0.05, abs=0.01)
 
 
-def test_what_a_straight_line_does_not_tell_stays_unknown():
-    """Length and drift are told by 60 m straight on; a turn error is not, and its sigma is the prior's."""
+def test_a_straight_line_does_not_determine_the_turn_error():
+    """A straight walk of 60 m determines length and drift; the sigma of the turn error stays that of the prior."""
     route = np.array([[0.0, 0.0], [60.0, 0.0]])
     profile, _, _ = calibrate(along(route, (0.1, 0.002, 0.0)), route)
     assert profile.E_length == pytest.approx(0.1, abs=0.02)
@@ -82,7 +82,7 @@ def test_sigmas_are_honest():
     assert within >= 17
 
 
-def test_another_way_is_refused():
+def test_a_walk_off_the_route_is_an_input_error():
     wrong = along(np.array([[0.0, 0.0], [40.0, 0.0], [40.0, 30.0]]))
     with pytest.raises(InputError, match="leave the route"):
         calibrate(wrong, read_route(EIGHT), "walk.csv")
@@ -106,8 +106,8 @@ def walked_twice(scale, drift):
     return steps, Fixes(track.time[at], track.position[at], np.full(len(at), 0.3), ("",) * len(at))
 
 
-def test_a_walk_with_fixes_is_a_calibration_walk_too():
-    """Its posterior is the next walk's prior: with one fix that walk is then as long as it was."""
+def test_a_walk_with_fixes_also_calibrates():
+    """Its posterior is the prior of the next walk, which then has the right length with a single fix."""
     steps, fixes = walked_twice(0.15, 0.0015)
     profile = posterior_profile(smooth(WalkGraph(steps, fixes)), steps)
     assert profile.E_length == pytest.approx(0.15, abs=0.03)
@@ -122,8 +122,8 @@ def test_a_walk_with_fixes_is_a_calibration_walk_too():
     assert known.covariance[-1, 0, 0] < unknown.covariance[-1, 0, 0]
 
 
-def test_profiles_add_up():
-    """What a second walk teaches comes on top of the profile by which its steps were corrected."""
+def test_profiles_accumulate():
+    """A second walk updates the profile that corrected its steps."""
     steps, fixes = walked_twice(0.15, 0.0015)
     whole = posterior_profile(smooth(WalkGraph(steps, fixes)), steps)
     half = Profile(0.08, 0.001, 0.0, np.diag([1e-3, 1e-6, 1e-4]), 0.3, 1.3)
@@ -134,8 +134,8 @@ def test_profiles_add_up():
     assert again.E_corner == pytest.approx(whole.E_corner, abs=0.01)
 
 
-def test_the_next_walk_is_not_the_last():
-    """However well one walk was known, the next differs by BETWEEN_WALKS; nor does a profile know less than nobody."""
+def test_the_next_walk_has_at_least_the_variance_between_walks():
+    """A profile widens by BETWEEN_WALKS, up to the prior without any profile."""
     exact = Profile(0.1, 0.0, 0.0, 1e-12 * np.eye(3), 0.1, 1.3)
     assert prior_of(exact).sigma == pytest.approx(BETWEEN_WALKS, rel=1e-3)
     vague = Profile(0.1, 0.0, 0.0, np.eye(3), 0.1, 1.3)
@@ -143,7 +143,7 @@ def test_the_next_walk_is_not_the_last():
     assert prior_of(None) == Prior()
 
 
-def test_a_correlated_prior_is_what_it_says():
+def test_a_correlated_prior_has_the_stated_covariance():
     prior = Prior(correlation=(0.5, -0.2, 0.1))
     sigma = np.array(prior.sigma)
     assert np.sqrt(np.diag(prior.covariance)) == pytest.approx(sigma)

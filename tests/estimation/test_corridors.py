@@ -1,4 +1,4 @@
-"""What the corridors of a floor add to a walk that is laid on it."""
+"""Corridors as measurements: turns at intersections, and directions of straight runs."""
 
 from dataclasses import replace
 
@@ -33,12 +33,12 @@ def ell_walk(**use):
     return WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.3), floor=ELL, prior=Prior(corridors=CorridorUse(**use)))
 
 
-def test_without_a_wish_nothing_is_matched():
+def test_corridors_are_matched_only_on_request():
     graph = ell_walk()
     assert graph.associated_at(graph.start).find(CorridorFactor) is None
 
 
-def test_a_straight_run_says_the_direction_that_walls_out_of_reach_do_not():
+def test_a_straight_run_determines_the_direction_where_walls_are_far():
     wrong = []
     for directions in (False, True):
         graph = ell_walk(directions=directions)
@@ -48,7 +48,7 @@ def test_a_straight_run_says_the_direction_that_walls_out_of_reach_do_not():
     assert wrong[1] < wrong[0] / 2
 
 
-def test_a_turn_is_matched_and_costs_nothing_where_it_is_right():
+def test_a_turn_at_its_intersection_costs_nothing():
     graph = ell_walk(turns=True, directions=True)
     graph = graph.associated_at(graph.start)
     corridors, at = graph.find(CorridorFactor), graph.evaluate(graph.start)
@@ -62,8 +62,8 @@ def test_a_turn_is_matched_and_costs_nothing_where_it_is_right():
     assert corridors.turns.least[0] < np.pi / 2 < corridors.turns.most[0]
 
 
-def test_a_turn_outside_its_intersection_is_as_far_off_as_that_is():
-    """Laid 3 m short of the middle of the corner, in a corridor that is open to it: walls say nothing."""
+def test_a_turn_outside_its_intersection_has_its_distance_as_residual():
+    """The turn is 3 m short of the corner, in a corridor that is open to it, so walls add nothing."""
     graph = ell_walk(turns=True)
     matched = graph.associated_at(graph.start)
     short = graph.start.replaced(x=graph.start.poses - np.array([3.0, 0.0, 0.0]))
@@ -71,7 +71,7 @@ def test_a_turn_outside_its_intersection_is_as_far_off_as_that_is():
     assert outside.residual.max() == pytest.approx((3.0 - WIDTH / 2) / SIGMA_PLACE, abs=0.1)
 
 
-def test_what_was_matched_goes_with_the_walls():
+def test_matches_are_removed_with_the_plan():
     graph = ell_walk(directions=True)
     matched = graph.associated_at(graph.start)
     without = matched.without_plan()

@@ -31,26 +31,26 @@ def test_covariance_is_honest(method):
 
 
 @pytest.mark.parametrize("method", [smooth, kalman_smoother])
-def test_fixes_twice_as_bad_as_stated_are_found_out(method):
-    """The control."""
+def test_fixes_twice_as_bad_as_stated_fail_the_test(method):
+    """Control."""
     assert normalised_errors(twice_as_bad, method, FEWER).mean() > interval(FEWER)[1]
 
 
-def test_the_covariance_is_honest_where_fixes_share_a_receivers_offset_and_lag():
+def test_the_covariance_is_honest_with_a_receivers_offset_and_lag():
     low, high = interval()
     assert low < normalised_errors(a_receiver).mean() < high
 
 
-def test_a_receivers_fixes_taken_for_independent_are_found_out():
-    """The control: the same draws, whose source nobody names."""
+def test_a_receivers_fixes_without_source_fail_the_test():
+    """Control: the same draws without a source, so that they are treated as independent."""
     assert normalised_errors(a_receiver_taken_for_independent, seeds=FEWER).mean() > interval(FEWER)[1]
 
 
-def test_the_covariance_is_honest_where_beacons_tell_ranges():
+def test_the_covariance_is_honest_with_beacons():
     low, high = interval()
     assert low < normalised_errors(beacons).mean() < high
 
 
-def test_levels_twice_as_noisy_as_assumed_are_found_out():
-    """The control."""
+def test_levels_twice_as_noisy_as_assumed_fail_the_test():
+    """Control."""
     assert normalised_errors(twice_as_noisy, seeds=FEWER).mean() > interval(FEWER)[1]

@@ -1,4 +1,4 @@
-"""The equations of docs/factors.md, written a second time from the page, against what the factors say.
+"""The equations of docs/factors.md, written a second time from the page, compared with the factors.
 
 Nothing here is taken from the code but its inputs: loops instead of running sums, differences instead of derivatives,
 shapely instead of grids, dense matrices instead of elimination. Rounding is 1e-9; what is differenced is good to 1e-6.
@@ -139,7 +139,7 @@ def covariances(pieces, c):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pdr_is_what_the_steps_leave_over(seed):
+def test_the_step_residual_is_that_of_the_page(seed):
     """r = [R_iᵀ (p_j − p_i) − Δp(c), wrap(θ_j − θ_i − Δθ(c))], in Mahalanobis' norm of Q."""
     steps = walk_with_a_pause(seed)
     graph = graph_of(steps)
@@ -156,8 +156,8 @@ def test_pdr_is_what_the_steps_leave_over(seed):
         assert whitened @ whitened == pytest.approx(r @ np.linalg.solve(Q_of_all, r), rel=1e-6)
 
 
-def test_sub_steps_share_what_is_left_over():
-    """s_k = Δ_k(c) + G_k r, G_k = Cov(Δ_k, Δ_K) Q⁻¹; what stays uncertain is Cov(Δ_k) − G_k Cov(Δ_K, Δ_k)."""
+def test_sub_steps_share_the_residual():
+    """s_k = Δ_k(c) + G_k r, G_k = Cov(Δ_k, Δ_K) Q⁻¹; the remaining covariance is Cov(Δ_k) − G_k Cov(Δ_K, Δ_k)."""
     steps = walk_with_a_pause()
     graph = graph_of(steps)
     state, usual = any_state(graph, 4), np.array([1.0, 1.0, 0.0])
@@ -178,8 +178,8 @@ def test_sub_steps_share_what_is_left_over():
             assert graph.chain.bridge.spread[first + k] == pytest.approx(spread, abs=1e-6)
 
 
-def test_a_gap_leads_anywhere():
-    """One metre a second of way to either side, 1.2 rad of turn; keyframes at both ends; c begins anew."""
+def test_a_gap_has_a_wide_covariance():
+    """1 m/s to either side, 1.2 rad of turn; keyframes at both ends; a new calibration segment after it."""
     before, seconds = wandering_walk(12), 30.0
     after = shifted(wandering_walk(12, 1), before.end + seconds)
     graph = graph_of(append_steps(append_steps(before, gap(before.end, before.end + seconds)), after))
@@ -205,7 +205,7 @@ def hall(size=40.0):
     return FloorPlan("hall", (Area("corridor", "", shapely.box(-size, -size, size, size)),), Frame())
 
 
-def test_a_wall_is_two_springs():
+def test_a_wall_has_two_hinges():
     """r = max(0, margin − d)/σ + max(0, BODY − d)/(BODY_SIGMA σ) of every piece in which somebody moved, 0 of others.
 
     Off the corners of a hall the distance is linear, so that the grid of the code is exact.
@@ -290,8 +290,8 @@ def test_a_straight_run_leads_along_its_corridor():
 # Fixes, receivers, beacons, headings
 
 
-def test_a_fix_is_a_place():
-    """p − z, whichever way the walker faces, of the stated sigma under Huber's loss."""
+def test_a_fix_is_a_position():
+    """p − z for any heading, with the stated sigma and Huber's loss."""
     graph = graph_of(wandering_walk(12))
     state = any_state(graph, 0)
     fixes = graph.positions
@@ -305,8 +305,8 @@ def test_a_fix_is_a_place():
         assert factor.weight == pytest.approx(min(1.0, 2.45 / sigmas))
 
 
-def test_losses_are_the_pages():
-    """ρ and w of all losses, at residuals on either side of their widths."""
+def test_losses_are_those_of_the_page():
+    """ρ and w of all losses, at residuals on both sides of their widths."""
     s = np.array([0.0, 0.4, 1.0, 2.4, 2.5, 5.0, 40.0])
     laws = {
         "Huber": (lambda k: np.where(s <= k, s**2 / 2, k * (s - k / 2)), lambda k: np.minimum(1, k / np.maximum(s, k))),
@@ -415,8 +415,8 @@ def beside_beacons(seed=0):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_beacon_is_as_loud_as_it_is_near(seed):
-    """rssi = P + a − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ, of LEVEL_SIGMA; what is believed of b and q."""
+def test_the_level_of_a_beacon_follows_the_path_loss(seed):
+    """rssi = P + a − 10 n log₁₀ √(d² + HEIGHT²) + k cos φ, with LEVEL_SIGMA; and the priors of b and q."""
     graph = beside_beacons(seed)
     state, kind = any_state(graph, seed), graph.find(BeaconRssiFactor)
     heard, b = kind.listed, state["b"]
@@ -436,10 +436,10 @@ def test_a_beacon_is_as_loud_as_it_is_near(seed):
     assert factor.residual == pytest.approx((state["q"][0] - [-62, 2.2, 3]) / [8, 0.5, 3])
 
 
-def test_headings_of_one_walk_share_what_they_share(monkeypatch):
-    """σ² = own² + n (ahead² + 0.2²), so that all together weigh about as one; each is wrap(θ − z)."""
+def test_headings_of_one_walk_have_a_common_error(monkeypatch):
+    """σ² = own² + n (ahead² + 0.2²), so all together weigh about as one; each residual is wrap(θ − z)."""
     rows = [(20.0 * n, 0.3, 0.1, 0.25) for n in range(1, 6)]
-    monkeypatch.setattr(compass, "_uninterrupted_headings", lambda gait, earth: rows)
+    monkeypatch.setattr(compass, "_headings_of_part", lambda gait, earth: rows)
     monkeypatch.setattr(compass, "gait_signals", lambda recording: [None])
 
     class Sensors:
@@ -476,8 +476,8 @@ def test_calibration_is_a_prior_and_a_random_walk():
     assert factor.residual == pytest.approx((state.c[1] - state.c[0]) / [0.03, 0.005, 0.0005])
 
 
-def test_a_first_heading_is_any():
-    """wrap(θ_0 − start)/(π/√3): the standard deviation of an angle of which nothing is known."""
+def test_the_first_heading_is_uniform():
+    """wrap(θ_0 − start)/(π/√3), the standard deviation of a uniform angle."""
     graph = graph_of(wandering_walk(12))
     state = any_state(graph, 3)
     (factor,) = factors_with(graph, state, "start", ("x", 0))
@@ -498,8 +498,8 @@ def closed(sigma=0.5):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_closure_is_the_way_between_whichever_way_they_faced(seed):
-    """r = (p_j − p_i)/σ under Geman and McClure's loss; and its derivatives, forward and to the left."""
+def test_a_closure_is_the_distance_at_any_headings(seed):
+    """r = (p_j − p_i)/σ with Geman and McClure's loss; and its derivatives, forward and to the left."""
     graph, i, j = closed()
     state = any_state(graph, seed)
     (factor,) = factors_with(graph, state, "closures", ("x", i), ("x", j))
@@ -517,8 +517,8 @@ def test_a_closure_is_the_way_between_whichever_way_they_faced(seed):
     assert not factors_with(unbound, state, "closures")
 
 
-def test_who_met_were_as_near_as_they_were_loud():
-    """σ = max(1.5 m, d/√2) per axis, d of the path loss of any phone; fainter than −85 dBm tells nothing."""
+def test_the_sigma_of_an_encounter_follows_the_path_loss():
+    """σ = max(1.5 m, d/√2) per axis, with d by the path loss of any phone; levels below −85 dBm are not used."""
     heard = Sightings(np.array([10.0, 40.0, 70.0]), ("her phone",) * 3, np.array([-60.0, -80.0, -86.0]))
     walks = [
         multi_day.CarriedPhone("his", 1000.0, 0.0, 100.0, heard),
@@ -533,8 +533,8 @@ def test_who_met_were_as_near_as_they_were_loud():
 # The window
 
 
-def test_what_leaves_the_window_is_its_schur_complement():
-    """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab: the information of a linear graph's other variables, dense."""
+def test_the_marginal_is_the_schur_complement():
+    """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab: the dense information of the remaining variables of a linear graph."""
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.2, 0.2, 0.02]))
     factors = {("start", 0): gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1.0))}
     isam, whole, values = TransactionalISAM(lag=20.0), gtsam.NonlinearFactorGraph(), gtsam.Values()

@@ -1,4 +1,4 @@
-"""The own factors: Jacobians, the guard, and GTSAM's view of the graph."""
+"""Jacobians of the factors, the guard of callbacks, and the export to GTSAM."""
 
 from dataclasses import replace
 
@@ -145,8 +145,8 @@ def test_derivatives_of_long_walks(name):
     assert_derivatives(graph, random_state(graph, np.random.default_rng(1)))
 
 
-def test_no_kind_of_measurement_is_left_out():
-    """Of all kinds that there are one graph above has factors, and so their derivatives are checked."""
+def test_every_measurement_kind_is_tested():
+    """Some graph above has factors of each kind, so the derivatives of all kinds are tested."""
     checked = set()
     for make in GRAPHS.values():
         graph = make()
@@ -155,8 +155,8 @@ def test_no_kind_of_measurement_is_left_out():
     assert checked >= OF_EVERY_WALK | {kind.name for kinds in KINDS.values() for kind in kinds}
 
 
-def test_turns_press():
-    """The derivatives of turns are those of factors that say something."""
+def test_turns_have_residuals():
+    """The derivatives of turns are tested at residuals that are not zero."""
     graph = turning_graph()
     at = graph.evaluate(random_state(graph, np.random.default_rng(1)))
     for name in ("corridors.turn", "corridors.intersection"):
@@ -166,8 +166,8 @@ def test_turns_press():
 
 
 @pytest.mark.parametrize("name", GRAPHS)
-def test_gtsam_sees_the_same_graph(name):
-    """What the smoother assembles for the whole walk equals GTSAM linearising factor by factor, to rounding."""
+def test_gtsam_linearises_the_same_graph(name):
+    """The assembled linear graph equals GTSAM's linearisation factor by factor, to rounding."""
     graph = GRAPHS[name]()
     assert_gtsam_agrees(graph, random_state(graph, np.random.default_rng(1)))
 
@@ -181,14 +181,14 @@ def test_sub_steps_end_at_the_keyframes():
     assert np.exp(1j * placed[:, 2]) == pytest.approx(np.exp(1j * state.poses[1:, 2]))
 
 
-def test_ends_are_the_sub_steps_without_their_derivatives():
-    """What a move that is only tried is judged by is what its derivatives are of; to rounding."""
+def test_ends_equal_the_sub_steps():
+    """Poses without derivatives equal those with derivatives, to rounding."""
     graph = walled_graph()
     own = graph.evaluate(random_state(graph, np.random.default_rng(1)))
     assert own.ends == pytest.approx(own.poses.value, abs=1e-12)
 
 
-def test_nothing_presses_in_the_open():
+def test_walls_have_no_residual_in_the_open():
     said = wandering_walk(10)
     graph = WalkGraph(said, fixes_on(dead_reckon(said), every=3), floor=hall())
     middle = graph.start.replaced(x=np.tile([3.5, 3.5, 0.0], (len(graph.segment) + 1, 1)))
@@ -207,8 +207,8 @@ def test_nothing_presses_in_the_open():
         (np.zeros(3), np.full((3, 3), np.inf), "not finite"),
     ],
 )
-def test_the_guard_stops_what_gtsam_would_accept(error, block, complaint):
-    """GTSAM crashes on an unset block, takes any shape, returns the start for a NaN: the guard says which factor."""
+def test_the_guard_rejects_what_gtsam_accepts(error, block, complaint):
+    """GTSAM crashes on an unset block, accepts any shape, returns the start for a NaN; the guard names the factor."""
     factor = guarded("bad", gtsam.noiseModel.Unit.Create(3), [X(4)], lambda values: (error, [block]))
     values = gtsam.Values()
     values.insert(X(4), gtsam.Pose2())

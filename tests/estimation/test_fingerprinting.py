@@ -1,4 +1,4 @@
-"""Radio maps: what one walk heard where tells later ones where they are, and how surely."""
+"""Radio maps: fixes of later walks by the scans of earlier ones, with their sigmas."""
 
 import io as bytes_io
 import zipfile
@@ -71,38 +71,38 @@ def test_sigmas_are_honest(learnt, later):
     assert np.mean((ratios**2).sum(axis=1) < 4.605) == pytest.approx(0.9, abs=0.08)
 
 
-def test_neighbouring_fixes_together_say_no_more_than_they_know(learnt, later):
-    """A walk's mean error is within what its fixes would have if they were independent, as stated."""
+def test_neighbouring_fixes_are_not_overconfident(learnt, later):
+    """The mean error of a walk is within the stated sigma of the mean of independent fixes."""
     means = [errors(f, t).sum(axis=0) / np.sqrt((f.sigma**2).sum()) for t, r in later for f in [learnt.fixes(r)]]
     assert np.sqrt(np.mean(np.square(means))) < 1.2
 
 
-def test_a_place_that_the_map_does_not_know_gives_no_fix(learnt):
+def test_an_unmapped_place_gives_no_fix(learnt):
     _, recording = walked(ELSEWHERE, 5)
     assert len(scans_of(recording)) > 10
     assert len(learnt.fixes(recording)) == 0
 
 
-def test_one_walk_alone_tells_its_errors_from_its_own_neighbourhoods(later):
-    """A map of one walk is no surer than it may be: errors of other walks stay within twice what is stated."""
+def test_the_errors_of_a_single_walks_map_are_learnt_from_its_neighbourhoods(later):
+    """The errors of other walks stay within twice the sigma of a map of one walk."""
     alone = RadioMap.learn([walked([*ROUND, {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}], 1)])
     ratios = [SHARED * errors(f, t) / f.sigma[:, None] for t, r in later for f in [alone.fixes(r)]]
     assert np.sqrt(np.mean(np.concatenate(ratios) ** 2)) < 2.0
 
 
-def test_a_walk_that_the_map_was_learnt_from_is_no_surer_than_others(learnt, later):
-    """Its scans are the map's own and fit perfectly, which says nothing of how far the map is to be trusted."""
+def test_a_walk_of_the_map_is_no_more_certain_than_others(learnt, later):
+    """Its scans are those of the map and fit perfectly, which must not lower the sigma."""
     own = learnt.fixes(walked(ROUND, 1)[1])
     assert own.sigma.min() >= 0.99 * min(learnt.fixes(recording).sigma.min() for _, recording in later)
 
 
-def test_a_map_of_somebody_who_stood_still_is_no_surer_than_half_a_metre():
+def test_a_map_of_one_place_has_a_sigma_of_half_a_metre_at_least():
     track, recording = walked([[0, 0], {"stand": 60}, {"to": [[2, 0]]}], 1)
     still = replace(track, position=np.zeros_like(track.position))
     assert RadioMap.learn([(still, recording)]).fixes(recording).sigma.min() >= 0.5 * SHARED
 
 
-def test_a_phone_that_is_carried_about_spoils_nothing(learnt, later):
+def test_a_moving_hotspot_does_little_harm(learnt, later):
     """A hotspot in the pocket of two of three walkers and of all later ones: errors grow by less than a third."""
 
     def with_hotspot(recording):
@@ -123,14 +123,14 @@ def test_a_phone_that_is_carried_about_spoils_nothing(learnt, later):
     assert np.median(np.hypot(*carried.T)) < 1.3 * np.median(np.hypot(*clean.T))
 
 
-def test_the_floor_is_that_where_the_like_was_heard():
+def test_the_floor_is_that_of_similar_fingerprints():
     upstairs = [replace(t, name="up " + t.name) for t in POINTS]
     both = [walked(ROUND, 1), walked(BACK, 2), walked(ROUND, 3, "2", upstairs), walked(BACK, 4, "2", upstairs)]
     fixes = RadioMap.learn(both).fixes(walked(ROUND, 9, "2", upstairs)[1])
     assert np.mean([label == "2" for label in fixes.floor]) > 0.9
 
 
-def test_where_a_walk_was_uncertain_it_teaches_nothing():
+def test_uncertain_parts_of_a_walk_are_not_mapped():
     track, recording = walked(ROUND, 1)
     covariance = np.zeros((len(track), 3, 3))
     covariance[track.time > 60, 0, 0] = 5.0**2
@@ -140,7 +140,7 @@ def test_where_a_walk_was_uncertain_it_teaches_nothing():
     assert len(everything) - len(learnt) == np.sum((scans > 60.5) & (scans <= track.time[-1]))
 
 
-def test_what_was_heard_before_the_recording_or_at_no_level_is_no_scan():
+def test_cached_or_unknown_levels_are_not_used():
     time, names = np.arange(-10.0, 10.0, 0.5), ("a", "b", "c", "d") * 10
     early = Recording("walk", 0.0, None, wifi=Sightings(time, names, np.full(40, -60.0)))
     assert scans_of(early).time[0] >= -1.0
@@ -175,7 +175,7 @@ def damaged(whole):
     yield other.getvalue()
 
 
-def test_a_damaged_file_is_refused_in_one_line_or_tells_the_same(learnt, tmp_path):
+def test_a_damaged_map_is_an_input_error_or_the_same_map(learnt, tmp_path):
     path = tmp_path / "map.npz"
     learnt.save(path)
     said = []
@@ -202,7 +202,7 @@ def test_a_damaged_file_is_refused_in_one_line_or_tells_the_same(learnt, tmp_pat
         ("floor", lambda floor: floor[1:]),
     ],
 )
-def test_arrays_that_do_not_belong_together_are_refused(name, wrong, learnt, tmp_path):
+def test_arrays_of_inconsistent_shapes_are_input_errors(name, wrong, learnt, tmp_path):
     path = tmp_path / "map.npz"
     learnt.save(path)
     arrays = dict(np.load(path))
@@ -211,7 +211,7 @@ def test_arrays_that_do_not_belong_together_are_refused(name, wrong, learnt, tmp
         RadioMap.load(path)
 
 
-def test_walks_that_heard_next_to_nothing_make_no_map():
+def test_too_few_scans_make_no_map():
     track, recording = walked(ROUND, 1)
     with pytest.raises(ValueError, match="found 0 scans"):
         RadioMap.learn([(track, replace(recording, bluetooth=None, wifi=None))])

@@ -1,4 +1,4 @@
-"""Which floor each step is on, of walks whose heights are known."""
+"""The floor of each step, on walks with known heights."""
 
 from dataclasses import dataclass
 
@@ -53,7 +53,7 @@ def in_order(labels):
     return [label for n, label in enumerate(labels) if not n or label != labels[n - 1]]
 
 
-def test_a_label_for_every_row_that_changes_half_way_up():
+def test_labels_change_half_way_up_the_stairs():
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
     labels = np.array(floors_of(steps, barometer, "0", Fixes.none(), None))
     rows = row_times(steps)
@@ -76,13 +76,13 @@ def test_a_label_for_every_row_that_changes_half_way_up():
         ("", (0, 3.6), [""]),
     ],
 )
-def test_storeys_are_named_in_the_manner_of_the_start(start, levels, expected):
+def test_storeys_are_labelled_in_the_style_of_the_start(start, levels, expected):
     steps, barometer = along(*flights(*levels))
     assert in_order(floors_of(steps, barometer, start, Fixes.none(), None)) == expected
 
 
 @pytest.mark.parametrize("waited", [6.0, 30.0, 120.0])
-def test_a_stop_half_way_is_no_floor_and_is_not_forgotten(waited):
+def test_a_stop_half_way_is_not_a_floor(waited):
     on = 67 + waited
     up = ((0, 0), (60, 0), (67, 1.8), (on, 1.8), (on + 7, 3.6), (on + 60, 3.6), (on + 74, 0), (on + 140, 0))
     steps, barometer = along(*up)
@@ -101,7 +101,7 @@ def test_many_floors_up_in_a_lift_and_down_the_stairs():
 
 
 @pytest.mark.parametrize("scale", [0.87, 1.0, 1.13])
-def test_a_plan_tells_storeys_of_any_height(scale):
+def test_storeys_of_a_plan_may_have_any_height(scale):
     plan = Plan(("garage", "hall", "gallery", "roof"), np.array([-2.5, 0.0, 6.0, 9.0]))
     levels = np.array([0.0, 6.0, 9.0, 0.0, -2.5])
     steps, barometer = along(*flights(*(scale * levels)))
@@ -109,7 +109,7 @@ def test_a_plan_tells_storeys_of_any_height(scale):
     assert labels == ["hall", "gallery", "roof", "gallery", "hall", "garage"]
 
 
-def test_the_floors_of_fixes_tell_how_high_a_storey_is():
+def test_fixes_with_floors_determine_the_storey_height():
     steps, barometer = along(*flights(0, 5.8))
     said = fixes([(10, "0"), (70, "1"), (80, "1"), (90, "1")])
     assert in_order(floors_of(steps, barometer, "0", Fixes.none(), None)) == ["0", "1", "2"]
@@ -118,7 +118,7 @@ def test_the_floors_of_fixes_tell_how_high_a_storey_is():
 
 @pytest.mark.parametrize("plan", [None, Plan(("0", "1", "2"), np.array([0.0, 3.6, 7.2]))])
 @pytest.mark.parametrize("seed", range(3))
-def test_beacons_that_are_heard_through_the_ceiling_do_not_matter(plan, seed):
+def test_beacons_received_through_the_ceiling_do_not_matter(plan, seed):
     steps, barometer = along(*flights(0, 3.6))
     random = np.random.default_rng(seed)
     said = fixes(
@@ -134,7 +134,7 @@ def test_fixes_that_agree_overrule_a_wrong_start():
     assert in_order(floors_of(steps, barometer, "0", said, None)) == ["2", "3"]
 
 
-def test_without_a_barometer_the_fixes_tell_but_no_single_one():
+def test_without_a_barometer_several_fixes_determine_the_floor():
     steps, _ = along(*flights(0, 3.6))
     said = [(t, "F1") for t in range(0, 40, 4)] + [(t, "F2") for t in range(56, 90, 4)]
     assert in_order(floors_of(steps, None, "F1", fixes(said), None)) == ["F1", "F2"]
@@ -144,7 +144,7 @@ def test_without_a_barometer_the_fixes_tell_but_no_single_one():
     assert in_order(floors_of(steps, None, "F1", Fixes.none(), None)) == ["F1"]
 
 
-def test_a_hill_is_no_floor_but_a_plan_may_have_a_ramp():
+def test_a_hill_is_no_floor_unless_a_plan_has_it():
     steps, barometer = along((0, 0), (60, 0), (110, 3.6), (180, 3.6))
     found = floors_along(steps, barometer, "0", Fixes.none(), None)
     assert found.kinds == ("ramp",)
@@ -154,7 +154,7 @@ def test_a_hill_is_no_floor_but_a_plan_may_have_a_ramp():
     assert in_order(floors_of(steps, barometer, "0", Fixes.none(), plan)) == ["0", "1"]
 
 
-def test_a_door_that_changes_the_pressure_for_good_is_no_floor():
+def test_a_pressure_step_of_a_door_is_no_floor():
     steps, barometer = along((0, 0), (60, 0), (61, 3.0), (140, 3.0))
     found = floors_along(steps, barometer, "0", Fixes.none(), None)
     assert found.kinds == ("draught",)
@@ -162,7 +162,7 @@ def test_a_door_that_changes_the_pressure_for_good_is_no_floor():
     assert not found.height.any()
 
 
-def test_a_walk_on_the_level_stays_where_it_was():
+def test_a_level_walk_stays_on_its_floor():
     steps, barometer = along((0, 0), (300, 0))
     found = floors_along(steps, barometer, "3", Fixes.none(), Plan(("3", "4"), np.array([0.0, 3.0])))
     assert set(found.labels) == {"3"}
@@ -170,7 +170,7 @@ def test_a_walk_on_the_level_stays_where_it_was():
     assert not found.height.any()
 
 
-def test_with_a_plan_and_nothing_that_tells_the_start_no_floor_is_made_up():
+def test_with_a_plan_and_an_unknown_start_the_floor_is_unknown():
     steps, barometer = along((0, 0), (300, 0))
     plan = Plan(("3", "4"), np.array([0.0, 3.0]))
     assert set(floors_of(steps, barometer, "", Fixes.none(), plan)) == {""}

@@ -1,4 +1,4 @@
-"""Fixes of one receiver, whose errors are alike for a while."""
+"""Fixes of one receiver, whose errors are correlated in time."""
 
 from dataclasses import replace
 
@@ -46,8 +46,8 @@ def biased(graph):
     return graph._with_variables(tuple(told.get(one.name, one) for one in graph.measurements))
 
 
-def test_a_minute_of_alike_errors_is_worth_a_few_fixes():
-    """Someone stands still: the position is the generalised mean of the fixes, as plain algebra has it."""
+def test_a_minute_of_correlated_fixes_is_worth_a_few():
+    """While standing, the position is the generalised least-squares mean of the fixes."""
     time, sigma = np.arange(0, 61, NODE), 3.0
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
     errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
@@ -59,8 +59,8 @@ def test_a_minute_of_alike_errors_is_worth_a_few_fixes():
     assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(1 / weight.sum(), rel=0.01)
 
 
-def test_an_offset_that_stays_for_a_minute_does_not_bend_the_walk():
-    """The walk's shape comes from steps; fixes that all err alike for a while move it no more than they should."""
+def test_a_slow_offset_does_not_bend_the_walk():
+    """The shape of the walk comes from the steps; fixes with a common error hardly change it."""
     bent = []
     for seed in range(6):
         said, random = meander(300, seed), np.random.default_rng(seed)
@@ -73,8 +73,8 @@ def test_an_offset_that_stays_for_a_minute_does_not_bend_the_walk():
     assert np.mean(bent) < 0.8
 
 
-def test_a_receiver_that_lags_is_found_out(monkeypatch):
-    """Positions of two seconds ago on a walk with many turns: the walk is less late than they are."""
+def test_the_lag_of_a_receiver_is_estimated(monkeypatch):
+    """Positions are two seconds late on a walk with many turns; the estimate is less late."""
     said = meander(300)
     truth = dead_reckon(said)
     time = np.arange(4.0, said.end, 1.0)
@@ -91,8 +91,8 @@ def test_a_receiver_that_lags_is_found_out(monkeypatch):
     assert aware < 0.8 * error()
 
 
-def test_what_a_receiver_says_again_is_not_used_twice():
-    """It holds its position while it thinks it is still; every fix keeps its place in the report."""
+def test_duplicate_epochs_are_not_used_twice():
+    """A receiver repeats its position while it detects no motion; every fix keeps its place in the report."""
     said = meander(60)
     track = dead_reckon(said)
     held = np.repeat(track.position[:20:4], 4, axis=0)
@@ -107,8 +107,8 @@ def test_a_single_fix_of_a_receiver_is_enough():
     assert estimate.trajectory.position[1] == pytest.approx([5.0, 5.0], abs=0.1)
 
 
-def test_two_receivers_have_offsets_of_their_own():
-    """One errs to the east, one to the west; neither is believed alone."""
+def test_two_receivers_have_separate_offsets():
+    """One errs to the east, one to the west; the walk follows neither alone."""
     said = meander(100)
     truth = dead_reckon(said)
     place, east = truth.position[::5], np.array([4.0, 0.0])
@@ -128,8 +128,8 @@ def test_two_receivers_have_offsets_of_their_own():
     assert state.poses[:, 0].mean() == pytest.approx(graph.start.poses[:, 0].mean(), abs=0.5)
 
 
-def test_sigmas_grow_with_the_number_of_fixes_that_err_alike():
-    """A minute of epochs, each for itself, must not count as sixty."""
+def test_sigmas_grow_with_the_number_of_correlated_fixes():
+    """A minute of epochs must not count as sixty independent fixes."""
     fixes = named(fixes_at(np.arange(600.0), np.zeros((600, 2)), 3.0))
     standing, used = Steps(0.0, 600.0, *np.empty((6, 0)), sigma_turn=np.empty(0)), np.ones(600, dtype=bool)
     sigma = independent_sigmas(fixes, fixes.sigma, used, standing)
@@ -138,14 +138,14 @@ def test_sigmas_grow_with_the_number_of_fixes_that_err_alike():
     assert (independent_sigmas(independent, independent.sigma, used, standing) == 3.0).all()
 
 
-def test_errors_change_sooner_where_somebody_walks():
+def test_errors_decorrelate_sooner_while_walking():
     said = meander(300)
     walking = drift(said, np.array([10.0, 70.0]))
     assert np.diff(walking)[0] > 2 * 60.0 / STANDING
 
 
-def test_worse_fixes_beside_a_good_one_err_alike_too():
-    """A minute of fixes that say 20 m and all lie 20 m to the east does not outvote one that says 2 m."""
+def test_worse_fixes_beside_a_good_one_share_its_error():
+    """A minute of fixes of 20 m that all lie 20 m to the east does not outvote one of 2 m."""
     said, east = meander(120), np.array([20.0, 0.0])
     truth = dead_reckon(said)
     time = np.arange(1.0, said.end, 1.0)
@@ -156,8 +156,8 @@ def test_worse_fixes_beside_a_good_one_err_alike_too():
     assert np.hypot(*(track.position[row] - truth.position[row])) < 2.0
 
 
-def test_a_flat_zone_leaves_the_walk_alone_within_the_radius():
-    """An option for receivers that tell a radius and no more: fixes 1 σ off, to alternate sides, bend nothing."""
+def test_a_flat_zone_has_no_effect_within_the_radius():
+    """For receivers that state only a radius: fixes 1 σ off, on alternate sides, do not bend the walk."""
     said = meander(100)
     truth = dead_reckon(said)
     off = 3.0 * np.where(np.arange(20) % 4 < 2, 1.0, -1.0)[:, None] * np.array([1.0, 0.0])

@@ -1,4 +1,4 @@
-"""The way through positions alone: the smoother, and what it says of itself."""
+"""The smoothed track of positions alone, and its covariance."""
 
 import numpy as np
 import pytest
@@ -20,8 +20,8 @@ def kernel(time, speed, keeps):
     return speed**2 * keeps**2 * (2 * np.minimum(a, b) / keeps - 1 + fades)
 
 
-def test_the_smoother_is_the_gaussian_process_that_it_says():
-    """Kriging with the walk's kernel in closed form, dense: mean and variance of every row."""
+def test_the_smoother_is_the_gaussian_process_of_its_kernel():
+    """Dense kriging with the kernel in closed form: mean and variance of every row."""
     random = np.random.default_rng(1)
     time = np.cumsum(random.choice([0.2, 1.0, 5.0, 40.0], 60))
     z = np.cumsum(random.normal(0, 3, (60, 2)), axis=0)
@@ -50,7 +50,7 @@ def drawn(seed, kind, worse=1.0):
 
 
 @pytest.mark.parametrize(("worse", "honest"), [(1.0, True), (1.5, False)])
-def test_the_covariance_of_a_way_is_honest(worse, honest):
+def test_the_covariance_of_a_track_is_honest(worse, honest):
     seeds, row, nees = 150, 60, 0.0
     for seed in range(seeds):
         time, truth, z = drawn(seed, WALKS, worse)
@@ -62,8 +62,8 @@ def test_the_covariance_of_a_way_is_honest(worse, honest):
     assert (low < nees < high) == honest
 
 
-def test_the_covariance_of_a_gap_holds_those_who_walked_on():
-    """Walkers drawn from the model, unseen for half an hour: at its rows, and linear between them."""
+def test_the_covariance_of_a_gap_is_honest():
+    """Walkers drawn from the model, without fixes for half an hour: at the rows, and linear between them."""
     time = np.r_[np.arange(0, 600, 5.0), np.arange(700, 2400, 100.0), np.arange(2400, 3000, 5.0)]
     known = (time < 600) | (time >= 2400)
     root = np.linalg.cholesky(kernel(time, SPEED[LOST], KEEPS[LOST]) + 1e-6 * np.eye(len(time)))

@@ -1,4 +1,4 @@
-"""Directions from outside the fixes: a compass, and the corridors of a plan."""
+"""Directions from a compass, and from the corridors of a plan."""
 
 import gtsam
 import numpy as np
@@ -21,8 +21,8 @@ def told(time, heading, sigma=0.2):
 
 
 @pytest.mark.parametrize(("estimate_by", "within"), [(smooth, 0.2), (kalman_filter, 1.2)])
-def test_a_fix_and_a_heading_make_a_walk(estimate_by, within):
-    """Where neither alone can: the track starts at the fix and goes where the heading says, the filter's from there."""
+def test_a_fix_and_a_heading_determine_a_walk(estimate_by, within):
+    """The track starts at the fix in the measured direction, also by the filter."""
     steps = wandering_walk(40)
     heading = dead_reckon(steps, heading=2.0).heading
     headings = told(steps.time[20], heading[21])
@@ -32,15 +32,15 @@ def test_a_fix_and_a_heading_make_a_walk(estimate_by, within):
     assert np.sqrt(track.covariance[-1, 2, 2]) == pytest.approx(0.24, abs=0.05)
 
 
-def test_headings_are_weighed_by_their_sigmas():
-    """Of two, 0.1 and 0.2 rad, the first has four fifths: the direction of a straight walk is their mean."""
+def test_headings_are_weighted_by_their_sigmas():
+    """The first of two headings, of 0.1 and 0.2 rad, has four fifths of the weight in the mean direction."""
     steps = steps_of(np.full(30, 0.7), np.zeros(30), sigma_turn=1e-4)
     headings = Headings(np.array([2.0, 12.0]), np.array([1.0, 1.5]), np.array([0.1, 0.2]))
     track = smooth(WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]]), headings=headings)).trajectory
     assert np.mean(track.heading) == pytest.approx(1.1, abs=0.03)
 
 
-def test_good_fixes_outvote_a_compass_that_is_wrong_all_the_way():
+def test_good_fixes_outvote_a_wrong_compass():
     steps = wandering_walk(80)
     truth = dead_reckon(steps)
     fixes = fixes_at(truth.time[::10], truth.position[::10], 0.5)
@@ -62,7 +62,7 @@ def test_headings_outside_the_recording_are_left_out():
     assert len(graph.headings.headings) == 0
 
 
-def test_headings_that_are_no_numbers_are_refused():
+def test_headings_that_are_not_finite_are_errors():
     with pytest.raises(ValueError, match=r"Headings\.heading: found row 0"):
         told(1.0, np.nan)
     with pytest.raises(ValueError, match="above 0 rad"):
@@ -75,7 +75,7 @@ def crossing():
     return FloorPlan("", (Area("corridor", "", shape),), Frame())
 
 
-def test_a_walk_sets_off_along_a_corridor():
+def test_a_straight_walk_starts_along_the_longer_corridor():
     """40 m straight on from the corner: only one of the two corridors is long enough."""
     steps = steps_of(np.full(57, 0.7), np.zeros(57))
     graph = WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), floor=crossing())
@@ -83,7 +83,7 @@ def test_a_walk_sets_off_along_a_corridor():
     assert track.position[-1] == pytest.approx([39.9, 0.0], abs=3.0)
 
 
-def test_a_compass_tells_two_corridors_apart():
+def test_a_compass_distinguishes_two_corridors():
     """A walk of 15 m fits into both."""
     steps = steps_of(np.full(21, 0.7), np.zeros(21))
     for heading, end in ((0.2, [14.7, 0.0]), (1.4, [0.0, 14.7])):
@@ -93,8 +93,8 @@ def test_a_compass_tells_two_corridors_apart():
         assert smooth(graph).trajectory.position[-1] == pytest.approx(end, abs=1.5)
 
 
-def test_any_direction_is_tried_where_nothing_tells_and_one_where_fixes_do():
-    """One fix leaves eight walks that explain it as well; several leave one. No fix at all defines the frame."""
+def test_several_directions_start_the_search_unless_fixes_determine_one():
+    """One fix leaves eight equally good walks; several leave one. Without any fix the start defines the frame."""
     steps = square_walk()
     assert len(solutions(WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]])))) == 8
     track = dead_reckon(steps)

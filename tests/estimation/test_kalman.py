@@ -1,4 +1,4 @@
-"""The filter front end: the same measurements, one after the other."""
+"""The causal Kalman filter on the measurements of the graph."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from pdr_graph import Headings, kalman_filter, smooth
 from pdr_graph.estimation.graph import WalkGraph
 
 
-def test_at_the_end_filter_and_smoother_know_the_same():
-    """The last pose has no future: both give it from the same measurements, up to linearisation (0.3 sigma)."""
+def test_filter_and_smoother_agree_at_the_end():
+    """Both use all measurements for the last pose; they agree up to linearisation (0.3 sigma)."""
     steps, fixes, _ = drawn_from_the_model(150, seed=3)
     graph = WalkGraph(steps, fixes)
     causal, smoothed = kalman_filter(graph).trajectory, smooth(graph).trajectory
@@ -20,7 +20,7 @@ def test_at_the_end_filter_and_smoother_know_the_same():
     assert causal.covariance[-1, 0, 0] == pytest.approx(smoothed.covariance[-1, 0, 0], rel=0.2)
 
 
-def test_it_does_not_look_ahead():
+def test_the_filter_is_causal():
     """Fixes of the second half change nothing in the first."""
     steps, fixes, _ = drawn_from_the_model(100, seed=4)
     half = fixes.time < steps.end / 2
@@ -30,7 +30,7 @@ def test_it_does_not_look_ahead():
 
 
 def test_an_unknown_direction_is_found():
-    """Any true direction: once a few fixes are in, the bank's best hypothesis follows the walk."""
+    """For any true direction, after a few fixes the best hypothesis follows the walk."""
     steps = wandering_walk(120)
     for heading in np.linspace(-3, 3, 5):
         truth = dead_reckon(steps, heading=heading)
@@ -38,7 +38,7 @@ def test_an_unknown_direction_is_found():
         assert np.hypot(*(track.position - truth.position)[-30:].T).max() < 1.0
 
 
-def test_fixes_off_are_weighted_down_and_far_off_refused_with_the_reason():
+def test_inconsistent_fixes_lose_weight_and_outliers_are_rejected():
     """Within the gate of 5 sigma a fix counts less the further off it is; beyond, it moves nothing at all."""
     steps, fixes, _ = drawn_from_the_model(150, seed=5)
     sixth = np.arange(len(fixes)) == 5
@@ -59,7 +59,7 @@ def test_fixes_off_are_weighted_down_and_far_off_refused_with_the_reason():
     assert last[1] == pytest.approx(without.covariance[-1], abs=0.05)
 
 
-def test_a_filter_that_refuses_all_begins_anew_and_says_so():
+def test_a_lost_filter_is_reinitialised_with_a_warning():
     """A lift, a ride, a phone turned unnoticed: the walk goes on elsewhere and in another direction.
 
     Four fixes are refused; at the fifth in a row the filter gives up its place, and finds the new one.
@@ -80,8 +80,8 @@ def test_a_filter_that_refuses_all_begins_anew_and_says_so():
     assert np.hypot(*(estimate.trajectory.position - truth.position)[100:149].T).max() < 3.0
 
 
-def test_single_wild_fixes_never_make_it_begin_anew():
-    """Every fourth fix is anywhere within 300 m: refused one by one, the walk as without them."""
+def test_single_outliers_do_not_reinitialise_the_filter():
+    """Every fourth fix is anywhere within 300 m: each is rejected, and the walk is as without them."""
     steps, fixes, truth = drawn_from_the_model(400, seed=9, every=5)
     random = np.random.default_rng(0)
     wild = np.arange(len(fixes)) % 4 == 3
@@ -94,7 +94,7 @@ def test_single_wild_fixes_never_make_it_begin_anew():
     assert error < 1.2 * usual
 
 
-def test_the_first_magnetic_heading_is_told_at_the_start():
+def test_the_first_magnetic_heading_acts_at_the_start():
     """As by a magnetometer that is there from the first step on: no row waits for it, turned the wrong way."""
     steps = wandering_walk(80)
     truth = dead_reckon(steps, fixes_at([0.0], [[5.0, 5.0]]), heading=2.0)
@@ -111,8 +111,8 @@ def test_without_fixes_it_is_dead_reckoning():
     assert len(kalman_filter(WalkGraph(steps, fixes_at([2.0], [[5, 5]]))).trajectory) == 27
 
 
-def test_without_fixes_every_row_is_as_uncertain_as_the_graph_says():
-    """Prediction alone, over bends, with an unknown calibration: two propagations of the same errors."""
+def test_without_fixes_the_covariance_is_that_of_the_graph():
+    """Two propagations of the same errors over bends, with an unknown calibration."""
     graph = WalkGraph(wandering_walk(40, seed=3))
     ours, theirs = (estimate(graph).trajectory.covariance for estimate in (kalman_filter, smooth))
     scale = np.sqrt(np.einsum("nii,njj->nij", theirs, theirs))

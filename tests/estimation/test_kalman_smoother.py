@@ -1,4 +1,4 @@
-"""The filter, smoothed: an oracle beside the graph where all is linear, and as good as its linearisation elsewhere."""
+"""The Kalman smoother: equal to the graph in the linear case, and up to linearisation elsewhere."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def straight_on(steps: int = 240, seed: int = 1) -> WalkGraph:
     return WalkGraph(walked, fixes_at(walked.time[at], place, 0.8), headings=known, prior=stiff)
 
 
-def test_where_all_is_linear_it_is_the_graph():
+def test_in_the_linear_case_it_equals_the_graph():
     """Straight on in a known direction, the stride unknown and changing: means and covariances of every step agree.
 
     Two ways to one answer that share no code but the cutting of the walk.
@@ -39,8 +39,8 @@ def test_where_all_is_linear_it_is_the_graph():
     assert filtered.calibration.covariance[:, 0, 0] == pytest.approx(batch.calibration.covariance[:, 0, 0], rel=2e-3)
 
 
-def test_the_filter_alone_is_not():
-    """The control: without what comes after, the middle of that walk is another one, and known less well."""
+def test_the_filter_alone_differs():
+    """Control: without later measurements the middle of that walk differs, with a larger covariance."""
     graph = straight_on()
     causal, batch = kalman_filter(graph).trajectory, smooth(graph).trajectory
     assert np.abs(causal.position - batch.position)[100:150].max() > 0.1
@@ -48,7 +48,7 @@ def test_the_filter_alone_is_not():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_comes_after_never_makes_a_row_less_certain(seed):
+def test_smoothing_never_increases_the_covariance(seed):
     """In any direction of (x, y, θ): the filter's covariance less the smoother's has no negative eigenvalue."""
     steps, fixes, _ = drawn_from_the_model(200, seed)
     graph = WalkGraph(steps, fixes)
@@ -62,7 +62,7 @@ def test_the_last_row_is_the_filters():
     assert kalman_smoother(graph).trajectory.position[-1] == pytest.approx(kalman_filter(graph).trajectory.position[-1])
 
 
-def test_walks_that_bend_are_the_graphs_up_to_linearisation():
+def test_bent_walks_equal_the_graph_up_to_linearisation():
     """Over twelve walks drawn from the model it is about as near the truth as the graph, and far nearer than causal."""
     error = np.zeros((12, 3))
     for seed in range(12):
@@ -75,8 +75,8 @@ def test_walks_that_bend_are_the_graphs_up_to_linearisation():
     assert smoothed < 0.6 * causal
 
 
-def test_a_direction_found_late_is_known_from_the_start():
-    """Nobody knew the way before the second fix: smoothed, the steps before it go there."""
+def test_a_late_direction_is_smoothed_back_to_the_start():
+    """The direction is unknown before the second fix; the smoothed steps before it have it."""
     steps = wandering_walk(120)
     for heading in np.linspace(-3, 3, 5):
         truth = dead_reckon(steps, heading=heading)
@@ -84,7 +84,7 @@ def test_a_direction_found_late_is_known_from_the_start():
         assert np.hypot(*(track.position - truth.position).T).max() < 1.0
 
 
-def test_it_goes_back_through_a_new_start():
+def test_it_smooths_through_a_reinitialisation():
     """A phone that was turned unnoticed: the filter begins anew, and the smoothed walk is right on both sides."""
     steps, fixes, truth = turned_unnoticed()
     graph = WalkGraph(steps, fixes)
@@ -103,7 +103,7 @@ def turned_unnoticed(at: int = 150):
     return walked, fixes_on(truth, every=6, sigma=0.7, seed=0), truth
 
 
-def test_both_have_the_graphs_rows():
+def test_both_have_the_rows_of_the_graph():
     steps, fixes, _ = drawn_from_the_model(230, seed=6)
     graph = WalkGraph(steps, fixes)
     batch = smooth(graph)

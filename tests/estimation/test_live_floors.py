@@ -1,4 +1,4 @@
-"""The floor while a person walks: soon the one that the whole walk tells."""
+"""The floor of a walk under way, compared with that of the whole walk."""
 
 from dataclasses import replace
 
@@ -44,7 +44,7 @@ def labels_of(told):
 
 
 @pytest.mark.parametrize("plan", [None, Plan(("0", "1", "2"), np.array([0.0, 3.6, 7.2]))])
-def test_a_floor_is_told_soon_after_the_stairs(plan):
+def test_the_floor_is_estimated_soon_after_the_stairs(plan):
     """While on them it says that it climbs, and a little later all is as offline."""
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6), (154, 7.2), (220, 7.2))
     floors = LiveFloors(plan, "0")
@@ -60,8 +60,8 @@ def test_a_floor_is_told_soon_after_the_stairs(plan):
     assert np.mean(np.array(floors.labels(last)) == offline) > 0.95
 
 
-def test_half_an_hour_of_stairs_is_as_the_whole_walk_and_what_is_kept_does_not_grow():
-    """Twenty-four climbs; the window holds six."""
+def test_a_long_walk_equals_the_batch_in_bounded_memory():
+    """Twenty-four climbs in half an hour; the window holds six."""
     levels = [3.6 * n for n in (0, 1, 2, 1, 0, -1, -2, -1) * 3]
     steps, barometer = along(*flights(*levels, floor_time=70.0))
     floors, sizes = LiveFloors(None, "F1"), []
@@ -72,7 +72,7 @@ def test_half_an_hour_of_stairs_is_as_the_whole_walk_and_what_is_kept_does_not_g
     assert max(sizes) < 1.6 * LONGEST / 0.5
 
 
-def test_without_a_barometer_fixes_tell():
+def test_without_a_barometer_fixes_determine_the_floor():
     """Long after the first of them too."""
     steps, barometer = along((0, 0), (900, 0))
     nothing = replace(barometer, time=barometer.time[:0], values=barometer.values[:0])
@@ -82,7 +82,7 @@ def test_without_a_barometer_fixes_tell():
     assert next(now for now, label, _ in told if label == "1") < 815
 
 
-def test_a_barometer_that_stops_leaves_it_to_fixes_and_tells_again():
+def test_fixes_replace_a_barometer_while_it_is_silent():
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (300, 3.6), (314, 7.2), (500, 7.2), (514, 3.6), (600, 3.6))
     stopped = (barometer.time < 150) | (barometer.time > 400)
     gone = replace(barometer, time=barometer.time[stopped], values=barometer.values[stopped])
@@ -101,7 +101,7 @@ def test_a_barometer_that_stops_leaves_it_to_fixes_and_tells_again():
     ],
     ids=["NaN", "spikes", "ahead", "back", "repeated"],
 )
-def test_samples_that_are_no_good_are_passed_by(change):
+def test_bad_samples_are_skipped(change):
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6), (154, 0), (220, 0))
     order = np.arange(len(barometer))
     time, hpa = change(barometer.time, barometer.values[:, 0])
@@ -119,13 +119,13 @@ def test_samples_that_are_no_good_are_passed_by(change):
 
 
 @pytest.mark.parametrize("hpa", [np.nan, 0.0, 1013.0])
-def test_a_barometer_that_is_stuck_never_changes_the_floor(hpa):
+def test_a_stuck_barometer_never_changes_the_floor(hpa):
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
     stuck = replace(barometer, values=np.full_like(barometer.values, hpa))
     assert labels_of(second_by_second(steps, stuck, LiveFloors(None, "0"))) == ["0"]
 
 
-def test_before_the_first_steps_it_is_the_floor_of_the_start():
+def test_before_the_first_steps_the_floor_is_that_of_the_start():
     floors = LiveFloors(None, "2")
     floors.push(np.array([0.0]), np.array([[1013.0]]))
     floors.advance()
@@ -133,7 +133,7 @@ def test_before_the_first_steps_it_is_the_floor_of_the_start():
     assert LiveFloors(None).labels(np.empty(0)) == ()
 
 
-def test_a_restored_state_goes_on_as_it_was():
+def test_a_restored_state_continues_the_same():
     """Encoded and decoded, on the stairs."""
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6))
     whole = second_by_second(steps, barometer, LiveFloors(None, "0"))
@@ -145,7 +145,7 @@ def test_a_restored_state_goes_on_as_it_was():
     assert whole[-1][1] == "1"
 
 
-def test_steps_of_one_chunk_may_be_none():
+def test_a_chunk_may_have_no_steps():
     floors = LiveFloors(None, "0")
     nothing = Steps(0.0, 5.0, *(np.empty(0) for _ in range(7)))
     floors.add_steps(nothing)

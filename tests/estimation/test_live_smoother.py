@@ -113,8 +113,8 @@ def test_linear_case_is_kalman():
 
 
 @pytest.mark.parametrize(("size", "lag"), [(3, np.inf), (7, np.inf), (50, np.inf), (200, np.inf), (7, LAG), (20, LAG)])
-def test_chunks_of_any_size_are_one_walk(size, lag):
-    """Keyframes may lie elsewhere, since a fix then comes before or after they close: 4 cm, of 1.5 m fixes."""
+def test_the_size_of_chunks_hardly_matters(size, lag):
+    """Keyframes may differ, since a fix then comes before or after they close: 4 cm, with fixes of 1.5 m."""
     steps, fixes, _ = drawn_from_the_model(200, seed=0)
     one, other = (rows_of(walked(steps, fixes, lag, size=s)) for s in (1, size))
     assert one.time == pytest.approx(other.time, abs=2e-6)
@@ -128,7 +128,7 @@ def test_a_late_fix_is_as_good_as_one_in_time(late):
         assert apart(rows_of(walked(steps, fixes, late=late)), rows_of(walked(steps, fixes))) < 0.01
 
 
-def test_fixes_in_any_order_are_one_walk():
+def test_the_order_of_fixes_hardly_matters():
     steps, fixes, _ = drawn_from_the_model(90, seed=2)
     late = np.random.default_rng(0).uniform(0, 50, len(fixes))
     assert (np.diff(fixes.time + late) < 0).any(), "some overtake others"
@@ -155,8 +155,8 @@ def wild(fixes, seed, share=0.3, far=40.0):
     return replace(fixes, position=fixes.position + off)
 
 
-def test_wild_fixes_are_not_followed():
-    """Three in ten 40 m off: the median error of eight walks is at most 1.6 times that without."""
+def test_outliers_are_rejected():
+    """Three in ten are 40 m off: the median error of eight walks is at most 1.6 times that without."""
     with_them, without = [], []
     for seed in range(8):
         steps, fixes, truth = drawn_from_the_model(300, seed)
@@ -166,8 +166,8 @@ def test_wild_fixes_are_not_followed():
     assert np.max(with_them) < 3.0 * np.max(without)
 
 
-def test_two_wild_fixes_at_the_beginning_are_overruled_by_those_that_follow():
-    """Both within reach and 15 m off; the twelve that follow agree with one another and the steps."""
+def test_two_initial_outliers_are_overruled_by_later_fixes():
+    """Both are within reach and 15 m off; the next twelve agree with one another and the steps."""
     steps, fixes, truth = drawn_from_the_model(220, seed=3)
     off = np.zeros((len(fixes), 2))
     off[1], off[2] = (-9, 12), (9, -12)
@@ -177,8 +177,8 @@ def test_two_wild_fixes_at_the_beginning_are_overruled_by_those_that_follow():
     assert np.median(errors(rows, truth)) < 3.0
 
 
-def test_what_has_settled_does_not_move_any_more():
-    """All fixes jump by 60 m and the walk begins again: rows that `settled` has told of stay where they were."""
+def test_finalised_rows_do_not_move():
+    """All fixes jump by 60 m and the walk restarts: rows that `pop_finalized` returned stay."""
     steps, fixes, _ = drawn_from_the_model(500, seed=1)
     jumped = replace(fixes, position=fixes.position + np.where(fixes.time > 150.0, 60.0, 0.0)[:, None])
     graph, told = LiveSmoother(lag=LAG), None
@@ -191,8 +191,8 @@ def test_what_has_settled_does_not_move_any_more():
         assert before == pytest.approx(rows.pose)
 
 
-def test_a_jump_of_all_fixes_begins_the_walk_again():
-    """60 m: some fixes are taken for wild, then the walk is where they are."""
+def test_a_jump_of_all_fixes_restarts_the_walk():
+    """By 60 m: first they are outliers, then the walk follows them."""
     steps, fixes, truth = drawn_from_the_model(500, seed=1)
     jumped = replace(fixes, position=fixes.position + np.where(fixes.time > 150.0, 60.0, 0.0)[:, None])
     graph = walked(steps, jumped, LAG)
@@ -238,14 +238,14 @@ def test_covariance_is_honest():
         assert low < found.mean() < high
 
 
-def test_fixes_twice_as_bad_as_stated_are_found_out():
-    """The control."""
+def test_fixes_twice_as_bad_as_stated_fail_the_test():
+    """Control."""
     for found in normalised_errors(wrong=2.0, seeds=20):
         assert found.mean() > interval(20)[1]
 
 
-def test_a_window_of_a_minute_is_nearly_as_good_as_all():
-    """Of six walks of 220 s: 1.3 times the batch's error at most; 1.05 was seen."""
+def test_a_window_of_a_minute_is_nearly_as_good_as_the_batch():
+    """Six walks of 220 s: at most 1.3 times the error of the batch; 1.05 was measured."""
     live, batch = [], []
     for seed in range(6):
         steps, fixes, truth = drawn_from_the_model(400, seed)
@@ -256,7 +256,7 @@ def test_a_window_of_a_minute_is_nearly_as_good_as_all():
 
 
 def test_memory_is_bounded():
-    """10 000 steps, an hour and a half: nothing grows but the rows, which are handed out."""
+    """10 000 steps, an hour and a half: only the finalised rows grow, and these are removed."""
     steps, fixes, _ = drawn_from_the_model(2000, seed=1, every=30)
     graph, sizes, handed = LiveSmoother(lag=LAG), [], 0
     for lap in range(5):
@@ -286,8 +286,8 @@ def test_memory_is_bounded():
 
 
 @pytest.mark.parametrize("lag", [20.0, LAG, np.inf])
-def test_every_step_has_its_row_once_and_in_order(lag):
-    """At any moment: those settled, those of the window and those ahead."""
+def test_every_step_has_one_row_in_order(lag):
+    """At any time, over finalised rows, the window and predicted rows."""
     steps, fixes, _ = drawn_from_the_model(250, seed=4)
     graph, handed = LiveSmoother(lag=lag), []
     expected = np.append(steps.start, steps.time)
@@ -300,7 +300,7 @@ def test_every_step_has_its_row_once_and_in_order(lag):
 
 
 @pytest.mark.parametrize(("angle", "way"), [(0.3, (10.0, -20.0)), (2.0, (0.0, 0.0)), (0.0, (-300.0, 400.0))])
-def test_rotating_and_moving_the_world_does_so_to_the_track(angle, way):
+def test_the_track_rotates_and_moves_with_the_world(angle, way):
     """Moved, to rounding; turned, to a centimetre: factors are linearised again after 0.2 m along either axis."""
     steps, fixes, _ = drawn_from_the_model(200, seed=2)
     R = rotation(angle)
@@ -316,8 +316,8 @@ def test_rotating_and_moving_the_world_does_so_to_the_track(angle, way):
 
 
 @pytest.mark.parametrize("far", [200.0, 600.0])
-def test_a_gap_is_bridged_by_what_is_known_on_both_sides(far):
-    """Two minutes on a bus: the walk goes on where the fixes are, as the batch has it."""
+def test_a_gap_is_bridged_from_both_sides(far):
+    """Two minutes on a bus: the walk continues at the fixes, as in the batch."""
     steps, fixes, truth = drawn_from_the_model(200, seed=2)
     first, rest, lost = some(steps, 0, 100), some(steps, 100, 200), 120.0
     rest = replace(rest, start=rest.start + lost, end=rest.end + lost, time=rest.time + lost)
@@ -348,7 +348,7 @@ def test_standing_only(fixes):
         assert graph.graph.window.pose[-1, :2] == pytest.approx([5.0, 6.0], abs=0.1)
 
 
-def test_one_fix_gives_a_place_but_no_direction():
+def test_one_fix_determines_the_position_but_no_direction():
     """The walk may have gone any way: the covariance of its end admits all, and it is not sure."""
     steps = steps_of(np.full(60, 0.7), np.zeros(60))
     graph = walked(steps, fixes_at([0.3], [[7.0, 8.0]], 1.0), LAG)
@@ -364,8 +364,8 @@ def test_without_a_fix_the_start_defines_the_frame():
     assert rows.pose[:, :2] == pytest.approx(dead_reckon(steps).position, abs=1e-6)
 
 
-def test_what_has_settled_goes_where_the_first_fix_says():
-    """The first fixes after ten minutes: all rows, most of them long settled, turn and move with the window."""
+def test_finalised_rows_move_with_the_first_fix():
+    """The first fixes come after ten minutes: all rows, most of them finalised, move rigidly with the window."""
     steps = wandering_walk(1300, seed=3)
     R, way = rotation(2.0), np.array([300.0, -100.0])
     truth = dead_reckon(steps)
@@ -379,8 +379,8 @@ def test_what_has_settled_goes_where_the_first_fix_says():
     assert errors(rows, truth).max() < 0.035 * np.hypot(*np.ptp(truth.position, axis=0))
 
 
-def test_nothing_is_handed_out_before_a_fix_says_where_it_was():
-    """A journal hands out what has settled at each snapshot, and nobody could move it afterwards."""
+def test_no_row_is_returned_before_the_position_is_certain():
+    """A journal stores finalised rows at each snapshot, and they could not be moved afterwards."""
     steps = wandering_walk(400, seed=3)
     graph = LiveSmoother(lag=LAG)
     for _ in walking(graph, steps, fixes_at([], np.empty((0, 2)))):
@@ -388,8 +388,8 @@ def test_nothing_is_handed_out_before_a_fix_says_where_it_was():
 
 
 @pytest.mark.parametrize("lag", [LAG, np.inf])
-def test_two_restored_of_one_state_are_one_walk(lag):
-    """In mid-walk, and again restored later: the same bits to the end."""
+def test_two_walks_of_one_checkpoint_stay_identical(lag):
+    """In mid-walk, and restored again later: the same bits to the end."""
     steps, fixes, _ = drawn_from_the_model(300, seed=6)
     before, after = fixes[fixes.time <= steps.time[149]], fixes[fixes.time > steps.time[149]]
     graph = LiveSmoother(lag=lag)
@@ -407,8 +407,8 @@ def test_two_restored_of_one_state_are_one_walk(lag):
     assert ends[0].covariance.tobytes() == ends[1].covariance.tobytes()
 
 
-def test_a_walk_that_is_restored_goes_on_as_it_would_have():
-    """What is written down is linear where the walk is: 5 cm at the end of it."""
+def test_a_restored_walk_continues_the_same():
+    """The checkpoint linearises at the estimate, which changes the end by 5 cm at most."""
     steps, fixes, _ = drawn_from_the_model(300, seed=6)
     graph = LiveSmoother(lag=LAG)
     given = walking(graph, steps, fixes)

@@ -103,8 +103,8 @@ def from_batch(estimate, other):
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("drawn", WALKS)
-def test_finished_live_it_is_the_batchs_walk(drawn, seed):
-    """Track to a millimetre, with covariance, cost, calibration and the report of every measurement."""
+def test_a_finished_live_walk_equals_the_batch(drawn, seed):
+    """The track to a millimetre, with covariance, cost, calibration and all reports."""
     steps, data, floor = drawn(seed)
     live = walking(started(floor), steps, data)
     live.finish()
@@ -144,8 +144,8 @@ def optimum(at):
 
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("drawn", [one for one in WALKS if one not in WITH_A_RECEIVER])
-def test_isam2_is_at_the_optimum_of_the_windows_factors(drawn, seed):
-    """The incremental estimate, linearised everywhere again, is that of Gauss–Newton over the same blocks: 1 mm."""
+def test_isam2_reaches_the_optimum_of_the_windows_factors(drawn, seed):
+    """After full relinearisation it equals Gauss–Newton over the same blocks to 1 mm."""
     steps, data, floor = drawn(seed)
     live = walking(started(floor), steps, data)
     at = relinearized(live)
@@ -157,7 +157,7 @@ def test_isam2_is_at_the_optimum_of_the_windows_factors(drawn, seed):
 
 
 @pytest.mark.parametrize("drawn", WITH_A_RECEIVER)
-def test_isam2_is_near_the_optimum_where_a_receivers_sigmas_change_with_each_fix(drawn):
+def test_isam2_is_near_the_optimum_when_each_fix_changes_the_sigmas(drawn):
     """15 cm were seen, of fixes of 3 m; an accuracy that the batch has the last word on."""
     steps, data, floor = drawn(0)
     live = walking(started(floor), steps, data)
@@ -165,8 +165,8 @@ def test_isam2_is_near_the_optimum_where_a_receivers_sigmas_change_with_each_fix
     assert np.abs(optimum(at).state.poses[:, :2] - at.state.poses[:, :2]).max() < 0.3
 
 
-def test_the_optimum_is_not_found_without_linearising_again():
-    """The control: iSAM2 as it is after the last step is some millimetres off."""
+def test_without_relinearisation_the_optimum_is_missed():
+    """Control: iSAM2 after the last step is some millimetres off."""
     steps, data, floor = with_outliers(0)
     live = walking(started(floor), steps, data)
     at = live.graph.evaluate(everything=True)
@@ -188,7 +188,7 @@ def test_the_windows_factors_are_those_of_the_batch():
 
 @pytest.mark.parametrize("lag", [np.inf, 30.0])
 @pytest.mark.parametrize("drawn", WALKS)
-def test_a_checkpoint_in_mid_walk_goes_on_with_the_same_result(drawn, lag):
+def test_a_checkpoint_in_mid_walk_leads_to_the_same_result(drawn, lag):
     """Two restored of one checkpoint, one of which is written down once more: to 1e-6 m with all of the walk open.
 
     With a lag to 0.2 m, where a receiver's fixes leave 2 m: what was linearised where stays behind in the marginal.

@@ -1,4 +1,4 @@
-"""A particle filter on the plan: walks that walls, fixes and stairs admit."""
+"""The particle filter on a plan with walls, fixes and stairs."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def crosses(floor, before, after):
 # One step, and a wall
 
 
-def test_no_particle_goes_through_a_thin_wall():
+def test_no_particle_crosses_a_thin_wall():
     """Rooms that share an edge. Who walks at it obliquely draws their errors again, until they pass beside."""
     floor = plan(("room", shapely.box(0, 0, 10, 4)), ("room", shapely.box(0, 4, 10, 8)), ("door", shapely.Point(9, 4)))
     random = np.random.default_rng(0)
@@ -47,8 +47,8 @@ def test_no_particle_goes_through_a_thin_wall():
     assert np.all(price[~paid] < np.log(5) + 0.2), "having drawn again costs at most one of five"
 
 
-def test_a_wall_that_leaves_no_way_is_crossed_at_its_price():
-    """A dead end: nobody has a way on, and all have paid for the wall."""
+def test_a_wall_without_a_way_round_is_crossed_at_its_price():
+    """In a dead end all particles pay for the wall."""
     floor = plan(("corridor", shapely.box(0, 0, 10, 2)))
     before = crowd(500, 9.7, 1.0)
     after, price = stepped(
@@ -58,8 +58,8 @@ def test_a_wall_that_leaves_no_way_is_crossed_at_its_price():
     assert np.all(price == WALL_COST)
 
 
-def test_inside_what_is_solid_a_step_costs_little():
-    """Somebody entered a shop: each step there costs, none costs a wall."""
+def test_a_step_inside_a_solid_area_costs_little():
+    """Somebody entered a shop: each step there has a small cost, not that of a wall."""
     floor = plan(("floor", shapely.box(0, 0, 40, 40)), ("shop", shapely.box(10, 10, 30, 30)))
     before = crowd(100, 20.0, 20.0)
     _, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, floor.distance, np.random.default_rng(0))
@@ -69,7 +69,7 @@ def test_inside_what_is_solid_a_step_costs_little():
 # A walk
 
 
-def test_in_the_open_particles_spread_as_dead_reckoning_errs(monkeypatch):
+def test_in_the_open_particles_have_the_covariance_of_dead_reckoning(monkeypatch):
     """An independent oracle: the covariance of the end by propagating each error to first order."""
     for name in ("FEWEST", "MOST"):
         monkeypatch.setattr(particles, name, 20_000)
@@ -124,8 +124,8 @@ def test_a_walk_along_one_of_two_aisles_stays_in_it(y, side):
     assert np.sum(paths.weight[in_aisle.all(axis=0)]) > 0.95
 
 
-def test_where_a_fix_lies_far_from_all_some_are_put_there():
-    """The start was said to be in the wrong aisle; three later fixes agree on the other."""
+def test_some_particles_move_to_a_far_fix():
+    """The stated start is in the wrong aisle; three later fixes agree on the other."""
     n = 40
     steps = steps_of(np.full(n, 0.7), np.zeros(n))
     time = [(steps.time[k], [6.0 + 0.7 * (k - 5), 8.0]) for k in (12, 20, 28)]
@@ -134,7 +134,7 @@ def test_where_a_fix_lies_far_from_all_some_are_put_there():
 
 
 @pytest.mark.parametrize("turned", [0.5, 1.5, 3.0, -2.0])
-def test_a_turn_of_the_phone_of_any_size_is_survived(turned):
+def test_particles_survive_any_turn_of_the_phone(turned):
     """In mid-corridor the phone is turned in the hand: the walk goes on along the corridor."""
     floor = plan(("corridor", shapely.box(0, 0, 60, 2.4)))
     n, at = 70, 30
@@ -159,8 +159,8 @@ def test_the_same_seed_is_the_same_walk():
 # Floors
 
 
-def test_a_floor_is_changed_at_stairs():
-    """Strides said a fifth too short: the barometer knows when the floor changed, the plan where."""
+def test_floors_change_at_stairs():
+    """Strides are a fifth too short: the barometer gives the time of the change, the plan its place."""
     office = Building.load(MAPS / "two_floors.geojson")
     stairs = next(c for c in office.connections if c.kind == "stairs")
     n, start = 20, np.array([1.0, 9.2])
@@ -175,8 +175,8 @@ def test_a_floor_is_changed_at_stairs():
     assert apart(["1"] * (n + 2)) > 2.0, "who stays on the floor is where the strides say"
 
 
-def test_fixes_alone_place_a_walk_whose_heading_nobody_knows():
-    """Two fixes at the ends of an aisle, and no heading: set off in all directions, those that go along it arrive."""
+def test_fixes_alone_place_a_walk_of_unknown_heading():
+    """Two fixes at the ends of an aisle, and no heading: of particles in all directions those along it survive."""
     n = 48
     steps = steps_of(np.full(n, 0.7), np.zeros(n))
     fixes = Fixes(np.array([0.0, steps.time[-1]]), np.array([[36.0, 3.0], [2.5, 3.0]]), np.full(2, 0.5), ("", ""))

@@ -1,4 +1,4 @@
-"""The ways that a building admits, each with its share of the particles."""
+"""Modes of the paths that a building admits, with their shares of the particles."""
 
 import numpy as np
 import pytest
@@ -42,8 +42,8 @@ def upper(paths):
     return float(paths.weight[paths.state[-1, 1] > 0].sum())
 
 
-def test_a_fork_gives_two_ways_of_like_shares():
-    """Straight on there is a wall: the walk went one way or the other, and nothing says which."""
+def test_a_fork_has_two_modes_of_similar_share():
+    """There is a wall straight ahead; the walk went to one side, and no measurement says which."""
     paths = particle_filter(graph_of(walk(0.0)))
     assert upper(paths) == pytest.approx(0.5, abs=0.2)
     ways = hypotheses(graph_of(walk(0.0)))
@@ -55,7 +55,7 @@ def test_a_fork_gives_two_ways_of_like_shares():
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_a_turn_that_was_measured_leaves_one_way(side):
+def test_a_measured_turn_leaves_one_mode(side):
     steps = walk(side * HALF_ANGLE)
     steps = type(steps)(**{**steps.__dict__, "sigma_turn": np.full(len(steps), 0.02)})
     ways = hypotheses(graph_of(steps))
@@ -76,25 +76,25 @@ def three_bundles(k=61):
     return Paths(state, np.repeat(np.array(SHARES) / 100, 100))
 
 
-def test_bundles_come_thickest_first_and_apart():
+def test_modes_are_distinct_and_sorted_by_share():
     assert SIDE[path_modes(three_bundles())].tolist() == [10.0, 20.0, 0.0]
 
 
 @pytest.mark.parametrize("k", [2, 30])
-def test_at_a_glance_the_thickest_bundles_are_the_same(k):
+def test_the_fast_dominant_modes_are_the_same(k):
     shares, middles = zip(*dominant_modes(three_bundles(k)), strict=True)
     assert SIDE[list(middles)].tolist() == [10.0, 20.0, 0.0]
     assert shares == pytest.approx(sorted(SHARES, reverse=True))
 
 
-def test_paths_that_nobody_can_have_gone_are_in_no_bundle():
+def test_paths_of_vanishing_weight_are_in_no_mode():
     """Their weight is too small for a float."""
     paths = three_bundles()
     weight = np.where(SIDE == 0.0, 0.0, paths.weight)
     assert SIDE[path_modes(Paths(paths.state, weight / weight.sum()))].tolist() == [10.0, 20.0]
 
 
-def test_a_path_in_the_midst_of_its_bundle_speaks_for_it():
+def test_a_central_path_represents_its_mode():
     state = np.zeros((61, 6, 11))
     state[:, 1] = np.linspace(-APART / 2.2, APART / 2.2, 11)
     (middle,) = path_modes(Paths(state, np.full(11, 1 / 11)))

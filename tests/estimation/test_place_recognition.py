@@ -1,4 +1,4 @@
-"""Places seen again by what the radios hear there."""
+"""Place recognition by radio scans."""
 
 from unittest.mock import patch
 
@@ -37,7 +37,7 @@ def found(walks, known=None):
     return revisits([(known or track, heard_along(track, n)) for n, track in enumerate(walks)])
 
 
-def test_two_walks_of_one_corridor_are_linked_where_they_were_near():
+def test_two_walks_of_one_corridor_are_linked_at_the_same_places():
     """One there and one back: 90 % of the closures within three of their stated sigmas, and those of a few metres."""
     walks = [along((5, 5), (55, 5)), along((55, 6), (5, 6))]
     closures = found(walks)
@@ -52,14 +52,14 @@ def test_walks_of_different_floors_are_not_linked():
     assert len(found([along((5, 5), (55, 5), floor="1"), along((5, 6), (55, 6), floor="2")])) == 0
 
 
-def test_walks_that_heard_nothing_in_common_are_not_linked():
+def test_walks_without_common_transmitters_are_not_linked():
     walks = [along((5, 5), (55, 5)), along((5, 5), (55, 5))]
     scans = heard_along(walks[1])
     other = Scans(scans.time, tuple(name + "'" for name in scans.transmitter), scans.level)
     assert len(revisits([(walks[0], heard_along(walks[0])), (walks[1], other)])) == 0
 
 
-def test_a_walk_is_linked_with_itself_only_where_it_returns_later():
+def test_a_walk_is_linked_with_itself_only_at_later_revisits():
     """There and back within two minutes: moments a minute apart at least."""
     there, back = along((5, 5), (55, 5)), along((55, 5), (5, 5))
     track = Trajectory(np.arange(120.0), np.concatenate([there.position, back.position]), np.zeros(120), ("",) * 120)
@@ -69,8 +69,8 @@ def test_a_walk_is_linked_with_itself_only_where_it_returns_later():
     assert (np.abs(np.diff(closures.time, axis=1)) >= 60).all()
 
 
-def test_links_that_err_alike_count_for_one():
-    """Twice as many closures of a stretch know no more than half of them: to a third, sigmas being learnt anew."""
+def test_correlated_links_count_as_one():
+    """Twice as many closures of a stretch have the information of half of them, within a third."""
     walks, worth = [along((5, 5), (55, 5)), along((5, 6), (55, 6))], []
     for every in (1.0, 2.0):
         with patch.object(module, "SCAN_SPACING", every):
@@ -81,8 +81,8 @@ def test_links_that_err_alike_count_for_one():
     assert of_many == pytest.approx(of_few, rel=0.35)
 
 
-def test_walks_too_little_known_to_tell_are_linked_by_what_is_usual():
-    """Placed 100 m apart, so that none of their places is near another."""
+def test_uncertain_walks_are_linked_with_the_default_sigma():
+    """They are placed 100 m apart, so that no places are near each other."""
     walks = [along((5, 5), (55, 5)), along((5, 6), (55, 6))]
     moved = [walks[0], along((105, 106), (155, 106))]
     closures = revisits(
@@ -94,5 +94,5 @@ def test_walks_too_little_known_to_tell_are_linked_by_what_is_usual():
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_few_or_no_walks_give_no_link(count):
+def test_too_few_walks_have_no_links(count):
     assert len(found([along((5, 5), (30, 5), 20)][:count])) == 0

@@ -31,7 +31,7 @@ def test_increments_are_the_composition_of_steps():
             assert delta[m] == pytest.approx([pose.x(), pose.y(), pose.theta()], abs=1e-12)
 
 
-def test_a_keyframe_stands_at_every_fix_and_splits_its_step():
+def test_every_fix_has_a_keyframe_that_splits_its_step():
     steps = wandering_walk(20)
     at = np.array([0.0, 1.0, 4.4, 4.41, steps.end])
     pieces = cut(steps, at)
@@ -44,7 +44,7 @@ def test_a_keyframe_stands_at_every_fix_and_splits_its_step():
     assert pieces.length[in_step_2].sum() == pytest.approx(expected)
 
 
-def test_a_pause_moves_nobody_and_keeps_its_turn():
+def test_a_pause_has_no_displacement_but_its_turn():
     steps = wandering_walk(3)
     time = steps.time + np.array([0.0, 10.0, 10.0])
     paused = Steps(

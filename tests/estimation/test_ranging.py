@@ -58,8 +58,8 @@ def test_a_walk_by_ranges_alone_is_right_and_honest():
     assert 0.85 < inside.mean() < 0.97
 
 
-def test_a_loss_that_is_the_same_on_both_sides_is_worse(monkeypatch):
-    """The control: with Huber's loss the detours pull the walk away."""
+def test_a_symmetric_loss_is_worse(monkeypatch):
+    """Control: with Huber's loss the detours pull the walk away."""
     steps, _, truth = drawn_from_the_model(120, 1)
     ranges, _ = ranged(truth, 1)
     one_sided = np.median(off(smooth(WalkGraph(steps, measurements=[ranges])).trajectory, truth)[0])
@@ -67,7 +67,7 @@ def test_a_loss_that_is_the_same_on_both_sides_is_worse(monkeypatch):
     assert np.median(off(smooth(WalkGraph(steps, measurements=[ranges])).trajectory, truth)[0]) > 1.2 * one_sided
 
 
-def test_detours_are_told_apart_in_the_reports():
+def test_reports_identify_detours():
     """Nine in ten ranges with a 3 m detour, ten sigmas, are said to have no line of sight, and few of the others."""
     steps, _, truth = drawn_from_the_model(120, 2)
     ranges, detour = ranged(truth, 2)
@@ -87,7 +87,7 @@ def test_an_anchors_bias_is_estimated():
     assert np.abs(bias[[0, 2, 3]]).max() < 0.1
 
 
-def test_long_errors_cost_little_and_short_ones_as_hubers():
+def test_long_errors_cost_little_and_short_ones_huber_loss():
     """Steps of the deviation: the cost rises on both sides, is steeper for ranges too short, and its slope is w(s) s
     to where the mixture is near its Gaussian.
     """
@@ -102,7 +102,7 @@ def test_long_errors_cost_little_and_short_ones_as_hubers():
     assert weight[200] == pytest.approx(2.45 / deviation[200])
 
 
-def test_ranges_work_while_the_walk_goes_on():
+def test_ranges_work_live():
     """The same object in the live smoother: near the batch at each end of a lag of 20 s, and equal with none."""
     steps, _, truth = drawn_from_the_model(120, 4)
     steps = replace(steps, end=float(steps.time[-1]))

@@ -1,4 +1,4 @@
-"""A radio map live: a walk that hears scans bit by bit gets the fixes that the batch makes of the whole recording."""
+"""A radio map live: scans that arrive piecemeal give the same fixes as the whole recording."""
 
 import numpy as np
 import pytest

@@ -45,7 +45,7 @@ def test_exact_measurements_are_reproduced():
     assert estimate.converged
 
 
-def test_gtsams_own_optimiser_finds_the_same_walk():
+def test_gtsams_optimiser_finds_the_same_walk():
     """Levenberg–Marquardt in C++ over CustomFactors: slow, and the same optimum to a millimetre."""
     steps, fixes, _ = drawn_from_the_model(60, seed=5)
     graph = WalkGraph(steps, fixes)
@@ -146,7 +146,7 @@ def test_covariance_is_gtsams_marginal():
                 assert block == pytest.approx(joint.at(row, column), rel=1e-6, abs=1e-10)
 
 
-def test_a_fix_holds_at_its_own_time():
+def test_a_fix_acts_at_its_own_time():
     """A sharp fix between two steps: the track passes through it at that very moment."""
     steps = square_walk(side=10)
     truth = dead_reckon(steps)
@@ -158,8 +158,8 @@ def test_a_fix_holds_at_its_own_time():
     assert here == pytest.approx(truth.position[[7, 8]].mean(axis=0), abs=0.02)
 
 
-def test_scale_turn_and_drift_are_learnt_from_fixes():
-    """Steps said 10 % too short, turns 3 % too small, a gyro that drifts 3 mrad/s: the calibration finds all three."""
+def test_scale_turn_and_drift_are_estimated_from_fixes():
+    """Steps 10 % too short, turns 3 % too small, a gyro drift of 3 mrad/s: the calibration finds all three."""
     side, drift = 10, 0.003
     turn = np.where(np.arange(12 * 4 * side) % side == side - 1, np.pi / 2, 0.0)
     turn[np.arange(len(turn)) // (4 * side) % 2 == 1] *= -1  # a figure of eight: left laps and right laps
@@ -174,7 +174,7 @@ def test_scale_turn_and_drift_are_learnt_from_fixes():
     assert estimate.calibration.learnt.any(axis=0).all()
 
 
-def test_two_fixes_leave_drift_to_the_prior_and_say_so():
+def test_two_fixes_leave_the_drift_unobservable_with_a_warning():
     steps = steps_of(np.full(150, 0.7), np.zeros(150))
     truth = dead_reckon(steps)
     estimate = smooth(WalkGraph(steps, fixes_at(truth.time[[0, -1]], truth.position[[0, -1]], 0.5)))
@@ -201,7 +201,7 @@ def test_loop_closes_on_itself():
     assert any("different walks" in w for w in estimate.warnings)
 
 
-def test_one_fix_gives_a_place_but_no_direction():
+def test_one_fix_determines_the_position_but_no_direction():
     """The true walk went the other way: two walk lengths off, and within what the covariance admits."""
     steps = steps_of(np.full(30, 0.7), np.zeros(30))
     estimate = smooth(WalkGraph(steps, fixes_at([0.0], [[7.0, 8.0]], 1.0)))
@@ -228,8 +228,8 @@ def test_without_a_step_the_walker_stays():
     assert estimate.trajectory.position == pytest.approx(np.array([[1.1, 2.1]] * 2), abs=0.02)
 
 
-def test_a_wild_fix_is_kept_seen_and_not_followed():
-    """One fix 80 m off among thirteen: its weight is next to nothing, with the reason; the walk hardly moves."""
+def test_an_outlier_is_reported_and_not_followed():
+    """One fix of thirteen is 80 m off: it has almost no weight, with the reason, and the walk hardly moves."""
     steps, fixes, truth = drawn_from_the_model(200, seed=8)
     wild = replace(fixes, position=fixes.position + np.outer(np.arange(len(fixes)) == 6, [60.0, 53.0]))
     clean, estimate = smooth(WalkGraph(steps, fixes)), smooth(WalkGraph(steps, wild))
@@ -243,7 +243,7 @@ def test_a_wild_fix_is_kept_seen_and_not_followed():
 
 
 def test_fixes_outside_the_recording():
-    """Half a second before the start it holds there, less exactly; a minute after the end it is not used."""
+    """Half a second before the start, a fix acts there with a wider sigma; a minute after the end it is not used."""
     steps = wandering_walk(40)
     truth = dead_reckon(steps)
     fixes = fixes_at([-0.5, 10.0, steps.end + 60], [*truth.position[[0, 18]], [99.0, 99.0]], 0.5)
@@ -256,7 +256,7 @@ def test_fixes_outside_the_recording():
 
 
 @pytest.mark.parametrize("late", [True, False])
-def test_a_fix_from_outside_the_recording_is_trusted_less(late):
+def test_a_fix_outside_the_recording_has_a_wider_sigma(late):
     """Two seconds before the start or after the end, the walker may have been 2.8 m away."""
     steps = wandering_walk(30)
     track = dead_reckon(steps)
@@ -268,7 +268,7 @@ def test_a_fix_from_outside_the_recording_is_trusted_less(late):
     assert sigma.max() > 2.0
 
 
-def test_what_is_not_measured_grows_with_the_walk():
+def test_unobserved_calibration_uncertainty_grows_with_the_walk():
     """R_s, R_d and b walk randomly from segment to segment: the prior's variance adds a change for each."""
     prior = Prior()
     calibration = smooth(WalkGraph(wandering_walk(350), fixes_at([0.0], [[0.0, 0.0]]))).calibration
@@ -280,8 +280,8 @@ def test_what_is_not_measured_grows_with_the_walk():
     assert not calibration.learnt.any()
 
 
-def test_a_pause_hardly_loosens_the_heading():
-    """Nine pauses of a minute: a phone whose gyro drifts by nothing goes on knowing the way, to 0.02 rad each."""
+def test_a_pause_hardly_changes_the_heading_sigma():
+    """Nine pauses of a minute with a perfect gyro: 0.02 rad each."""
     steps = square_walk(laps=2)
     shift = 60.0 * (np.arange(len(steps)) // 16)
     paused = replace(steps, time=steps.time + shift, end=steps.end + shift[-1])

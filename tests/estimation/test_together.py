@@ -68,7 +68,7 @@ def error(estimate, truth):
     return np.hypot(*(estimate.trajectory.position - truth.position).T)
 
 
-def test_walks_that_nothing_binds_are_as_they_are_alone():
+def test_unconnected_walks_equal_their_separate_solutions():
     """To 1 cm and 5 % of the covariance: what joins them is loose, not nothing, and segments are cut elsewhere."""
     walks = [drawn(60, seed) for seed in range(3)]
     alone = [smooth(WalkGraph(steps, fixes)) for steps, fixes, _ in walks]
@@ -81,7 +81,7 @@ def test_walks_that_nothing_binds_are_as_they_are_alone():
         assert [fix.time for fix in other.fixes] == pytest.approx([fix.time for fix in one.fixes])
 
 
-def test_a_walk_without_fixes_is_placed_by_those_that_it_met():
+def test_a_walk_without_fixes_is_placed_by_its_encounters():
     steps, fixes, truth = drawn(120, 5)
     met_at, seen = np.arange(10, 120, 20), fixes_at([], np.empty((0, 2)))
     alike = drawn(120, 5)  # the same way on another day, of which nobody knows where it was
@@ -90,8 +90,8 @@ def test_a_walk_without_fixes_is_placed_by_those_that_it_met():
     assert np.median(error(other, alike[2])) < 2 * np.median(error(one, truth)) + SIGMA_CLOSURE
 
 
-def test_a_link_that_is_wrong_is_let_go():
-    """Of 300 m, among six: less than a metre's harm."""
+def test_a_wrong_link_loses_its_weight():
+    """One of six links is wrong by 300 m: the error grows by less than a metre."""
     steps, fixes, truth = drawn(120, 7)
     at = np.arange(10, 120, 20)
     moved = replace(truth, position=truth.position + FAR)
@@ -109,7 +109,7 @@ def test_covariance_is_honest():
         assert low < np.mean(normalised_errors(one_that_met, first_of_both, SEEDS)) < high
 
 
-def test_links_five_times_as_bad_as_stated_are_found_out():
+def test_links_five_times_as_bad_as_stated_fail_the_test():
     with gaussian(), patch.object(loop_closure, "CLOSURE_WIDTH", 1e6):
         _, high = interval(SEEDS)
         assert np.mean(normalised_errors(one_that_met_far_off, first_of_both, SEEDS)) > high

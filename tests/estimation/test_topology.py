@@ -1,4 +1,4 @@
-"""Which aisle a walk went along, and how sure an estimate may be of it."""
+"""The aisle of a walk, and its probability."""
 
 import numpy as np
 import pytest
@@ -28,34 +28,34 @@ def straight(metres, floor, headings=None):
     return WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), headings=headings, floor=floor)
 
 
-def test_of_two_mirror_images_each_gets_a_half():
+def test_two_mirror_images_have_half_the_probability_each():
     """Less what is kept for ways that nobody found, 1 %, and what the chance of the particles leaves of symmetry."""
     estimate = smooth(straight(28, aisles((50, 0), (-50, 0))))
     assert estimate.probability == pytest.approx(0.5, abs=0.05)
     assert any("different walks" in w for w in estimate.warnings)
 
 
-def test_a_compass_tells_mirror_images_apart():
+def test_a_compass_distinguishes_mirror_images():
     headings = Headings(np.array([10.0]), np.array([np.pi]), np.array([0.35]))
     estimate = smooth(straight(28, aisles((50, 0), (-50, 0)), headings))
     assert estimate.probability > 0.9
     assert estimate.trajectory.position[-1, 0] == pytest.approx(-28, abs=2.0)
 
 
-def test_a_walk_longer_than_one_of_two_aisles_went_along_the_other():
+def test_a_walk_longer_than_one_aisle_is_in_the_other():
     estimate = smooth(straight(42, aisles((60, 0), (0, 20))))
     assert estimate.probability > 0.9
     assert estimate.trajectory.position[-1] == pytest.approx([42, 0], abs=3.0)
 
 
-def test_a_walk_longer_than_any_aisle_is_not_believed():
-    """Two aisles of 20 m and a walk of 42: whoever wrote the plan, or counted the steps, forgot something."""
+def test_a_walk_longer_than_any_aisle_has_a_low_probability():
+    """Two aisles of 20 m and a walk of 42 m: plan or step count is incomplete."""
     estimate = smooth(straight(42, aisles((20, 0), (0, 20))))
     assert estimate.probability < 0.5
     assert estimate.warnings
 
 
-def test_a_walk_that_is_found_again_is_not_another():
+def test_a_repeated_solution_adds_no_probability():
     """Both together are as likely as the one, and what is left is that of a way which nobody found."""
     found = solutions(straight(28, aisles((50, 0))))[:1]
     once, twice = (probabilities(many, paths(many)) for many in (found, 2 * found))
@@ -64,8 +64,8 @@ def test_a_walk_that_is_found_again_is_not_another():
     assert twice == pytest.approx(np.full(2, once[0] / 2))
 
 
-def test_what_nobody_found_has_a_share_only_on_a_plan():
-    """Without walls all directions are alike, and all of them are tried: they are everything there is."""
+def test_missed_paths_have_a_probability_only_on_a_plan():
+    """Without walls the search starts in all directions, so nothing is missed."""
     found = solutions(straight(28, None))
     assert probabilities(found, paths(found)).sum() == pytest.approx(1.0)
     found = solutions(straight(28, aisles((50, 0))))

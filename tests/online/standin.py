@@ -1,4 +1,4 @@
-"""A navigator to be journalled: its numbers tell whether an event was lost, came twice or in another order."""
+"""A navigator for tests of the journal: its state shows lost, repeated or reordered events."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A walk outlives its process: acknowledged events are there, and it goes on as if nothing had been."""
+"""A walk survives its process: acknowledged events are stored, and the resumed walk is identical."""
 
 import random
 import resource
@@ -55,7 +55,7 @@ def files(folder):
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-def test_a_walk_goes_on_as_if_nothing_had_been(tmp_path):
+def test_a_resumed_walk_is_identical(tmp_path):
     restarts = random.Random(1).sample(range(300), 20)
     whole, parted = walked(tmp_path / "whole", 300), walked(tmp_path / "parted", 300, restarts)
     assert told(parted) == told(whole)
@@ -64,7 +64,7 @@ def test_a_walk_goes_on_as_if_nothing_had_been(tmp_path):
     assert told(parted) != told(whole), "a control: a bit is told"
 
 
-def test_a_running_navigator_goes_on_from_its_snapshots(tmp_path):
+def test_a_running_navigator_continues_from_its_snapshots(tmp_path):
     plain = StandIn()
     for number in range(300):
         plain.push(event(number))
@@ -134,7 +134,7 @@ def test_a_flood_is_bounded_by_its_bytes(tmp_path):
     assert sum(map(len, files(tmp_path).values())) < 3 * 6.4e6
 
 
-def test_an_event_that_is_refused_leaves_no_trace(tmp_path):
+def test_a_failing_event_leaves_no_trace(tmp_path):
     journal = walked(tmp_path / "walk", 60)
     before = told(journal)
     with pytest.raises(ValueError, match="no fix at all"):
@@ -146,7 +146,7 @@ def test_an_event_that_is_refused_leaves_no_trace(tmp_path):
     assert told(journal) == told(walked(tmp_path / "other", 61))
 
 
-def test_a_refused_event_that_a_kill_left_behind_is_passed_by(tmp_path):
+def test_a_failing_event_left_by_a_kill_is_skipped(tmp_path):
     journal = walked(tmp_path / "walk", 60)
     before = told(journal)
     journal._database.execute("INSERT INTO event VALUES (61, ?)", (encode(Fixes.none()),))
@@ -173,7 +173,7 @@ def test_a_full_disk_costs_the_event_and_nothing_else(tmp_path):
     assert told(journal) == told(walked(tmp_path / "whole", 100))
 
 
-def test_a_snapshot_that_finds_no_room_is_made_up_for(tmp_path):
+def test_a_snapshot_without_disk_space_is_repeated_later(tmp_path):
     path, limits = tmp_path / "walk", resource.getrlimit(resource.RLIMIT_FSIZE)
     journal = walked(path, EVERY - 1)
     written = (tmp_path / "walk-wal").stat().st_size
@@ -192,7 +192,7 @@ def test_a_snapshot_that_finds_no_room_is_made_up_for(tmp_path):
     assert told(opened(path)) == whole
 
 
-def test_one_process_writes(tmp_path):
+def test_a_second_process_cannot_open_it(tmp_path):
     with walked(tmp_path / "walk", 3):
         other = subprocess.run(
             [sys.executable, "-c", CHILD, tmp_path / "walk", HERE], capture_output=True, text=True, timeout=60
@@ -202,7 +202,7 @@ def test_one_process_writes(tmp_path):
     assert opened(tmp_path / "walk").count == 3
 
 
-def test_another_plan_is_refused(tmp_path):
+def test_another_plan_is_an_input_error(tmp_path):
     plan, path = tmp_path / "plan.geojson", tmp_path / "walk"
     plan.write_text("{}")
     settings = {"map": fingerprint(plan), "lag": 60.0, "walker": {"height": 1.8}}
@@ -225,7 +225,7 @@ def refused(path, match):
     assert files(path.parent) == before
 
 
-def test_other_files_are_refused(tmp_path):
+def test_other_files_are_input_errors(tmp_path):
     path = tmp_path / "walk"
     path.write_text("time,x,y\n")
     refused(path, "another kind of file")
@@ -239,7 +239,7 @@ def test_other_files_are_refused(tmp_path):
     ("version", "remedy"),
     [(1, "finish the walk with the pdr_graph that began it, or start a new --journal"), (3, "use the newer pdr_graph")],
 )
-def test_another_version_is_refused(tmp_path, version, remedy):
+def test_another_version_is_an_input_error(tmp_path, version, remedy):
     walked(tmp_path / "walk", 3).close()
     with sqlite3.connect(tmp_path / "walk") as database:
         database.execute(f"PRAGMA user_version = {version}")
@@ -248,20 +248,20 @@ def test_another_version_is_refused(tmp_path, version, remedy):
     refused(tmp_path / "walk", f"format: found {version}, expected 2, which this version reads: {remedy}")
 
 
-def test_a_journal_of_format_1_is_refused_as_it_is(tmp_path):
+def test_a_journal_of_format_1_is_an_input_error_and_unchanged(tmp_path):
     """Made by pdr_graph 0.1.0 with its JSON events; compressed."""
     path = tmp_path / "walk"
     path.write_bytes(zlib.decompress((HERE / "journal_format_1.z").read_bytes()))
     refused(path, "format: found 1, expected 2")
 
 
-def test_an_empty_file_is_a_journal_not_yet_begun(tmp_path):
+def test_an_empty_file_is_a_new_journal(tmp_path):
     (tmp_path / "walk").touch()
     assert told(walked(tmp_path / "walk", 60)) == told(walked(tmp_path / "other", 60))
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_damaged_journal_is_refused_or_as_it_was(tmp_path, seed):
+def test_a_damaged_journal_is_an_input_error_or_unchanged(tmp_path, seed):
     """Pages that are not in use may be damaged; an event is not lost in silence, but for the last of a cut WAL."""
     luck, path = random.Random(seed), tmp_path / "walk"
     whole = walked(path, 120)
@@ -284,7 +284,7 @@ def test_a_damaged_journal_is_refused_or_as_it_was(tmp_path, seed):
     assert not said or path.read_bytes() == content
 
 
-def test_a_missing_event_is_told(tmp_path):
+def test_a_missing_event_is_an_input_error(tmp_path):
     walked(tmp_path / "walk", 20).close()
     with sqlite3.connect(tmp_path / "walk") as database:
         database.execute("DELETE FROM event WHERE number = 7")
@@ -294,7 +294,7 @@ def test_a_missing_event_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(("durable", "synchronous"), [("process", 0), ("snapshot", 1), ("power", 2)])
-def test_the_disk_is_waited_for_as_asked(tmp_path, durable, synchronous):
+def test_durable_sets_when_to_wait_for_the_disk(tmp_path, durable, synchronous):
     with opened(tmp_path / "walk", durable=durable) as journal:
         assert journal._database.execute("PRAGMA synchronous").fetchone() == (synchronous,)
         for number in range(2 * EVERY + 9):

@@ -1,4 +1,4 @@
-"""The navigator on simulated recordings: as good as the batch, and never ended by what is pushed."""
+"""The navigator on simulated recordings: as good as the batch, and robust to any events."""
 
 import subprocess
 import sys
@@ -88,7 +88,7 @@ def error(track, truth):
 @pytest.mark.parametrize("name", ["loop", "arcade", "figure_eight"])
 @pytest.mark.parametrize("lag", [60.0, None])
 def test_live_is_as_good_as_the_batch(name, lag):
-    """The smoothed walk; 1.3 times the batch's error and 0.3 m, since what settles knows nothing of what comes."""
+    """The smoothed walk: at most 1.3 times the error of the batch plus 0.3 m, since finalised rows lack later data."""
     recording, truth = walk(name)
     batch = smooth(WalkGraph(detect_steps(recording), recording.fixes)).trajectory
     nav, _, track = checked(events(name), lag=lag)
@@ -109,7 +109,7 @@ def test_a_sensor_that_stops_and_returns(sensors):
     assert error(track, truth) < 3.0
 
 
-def test_what_comes_twice_is_counted_once():
+def test_repeated_events_count_once():
     _, issues, track = checked([twice for event in events() for twice in (event, event)])
     assert any("samples could not be used" in line for line in issues)
     assert error(track, walk("figure_eight")[1]) < 1.5
@@ -215,7 +215,7 @@ def test_fixes_only():
     assert len(track) == 0
 
 
-def test_fixes_only_is_said_to_be_an_ailment():
+def test_fixes_only_is_an_issue():
     assert pushed([event for event in events() if isinstance(event, Fixes)])[1]
 
 
@@ -225,7 +225,7 @@ def test_samples_only():
     assert len(track) > 150
 
 
-def test_what_nobody_knows_is_let_be():
+def test_unknown_data_is_ignored():
     """Scans of other radios, sensors that tell nothing of steps, and events without a row."""
     strange = [
         Scan("uwb", Sightings(np.array([50.0]), ("x",), np.array([-50.0]))),
@@ -270,8 +270,8 @@ def test_a_snapshot_in_mid_walk_goes_on_to_the_same_end():
         assert np.hypot(*(whole.position[-n:] - ends[0].position).T).max() < 0.3
 
 
-def test_kill_and_go_on(tmp_path):
-    """Killed twelve times at any moment, the replay ends with the very trajectory of one that nobody killed."""
+def test_a_killed_replay_ends_the_same(tmp_path):
+    """Killed twelve times at random, the replay ends with the same trajectory as an uninterrupted one."""
     folder = tmp_path / "walk"
     write(simulate(Scenario.load(SCENARIOS / "arcade.toml")), folder)
 

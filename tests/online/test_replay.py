@@ -1,4 +1,4 @@
-"""``pdr-graph replay`` with a stand-in for the navigator: what it is told, and what is written of what it says."""
+"""``pdr-graph replay`` with a stand-in for the navigator: its options and its output."""
 
 import csv
 import json
@@ -48,7 +48,7 @@ def test_it_writes_what_the_contract_names(result):
     assert {"reading", "replay", "finish", "write"} <= set(summary["seconds"])
 
 
-def test_poses_know_nothing_of_what_comes_later(folder, result, tmp_path):
+def test_poses_are_causal(folder, result, tmp_path):
     lines = (folder / "fixes.csv").read_text().splitlines()
     (tmp_path / "fixes.csv").write_text("\n".join(lines[:3]) + "\n")
     later = float(lines[3].split(",")[0])
@@ -58,7 +58,7 @@ def test_poses_know_nothing_of_what_comes_later(folder, result, tmp_path):
     assert few[-1] != all_[-1], "a control: they differ in the end"
 
 
-def test_latency_is_of_all_that_came_between_two_steps(monkeypatch):
+def test_latency_covers_all_events_between_two_steps(monkeypatch):
     ticks = iter(np.cumsum([0, 1, 0, 2, 0, 7, 0, 4, 0, 5]) / 1000.0)
     monkeypatch.setattr("time.perf_counter", lambda: next(ticks))
     latency = Latency()
@@ -81,7 +81,7 @@ def test_latency_of_a_replay(result):
     assert all(look["resident"] > 10 for look in said["memory"])
 
 
-def test_long_walks_are_looked_at_as_often_as_short_ones(monkeypatch):
+def test_long_walks_have_as_many_memory_measurements_as_short_ones(monkeypatch):
     monkeypatch.setattr("pdr_graph.online.replay._resident", lambda: 100.0)
     latency = Latency()
     for now in range(100_000):
@@ -100,7 +100,7 @@ class Dies(Metronome):
             raise KeyboardInterrupt
 
 
-def test_a_journal_goes_on_where_it_was_interrupted(folder, result, tmp_path):
+def test_a_journal_resumes_where_it_was_interrupted(folder, result, tmp_path):
     options = Options(fixes=folder / "fixes.csv", journal=tmp_path / "walk.journal")
     with pytest.raises(KeyboardInterrupt):
         replay_recording(folder / "walk.txt", tmp_path, options, Dies)
@@ -136,7 +136,7 @@ def test_the_command_line(folder, tmp_path, monkeypatch, said, lag):
 
 
 @pytest.mark.parametrize("said", ["-1", "0", "nan", "long"])
-def test_other_lags_are_refused(folder, tmp_path, monkeypatch, said):
+def test_invalid_lags_are_errors(folder, tmp_path, monkeypatch, said):
     done = invoked(monkeypatch, folder / "walk.txt", "--lag", said, "--out", tmp_path)
     assert isinstance(done.exception, InputError)
     assert str(done.exception).startswith("--lag: found")
@@ -148,7 +148,7 @@ GPX = """<gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1" creator="t
 </trkseg></trk></gpx>"""
 
 
-def test_without_steps_the_fixes_are_the_walk_and_the_exit_says_so(tmp_path, monkeypatch):
+def test_without_steps_the_fixes_are_smoothed_with_an_exit_code(tmp_path, monkeypatch):
     (tmp_path / "walk.gpx").write_text(GPX)
     done = invoked(monkeypatch, tmp_path / "walk.gpx", "--out", tmp_path / "live")
     assert done.exit_code == 3
@@ -157,7 +157,7 @@ def test_without_steps_the_fixes_are_the_walk_and_the_exit_says_so(tmp_path, mon
     assert rows(tmp_path / "live" / "causal.csv") == []
 
 
-def test_without_steps_and_fixes_it_is_refused(folder, tmp_path):
+def test_without_steps_and_fixes_is_an_input_error(folder, tmp_path):
     class Nothing(Metronome):
         def push(self, event):
             pass

@@ -1,4 +1,4 @@
-"""A cloud of particles under way: keyframe by keyframe, in bounded memory, whatever happens to the walk."""
+"""The particle filter keyframe by keyframe: in bounded memory, and robust to faults."""
 
 import tracemalloc
 
@@ -57,7 +57,7 @@ def on(cloud, floor, intervals, seen=None):
         cloud.advance(pieces, [floor.distance] * len(pieces.length), measured=seen or KeyframeMeasurements())
 
 
-def test_piece_by_piece_it_is_the_walk_at_once():
+def test_interval_by_interval_equals_the_whole_walk():
     n, floor = 60, aisle()
     steps = steps_of(np.full(n, STRIDE), np.full(n, 0.004))
     there = Headings(np.array([0.0, 12.0]), np.array([0.0, 0.1]), np.array([0.1, 0.3]))
@@ -87,7 +87,7 @@ def test_piece_by_piece_it_is_the_walk_at_once():
     assert np.array_equal(paths.weight, at_once.weight)
 
 
-def test_what_is_forgotten_changes_nothing_of_what_is_kept():
+def test_dropped_keyframes_do_not_change_the_others():
     floor, whole, window = aisle(), begun(), begun()
     for _ in range(12):
         on(whole, floor, 1)
@@ -97,7 +97,7 @@ def test_what_is_forgotten_changes_nothing_of_what_is_kept():
     assert np.array_equal(window.paths().weight, whole.paths().weight)
 
 
-def test_memory_stays_flat():
+def test_memory_is_constant():
     floor, cloud, size = aisle(), begun(), []
     tracemalloc.start()
     for keyframe in range(400):
@@ -130,8 +130,8 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_after_a_fault_fixes_bring_it_back(fault):
-    """Each leaves a cloud of numbers; six fixes later, along the aisle, its middle is there."""
+def test_after_a_fault_fixes_bring_the_particles_back(fault):
+    """Particles stay finite; after six fixes along the aisle their mean is there."""
     floor, cloud = aisle(), begun(tiles=1)
     on(cloud, floor, 1)
     with np.errstate(all="raise", under="ignore"):

@@ -1,4 +1,4 @@
-"""Fixes that are missing, wild or contradict one another: every walk ends with a trajectory and an honest status."""
+"""Missing fixes, outliers and contradictions: every walk ends with a trajectory and a correct status."""
 
 from dataclasses import replace
 
@@ -51,7 +51,7 @@ def both(one, other):
 @METHODS
 @pytest.mark.parametrize("n", [3000, 10_000])
 def test_an_outage_of_thousands_of_steps_is_bridged(n, method):
-    """Four fixes before, four after: exact for exact steps and fixes (of the graph), and as unsure as it must be."""
+    """Four fixes before, four after: exact for exact steps and fixes, with the covariance of dead reckoning."""
     steps = wandering_walk(n)
     truth = dead_reckon(steps, fixes_at([0], [[50.0, -30.0]]), heading=2.0)
     rows = np.r_[0:40:10, n - 40 : n : 10]
@@ -71,7 +71,7 @@ def test_without_any_fix_the_walk_is_the_steps(method):
 
 @METHODS
 @pytest.mark.parametrize("by", [-60.0, 60.0], ids=["before", "after"])
-def test_fixes_before_or_after_the_walk_do_not_say_where_it_was(by, method):
+def test_fixes_far_outside_the_walk_are_not_used(by, method):
     steps = wandering_walk(200)
     end = steps.start if by < 0 else steps.end
     estimate = honest(method(WalkGraph(steps, fixes_at([end + by, end + 2 * by], [[5.0, 5.0], [9.0, 9.0]]))))
@@ -81,8 +81,8 @@ def test_fixes_before_or_after_the_walk_do_not_say_where_it_was(by, method):
 
 
 @METHODS
-def test_what_follows_a_long_gap_is_anywhere_until_a_fix(method):
-    """An hour between two walks, fixes in the first alone: the second keeps its shape and has no place."""
+def test_the_position_after_a_long_gap_is_unknown_until_a_fix(method):
+    """An hour between two walks, fixes only in the first: the second keeps its shape, with an unknown position."""
     first, second = wandering_walk(200), shifted(wandering_walk(200, seed=1), 3600.0)
     steps = join([first, second])
     estimate = honest(method(WalkGraph(steps, fixes_on(dead_reckon(first), every=20))))
@@ -94,7 +94,7 @@ def test_what_follows_a_long_gap_is_anywhere_until_a_fix(method):
 
 @METHODS
 def test_a_recording_may_end_with_a_gap(method):
-    """No segment begins after it: the walk before is as it was."""
+    """No segment starts after it; the walk before is unchanged."""
     walk = wandering_walk(60)
     fixes = fixes_on(dead_reckon(walk), every=20)
     ended = honest(method(WalkGraph(concatenate_steps([walk, gap(walk.end, walk.end + 20.0)]), fixes)))
@@ -102,8 +102,8 @@ def test_a_recording_may_end_with_a_gap(method):
     assert ended.trajectory.position[:60] == pytest.approx(alone.trajectory.position[:60], abs=0.3)
 
 
-def test_pieces_with_fixes_of_their_own_are_each_where_these_say():
-    """An hour and 5 km apart: nothing is wild, and both are right to a metre."""
+def test_parts_with_their_own_fixes_are_placed_separately():
+    """An hour and 5 km apart: no fix is an outlier, and both parts are right to a metre."""
     first, second = wandering_walk(200), shifted(wandering_walk(200, seed=1), 3600.0)
     here, there = dead_reckon(first), dead_reckon(second, fixes_at([0], [[4000.0, 3000.0]]), heading=1.0)
     fixes = both(fixes_on(here, every=20), fixes_on(there, every=20))
@@ -115,7 +115,7 @@ def test_pieces_with_fixes_of_their_own_are_each_where_these_say():
 
 
 @pytest.mark.parametrize("every", [1, 20])
-def test_fixes_that_are_all_wrong_do_not_bend_the_walk(every):
+def test_inconsistent_fixes_do_not_bend_the_walk(every):
     steps = wandering_walk(200)
     rows = np.arange(0, 200, every)
     scattered = np.random.default_rng(3).uniform(-500, 500, (len(rows), 2))
@@ -126,8 +126,8 @@ def test_fixes_that_are_all_wrong_do_not_bend_the_walk(every):
 
 
 @pytest.mark.parametrize("off", [60.0, 200.0, 500.0])
-def test_a_receiver_that_is_wrong_for_a_third_of_the_walk_is_not_followed(off):
-    """All in one place: no steps lead there and back. The walk is as it is where these fixes are left out."""
+def test_a_receiver_wrong_for_a_third_of_the_walk_is_rejected(off):
+    """Its positions are all in one place, where no steps lead. The walk equals that without these fixes."""
     steps = wandering_walk(300)
     truth = dead_reckon(steps)
     fixes = fixes_on(truth, every=3, seed=1)
@@ -149,7 +149,7 @@ def test_two_fixes_that_contradict_each_other_leave_a_guess():
 
 
 def test_two_sources_that_disagree_are_not_averaged():
-    """300 m between them: the walk is where one says, not between, and a user is told."""
+    """They are 300 m apart: the walk follows one of them, with a warning."""
     steps = wandering_walk(200)
     fixes = fixes_on(dead_reckon(steps), every=10)
     one, other = (replace(fixes, source=(name,) * len(fixes)) for name in ("GNSS", "beacons"))
@@ -161,7 +161,7 @@ def test_two_sources_that_disagree_are_not_averaged():
 
 
 @METHODS
-def test_fixes_given_thrice_are_no_harm(method):
+def test_repeated_fixes_do_no_harm(method):
     steps = wandering_walk(200)
     truth = dead_reckon(steps)
     fixes = fixes_on(truth, every=20)
@@ -170,7 +170,7 @@ def test_fixes_given_thrice_are_no_harm(method):
     assert len(estimate.fixes) == 3 * len(fixes)
 
 
-def test_a_fix_that_is_nan_is_refused_by_name():
+def test_a_nan_fix_is_an_error_that_names_it():
     with pytest.raises(ValueError, match=r"Fixes.position: found row 1: \[nan"):
         fixes_at([0.0, 1.0], [[0.0, 0.0], [np.nan, 1.0]])
 
@@ -183,7 +183,7 @@ def reached(steps: Steps, fixes):
     return consistent_chains(steps, fixes, fixes.sigma, np.ones(len(fixes), dtype=bool))
 
 
-def test_who_jumps_there_and_back_was_not_there():
+def test_a_jump_there_and_back_is_an_outlier():
     steps = straight()
     fixes = fixes_at(np.arange(6) * 4.0, [[0, 0], [5, 0], [10, 90], [15, 90], [20, 0], [25, 0]])
     run, believed = reached(steps, fixes)
@@ -191,14 +191,14 @@ def test_who_jumps_there_and_back_was_not_there():
     assert believed.tolist() == [True, True, False, False, True, True]
 
 
-def test_fixes_in_any_order_are_judged_alike():
+def test_the_order_of_fixes_does_not_matter():
     steps = straight()
     fixes = fixes_at(np.arange(6) * 4.0, [[0, 0], [5, 0], [10, 90], [15, 90], [20, 0], [25, 0]])
     shuffled = np.random.default_rng(0).permutation(6)
     assert reached(steps, fixes[shuffled])[1].tolist() == reached(steps, fixes)[1][shuffled].tolist()
 
 
-def test_in_a_gap_anyone_may_be_driven():
+def test_a_gap_allows_the_speed_of_a_vehicle():
     steps = join([straight(), shifted(straight(), 600.0)])
     fixes = fixes_at([1.0, 10.0, 605.0, 615.0], [[0, 0], [6, 0], [9000, 0], [9006, 0]])
     assert reached(steps, fixes)[1].all()
@@ -210,7 +210,7 @@ def by_bus(n=60):
 
 
 @pytest.mark.parametrize("off", [100.0, 1000.0])
-def test_without_steps_a_jump_there_and_back_is_passed_by_and_reported(off):
+def test_without_steps_a_jump_there_and_back_is_skipped_and_reported(off):
     fixes = by_bus()
     fixes.position[30:33, 1] = off
     estimate = honest(follow(fixes))
@@ -220,8 +220,8 @@ def test_without_steps_a_jump_there_and_back_is_passed_by_and_reported(off):
     assert warned(estimate, "3 of 60 fixes are too far to be reached in time")
 
 
-def test_without_steps_a_flight_is_believed():
-    """Thirty fixes before and after: someone went there, however fast."""
+def test_without_steps_a_flight_is_accepted():
+    """Thirty fixes before and after it: the person travelled, however fast."""
     fixes = by_bus()
     fixes.position[30:] += 500_000.0
     estimate = honest(follow(fixes))
@@ -229,14 +229,14 @@ def test_without_steps_a_flight_is_believed():
     assert not estimate.warnings
 
 
-def test_without_steps_who_goes_nowhere_is_told_so():
-    """Indoors a short walk and a receiver's wander look alike."""
+def test_without_steps_standing_is_a_warning():
+    """Indoors a short walk and the wander of a receiver look alike."""
     wander = np.random.default_rng(0).normal(0, 5.0, (240, 2))
     assert warned(follow(fixes_at(np.arange(240.0), wander, 5.0)), "for 4 of 4 min: classified as standing")
     assert not warned(follow(by_bus(240)), "standing")
 
 
-def test_without_steps_a_worse_fix_of_the_same_moment_is_not_used():
+def test_without_steps_the_worse_of_two_simultaneous_fixes_is_not_used():
     fixes = both(by_bus(), fixes_at([30.0], [[300.0, 400.0]], 50.0))
     fixes = fixes[np.argsort(fixes.time, kind="stable")]
     estimate = honest(follow(fixes))
@@ -244,7 +244,7 @@ def test_without_steps_a_worse_fix_of_the_same_moment_is_not_used():
     assert np.abs(estimate.trajectory.position[:, 1]).max() == 0
 
 
-def test_a_wild_fix_just_within_reach_does_not_part_the_walk():
+def test_an_outlier_just_within_reach_does_not_split_the_chain():
     """22.2 m back is within reach of the fix before (5 σ of both and the way), and the next is not of it."""
     steps = steps_of(np.full(100, 0.7), np.zeros(100))
     track = dead_reckon(steps)

@@ -1,4 +1,4 @@
-"""Where fixes tell the way through a building, and where particles must seek it."""
+"""Paths through a building that fixes determine, and when particles search for them."""
 
 import numpy as np
 import pytest
@@ -55,7 +55,7 @@ def sent_off(monkeypatch):
     return led
 
 
-def test_dense_fixes_tell_the_way_without_particles(sent_off):
+def test_dense_fixes_determine_the_path_without_particles(sent_off):
     walk, truth = graph(every=20, sigma=2.0)
     best = solutions(walk)[0]
     assert not sent_off
@@ -63,7 +63,7 @@ def test_dense_fixes_tell_the_way_without_particles(sent_off):
     assert np.hypot(*apart.T).max() < 2.5  # half the way from the middle of an aisle to the shops behind the other's
 
 
-def test_particles_would_have_found_the_same_walk(monkeypatch):
+def test_particles_lead_to_the_same_walk(monkeypatch):
     walk, _ = graph(every=20, sigma=2.0)
     told = solutions(walk)[0]
     monkeypatch.setattr(optimizer, "fixes_determine_path", lambda *_: None)
@@ -73,8 +73,8 @@ def test_particles_would_have_found_the_same_walk(monkeypatch):
     assert told.at.ends[:, :2] == pytest.approx(sought.at.ends[:, :2], abs=0.05)
 
 
-def test_sparse_fixes_do_not_tell_the_way(sent_off):
-    """Fixes of 3 m every hundred steps leave half-way between them more than a third of the distance of two aisles."""
+def test_sparse_fixes_do_not_determine_the_path(sent_off):
+    """Fixes of 3 m every hundred steps: half-way between, the sigma exceeds a third of the distance of two aisles."""
     solutions(graph(every=100, sigma=3.0)[0])
     assert sent_off
 
@@ -87,7 +87,7 @@ def test_two_fixes_do_not_check_one_another(sent_off):
     assert sent_off
 
 
-def test_after_the_last_fix_particles_seek_the_end_and_only_there(sent_off):
+def test_particles_search_only_after_the_last_fix(sent_off):
     until = 480
     start = Headings(np.array([PERIOD]), np.zeros(1), np.array([0.1]))
     walk, truth = graph(every=20, sigma=2.0, until=until, headings=start)
@@ -97,8 +97,8 @@ def test_after_the_last_fix_particles_seek_the_end_and_only_there(sent_off):
     assert np.hypot(*(best.at.ends[-1, :2] - truth.position[-1])) < 6.0
 
 
-def test_where_the_walls_contradict_the_way_that_fixes_tell_particles_are_asked(sent_off):
-    """Fixes that all lie in the block between the aisles: their walk goes through walls, and is not believed."""
+def test_particles_search_where_walls_contradict_the_path_of_the_fixes(sent_off):
+    """All fixes lie in the block between the aisles, so their path crosses walls."""
     steps, truth = up_and_down()
     rows = np.arange(0, len(steps), 20)
     place = truth.position[rows] + np.where(truth.position[rows, 1:] > -APART / 2, -1, 1) * [0.0, 3.5]
