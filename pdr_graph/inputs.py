@@ -183,7 +183,7 @@ def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path 
         raise InputError(path or "--radio-map", "frame", f"{radio_map.frame}", f"that of the walk, {frame.describe()}")
     fixes = radio_map.fixes(walk)
     if not len(fixes):
-        notes.append("radio map: nothing that was heard is like what it knows, so that it gives no fix")
+        notes.append("radio map: no scan resembles its fingerprints, so it gives no fix")
     return fixes
 
 

@@ -130,7 +130,7 @@ def _on_one_line(error: Exception) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """What msgspec can encode of a numpy value."""
+    """A numpy value as a type that msgspec encodes. Raises TypeError for other values."""
     if isinstance(value, np.generic):
         return value.item()
     if not isinstance(value, np.ndarray) or value.dtype.str not in DTYPES:
@@ -142,7 +142,7 @@ def _plain(value: Any) -> Any:
 
 
 def _array(code: int, data: memoryview) -> Any:
-    """A numeric array, aligned and writable, of the bytes of an extension."""
+    """The numeric array of a msgpack extension, aligned and writable. Raises ValueError for other bytes."""
     if code != ARRAY:
         raise ValueError(f"found msgpack extension {code}")
     name, dimensions = SHAPE.unpack_from(data)

@@ -311,7 +311,7 @@ USUALLY_ALIKE, USUALLY_APART = 0.3, 5.0  # that quantile, and σ [m], for pairs 
 
 
 @dataclass(frozen=True)
-class _Heard:
+class _WalkScans:
     """Thinned scans of all walks: walk, time [s], distance along it [m], level ``(n, m)``, position ``(n, 2)`` [m] and
     floor.
     """
@@ -332,17 +332,17 @@ def revisits(walks: Sequence[tuple[Trajectory, Scans]]) -> Closures:
     """
     if not any(len(scans) for _, scans in walks):
         return Closures.of([])
-    heard = _heard(walks)
-    pairs = np.array([pair for pair in _most_alike(heard)]).reshape(-1, 3)
+    scans = _walk_scans(walks)
+    pairs = np.array([pair for pair in _most_alike(scans)]).reshape(-1, 3)
     first, second, distance = pairs[:, 0].astype(int), pairs[:, 1].astype(int), pairs[:, 2]
-    apart = heard.position[second] - heard.position[first]
+    apart = scans.position[second] - scans.position[first]
     accepted, sigma = _accepted(distance, apart)
     first, second = first[accepted], second[accepted]
-    sigma *= np.sqrt(_alike(heard.walk[first] * len(walks) + heard.walk[second], heard.way[first]))
+    sigma *= np.sqrt(_alike(scans.walk[first] * len(walks) + scans.walk[second], scans.way[first]))
     return Closures(
-        np.stack([heard.time[first], heard.time[second]], axis=1),
+        np.stack([scans.time[first], scans.time[second]], axis=1),
         sigma,
-        np.stack([heard.walk[first], heard.walk[second]], axis=1),
+        np.stack([scans.walk[first], scans.walk[second]], axis=1),
     )
 
 
@@ -371,13 +371,13 @@ def _alike(pair: Index, way: Array) -> Array:
     return near.sum(axis=1)
 
 
-def _heard(walks: Sequence[tuple[Trajectory, Scans]]) -> _Heard:
+def _walk_scans(walks: Sequence[tuple[Trajectory, Scans]]) -> _WalkScans:
     """The scans of all walks, one every few metres."""
     thinned = [_thinned(track, scans) for track, scans in walks]
     names = sorted({name for scans in thinned for name in scans.transmitter})
     position = [interpolate(s.time, track.time, track.position) for (track, _), s in zip(walks, thinned, strict=True)]
     rows = [nearest(track.time, s.time) for (track, _), s in zip(walks, thinned, strict=True)]
-    return _Heard(
+    return _WalkScans(
         walk=np.repeat(np.arange(len(walks)), [len(scans) for scans in thinned]),
         time=np.concatenate([scans.time for scans in thinned]),
         way=np.concatenate([_way(track, scans) for (track, _), scans in zip(walks, thinned, strict=True)]),
@@ -400,16 +400,16 @@ def _way(track: Trajectory, scans: Scans) -> Array:
     return np.interp(scans.time, track.time, length_along(track.position))
 
 
-def _most_alike(heard: _Heard) -> Iterator[tuple[int, int, float]]:
+def _most_alike(scans: _WalkScans) -> Iterator[tuple[int, int, float]]:
     """For each scan, the most similar scan of each walk that is not earlier; indices of both, and their distance."""
-    distance = unlikeness(heard.level, heard.level)
-    floor = np.array(heard.floor)
+    distance = unlikeness(scans.level, scans.level)
+    floor = np.array(scans.floor)
     apart = (floor[:, None] != floor) & (floor != "")[:, None] & (floor != "")
-    same = heard.walk[:, None] == heard.walk
-    soon = same & (heard.time - heard.time[:, None] < LATER)
-    distance = np.where(apart | soon | (heard.walk < heard.walk[:, None]), 1.0, distance)
-    first = np.flatnonzero(np.diff(heard.walk, prepend=-1))
-    for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(heard.walk)], strict=True):
+    same = scans.walk[:, None] == scans.walk
+    soon = same & (scans.time - scans.time[:, None] < LATER)
+    distance = np.where(apart | soon | (scans.walk < scans.walk[:, None]), 1.0, distance)
+    first = np.flatnonzero(np.diff(scans.walk, prepend=-1))
+    for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(scans.walk)], strict=True):
         best = begin + np.argmin(distance[:, begin:end], axis=1)
         for row in np.flatnonzero(distance[np.arange(len(best)), best] < 1).tolist():
             yield row, int(best[row]), float(distance[row, best[row]])

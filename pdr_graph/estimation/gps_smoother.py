@@ -116,10 +116,10 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
     prior_information, to_next: see `_prior`.
     """
     knots, trust = len(weight), weight / gps.white**2
-    sees = np.stack([np.ones(knots), np.zeros(knots), gps.slow], axis=1)
-    information = prior_information + trust[:, None, None] * sees[:, :, None] * sees[:, None, :]
+    design = np.stack([np.ones(knots), np.zeros(knots), gps.slow], axis=1)
+    information = prior_information + trust[:, None, None] * design[:, :, None] * design[:, None, :]
     origin = gps.position[0]  # the first knot is a fix; digits are lost far from it
-    says = (trust[:, None] * sees)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
+    right = (trust[:, None] * design)[:, :, None] * np.nan_to_num(gps.position - origin)[:, None, :]
     band = np.zeros((6, 3 * knots))
     for i in range(3):
         for j in range(3):
@@ -127,7 +127,7 @@ def _solved(gps: GpsKnots, prior_information: Array, to_next: Array, weight: Arr
                 band[i - j, j::3] = information[:, i, j]
             band[3 + i - j, j : 3 * (knots - 1) : 3] = to_next[:, i, j]
     root = cholesky_banded(band, lower=True)
-    state = cho_solve_banded((root, True), says.reshape(-1, 2)).reshape(knots, 3, 2)
+    state = cho_solve_banded((root, True), right.reshape(-1, 2)).reshape(knots, 3, 2)
     return SmoothTrack(origin + state[:, P], state[:, V], weight, root), state[:, G]
 
 

@@ -1,12 +1,12 @@
-"""The journal of a live walk: an event is acknowledged when it would outlive kill -9, and a walk goes on from it.
+"""The journal of a live walk: acknowledged events survive kill -9, and the walk resumes from the journal.
 
-One SQLite file. ``push`` writes the event, commits, and only then tells the navigator. Every so many events the
-navigator's state is kept instead of the events before, so that size and time to resume are bounded, and the running
-navigator is *rebuilt from these very bytes*: it goes on exactly as one that is resumed there. For the same reason it is
-told the event that was read back, with the layout in memory of one that is resumed, and moments are by number of events
-and bytes, never by the clock.
+One SQLite file. ``push`` writes the event, commits, and only then passes it to the navigator. Every SNAPSHOT_EVENTS
+events a snapshot of the navigator replaces the events before, which bounds the size and the time to resume, and the
+running navigator is *rebuilt from these bytes*, so that it continues exactly as a resumed one. For the same reason it
+receives the decoded event, with the memory layout of a resumed one, and the times of snapshots depend on the numbers of
+events and bytes, never on the clock.
 
-A process that is killed loses nothing of what it wrote; for power cuts see ``durable``.
+A killed process loses no acknowledged event; for power cuts see ``durable``.
 """
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ def heard(track, place, seed=0):
 
 def crooked(track, seed=0):
     """Steps with errors, whose truth is another walk: turned wrongly at each corner."""
-    said, random = round_the_block(), np.random.default_rng(seed)
-    return replace(said, turn=said.turn + random.normal(0, 0.03, len(said)), length=0.9 * said.length)
+    steps, random = round_the_block(), np.random.default_rng(seed)
+    return replace(steps, turn=steps.turn + random.normal(0, 0.03, len(steps)), length=0.9 * steps.length)
 
 
 def test_beacons_alone_determine_the_position():
@@ -57,8 +57,8 @@ def test_beacons_alone_determine_the_position():
     truth = dead_reckon(round_the_block(), start=fixes_at([0.0], [[40.0, -20.0]]), heading=1.0)
     inside = []
     for seed in range(5):
-        beacons, said = beacons_about(truth, seed), crooked(truth, seed)
-        estimate = smooth(WalkGraph(said, levels=levels_along(heard(truth, beacons.position, seed), beacons, said)))
+        beacons, steps = beacons_about(truth, seed), crooked(truth, seed)
+        estimate = smooth(WalkGraph(steps, levels=levels_along(heard(truth, beacons.position, seed), beacons, steps)))
         gap = estimate.trajectory.position - truth.position
         assert np.hypot(*gap.T).mean() < 3.5
         square = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(estimate.trajectory.covariance[:, :2, :2]), gap)
@@ -73,22 +73,23 @@ def test_two_swapped_list_entries_are_detected():
     order = np.array([0, 4, 2, 3, 1, 5])
     wrong = replace(beacons, position=beacons.position[order])
     fixes = fixes_at(truth.time[::20], truth.position[::20], 3.0)
-    said = crooked(truth)
-    estimate = smooth(WalkGraph(said, fixes, levels=levels_along(heard(truth, beacons.position), wrong, said)))
+    steps = crooked(truth)
+    estimate = smooth(WalkGraph(steps, fixes, levels=levels_along(heard(truth, beacons.position), wrong, steps)))
     moved = {report.label: report for report in estimate.beacons if "moved or swapped" in report.reason}
     assert set(moved) == {"b", "e"}
     assert "place of e" in moved["b"].reason
     assert "place of b" in moved["e"].reason
-    for label, own in (("b", 1), ("e", 4)):
-        assert (moved[label].x, moved[label].y) == pytest.approx(beacons.position[own], abs=5.0)
+    for label, other_index in (("b", 1), ("e", 4)):
+        assert (moved[label].x, moved[label].y) == pytest.approx(beacons.position[other_index], abs=5.0)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_correctly_listed_beacons_keep_their_positions(seed):
     truth = dead_reckon(round_the_block())
-    beacons, said = beacons_about(truth, seed), crooked(truth, seed)
+    beacons, steps = beacons_about(truth, seed), crooked(truth, seed)
     fixes = fixes_at(truth.time[::20], truth.position[::20], 3.0)
-    estimate = smooth(WalkGraph(said, fixes, levels=levels_along(heard(truth, beacons.position, seed), beacons, said)))
+    levels = levels_along(heard(truth, beacons.position, seed), beacons, steps)
+    estimate = smooth(WalkGraph(steps, fixes, levels=levels))
     assert {report.reason for report in estimate.beacons} == {"heard where it is listed"}
 
 
@@ -97,8 +98,8 @@ def test_an_unsurveyed_beacon_is_located_by_the_walk():
     beacons = beacons_about(truth)
     unknown = replace(beacons, position=np.where(np.arange(6)[:, None] == 2, np.nan, beacons.position))
     fixes = fixes_at(truth.time[::20], truth.position[::20], 1.0)
-    said = crooked(truth)
-    estimate = smooth(WalkGraph(said, fixes, levels=levels_along(heard(truth, beacons.position), unknown, said)))
+    steps = crooked(truth)
+    estimate = smooth(WalkGraph(steps, fixes, levels=levels_along(heard(truth, beacons.position), unknown, steps)))
     report = estimate.beacons[2]
     assert report.reason == "not listed: its place is estimated"
     assert (report.x, report.y) == pytest.approx(beacons.position[2], abs=4.0)
@@ -106,29 +107,30 @@ def test_an_unsurveyed_beacon_is_located_by_the_walk():
 
 def test_live_every_received_level_is_in_the_graph(monkeypatch):
     """Also levels that are due at the keyframe at which the batch restarts the walk."""
-    said, taken, due = round_the_block(120), list[float](), LevelCollector.due
+    steps, calls, due = round_the_block(120), list[float](), LevelCollector.due
 
-    def noted(*given):
-        for levels in due(*given):
-            taken.extend(levels.rssi.tolist())
+    def noted(*arguments):
+        for levels in due(*arguments):
+            calls.extend(levels.rssi.tolist())
             yield levels
 
     monkeypatch.setattr(LevelCollector, "due", noted)
-    track = dead_reckon(said)
+    track = dead_reckon(steps)
     beacons = beacons_about(track)
     sightings, live = heard(track, beacons.position), LiveSmoother()
     live.graph.collectors.append(LevelCollector(beacons))
-    for n in range(len(said)):
-        own = (sightings.time > (said.time[n - 1] if n else 0.0)) & (sightings.time <= said.time[n])
-        names = tuple(sightings.transmitter[m] for m in np.flatnonzero(own))
-        live.collect(Sightings(sightings.time[own], names, sightings.rssi[own]))
-        live.extend(some(said, n, n + 1))
+    for n in range(len(steps)):
+        rows = (sightings.time > (steps.time[n - 1] if n else 0.0)) & (sightings.time <= steps.time[n])
+        names = tuple(sightings.transmitter[m] for m in np.flatnonzero(rows))
+        live.collect(Sightings(sightings.time[rows], names, sightings.rssi[rows]))
+        live.extend(some(steps, n, n + 1))
         if n % 20 == 10:
-            live.append(fixes_at([said.time[n]], track.position[n + 1], 1.0))
+            live.append(fixes_at([steps.time[n]], track.position[n + 1], 1.0))
     live.finish()
-    [levels] = [one for one in live.graph.evaluate(everything=True).measurements if isinstance(one, BeaconRssiFactor)]
-    assert len(taken) > 50
-    assert sorted(levels.listed.rssi.tolist()) == sorted(taken)
+    kinds = live.graph.evaluate(everything=True).measurements
+    [levels] = [kind for kind in kinds if isinstance(kind, BeaconRssiFactor)]
+    assert len(calls) > 50
+    assert sorted(levels.listed.rssi.tolist()) == sorted(calls)
 
 
 def recorded(minor=()):
@@ -138,17 +140,17 @@ def recorded(minor=()):
 def test_a_list_names_beacons_by_address_or_by_number(tmp_path):
     by_address = tmp_path / "beacons.csv"
     by_address.write_text("beacon,x,y,sigma\naa:02,3.0,4.0,0.5\n")
-    found = read_beacons(by_address, recorded())
-    assert found.name == ("AA:02",)
-    assert found.sigma == pytest.approx([0.5])
-    assert found.epsg is None
+    beacons = read_beacons(by_address, recorded())
+    assert beacons.name == ("AA:02",)
+    assert beacons.sigma == pytest.approx([0.5])
+    assert beacons.epsg is None
     by_number = tmp_path / "BLE_Locations.csv"
     by_number.write_text('bleID,Lat,Lon,floor\n"BLE2",49.0,11.0,-2\n"BLE9",49.0,11.1,00\n')
-    found = read_beacons(by_number, recorded(minor=("1", "2")))
-    assert found.name == ("AA:02", "BLE9")
-    assert found.label == ("BLE2", "BLE9")
-    assert found.floor == ("-2", "00")
-    assert found.position[0] == pytest.approx([11.0, 49.0])
+    beacons = read_beacons(by_number, recorded(minor=("1", "2")))
+    assert beacons.name == ("AA:02", "BLE9")
+    assert beacons.label == ("BLE2", "BLE9")
+    assert beacons.floor == ("-2", "00")
+    assert beacons.position[0] == pytest.approx([11.0, 49.0])
     log = tmp_path / "log.txt"
     log.write_text("")
     assert beside(log) == by_number

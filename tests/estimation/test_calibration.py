@@ -72,9 +72,9 @@ def test_sigmas_are_honest():
     """Over twenty simulated walkers the true stride error lies within two sigmas in at least 17."""
     route, within = read_route(EIGHT), 0
     for seed in range(20):
-        given = {"seed": seed, "plan": str(EIGHT), "phone": {"rate": 50}}
-        given["route"] = [[13.0, 7.0], {"stand": 3}, {"follow": "eight"}, {"stand": 3}]
-        walk = simulate(Scenario.of(given))
+        options = {"seed": seed, "plan": str(EIGHT), "phone": {"rate": 50}}
+        options["route"] = [[13.0, 7.0], {"stand": 3}, {"follow": "eight"}, {"stand": 3}]
+        walk = simulate(Scenario.of(options))
         steps = detect_steps(walk.recording("accelerometer", "gyroscope"))
         profile, _, _ = calibrate(steps, route)
         true = walk.body.lengths.sum() / steps.length.sum() - 1
@@ -114,12 +114,12 @@ def test_a_walk_with_fixes_also_calibrates():
     assert profile.E_straight == pytest.approx(0.0015, abs=0.0009)
 
     corrected = profile.corrected(steps)
-    known = smooth(WalkGraph(corrected, fixes[:1], prior=prior_of(profile))).trajectory
+    reference = smooth(WalkGraph(corrected, fixes[:1], prior=prior_of(profile))).trajectory
     unknown = smooth(WalkGraph(steps, fixes[:1])).trajectory
-    way = [np.hypot(*np.diff(track.position, axis=0).T).sum() for track in (known, unknown)]
+    way = [np.hypot(*np.diff(track.position, axis=0).T).sum() for track in (reference, unknown)]
     assert way[0] == pytest.approx(200, rel=0.03)
     assert way[1] < 0.9 * 200
-    assert known.covariance[-1, 0, 0] < unknown.covariance[-1, 0, 0]
+    assert reference.covariance[-1, 0, 0] < unknown.covariance[-1, 0, 0]
 
 
 def test_profiles_accumulate():

@@ -75,6 +75,6 @@ def test_matches_are_removed_with_the_plan():
     graph = ell_walk(directions=True)
     matched = graph.associated_at(graph.start)
     without = matched.without_plan()
-    told, left = ({b.name for b in one.evaluate(one.start).blocks if len(b)} for one in (matched, without))
-    assert told - left == {"walls", "corridors.direction"}
+    turns, left = ({b.name for b in version.evaluate(version.start).blocks if len(b)} for version in (matched, without))
+    assert turns - left == {"walls", "corridors.direction"}
     assert without.find(CorridorFactor) is None

@@ -86,8 +86,8 @@ class Factor:
 def factors_with(graph, state, name, *variables):
     """The factors of one name between exactly these variables, all if none are asked for."""
     blocks = graph.evaluate(state).blocks_of(name)
-    found = [Factor(block, n) for block in blocks for n in range(len(block))]
-    return [one for one in found if not variables or one.variables == list(variables)]
+    factors = [Factor(block, n) for block in blocks for n in range(len(block))]
+    return [factor for factor in factors if not variables or factor.variables == list(variables)]
 
 
 # Steps
@@ -100,9 +100,9 @@ def pieces_between(steps, begin, end):
         sets_off = steps.time[k] - steps.duration[k]
         rows.append((before, sets_off, 0.0, steps.pause_turn[k], 0.0, 0.0, 0.02**2))
         sway = 0.25 if steps.length[k] > 0 else steps.sigma_length[k]
-        own = steps.turn[k] - steps.pause_turn[k]
+        moving_turn = steps.turn[k] - steps.pause_turn[k]
         squares = steps.sigma_length[k] ** 2, sway**2, steps.sigma_turn[k] ** 2
-        rows.append((sets_off, steps.time[k], steps.length[k], own, *squares))
+        rows.append((sets_off, steps.time[k], steps.length[k], moving_turn, *squares))
         before = steps.time[k]
     rows.append((before, steps.end, 0.0, steps.final_turn, 0.0, 0.0, 0.02**2))
     found = []
@@ -117,14 +117,14 @@ def sums(pieces, c, errors=None):
     """Δ_k(c) after each piece, one after the other; errors: of each piece's length, sway and turn."""
     errors = np.zeros((len(pieces), 3)) if errors is None else errors
     R_s, R_d, b = c
-    place, heading, found = np.zeros(2), 0.0, []
+    place, heading, ends = np.zeros(2), 0.0, []
     for (time, length, turn, *_), (long, aside, off) in zip(pieces, errors, strict=True):
         change = R_d * turn + b * time + off
         course = heading + change / 2
         place = place + (R_s * length + long) * e(course) + aside * e(course + np.pi / 2)
         heading += change
-        found.append([*place, heading])
-    return np.array(found)
+        ends.append([*place, heading])
+    return np.array(ends)
 
 
 def covariances(pieces, c):
@@ -243,9 +243,9 @@ def ring():
 
 def in_the_ring(use):
     """Two laps of it, matched along the walk itself."""
-    said = square_walk(20, laps=2)
-    track = dead_reckon(said)
-    graph = WalkGraph(said, fixes_at(track.time[:1], track.position[:1]), floor=ring(), prior=Prior(corridors=use))
+    steps = square_walk(20, laps=2)
+    track = dead_reckon(steps)
+    graph = WalkGraph(steps, fixes_at(track.time[:1], track.position[:1]), floor=ring(), prior=Prior(corridors=use))
     return graph.associated_at(graph.start)
 
 
@@ -276,15 +276,15 @@ def test_a_straight_run_leads_along_its_corridor():
     """wrap(θ − direction), of σ² = 2 (0.3 w/L)² + 0.03² + spread²; the corridors of the ring are level or upright."""
     graph = in_the_ring(CorridorUse(directions=True))
     state, corridors = any_state(graph, 2), graph.find(CorridorFactor)
-    told = corridors.direction
-    assert len(told) == 8
+    directions = corridors.direction
+    assert len(directions) == 8
     factors = factors_with(graph, state, "corridors.direction")
-    for n, (k, direction) in enumerate(zip(corridors.keyframe.tolist(), told.heading, strict=True)):
+    for n, (k, direction) in enumerate(zip(corridors.keyframe.tolist(), directions.heading, strict=True)):
         assert factors[n].variables == [("x", k)]
-        assert factors[n].residual == pytest.approx([wrapped(state.poses[k, 2] - direction) / told.sigma[n]])
+        assert factors[n].residual == pytest.approx([wrapped(state.poses[k, 2] - direction) / directions.sigma[n]])
         assert wrapped(4 * direction) / 4 == pytest.approx(0, abs=0.02)
     side = 19 * 0.7  # [m] from the first step of a side to its last
-    assert told.sigma == pytest.approx(np.hypot(np.sqrt(2) * 0.3 * 2.5 / side, 0.03), rel=0.2)
+    assert directions.sigma == pytest.approx(np.hypot(np.sqrt(2) * 0.3 * 2.5 / side, 0.03), rel=0.2)
 
 
 # Fixes, receivers, beacons, headings
@@ -356,20 +356,20 @@ def drifted(graph, time):
 def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
     """p − R(θ) v lag + σ₀ (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
     graph = received(seed)
-    state, fixes, seen = any_state(graph, seed), graph.positions.fixes, graph.find(GnssBias)
+    state, fixes, bias = any_state(graph, seed), graph.positions.fixes, graph.find(GnssBias)
     drift = drifted(graph, fixes.time)
-    assert sorted(seen.fix) == list(range(len(fixes)))
+    assert sorted(bias.fix) == list(range(len(fixes)))
     track, factors = dead_reckon(graph.steps), factors_with(graph, state, "fixes")
-    for row, f in enumerate(seen.fix.tolist()):
+    for row, f in enumerate(bias.fix.tolist()):
         alike = [o for o in range(len(fixes)) if fixes.source[o] == fixes.source[f] and abs(drift[o] - drift[f]) <= 1]
         least = min(fixes.sigma[alike])
         white = np.sqrt(0.3**2 * least**2 + len(alike) * (fixes.sigma[f] ** 2 - least**2))
-        k, node, share = int(graph.positions.keyframe[f]), int(seen.node[row]), float(seen.share[row])
+        k, node, share = int(graph.positions.keyframe[f]), int(bias.node[row]), float(bias.share[row])
         x, y, heading = state.poses[k]
         assert share == pytest.approx(fixes.time[f] / 5 % 1)
-        assert seen.node_time[node] == pytest.approx(5 * (fixes.time[f] // 5))
+        assert bias.node_time[node] == pytest.approx(5 * (fixes.time[f] // 5))
         g = (1 - share) * state["g"][node] + share * state["g"][node + 1]
-        r = np.array([x, y]) - turned_by(heading) @ seen.velocity[k] * g[2] + least * g[:2] - fixes.position[f]
+        r = np.array([x, y]) - turned_by(heading) @ bias.velocity[k] * g[2] + least * g[:2] - fixes.position[f]
         assert factors[row].variables == [("x", k), ("g", node), ("g", node + 1)]
         assert factors[row].residual == pytest.approx(r / white)
 
@@ -377,23 +377,23 @@ def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
         ends = [np.array([np.interp(t, track.time, axis) for axis in track.position.T]) for t in (fixes.time[f], began)]
         heading = np.interp(fixes.time[f], track.time, track.heading)
         way = turned_by(heading).T @ (ends[0] - ends[1]) / 2.0
-        assert seen.velocity[k] == pytest.approx(way, abs=0.3)  # [m/s]: keyframes lie further apart
+        assert bias.velocity[k] == pytest.approx(way, abs=0.3)  # [m/s]: keyframes lie further apart
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_an_offset_is_a_gauss_markov_process(seed):
     """Between nodes: keep = exp(−drift), σ = √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
     graph = received(seed)
-    state, seen = any_state(graph, seed), graph.find(GnssBias)
+    state, bias = any_state(graph, seed), graph.find(GnssBias)
     g = state["g"]
     begun = 0
-    for m in range(len(seen.keep)):
-        if seen.keep[m] == 0:
+    for m in range(len(bias.keep)):
+        if bias.keep[m] == 0:
             begun += 1
             (factor,) = factors_with(graph, state, "gnss_bias.begin", ("g", m))
             assert factor.residual == pytest.approx(g[m] / [1, 1, 1.0])
             continue
-        then, at = seen.node_time[m - 1 : m + 1]
+        then, at = bias.node_time[m - 1 : m + 1]
         beyond = (max(at - graph.steps.end, 0.0) - max(then - graph.steps.end, 0.0)) * 1.0 / 30.0
         keep = np.exp(-(drifted(graph, at) - drifted(graph, then) + beyond))
         sigma = [np.sqrt(1 - keep**2)] * 2 + [0.02 * np.sqrt(at - then)]
@@ -447,9 +447,9 @@ def test_headings_of_one_walk_have_a_common_error(monkeypatch):
         epoch = None
 
     monkeypatch.setattr(compass, "Recording", Sensors)
-    told = compass.magnetic_headings(Sensors(), enu(48.0, 11.0), np.zeros(2))
-    assert told.sigma == pytest.approx(np.full(5, np.sqrt(0.1**2 + 5 * (0.25**2 + 0.2**2))))
-    together = np.sum(told.sigma**-2.0) ** -0.5
+    headings = compass.magnetic_headings(Sensors(), enu(48.0, 11.0), np.zeros(2))
+    assert headings.sigma == pytest.approx(np.full(5, np.sqrt(0.1**2 + 5 * (0.25**2 + 0.2**2))))
+    together = np.sum(headings.sigma**-2.0) ** -0.5
     assert together == pytest.approx(np.sqrt(0.1**2 / 5 + 0.25**2 + 0.2**2))
 
     graph = graph_of(wandering_walk(80), headings=Headings(np.array([9.0]), np.array([3.0]), np.array([0.4])))
@@ -546,7 +546,7 @@ def test_the_marginal_is_the_schur_complement():
             factors["way", i] = gtsam.BetweenFactorPose2(X(i - 1), X(i), gtsam.Pose2(7.0, 0, 0), noise)
         for factor in factors.values():
             whole.add(factor)
-        linear = {name: Linear(one, tuple(one.keys()), np.empty(0), 1.0, 0.0) for name, one in factors.items()}
+        linear = {name: Linear(factor, tuple(factor.keys()), np.empty(0), 1.0, 0.0) for name, factor in factors.items()}
         isam.update(linear, values=new, times={X(i): 5.0 * i})
         factors = {}
     left = [i for i in range(12) if X(i) in isam]

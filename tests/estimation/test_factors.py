@@ -31,9 +31,9 @@ def hall(margin=1.0):
     return FloorPlan("hall", (Area("corridor", "", area),), Frame())
 
 
-def walled_graph(seed=0, steps=24):
-    said = wandering_walk(steps, seed)
-    return WalkGraph(said, fixes_on(dead_reckon(said), every=7), floor=hall())
+def walled_graph(seed=0, n=24):
+    steps = wandering_walk(n, seed)
+    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=7), floor=hall())
 
 
 def ring():
@@ -47,10 +47,10 @@ def ring():
 
 def turning_graph():
     """Two laps of the ring, whose turns and straight runs are matched along the walk itself."""
-    said = square_walk(20, laps=2)
-    track = dead_reckon(said)
+    steps = square_walk(20, laps=2)
+    track = dead_reckon(steps)
     start = fixes_at(track.time[:1], track.position[:1])
-    graph = WalkGraph(said, start, floor=ring(), prior=Prior(corridors=CorridorUse(turns=True, directions=True)))
+    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=CorridorUse(turns=True, directions=True)))
     return graph.associated_at(graph.start)
 
 
@@ -61,10 +61,10 @@ def outliers(graph):
 
 def received():
     """Fixes of a receiver, one of them far off."""
-    said = wandering_walk(40, 1)
-    fixes = fixes_on(dead_reckon(said), every=4, seed=1)
+    steps = wandering_walk(40, 1)
+    fixes = fixes_on(dead_reckon(steps), every=4, seed=1)
     far = replace(fixes, position=fixes.position + np.where(np.arange(len(fixes)) == 4, 8.0, 0.0)[:, None])
-    graph = outliers(WalkGraph(said, replace(far, source=("GNSS",) * len(far))))
+    graph = outliers(WalkGraph(steps, replace(far, source=("GNSS",) * len(far))))
     assert graph.positions.outlier.sum() == 1
     assert graph.find(GnssBias).node_number.size > 2
     return graph
@@ -72,31 +72,31 @@ def received():
 
 def flat():
     """Fixes of a receiver that states a radius and no more."""
-    said = wandering_walk(30, 2)
-    return WalkGraph(said, fixes_on(dead_reckon(said), every=6), prior=Prior(fix_flat=1.5))
+    steps = wandering_walk(30, 2)
+    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=6), prior=Prior(fix_flat=1.5))
 
 
 def beside_beacons():
     """Levels of three beacons, one of which nobody surveyed."""
-    said = wandering_walk(30, 3)
-    time, place = dead_reckon(said).time[2::3], np.array([[3.0, 4.0], [12.0, -2.0], [np.nan, np.nan]])
+    steps = wandering_walk(30, 3)
+    time, place = dead_reckon(steps).time[2::3], np.array([[3.0, 4.0], [12.0, -2.0], [np.nan, np.nan]])
     rssi = np.random.default_rng(3).uniform(-90, -60, len(time))
     levels = Levels(time, np.arange(len(time)) % 3, rssi, tuple("abc"), place, np.full(3, 0.5))
-    return WalkGraph(said, fixes_on(dead_reckon(said), every=9), levels=levels)
+    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=9), levels=levels)
 
 
 def with_a_compass():
     """Several calibration segments, and headings on either side of Huber's width."""
-    said = wandering_walk(210, 4)
+    steps = wandering_walk(210, 4)
     headings = Headings(np.array([9.0, 30.0, 60.0]), np.array([3.0, 0.0, 1.0]), np.array([0.4, 0.1, 2.0]))
-    return WalkGraph(said, fixes_on(dead_reckon(said), every=60), headings=headings)
+    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=60), headings=headings)
 
 
 def closed(stage):
     """Two closures, held as in a stage of the search."""
-    said = wandering_walk(30, 5)
-    tied = Closures.of([(said.time[3], said.time[25], 0.5), (said.time[8], said.time[18], 2.0)])
-    return WalkGraph(said, fixes_on(dead_reckon(said), every=8), closures=tied).staged(stage)
+    steps = wandering_walk(30, 5)
+    tied = Closures.of([(steps.time[3], steps.time[25], 0.5), (steps.time[8], steps.time[18], 2.0)])
+    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=8), closures=tied).staged(stage)
 
 
 def rough_walls():
@@ -105,12 +105,12 @@ def rough_walls():
 
 def ranged_graph():
     """Ranges to three anchors in the first pass; the loss of the second, which has a sign, GTSAM cannot have."""
-    said = wandering_walk(12)
-    time, anchor = said.time[[2, 4, 6, 8]], np.array([0, 1, 2, 0])
+    steps = wandering_walk(12)
+    time, anchor = steps.time[[2, 4, 6, 8]], np.array([0, 1, 2, 0])
     place = np.array([[0.0, 9.0], [8.0, -5.0], [-6.0, 1.0]])
     distance, sigma, survey = np.array([9.0, 8.0, 16.0, 7.0]), np.full(4, 0.3), np.full(3, 0.1)
     ranges = Ranges(time, anchor, distance, sigma, ("A", "B", "C"), place, survey)
-    return WalkGraph(said, measurements=[ranges])
+    return WalkGraph(steps, measurements=[ranges])
 
 
 GRAPHS = {
@@ -151,7 +151,7 @@ def test_every_measurement_kind_is_tested():
     for make in GRAPHS.values():
         graph = make()
         at = graph.evaluate(random_state(graph, np.random.default_rng(1)))
-        checked |= {one.name for one in at.measurements if any(len(block) for block in one.factors(at))}
+        checked |= {kind.name for kind in at.measurements if any(len(block) for block in kind.factors(at))}
     assert checked >= OF_EVERY_WALK | {kind.name for kinds in KINDS.values() for kind in kinds}
 
 
@@ -184,13 +184,13 @@ def test_sub_steps_end_at_the_keyframes():
 def test_ends_equal_the_sub_steps():
     """Poses without derivatives equal those with derivatives, to rounding."""
     graph = walled_graph()
-    own = graph.evaluate(random_state(graph, np.random.default_rng(1)))
-    assert own.ends == pytest.approx(own.poses.value, abs=1e-12)
+    evaluated = graph.evaluate(random_state(graph, np.random.default_rng(1)))
+    assert evaluated.ends == pytest.approx(evaluated.poses.value, abs=1e-12)
 
 
 def test_walls_have_no_residual_in_the_open():
-    said = wandering_walk(10)
-    graph = WalkGraph(said, fixes_on(dead_reckon(said), every=3), floor=hall())
+    steps = wandering_walk(10)
+    graph = WalkGraph(steps, fixes_on(dead_reckon(steps), every=3), floor=hall())
     middle = graph.start.replaced(x=np.tile([3.5, 3.5, 0.0], (len(graph.segment) + 1, 1)))
     at = graph.evaluate(middle)
     distance, _ = hall().distance.at(at.poses.value[:, :2])

@@ -92,8 +92,8 @@ def test_the_errors_of_a_single_walks_map_are_learnt_from_its_neighbourhoods(lat
 
 def test_a_walk_of_the_map_is_no_more_certain_than_others(learnt, later):
     """Its scans are those of the map and fit perfectly, which must not lower the sigma."""
-    own = learnt.fixes(walked(ROUND, 1)[1])
-    assert own.sigma.min() >= 0.99 * min(learnt.fixes(recording).sigma.min() for _, recording in later)
+    map_fixes = learnt.fixes(walked(ROUND, 1)[1])
+    assert map_fixes.sigma.min() >= 0.99 * min(learnt.fixes(recording).sigma.min() for _, recording in later)
 
 
 def test_a_map_of_one_place_has_a_sigma_of_half_a_metre_at_least():
@@ -154,10 +154,10 @@ def test_a_map_is_read_as_it_was_written(learnt, later, tmp_path):
     again = RadioMap.load(tmp_path / "map")
     assert again.frame == Frame().describe()
     for _, recording in later[:2]:
-        one, other = learnt.fixes(recording), again.fixes(recording)
-        assert one.time.tolist() == other.time.tolist()
-        assert other.position == pytest.approx(one.position, abs=1e-3)
-        assert other.sigma == pytest.approx(one.sigma, rel=1e-4)
+        first, second = learnt.fixes(recording), again.fixes(recording)
+        assert first.time.tolist() == second.time.tolist()
+        assert second.position == pytest.approx(first.position, abs=1e-3)
+        assert second.sigma == pytest.approx(first.sigma, rel=1e-4)
 
 
 def damaged(whole):
@@ -182,11 +182,11 @@ def test_a_damaged_map_is_an_input_error_or_the_same_map(learnt, tmp_path):
     for content in damaged(path.read_bytes()):
         path.write_bytes(content)
         try:
-            found = RadioMap.load(path)
+            radio_map = RadioMap.load(path)
         except InputError as refusal:
             said.append(str(refusal))
         else:
-            assert found.level == pytest.approx(learnt.level, abs=1e-3)
+            assert radio_map.level == pytest.approx(learnt.level, abs=1e-3)
     assert len(said) > 50
     assert all(str(path) in line and "\n" not in line for line in said)
 

@@ -93,11 +93,11 @@ def test_many_floors_up_in_a_lift_and_down_the_stairs():
     steps, barometer = along(
         (0, 0), (60, 0), (75, 18.0), (120, 18.0), (134, 14.4), (200, 14.4), (262, 0), (300, 0), still=((58, 78),)
     )
-    found = floors_along(steps, barometer, "0", Fixes.none(), None)
-    labels = np.array(found.labels)
-    assert found.kinds == ("lift", "stairs", "stairs")
+    floors = floors_along(steps, barometer, "0", Fixes.none(), None)
+    labels = np.array(floors.labels)
+    assert floors.kinds == ("lift", "stairs", "stairs")
     assert [labels[np.searchsorted(row_times(steps), t)] for t in (30, 100, 170, 280)] == ["0", "5", "4", "0"]
-    assert found.height[-1] == pytest.approx(0, abs=3 * found.sigma[-1])
+    assert floors.height[-1] == pytest.approx(0, abs=3 * floors.sigma[-1])
 
 
 @pytest.mark.parametrize("scale", [0.87, 1.0, 1.13])
@@ -111,9 +111,9 @@ def test_storeys_of_a_plan_may_have_any_height(scale):
 
 def test_fixes_with_floors_determine_the_storey_height():
     steps, barometer = along(*flights(0, 5.8))
-    said = fixes([(10, "0"), (70, "1"), (80, "1"), (90, "1")])
+    stated = fixes([(10, "0"), (70, "1"), (80, "1"), (90, "1")])
     assert in_order(floors_of(steps, barometer, "0", Fixes.none(), None)) == ["0", "1", "2"]
-    assert in_order(floors_of(steps, barometer, "0", said, None)) == ["0", "1"]
+    assert in_order(floors_of(steps, barometer, "0", stated, None)) == ["0", "1"]
 
 
 @pytest.mark.parametrize("plan", [None, Plan(("0", "1", "2"), np.array([0.0, 3.6, 7.2]))])
@@ -121,23 +121,23 @@ def test_fixes_with_floors_determine_the_storey_height():
 def test_beacons_received_through_the_ceiling_do_not_matter(plan, seed):
     steps, barometer = along(*flights(0, 3.6))
     random = np.random.default_rng(seed)
-    said = fixes(
+    stated = fixes(
         [(t, ("0" if t < 47 else "1") if random.random() < 0.7 else random.choice(list("012"))) for t in range(90)]
     )
-    assert in_order(floors_of(steps, barometer, "0", said, plan)) == ["0", "1"]
-    assert in_order(floors_of(steps, barometer, "", said, plan)) == ["0", "1"], "the fixes know the start too"
+    assert in_order(floors_of(steps, barometer, "0", stated, plan)) == ["0", "1"]
+    assert in_order(floors_of(steps, barometer, "", stated, plan)) == ["0", "1"], "the fixes know the start too"
 
 
 def test_fixes_that_agree_overrule_a_wrong_start():
     steps, barometer = along(*flights(0, 3.6))
-    said = fixes([(t, "2") for t in range(0, 40, 4)] + [(t, "3") for t in range(60, 90, 4)])
-    assert in_order(floors_of(steps, barometer, "0", said, None)) == ["2", "3"]
+    stated = fixes([(t, "2") for t in range(0, 40, 4)] + [(t, "3") for t in range(60, 90, 4)])
+    assert in_order(floors_of(steps, barometer, "0", stated, None)) == ["2", "3"]
 
 
 def test_without_a_barometer_several_fixes_determine_the_floor():
     steps, _ = along(*flights(0, 3.6))
-    said = [(t, "F1") for t in range(0, 40, 4)] + [(t, "F2") for t in range(56, 90, 4)]
-    assert in_order(floors_of(steps, None, "F1", fixes(said), None)) == ["F1", "F2"]
+    stated = [(t, "F1") for t in range(0, 40, 4)] + [(t, "F2") for t in range(56, 90, 4)]
+    assert in_order(floors_of(steps, None, "F1", fixes(stated), None)) == ["F1", "F2"]
     assert in_order(floors_of(steps, None, "F1", fixes([(5, "F1"), (20, "F2"), (30, "F1"), (50, "F1")]), None)) == [
         "F1"
     ]
@@ -146,28 +146,28 @@ def test_without_a_barometer_several_fixes_determine_the_floor():
 
 def test_a_hill_is_no_floor_unless_a_plan_has_it():
     steps, barometer = along((0, 0), (60, 0), (110, 3.6), (180, 3.6))
-    found = floors_along(steps, barometer, "0", Fixes.none(), None)
-    assert found.kinds == ("ramp",)
-    assert set(found.labels) == {"0"}
-    assert found.height[-1] == pytest.approx(3.6, abs=0.4)
+    floors = floors_along(steps, barometer, "0", Fixes.none(), None)
+    assert floors.kinds == ("ramp",)
+    assert set(floors.labels) == {"0"}
+    assert floors.height[-1] == pytest.approx(3.6, abs=0.4)
     plan = Plan(("0", "1"), np.array([0.0, 3.6]))
     assert in_order(floors_of(steps, barometer, "0", Fixes.none(), plan)) == ["0", "1"]
 
 
 def test_a_pressure_step_of_a_door_is_no_floor():
     steps, barometer = along((0, 0), (60, 0), (61, 3.0), (140, 3.0))
-    found = floors_along(steps, barometer, "0", Fixes.none(), None)
-    assert found.kinds == ("draught",)
-    assert set(found.labels) == {"0"}
-    assert not found.height.any()
+    floors = floors_along(steps, barometer, "0", Fixes.none(), None)
+    assert floors.kinds == ("draught",)
+    assert set(floors.labels) == {"0"}
+    assert not floors.height.any()
 
 
 def test_a_level_walk_stays_on_its_floor():
     steps, barometer = along((0, 0), (300, 0))
-    found = floors_along(steps, barometer, "3", Fixes.none(), Plan(("3", "4"), np.array([0.0, 3.0])))
-    assert set(found.labels) == {"3"}
-    assert not len(found.climbs)
-    assert not found.height.any()
+    floors = floors_along(steps, barometer, "3", Fixes.none(), Plan(("3", "4"), np.array([0.0, 3.0])))
+    assert set(floors.labels) == {"3"}
+    assert not len(floors.climbs)
+    assert not floors.height.any()
 
 
 def test_with_a_plan_and_an_unknown_start_the_floor_is_unknown():

@@ -42,8 +42,8 @@ def biased(graph):
     fixes = graph.positions
     fixes = fixes.classified(fixes.outlier, fixes.used)
     gnss = GnssBias.of(fixes, graph.steps).bind(graph.chain)
-    told = {FixFactor.name: fixes, GnssBias.name: gnss}
-    return graph._with_variables(tuple(told.get(one.name, one) for one in graph.measurements))
+    replaced = {FixFactor.name: fixes, GnssBias.name: gnss}
+    return graph._with_variables(tuple(replaced.get(kind.name, kind) for kind in graph.measurements))
 
 
 def test_a_minute_of_correlated_fixes_is_worth_a_few():
@@ -63,27 +63,28 @@ def test_a_slow_offset_does_not_bend_the_walk():
     """The shape of the walk comes from the steps; fixes with a common error hardly change it."""
     bent = []
     for seed in range(6):
-        said, random = meander(300, seed), np.random.default_rng(seed)
-        truth = dead_reckon(said)
-        time = np.arange(1.0, said.end, 1.0)
-        errors = 3.0 * gauss_markov(said, time, random)
+        steps, random = meander(300, seed), np.random.default_rng(seed)
+        truth = dead_reckon(steps)
+        time = np.arange(1.0, steps.end, 1.0)
+        errors = 3.0 * gauss_markov(steps, time, random)
         fixes = fixes_at(time, interpolate(time, truth.time, truth.position) + errors, 3.0)
-        shape = [np.std(smooth(WalkGraph(said, f)).trajectory.position - truth.position) for f in (fixes, named(fixes))]
+        tracks = [smooth(WalkGraph(steps, used)).trajectory for used in (fixes, named(fixes))]
+        shape = [np.std(track.position - truth.position) for track in tracks]
         bent.append(shape[1] / shape[0])
     assert np.mean(bent) < 0.8
 
 
 def test_the_lag_of_a_receiver_is_estimated(monkeypatch):
     """Positions are two seconds late on a walk with many turns; the estimate is less late."""
-    said = meander(300)
-    truth = dead_reckon(said)
-    time = np.arange(4.0, said.end, 1.0)
+    steps = meander(300)
+    truth = dead_reckon(steps)
+    time = np.arange(4.0, steps.end, 1.0)
     late = named(fixes_at(time, interpolate(time - 2.0, truth.time, truth.position), 2.0))
 
     def error():
-        return np.hypot(*(smooth(WalkGraph(said, late)).trajectory.position - truth.position).T).mean()
+        return np.hypot(*(smooth(WalkGraph(steps, late)).trajectory.position - truth.position).T).mean()
 
-    graph = biased(WalkGraph(said, late))
+    graph = biased(WalkGraph(steps, late))
     lag = optimize(graph, graph.start).state["g"][:, 2]
     assert 0.5 < np.median(lag) < 2.5
     aware = error()
@@ -93,24 +94,24 @@ def test_the_lag_of_a_receiver_is_estimated(monkeypatch):
 
 def test_duplicate_epochs_are_not_used_twice():
     """A receiver repeats its position while it detects no motion; every fix keeps its place in the report."""
-    said = meander(60)
-    track = dead_reckon(said)
+    steps = meander(60)
+    track = dead_reckon(steps)
     held = np.repeat(track.position[:20:4], 4, axis=0)
-    estimate = smooth(WalkGraph(said, named(fixes_at(track.time[:20], held, 3.0))))
+    estimate = smooth(WalkGraph(steps, named(fixes_at(track.time[:20], held, 3.0))))
     again = ["duplicate epoch" in report.reason for report in estimate.fixes]
     assert again == [n % 4 != 0 for n in range(20)]
 
 
 def test_a_single_fix_of_a_receiver_is_enough():
-    said = meander(30)
-    estimate = smooth(WalkGraph(said, named(fixes_at([PERIOD], [[5.0, 5.0]], 3.0))))
+    steps = meander(30)
+    estimate = smooth(WalkGraph(steps, named(fixes_at([PERIOD], [[5.0, 5.0]], 3.0))))
     assert estimate.trajectory.position[1] == pytest.approx([5.0, 5.0], abs=0.1)
 
 
 def test_two_receivers_have_separate_offsets():
     """One errs to the east, one to the west; the walk follows neither alone."""
-    said = meander(100)
-    truth = dead_reckon(said)
+    steps = meander(100)
+    truth = dead_reckon(steps)
     place, east = truth.position[::5], np.array([4.0, 0.0])
     both = Fixes(
         np.tile(truth.time[::5], 2),
@@ -119,7 +120,7 @@ def test_two_receivers_have_separate_offsets():
         ("",) * (2 * len(place)),
         source=("one",) * len(place) + ("other",) * len(place),
     )
-    graph = biased(WalkGraph(said, both))
+    graph = biased(WalkGraph(steps, both))
     state, gnss = optimize(graph, graph.start).state, graph.find(GnssBias)
     sources = [both.source[gnss.fix[gnss.node == m][0]] for m in np.flatnonzero(gnss.keep == 0)]
     offset, half = state["g"][:, 0], len(state["g"]) // 2
@@ -139,29 +140,29 @@ def test_sigmas_grow_with_the_number_of_correlated_fixes():
 
 
 def test_errors_decorrelate_sooner_while_walking():
-    said = meander(300)
-    walking = drift(said, np.array([10.0, 70.0]))
+    steps = meander(300)
+    walking = drift(steps, np.array([10.0, 70.0]))
     assert np.diff(walking)[0] > 2 * 60.0 / STANDING
 
 
 def test_worse_fixes_beside_a_good_one_share_its_error():
     """A minute of fixes of 20 m that all lie 20 m to the east does not outvote one of 2 m."""
-    said, east = meander(120), np.array([20.0, 0.0])
-    truth = dead_reckon(said)
-    time = np.arange(1.0, said.end, 1.0)
+    steps, east = meander(120), np.array([20.0, 0.0])
+    truth = dead_reckon(steps)
+    time = np.arange(1.0, steps.end, 1.0)
     fixes, good = fixes_at(time, interpolate(time, truth.time, truth.position) + east, 20.0), len(time) // 2
     fixes.sigma[good], fixes.position[good] = 2.0, fixes.position[good] - east
-    track = smooth(WalkGraph(said, named(fixes))).trajectory
+    track = smooth(WalkGraph(steps, named(fixes))).trajectory
     row = np.argmin(np.abs(truth.time - time[good]))
     assert np.hypot(*(track.position[row] - truth.position[row])) < 2.0
 
 
 def test_a_flat_zone_has_no_effect_within_the_radius():
     """For receivers that state only a radius: fixes 1 σ off, on alternate sides, do not bend the walk."""
-    said = meander(100)
-    truth = dead_reckon(said)
+    steps = meander(100)
+    truth = dead_reckon(steps)
     off = 3.0 * np.where(np.arange(20) % 4 < 2, 1.0, -1.0)[:, None] * np.array([1.0, 0.0])
     fixes = fixes_at(truth.time[:100:5], truth.position[:100:5] + off, 3.0)
-    bent, flat = (smooth(WalkGraph(said, fixes, prior=Prior(fix_flat=zone))).trajectory for zone in (0.0, 1.5))
+    bent, flat = (smooth(WalkGraph(steps, fixes, prior=Prior(fix_flat=zone))).trajectory for zone in (0.0, 1.5))
     shape = [np.std(track.position - truth.position, axis=0).max() for track in (bent, flat)]
     assert shape[1] < 0.5 * shape[0]

@@ -65,12 +65,12 @@ def test_the_covariance_of_a_track_is_honest(worse, honest):
 def test_the_covariance_of_a_gap_is_honest():
     """Walkers drawn from the model, without fixes for half an hour: at the rows, and linear between them."""
     time = np.r_[np.arange(0, 600, 5.0), np.arange(700, 2400, 100.0), np.arange(2400, 3000, 5.0)]
-    known = (time < 600) | (time >= 2400)
+    received = (time < 600) | (time >= 2400)
     root = np.linalg.cholesky(kernel(time, SPEED[LOST], KEEPS[LOST]) + 1e-6 * np.eye(len(time)))
     inside = []
     for seed in range(60):
         truth = root @ np.random.default_rng(seed).normal(size=(len(time), 2))
-        fixes = Fixes(time[known], truth[known], np.full(known.sum(), SIGMA), ("",) * known.sum())
+        fixes = Fixes(time[received], truth[received], np.full(received.sum(), SIGMA), ("",) * received.sum())
         way = way_through(fixes).trajectory
         for at in (900.0, 1500.0, 2200.0):
             mean = [np.interp(at, way.time, axis) for axis in way.position.T]

@@ -38,13 +38,13 @@ def shape_error(track, steps):
     return np.abs(w - z * np.vdot(z, w) / np.vdot(z, z)).max()
 
 
-def both(one, other):
+def both(first, second):
     return Fixes(
-        np.append(one.time, other.time),
-        np.concatenate([one.position, other.position]),
-        np.append(one.sigma, other.sigma),
-        one.floor + other.floor,
-        source=one.source + other.source,
+        np.append(first.time, second.time),
+        np.concatenate([first.position, second.position]),
+        np.append(first.sigma, second.sigma),
+        first.floor + second.floor,
+        source=first.source + second.source,
     )
 
 
@@ -108,9 +108,9 @@ def test_parts_with_their_own_fixes_are_placed_separately():
     here, there = dead_reckon(first), dead_reckon(second, fixes_at([0], [[4000.0, 3000.0]]), heading=1.0)
     fixes = both(fixes_on(here, every=20), fixes_on(there, every=20))
     estimate = honest(smooth(WalkGraph(join([first, second]), fixes)))
-    found, rows = estimate.trajectory.position, np.arange(1, 201)
-    assert np.hypot(*(found[rows] - here.position[rows]).T).max() < 1
-    assert np.hypot(*(found[rows + 201] - there.position[rows]).T).max() < 1
+    position, rows = estimate.trajectory.position, np.arange(1, 201)
+    assert np.hypot(*(position[rows] - here.position[rows]).T).max() < 1
+    assert np.hypot(*(position[rows + 201] - there.position[rows]).T).max() < 1
     assert min(fix.weight for fix in estimate.fixes) == 1
 
 
@@ -152,11 +152,11 @@ def test_two_sources_that_disagree_are_not_averaged():
     """They are 300 m apart: the walk follows one of them, with a warning."""
     steps = wandering_walk(200)
     fixes = fixes_on(dead_reckon(steps), every=10)
-    one, other = (replace(fixes, source=(name,) * len(fixes)) for name in ("GNSS", "beacons"))
-    other = replace(other, position=other.position + np.array([300.0, 0.0]))
-    estimate = honest(smooth(WalkGraph(steps, both(one, other))))
+    first, second = (replace(fixes, source=(name,) * len(fixes)) for name in ("GNSS", "beacons"))
+    second = replace(second, position=second.position + np.array([300.0, 0.0]))
+    estimate = honest(smooth(WalkGraph(steps, both(first, second))))
     believed = np.array([fix.weight > 0.5 for fix in estimate.fixes])
-    assert sorted([believed[: len(one)].mean(), believed[len(one) :].mean()]) == [0, 1]
+    assert sorted([believed[: len(first)].mean(), believed[len(first) :].mean()]) == [0, 1]
     assert warned(estimate, "where the walk was is a guess")
 
 

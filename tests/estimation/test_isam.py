@@ -27,7 +27,7 @@ def turn(i):
 
 def named(factors):
     """Factors of GTSAM's own as the solver takes them."""
-    return {name: Linear(one, tuple(one.keys()), np.empty(0), 1.0, 0.0) for name, one in factors.items()}
+    return {name: Linear(factor, tuple(factor.keys()), np.empty(0), 1.0, 0.0) for name, factor in factors.items()}
 
 
 def stored(isam):
@@ -98,8 +98,8 @@ def batch(factors, start):
     return gtsam.GaussNewtonOptimizer(graph, start, params).optimize()
 
 
-def apart(one, other, keyframes):
-    gap = poses(one, keyframes) - poses(other, keyframes)
+def apart(first, second, keyframes):
+    gap = poses(first, keyframes) - poses(second, keyframes)
     return float(np.abs(np.column_stack([gap[:, :2], wrap_angle(gap[:, 2])])).max())
 
 
@@ -155,8 +155,8 @@ def test_the_estimate_after_a_failure_is_current(failure):
     """The failing update has a fix 50 m off: the estimate is that of a batch of all remaining factors."""
     isam = grown(TransactionalISAM(relinearize=0.0), range(10))
     bad, values = failure(10)
-    told = named({("jump", 0): fix(9, (0.0, 50.0)), **bad})
-    isam.update(told, values=values, times=dict.fromkeys(values.keys(), 50.0))
+    factors = named({("jump", 0): fix(9, (0.0, 50.0)), **bad})
+    isam.update(factors, values=values, times=dict.fromkeys(values.keys(), 50.0))
     assert len(isam.rebuilds) == 1
     for _ in range(20):
         isam.update({})
@@ -248,13 +248,13 @@ def test_a_restored_solver_is_the_same(lag):
 def test_two_solvers_of_one_checkpoint_stay_identical():
     """Bit by bit, as the journal requires."""
     isam = grown(TransactionalISAM(LAG), range(30))
-    one, other = stored(isam), stored(isam)
-    for restored in (one, other):
+    first, second = stored(isam), stored(isam)
+    for restored in (first, second):
         restored.start(isam.factors)
         grown(restored, range(30, 60))
-    keyframes = keyframes_of(one)
-    assert poses(one.values, keyframes).tobytes() == poses(other.values, keyframes).tobytes()
-    assert one.covariance([X(59)]).tobytes() == other.covariance([X(59)]).tobytes()
+    keyframes = keyframes_of(first)
+    assert poses(first.values, keyframes).tobytes() == poses(second.values, keyframes).tobytes()
+    assert first.covariance([X(59)]).tobytes() == second.covariance([X(59)]).tobytes()
 
 
 def test_a_checkpoint_at_the_optimum_keeps_the_covariance():

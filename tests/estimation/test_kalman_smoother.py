@@ -17,9 +17,9 @@ def straight_on(steps: int = 240, seed: int = 1) -> WalkGraph:
     random = np.random.default_rng(seed)
     at = np.arange(20, steps, 45)
     place = np.stack([0.75 * (at + 1), np.zeros(len(at))], axis=1) + random.normal(0, 0.8, (len(at), 2))
-    known = Headings(np.zeros(1), np.zeros(1), np.full(1, 1e-4))
+    direction = Headings(np.zeros(1), np.zeros(1), np.full(1, 1e-4))
     stiff = Prior(sigma=(0.1, 1e-4, 1e-6), change=(0.03, 1e-5, 1e-7))
-    return WalkGraph(walked, fixes_at(walked.time[at], place, 0.8), headings=known, prior=stiff)
+    return WalkGraph(walked, fixes_at(walked.time[at], place, 0.8), headings=direction, prior=stiff)
 
 
 def test_in_the_linear_case_it_equals_the_graph():

@@ -23,7 +23,7 @@ def part(steps, begin, end):
 
 def second_by_second(steps, barometer, floors, said=None, certain=6.0):
     """The label and whether one climbs after each second; steps are certain some seconds later."""
-    told, sure = [], steps.start
+    rows, sure = [], steps.start
     for now in np.arange(steps.start + 1, steps.end, 1.0):
         some = (barometer.time > now - 1) & (barometer.time <= now)
         floors.push(barometer.time[some], barometer.values[some])
@@ -35,12 +35,12 @@ def second_by_second(steps, barometer, floors, said=None, certain=6.0):
             sure = landed[-1]
         if sure > steps.start:
             floors.advance(part(steps, sure, now))
-        told.append((now, floors.label, floors.climbing))
-    return told
+        rows.append((now, floors.label, floors.climbing))
+    return rows
 
 
-def labels_of(told):
-    return in_order([label for _, label, _ in told])
+def labels_of(rows):
+    return in_order([label for _, label, _ in rows])
 
 
 @pytest.mark.parametrize("plan", [None, Plan(("0", "1", "2"), np.array([0.0, 3.6, 7.2]))])
@@ -48,11 +48,11 @@ def test_the_floor_is_estimated_soon_after_the_stairs(plan):
     """While on them it says that it climbs, and a little later all is as offline."""
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6), (154, 7.2), (220, 7.2))
     floors = LiveFloors(plan, "0")
-    told = second_by_second(steps, barometer, floors)
-    assert labels_of(told) == ["0", "1", "2"]
+    rows = second_by_second(steps, barometer, floors)
+    assert labels_of(rows) == ["0", "1", "2"]
     for end, label in ((74, "1"), (154, "2")):
-        assert next(now for now, one, _ in told if one == label) <= end + SOON
-    climbing = [now for now, _, climbs in told if climbs]
+        assert next(now for now, current, _ in rows if current == label) <= end + SOON
+    climbing = [now for now, _, climbs in rows if climbs]
     assert all(60 < now < 74 + SOON or 140 < now < 154 + SOON for now in climbing)
     assert len(climbing) > 14
     last = steps.time[steps.time > 150]
@@ -66,9 +66,9 @@ def test_a_long_walk_equals_the_batch_in_bounded_memory():
     steps, barometer = along(*flights(*levels, floor_time=70.0))
     floors, sizes = LiveFloors(None, "F1"), []
     look = floors._estimate
-    floors._estimate = lambda *given: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*given))
-    told = second_by_second(steps, barometer, floors)
-    assert labels_of(told) == ["F1", "F2", "F3", "F2", "F1", "B1", "B2", "B1"] * 3
+    floors._estimate = lambda *arguments: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*arguments))
+    rows = second_by_second(steps, barometer, floors)
+    assert labels_of(rows) == ["F1", "F2", "F3", "F2", "F1", "B1", "B2", "B1"] * 3
     assert max(sizes) < 1.6 * LONGEST / 0.5
 
 
@@ -77,17 +77,17 @@ def test_without_a_barometer_fixes_determine_the_floor():
     steps, barometer = along((0, 0), (900, 0))
     nothing = replace(barometer, time=barometer.time[:0], values=barometer.values[:0])
     said = fixes([(10, "0"), (20, "0"), (30, ""), (800, "1"), (810, "1"), (820, "1")])
-    told = second_by_second(steps, nothing, LiveFloors(None, ""), said)
-    assert labels_of(told) == ["", "0", "1"]
-    assert next(now for now, label, _ in told if label == "1") < 815
+    rows = second_by_second(steps, nothing, LiveFloors(None, ""), said)
+    assert labels_of(rows) == ["", "0", "1"]
+    assert next(now for now, label, _ in rows if label == "1") < 815
 
 
 def test_fixes_replace_a_barometer_while_it_is_silent():
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (300, 3.6), (314, 7.2), (500, 7.2), (514, 3.6), (600, 3.6))
     stopped = (barometer.time < 150) | (barometer.time > 400)
     gone = replace(barometer, time=barometer.time[stopped], values=barometer.values[stopped])
-    said = fixes([(100, "1"), (340, "2"), (350, "2"), (360, "2"), (370, "2")])
-    assert labels_of(second_by_second(steps, gone, LiveFloors(None, "0"), said)) == ["0", "1", "2", "1"]
+    stated = fixes([(100, "1"), (340, "2"), (350, "2"), (360, "2"), (370, "2")])
+    assert labels_of(second_by_second(steps, gone, LiveFloors(None, "0"), stated)) == ["0", "1", "2", "1"]
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_bad_samples_are_skipped(change):
     steps, barometer = along((0, 0), (60, 0), (74, 3.6), (140, 3.6), (154, 0), (220, 0))
     order = np.arange(len(barometer))
     time, hpa = change(barometer.time, barometer.values[:, 0])
-    floors, told, sure = LiveFloors(None, "0"), [], 0.0
+    floors, rows, sure = LiveFloors(None, "0"), [], 0.0
     for now in np.arange(1, 220, 1.0):
         some = order[(barometer.time > now - 1) & (barometer.time <= now)]
         floors.push(time[some], hpa[some, None])
@@ -114,8 +114,8 @@ def test_bad_samples_are_skipped(change):
             floors.add_steps(part(steps, sure, landed[-1]))
             sure = landed[-1]
         floors.advance()
-        told.append((now, floors.label, floors.climbing))
-    assert labels_of(told) == ["0", "1", "0"]
+        rows.append((now, floors.label, floors.climbing))
+    assert labels_of(rows) == ["0", "1", "0"]
 
 
 @pytest.mark.parametrize("hpa", [np.nan, 0.0, 1013.0])

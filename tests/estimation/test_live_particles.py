@@ -41,8 +41,8 @@ def straight(count=10):
 
 def row(length, seconds, sigma_length, sigma_turn, turn=0.0):
     """A single piece as an interval."""
-    one = np.array([[seconds, length, turn, sigma_length**2, sigma_length**2, sigma_turn**2]])
-    return intervals(one, 0.0, 0.0, np.array([seconds]))
+    piece = np.array([[seconds, length, turn, sigma_length**2, sigma_length**2, sigma_turn**2]])
+    return intervals(piece, 0.0, 0.0, np.array([seconds]))
 
 
 def at(x, y=1.0, sigma=0.5):
@@ -65,13 +65,13 @@ def test_interval_by_interval_equals_the_whole_walk():
     graph = WalkGraph(steps, fixes, headings=there, floor=floor)
     at_once = particle_filter(graph)
 
-    pieces, known, given = graph.pieces, graph.headings, graph.positions
-    heading, place = known.headings, given.fixes.position
+    pieces, headings, fixes = graph.pieces, graph.headings, graph.positions
+    heading, place = headings.headings, fixes.fixes.position
     turn, time = 2 * (pieces.to_end - pieces.to_middle)
 
     def seen(keyframe):
-        fix, compass = given.keyframe == keyframe, known.keyframe == keyframe
-        sigma = given.independent_sigma[fix]
+        fix, compass = fixes.keyframe == keyframe, headings.keyframe == keyframe
+        sigma = fixes.independent_sigma[fix]
         return KeyframeMeasurements(
             place[fix], sigma, np.zeros(len(sigma), bool), heading.heading[compass], heading.sigma[compass]
         )

@@ -33,15 +33,15 @@ def some(steps, begin, end):
 
 def walking(graph, steps, fixes, size=1, late=0.0):
     """Push it all, each fix so late or as soon as its time has come; yields after every chunk of steps."""
-    late, given = np.broadcast_to(late, len(fixes)), np.zeros(len(fixes), dtype=bool)
+    late, appended = np.broadcast_to(late, len(fixes)), np.zeros(len(fixes), dtype=bool)
     for begin in range(0, len(steps), size):
         chunk = some(steps, begin, begin + size)
         graph.extend(chunk)
-        for n in np.flatnonzero(~given & (fixes.time + late <= chunk.end)):
+        for n in np.flatnonzero(~appended & (fixes.time + late <= chunk.end)):
             graph.append(fixes[n : n + 1])
-            given[n] = True
+            appended[n] = True
         yield min(begin + size, len(steps))
-    for n in np.flatnonzero(~given):
+    for n in np.flatnonzero(~appended):
         graph.append(fixes[n : n + 1])
 
 
@@ -63,9 +63,9 @@ def rows_of(graph):
     return TrajectoryRows.joined([*past.final, *past.left, graph.rows(), graph.predicted_rows()])
 
 
-def apart(one, other):
+def apart(first, second):
     """Greatest distance between rows of two walks. [m]"""
-    return float(np.hypot(*(one.pose[:, :2] - other.pose[:, :2]).T).max())
+    return float(np.hypot(*(first.pose[:, :2] - second.pose[:, :2]).T).max())
 
 
 def errors(rows, truth):
@@ -89,8 +89,8 @@ def test_linear_case_is_kalman():
     at = np.array([5, 17, 33])
     measured = 0.7 * (at + 1) + np.random.default_rng(1).normal(0, sigma_fix, 3)
     fixes = fixes_at(steps.time[at], np.stack([measured, np.zeros(3)], axis=1), sigma_fix)
-    known = Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
-    graph = LiveSmoother(known)
+    certain = Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
+    graph = LiveSmoother(certain)
     for now in walking(graph, steps, fixes):
         if now == at[2] + 4:  # steps after the third fix, as the filter knows it
             belief = graph.belief()
@@ -116,9 +116,9 @@ def test_linear_case_is_kalman():
 def test_the_size_of_chunks_hardly_matters(size, lag):
     """Keyframes may differ, since a fix then comes before or after they close: 4 cm, with fixes of 1.5 m."""
     steps, fixes, _ = drawn_from_the_model(200, seed=0)
-    one, other = (rows_of(walked(steps, fixes, lag, size=s)) for s in (1, size))
-    assert one.time == pytest.approx(other.time, abs=2e-6)
-    assert apart(one, other) < (0.04 if lag == np.inf else 1.2), "a sigma: some left the window just before a fix"
+    first, second = (rows_of(walked(steps, fixes, lag, size=s)) for s in (1, size))
+    assert first.time == pytest.approx(second.time, abs=2e-6)
+    assert apart(first, second) < (0.04 if lag == np.inf else 1.2), "a sigma: some left the window just before a fix"
 
 
 @pytest.mark.parametrize("late", [10.0, 30.0, 50.0])
@@ -160,8 +160,8 @@ def test_outliers_are_rejected():
     with_them, without = [], []
     for seed in range(8):
         steps, fixes, truth = drawn_from_the_model(300, seed)
-        for given, found in ((wild(fixes, seed), with_them), (fixes, without)):
-            found.append(np.median(errors(rows_of(walked(steps, given, LAG)), truth)))
+        for used, medians in ((wild(fixes, seed), with_them), (fixes, without)):
+            medians.append(np.median(errors(rows_of(walked(steps, used, LAG)), truth)))
     assert np.median(with_them) < 1.6 * np.median(without)
     assert np.max(with_them) < 3.0 * np.max(without)
 
@@ -181,14 +181,14 @@ def test_finalised_rows_do_not_move():
     """All fixes jump by 60 m and the walk restarts: rows that `pop_finalized` returned stay."""
     steps, fixes, _ = drawn_from_the_model(500, seed=1)
     jumped = replace(fixes, position=fixes.position + np.where(fixes.time > 150.0, 60.0, 0.0)[:, None])
-    graph, told = LiveSmoother(lag=LAG), None
+    graph, before = LiveSmoother(lag=LAG), None
     for now in walking(graph, steps, jumped):
-        if steps.time[now - 1] > 140.0 and told is None:
-            told = [rows.pose.copy() for rows in graph.graph.finalized.final]
+        if steps.time[now - 1] > 140.0 and before is None:
+            before = [rows.pose.copy() for rows in graph.graph.finalized.final]
     assert graph.restarts
-    assert len(told) > 5
-    for before, rows in zip(told, graph.graph.finalized.final, strict=False):
-        assert before == pytest.approx(rows.pose)
+    assert len(before) > 5
+    for pose, rows in zip(before, graph.graph.finalized.final, strict=False):
+        assert pose == pytest.approx(rows.pose)
 
 
 def test_a_jump_of_all_fixes_restarts_the_walk():
@@ -234,14 +234,14 @@ def nees(pose, covariance, truth, row):
 def test_covariance_is_honest():
     """Of the filter's belief and of the smoothed walk, the normalised errors follow their χ² distribution."""
     low, high = interval(SEEDS)
-    for found in normalised_errors():
-        assert low < found.mean() < high
+    for errors in normalised_errors():
+        assert low < errors.mean() < high
 
 
 def test_fixes_twice_as_bad_as_stated_fail_the_test():
     """Control."""
-    for found in normalised_errors(wrong=2.0, seeds=20):
-        assert found.mean() > interval(20)[1]
+    for errors in normalised_errors(wrong=2.0, seeds=20):
+        assert errors.mean() > interval(20)[1]
 
 
 def test_a_window_of_a_minute_is_nearly_as_good_as_the_batch():
@@ -265,17 +265,17 @@ def test_memory_is_bounded():
         for now in walking(graph, later, replace(fixes, time=fixes.time + shift)):
             if now % 250 == 0:
                 handed += sum(len(rows.time) for rows in graph.pop_finalized())
-                own, isam = graph.graph, graph.graph.isam
-                held = [own.window.keyframes, own.window.intervals, own.window.c, own.window.steps.chunks]
+                live, isam = graph.graph, graph.graph.isam
+                held = [live.window.keyframes, live.window.intervals, live.window.c, live.window.steps.chunks]
                 held += [
-                    own.log.rows(Fixes),
-                    own.decisions["fixes"]["number"],
-                    own.finalized.left,
-                    own.finalized.reports,
+                    live.log.rows(Fixes),
+                    live.decisions["fixes"]["number"],
+                    live.finalized.left,
+                    live.finalized.reports,
                 ]
                 held += [isam.factors, isam.marginal, isam.rebuilds, isam._smoother.getFactors().keyVector()]
                 slots = isam._smoother.getFactors().size()
-                sizes.append([len(one) for one in held] + [slots, len(own.window.steps.whole)])
+                sizes.append([len(store) for store in held] + [slots, len(live.window.steps.whole)])
     assert (np.max(sizes[20:], axis=0) <= 1.5 * np.max(sizes[4:12], axis=0) + 2).all()
     left = (
         sum(len(rows.time) for rows in graph.graph.finalized.left)
@@ -294,9 +294,9 @@ def test_every_step_has_one_row_in_order(lag):
     for now in walking(graph, steps, fixes, size=7):
         if now % 2:
             handed += graph.pop_finalized()
-        found = np.concatenate([*(rows.time for rows in handed), rows_of(graph).time])
+        times = np.concatenate([*(rows.time for rows in handed), rows_of(graph).time])
         if now < 250:
-            assert found == pytest.approx(expected[: now + 1], abs=2e-6)
+            assert times == pytest.approx(expected[: now + 1], abs=2e-6)
 
 
 @pytest.mark.parametrize(("angle", "way"), [(0.3, (10.0, -20.0)), (2.0, (0.0, 0.0)), (0.0, (-300.0, 400.0))])
@@ -305,11 +305,11 @@ def test_the_track_rotates_and_moves_with_the_world(angle, way):
     steps, fixes, _ = drawn_from_the_model(200, seed=2)
     R = rotation(angle)
     with headings_free():
-        one, other = (
-            walked(steps, given, LAG) for given in (fixes, replace(fixes, position=fixes.position @ R.T + way))
+        first, second = (
+            walked(steps, used, LAG) for used in (fixes, replace(fixes, position=fixes.position @ R.T + way))
         )
     close = 1e-6 if angle == 0 else 0.01
-    there, here = rows_of(one), rows_of(other)
+    there, here = rows_of(first), rows_of(second)
     assert here.pose[:, :2] == pytest.approx(there.pose[:, :2] @ R.T + way, abs=close)
     assert wrap_angle(here.pose[:, 2] - there.pose[:, 2] - angle) == pytest.approx(0, abs=0.1 * close)
     assert here.covariance[:, :2, :2] == pytest.approx(R @ there.covariance[:, :2, :2] @ R.T, abs=close)
@@ -411,8 +411,8 @@ def test_a_restored_walk_continues_the_same():
     """The checkpoint linearises at the estimate, which changes the end by 5 cm at most."""
     steps, fixes, _ = drawn_from_the_model(300, seed=6)
     graph = LiveSmoother(lag=LAG)
-    given = walking(graph, steps, fixes)
-    for now in given:
+    times = walking(graph, steps, fixes)
+    for now in times:
         if now == 150:
             other = LiveSmoother(lag=LAG)
             other.restore(deepcopy(graph.checkpoint()))
@@ -420,13 +420,13 @@ def test_a_restored_walk_continues_the_same():
             assert here.mean == pytest.approx(there.mean, abs=0.15), "a tenth of its uncertainty"
             assert here.covariance == pytest.approx(there.covariance, rel=0.1, abs=0.05)
             break
-    for _ in given:
+    for _ in times:
         pass
     after = fixes[fixes.time > steps.time[149]]
     for _ in walking(other, some(steps, 150, 300), after):
         pass
-    for one in (graph, other):
-        one.finish()
+    for smoother in (graph, other):
+        smoother.finish()
     n = len(graph.rows().time)
     assert np.hypot(*(graph.rows().pose[-n:, :2] - other.rows().pose[-n:, :2]).T).max() < 0.05
 

@@ -63,8 +63,8 @@ def on_a_plan(seed):
     steps = square_walk(20, laps=2)
     random = np.random.default_rng(seed)
     truth = dead_reckon(steps)
-    said = replace(steps, length=steps.length * 1.05, turn=steps.turn + random.normal(0, 0.02, len(steps)))
-    return said, [fixes_on(truth, every=15, sigma=1.5, seed=seed)], ring()
+    measured = replace(steps, length=steps.length * 1.05, turn=steps.turn + random.normal(0, 0.02, len(steps)))
+    return measured, [fixes_on(truth, every=15, sigma=1.5, seed=seed)], ring()
 
 
 def on_a_plan_with_a_receiver(seed):
@@ -82,11 +82,11 @@ def walking(live, steps, data, begin=0, end=None):
     for n in range(begin, len(steps) if end is None else end):
         chunk = some(steps, n, n + 1)
         live.extend(chunk)
-        for one in data:
-            time = last_time(one)
-            own = (time <= chunk.end) & ((time > chunk.start) | (n == 0))
-            if own.any():
-                live.append(take(one, np.flatnonzero(own)))
+        for table in data:
+            time = last_time(table)
+            rows = (time <= chunk.end) & ((time > chunk.start) | (n == 0))
+            if rows.any():
+                live.append(take(table, np.flatnonzero(rows)))
     return live
 
 
@@ -96,9 +96,9 @@ def started(floor, lag=np.inf):
 
 def from_batch(estimate, other):
     """Greatest distance [m] between the tracks of two estimates."""
-    one, two = estimate.trajectory, other.trajectory
-    assert one.time == pytest.approx(two.time, abs=2e-6)
-    return float(np.hypot(*(one.position - two.position).T).max())
+    first, second = estimate.trajectory, other.trajectory
+    assert first.time == pytest.approx(second.time, abs=2e-6)
+    return float(np.hypot(*(first.position - second.position).T).max())
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -115,7 +115,7 @@ def test_a_finished_live_walk_equals_the_batch(drawn, seed):
     assert live.final.cost == pytest.approx(batch.cost, rel=1e-5)
     assert live.final.calibration.value == pytest.approx(batch.calibration.value, abs=1e-5)
     assert live.final.reports.keys() == batch.reports.keys()
-    assert [one.reason for one in live.final.fixes] == [one.reason for one in batch.fixes]
+    assert [report.reason for report in live.final.fixes] == [report.reason for report in batch.fixes]
     assert live.final.warnings == batch.warnings
 
 
@@ -143,7 +143,7 @@ def optimum(at):
 
 
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("drawn", [one for one in WALKS if one not in WITH_A_RECEIVER])
+@pytest.mark.parametrize("drawn", [walk for walk in WALKS if walk not in WITH_A_RECEIVER])
 def test_isam2_reaches_the_optimum_of_the_windows_factors(drawn, seed):
     """After full relinearisation it equals Gauss–Newton over the same blocks to 1 mm."""
     steps, data, floor = drawn(seed)
@@ -206,10 +206,10 @@ def test_a_checkpoint_in_mid_walk_leads_to_the_same_result(drawn, lag):
         walking(live, steps, data, begin=75)
         live.finish()
         ends.append(live)
-    one, other = ends
-    assert other.graph.window.pose[-1] == pytest.approx(one.graph.window.pose[-1], abs=0.2)
+    first, second = ends
+    assert second.graph.window.pose[-1] == pytest.approx(first.graph.window.pose[-1], abs=0.2)
     if np.isinf(lag):
-        assert from_batch(one.final, other.final) < 1e-6
+        assert from_batch(first.final, second.final) < 1e-6
         uninterrupted = walking(begun, steps, data, begin=60)
         uninterrupted.finish()
-        assert from_batch(one.final, uninterrupted.final) < 1e-6
+        assert from_batch(first.final, uninterrupted.final) < 1e-6

@@ -151,9 +151,9 @@ def test_particles_survive_any_turn_of_the_phone(turned):
 def test_the_same_seed_is_the_same_walk():
     steps = steps_of(np.full(30, 0.7), np.zeros(30))
     graph = graph_of(steps, two_aisles(), [2.0, 3.0])
-    one, same, other = (particle_filter(graph, seed).state for seed in (0, 0, 1))
-    assert np.array_equal(one, same)
-    assert not np.array_equal(one[-1][:, :100], other[-1][:, :100])
+    first, same, third = (particle_filter(graph, seed).state for seed in (0, 0, 1))
+    assert np.array_equal(first, same)
+    assert not np.array_equal(first[-1][:, :100], third[-1][:, :100])
 
 
 # Floors

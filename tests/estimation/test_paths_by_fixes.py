@@ -65,12 +65,12 @@ def test_dense_fixes_determine_the_path_without_particles(sent_off):
 
 def test_particles_lead_to_the_same_walk(monkeypatch):
     walk, _ = graph(every=20, sigma=2.0)
-    told = solutions(walk)[0]
+    by_fixes = solutions(walk)[0]
     monkeypatch.setattr(optimizer, "fixes_determine_path", lambda *_: None)
     sought = solutions(walk)[0]
     # the optimiser settles within 3e-5 of a cost of some tens
-    assert told.surprise == pytest.approx(sought.surprise, abs=0.02)
-    assert told.at.ends[:, :2] == pytest.approx(sought.at.ends[:, :2], abs=0.05)
+    assert by_fixes.surprise == pytest.approx(sought.surprise, abs=0.02)
+    assert by_fixes.at.ends[:, :2] == pytest.approx(sought.at.ends[:, :2], abs=0.05)
 
 
 def test_sparse_fixes_do_not_determine_the_path(sent_off):

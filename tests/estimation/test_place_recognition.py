@@ -41,9 +41,9 @@ def test_two_walks_of_one_corridor_are_linked_at_the_same_places():
     """One there and one back: 90 % of the closures within three of their stated sigmas, and those of a few metres."""
     walks = [along((5, 5), (55, 5)), along((55, 6), (5, 6))]
     closures = found(walks)
-    one, other = places(closures, walks)
+    first, second = places(closures, walks)
     assert len(closures) >= 10
-    apart = np.hypot(*(one - other).T)
+    apart = np.hypot(*(first - second).T)
     assert np.mean(apart < 3 * closures.sigma) > 0.9
     assert np.median(apart) < 5.0
 
@@ -86,11 +86,11 @@ def test_uncertain_walks_are_linked_with_the_default_sigma():
     walks = [along((5, 5), (55, 5)), along((5, 6), (55, 6))]
     moved = [walks[0], along((105, 106), (155, 106))]
     closures = revisits(
-        [(known, heard_along(track, n)) for n, (known, track) in enumerate(zip(moved, walks, strict=True))]
+        [(estimate, heard_along(track, n)) for n, (estimate, track) in enumerate(zip(moved, walks, strict=True))]
     )
-    one, other = places(closures, walks)
+    first, second = places(closures, walks)
     assert len(closures)
-    assert np.median(np.hypot(*(one - other).T)) < 5.0
+    assert np.median(np.hypot(*(first - second).T)) < 5.0
 
 
 @pytest.mark.parametrize("count", [0, 1])

@@ -72,9 +72,9 @@ def test_reports_identify_detours():
     steps, _, truth = drawn_from_the_model(120, 2)
     ranges, detour = ranged(truth, 2)
     reports = smooth(WalkGraph(steps, measurements=[ranges])).reports["ranges"]
-    said = np.array(["no line of sight" in one.reason for one in reports])
-    assert said[detour].mean() > 0.9
-    assert said[~detour].mean() < 0.03
+    reported = np.array(["no line of sight" in one.reason for one in reports])
+    assert reported[detour].mean() > 0.9
+    assert reported[~detour].mean() < 0.03
 
 
 def test_an_anchors_bias_is_estimated():
@@ -109,12 +109,12 @@ def test_ranges_work_live():
     ranges, _ = ranged(truth, 4)
     batch = smooth(WalkGraph(steps, measurements=[ranges])).trajectory
     for lag, near in ((20.0, 0.3), (np.inf, 0.05)):
-        live, begin, given = LiveSmoother(lag=lag), steps.start, 0
+        live, begin, count = LiveSmoother(lag=lag), steps.start, 0
         for k, end in enumerate(steps.time.tolist()):
             upto = int(np.searchsorted(ranges.time, end))
-            if upto > given:
-                live.append(take(ranges, np.arange(given, upto)))
-                given = upto
+            if upto > count:
+                live.append(take(ranges, np.arange(count, upto)))
+                count = upto
             columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
             live.extend(Steps(begin, end, **columns))
             begin = end

@@ -38,19 +38,19 @@ def chunks(sightings, each=2.0):
 
 @pytest.mark.parametrize("resumed", [False, True])
 def test_the_fixes_are_those_of_the_whole_recording(radio_map, resumed):
-    sightings, told, found = heard(2), [], []
+    sightings, reported, blocks = heard(2), [], []
     expected = radio_map.fixes(Recording("two", 0.0, None, wifi=sightings))
-    collector = ScanCollector(radio_map, told.append)
+    collector = ScanCollector(radio_map, reported.append)
     for now, part in chunks(sightings):
         collector.collect(part)
-        found += collector.due(now, None)
+        blocks += collector.due(now, None)
         if resumed:
-            state, collector = collector.checkpoint(), ScanCollector(radio_map, told.append)
+            state, collector = collector.checkpoint(), ScanCollector(radio_map, reported.append)
             collector.restore(state)
-    found += collector.due(130.0, None)
-    assert told == found
-    time = np.concatenate([fixes.time for fixes in found])
+    blocks += collector.due(130.0, None)
+    assert reported == blocks
+    time = np.concatenate([fixes.time for fixes in blocks])
     assert len(expected) > 20
     assert time == pytest.approx(expected.time)
-    assert np.concatenate([fixes.position for fixes in found]) == pytest.approx(expected.position)
-    assert np.concatenate([fixes.sigma for fixes in found]) == pytest.approx(expected.sigma)
+    assert np.concatenate([fixes.position for fixes in blocks]) == pytest.approx(expected.position)
+    assert np.concatenate([fixes.sigma for fixes in blocks]) == pytest.approx(expected.sigma)

@@ -30,9 +30,9 @@ from pdr_graph.geometry import rotation, wrap_angle
 EXACTLY = 1e-12  # of the cost: the optimiser ends there
 
 
-def apart(one, other):
+def apart(first, second):
     """Greatest distance between two tracks. [m]"""
-    return float(np.hypot(*(one - other).T).max())
+    return float(np.hypot(*(first - second).T).max())
 
 
 def test_exact_measurements_are_reproduced():
@@ -83,8 +83,8 @@ def test_linear_case_is_kalman():
     at = np.array([5, 17, 39])
     measured = 0.7 * (at + 1) + random.normal(0, sigma_fix, 3)
     fixes = fixes_at(steps.time[at], np.stack([measured, np.zeros(3)], axis=1), sigma_fix)
-    known = Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
-    estimate = smooth(WalkGraph(steps, fixes, prior=known))
+    certain = Prior(sigma=(1e-4, 1e-4, 1e-6), change=(1e-4, 1e-4, 1e-6))
+    estimate = smooth(WalkGraph(steps, fixes, prior=certain))
 
     moves = np.diff(np.eye(n + 1), axis=0) / np.hypot(sigma_step, preintegration.SIGMA_STILL)
     A = np.concatenate([moves, np.eye(n + 1)[at + 1] / sigma_fix])
@@ -121,11 +121,11 @@ def test_rotating_the_world_rotates_the_track(angle):
     area = shapely.box(-40, -60, 70, 68)
     turned_area = shapely.transform(area, lambda xy: xy @ R.T)
     plans = [FloorPlan("", (Area("corridor", "", a),), Frame()) for a in (area, turned_area)]
-    one = smooth(WalkGraph(steps, fixes, floor=plans[0]))
+    single = smooth(WalkGraph(steps, fixes, floor=plans[0]))
     other = smooth(WalkGraph(steps, replace(fixes, position=fixes.position @ R.T), floor=plans[1]))
     # 5 cm: the distance grid is not turned with the walls, so that a stiff wall just holds a step, or just does not
-    assert apart(one.trajectory.position @ R.T, other.trajectory.position) < 0.05
-    of_position = R @ one.trajectory.covariance[:, :2, :2] @ R.T
+    assert apart(single.trajectory.position @ R.T, other.trajectory.position) < 0.05
+    of_position = R @ single.trajectory.covariance[:, :2, :2] @ R.T
     assert other.trajectory.covariance[:, :2, :2] == pytest.approx(of_position, rel=0.05, abs=0.08)
 
 
@@ -165,8 +165,8 @@ def test_scale_turn_and_drift_are_estimated_from_fixes():
     turn[np.arange(len(turn)) // (4 * side) % 2 == 1] *= -1  # a figure of eight: left laps and right laps
     steps = steps_of(np.full(len(turn), 0.7), turn, sigma_turn=0.003)
     truth = dead_reckon(steps)
-    said = replace(steps, length=steps.length / 1.1, turn=(steps.turn - drift * steps.duration) / 1.03)
-    estimate = smooth(WalkGraph(said, fixes_on(truth, every=8, sigma=0.3)))
+    measured = replace(steps, length=steps.length / 1.1, turn=(steps.turn - drift * steps.duration) / 1.03)
+    estimate = smooth(WalkGraph(measured, fixes_on(truth, every=8, sigma=0.3)))
     assert apart(estimate.trajectory.position, truth.position) < 0.4
     mean = estimate.calibration.value.mean(axis=0)
     assert mean[:2] == pytest.approx([1.1, 1.03], abs=0.01)

@@ -72,22 +72,23 @@ def test_unconnected_walks_equal_their_separate_solutions():
     """To 1 cm and 5 % of the covariance: what joins them is loose, not nothing, and segments are cut elsewhere."""
     walks = [drawn(60, seed) for seed in range(3)]
     alone = [smooth(WalkGraph(steps, fixes)) for steps, fixes, _ in walks]
-    for one, other in zip(alone, together(walks, Closures.of([])), strict=True):
-        assert other.trajectory.time == pytest.approx(one.trajectory.time, abs=1e-6)
-        assert np.abs(one.trajectory.position - other.trajectory.position).max() < 0.01
-        assert other.trajectory.covariance == pytest.approx(one.trajectory.covariance, rel=0.05, abs=1e-3)
-        assert other.calibration.value[-1] == pytest.approx(one.calibration.value[-1], abs=0.01)
-        assert [fix.residual for fix in other.fixes] == pytest.approx([fix.residual for fix in one.fixes], abs=0.01)
-        assert [fix.time for fix in other.fixes] == pytest.approx([fix.time for fix in one.fixes])
+    for estimate, other in zip(alone, together(walks, Closures.of([])), strict=True):
+        assert other.trajectory.time == pytest.approx(estimate.trajectory.time, abs=1e-6)
+        assert np.abs(estimate.trajectory.position - other.trajectory.position).max() < 0.01
+        assert other.trajectory.covariance == pytest.approx(estimate.trajectory.covariance, rel=0.05, abs=1e-3)
+        assert other.calibration.value[-1] == pytest.approx(estimate.calibration.value[-1], abs=0.01)
+        residuals = [fix.residual for fix in estimate.fixes]
+        assert [fix.residual for fix in other.fixes] == pytest.approx(residuals, abs=0.01)
+        assert [fix.time for fix in other.fixes] == pytest.approx([fix.time for fix in estimate.fixes])
 
 
 def test_a_walk_without_fixes_is_placed_by_its_encounters():
     steps, fixes, truth = drawn(120, 5)
-    met_at, seen = np.arange(10, 120, 20), fixes_at([], np.empty((0, 2)))
+    met_at, no_fixes = np.arange(10, 120, 20), fixes_at([], np.empty((0, 2)))
     alike = drawn(120, 5)  # the same way on another day, of which nobody knows where it was
     closures = Closures.of([(truth.time[k], truth.time[k], SIGMA_CLOSURE) for k in met_at], [(0, 1)] * len(met_at))
-    one, other = together([(steps, fixes, truth), (steps, seen, truth)], closures)
-    assert np.median(error(other, alike[2])) < 2 * np.median(error(one, truth)) + SIGMA_CLOSURE
+    first, second = together([(steps, fixes, truth), (steps, no_fixes, truth)], closures)
+    assert np.median(error(second, alike[2])) < 2 * np.median(error(first, truth)) + SIGMA_CLOSURE
 
 
 def test_a_wrong_link_loses_its_weight():

@@ -57,16 +57,16 @@ def test_a_walk_longer_than_any_aisle_has_a_low_probability():
 
 def test_a_repeated_solution_adds_no_probability():
     """Both together are as likely as the one, and what is left is that of a way which nobody found."""
-    found = solutions(straight(28, aisles((50, 0))))[:1]
-    once, twice = (probabilities(many, paths(many)) for many in (found, 2 * found))
-    assert once == pytest.approx(1 / (1 + np.exp(found[0].surprise - found[0].unseen)))
+    optima = solutions(straight(28, aisles((50, 0))))[:1]
+    once, twice = (probabilities(many, paths(many)) for many in (optima, 2 * optima))
+    assert once == pytest.approx(1 / (1 + np.exp(optima[0].surprise - optima[0].unseen)))
     assert once > 0.98
     assert twice == pytest.approx(np.full(2, once[0] / 2))
 
 
 def test_missed_paths_have_a_probability_only_on_a_plan():
     """Without walls the search starts in all directions, so nothing is missed."""
-    found = solutions(straight(28, None))
-    assert probabilities(found, paths(found)).sum() == pytest.approx(1.0)
-    found = solutions(straight(28, aisles((50, 0))))
-    assert 0 < 1 - probabilities(found, paths(found)).sum() < 2 * np.exp(-UNSEEN)
+    optima = solutions(straight(28, None))
+    assert probabilities(optima, paths(optima)).sum() == pytest.approx(1.0)
+    optima = solutions(straight(28, aisles((50, 0))))
+    assert 0 < 1 - probabilities(optima, paths(optima)).sum() < 2 * np.exp(-UNSEEN)

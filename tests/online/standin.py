@@ -52,8 +52,8 @@ class StandIn:
         if isinstance(event, Fixes) and len(event) == 0:
             self.place = np.nan  # half taken in
             raise ValueError("no fix at all")
-        told = np.sin(np.concatenate([np.ravel(part) for part in numbers(event)]))
-        self.place = self.place * np.exp(1j * told.mean()) + told[-1]
+        values = np.sin(np.concatenate([np.ravel(part) for part in numbers(event)]))
+        self.place = self.place * np.exp(1j * values.mean()) + values[-1]
         self.count += 1
         self.rows.append((0.5 * self.count, self.place.real, self.place.imag))
 

@@ -88,14 +88,14 @@ def life(path, luck):
     """A process that walks on until it is killed: the count at every moment at which it told it, the first as found."""
     child = subprocess.Popen([sys.executable, "-c", CHILD, path, HERE], stdout=subprocess.PIPE, bufsize=0)
     assert child.stdout is not None
-    said, wanted = b"", 8 * luck.choice([0, luck.randrange(EVERY), luck.randrange(5 * EVERY)])
-    while len(said) < wanted:
-        said += child.stdout.read(wanted - len(said))
+    output, wanted = b"", 8 * luck.choice([0, luck.randrange(EVERY), luck.randrange(5 * EVERY)])
+    while len(output) < wanted:
+        output += child.stdout.read(wanted - len(output))
     time.sleep(luck.uniform(0, 0.001 if wanted else 0.5))  # while it starts, or opens, or goes on
     child.kill()
-    said += child.stdout.read()
+    output += child.stdout.read()
     assert child.wait() == -9, "a control: it did not end by itself"
-    return np.frombuffer(said, np.int64)
+    return np.frombuffer(output, np.int64)
 
 
 def test_fifty_kills_lose_no_acknowledged_event(tmp_path):
@@ -274,14 +274,14 @@ def test_a_damaged_journal_is_an_input_error_or_unchanged(tmp_path, seed):
         at = luck.randrange(100, len(content) - 64)
         content[at : at + 64] = luck.randbytes(64)
     path.write_bytes(content)
-    said = ""
+    message = ""
     try:
         assert told(opened(path)) == expected
     except InputError as refusal:
-        said = str(refusal)
-    assert said.isprintable()
-    assert said or not seed % 2, "a file cut short is told"
-    assert not said or path.read_bytes() == content
+        message = str(refusal)
+    assert message.isprintable()
+    assert message or not seed % 2, "a file cut short is told"
+    assert not message or path.read_bytes() == content
 
 
 def test_a_missing_event_is_an_input_error(tmp_path):

@@ -28,13 +28,13 @@ JUMP = 3600.0  # [s]
 @cache
 def walk(name):
     """A scenario as its phone recorded it, a fix of 1 m each ten seconds, and its truth."""
-    found = simulate(Scenario.load(SCENARIOS / f"{name}.toml"))
-    signals = {sensor: found.signals[sensor] for sensor in ("accelerometer", "gyroscope")}
-    at = np.arange(1.0, found.truth.time[-1] - 1.0, 10.0)
-    place = np.column_stack([np.interp(at, found.truth.time, axis) for axis in found.truth.position.T])
+    simulation = simulate(Scenario.load(SCENARIOS / f"{name}.toml"))
+    signals = {sensor: simulation.signals[sensor] for sensor in ("accelerometer", "gyroscope")}
+    at = np.arange(1.0, simulation.truth.time[-1] - 1.0, 10.0)
+    place = np.column_stack([np.interp(at, simulation.truth.time, axis) for axis in simulation.truth.position.T])
     place += np.random.default_rng(1).normal(0, 1.0, place.shape)
     fixes = Fixes(at, place, np.ones(len(at)), ("",) * len(at))
-    return Recording(name, 0.0, None, **signals, fixes=fixes), found.truth
+    return Recording(name, 0.0, None, **signals, fixes=fixes), simulation.truth
 
 
 @cache
@@ -80,9 +80,9 @@ def checked(given, **options):
 
 def error(track, truth):
     """Median distance from the truth, where there is one. [m]"""
-    known = (track.time >= truth.time[0]) & (track.time <= truth.time[-1])
-    place = np.column_stack([np.interp(track.time[known], truth.time, axis) for axis in truth.position.T])
-    return float(np.median(np.hypot(*(track.position[known] - place).T)))
+    inside = (track.time >= truth.time[0]) & (track.time <= truth.time[-1])
+    place = np.column_stack([np.interp(track.time[inside], truth.time, axis) for axis in truth.position.T])
+    return float(np.median(np.hypot(*(track.position[inside] - place).T)))
 
 
 @pytest.mark.parametrize("name", ["loop", "arcade", "figure_eight"])
@@ -119,11 +119,11 @@ def test_repeated_events_count_once():
 @pytest.mark.parametrize("seconds", [-JUMP, JUMP])
 def test_a_clock_that_jumps(seconds, fixes_too):
     """By an hour: put back, the walk goes on as if nothing had been; ahead, after a gap of an hour."""
-    told = [
+    pushed_events = [
         later(event, seconds) if when(event) > 50 and (fixes_too or isinstance(event, Samples)) else event
         for event in events()
     ]
-    nav, issues, track = checked(told)
+    nav, issues, track = checked(pushed_events)
     assert nav.status.fixes + nav.status.early == len(walk("figure_eight")[0].fixes)
     if seconds < 0:
         assert any("clock reset 1 times" in line for line in issues)
@@ -185,9 +185,9 @@ ABSURD = {
 @pytest.mark.parametrize("name", ABSURD)
 def test_an_absurd_fix_among_good_ones_changes_nothing(name):
     """As the first and in the middle of the walk."""
-    told = events()
-    middle = len(told) // 2
-    track = checked([ABSURD[name], *told[:middle], ABSURD[name], *told[middle:]])[2]
+    all_events = events()
+    middle = len(all_events) // 2
+    track = checked([ABSURD[name], *all_events[:middle], ABSURD[name], *all_events[middle:]])[2]
     assert error(track, walk("figure_eight")[1]) < 1.5
 
 
@@ -235,34 +235,35 @@ def test_unknown_data_is_ignored():
         Samples("accelerometer", np.empty(0), np.empty((0, 3))),
         Fixes.none(),
     ]
-    told = events()
-    middle = len(told) // 2
-    one, other = (checked(given)[2] for given in (told, [*told[:middle], *strange, *told[middle:]]))
-    assert one.position.tobytes() == other.position.tobytes()
+    all_events = events()
+    middle = len(all_events) // 2
+    with_strange = [*all_events[:middle], *strange, *all_events[middle:]]
+    first, second = (checked(given)[2] for given in (all_events, with_strange))
+    assert first.position.tobytes() == second.position.tobytes()
 
 
 @settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.randoms(use_true_random=False), st.integers(1, 200))
 def test_any_order_of_events(random, reach):
     """Each event comes up to so many later than it should."""
-    told = [event for event in events() if when(event) < 40]
-    shuffled = sorted(range(len(told)), key=lambda n: n + random.uniform(0, reach))
-    checked([told[n] for n in shuffled])
+    early_events = [event for event in events() if when(event) < 40]
+    shuffled = sorted(range(len(early_events)), key=lambda n: n + random.uniform(0, reach))
+    checked([early_events[n] for n in shuffled])
 
 
 def test_a_snapshot_in_mid_walk_goes_on_to_the_same_end():
     """Two restored of the same bytes end in the same bits; the one that was never restored, within 0.3 m."""
-    told = events()
+    all_events = events()
     for part in (0.2, 0.6):
-        at = int(part * len(told))
-        nav = pushed(told[:at])[0]
+        at = int(part * len(all_events))
+        nav = pushed(all_events[:at])[0]
         kept, ends = encode(nav.snapshot()), []
         for _ in range(2):
             again = Navigator.restored(decode(kept, Navigator.Checkpoint))
-            for event in told[at:]:
+            for event in all_events[at:]:
                 again.push(event)
             ends.append(again.finish().trajectory)
-        for event in told[at:]:
+        for event in all_events[at:]:
             nav.push(event)
         whole, n = nav.finish().trajectory, len(ends[0])
         assert ends[0].position.tobytes() == ends[1].position.tobytes()
@@ -291,8 +292,8 @@ def test_a_killed_replay_ends_the_same(tmp_path):
         running.kill()
         running.wait()
     assert replay("killed").wait() in (0, 3)
-    said = [(tmp_path / out / "trajectory.csv").read_bytes() for out in ("whole", "killed")]
-    assert said[0] == said[1]
+    written = [(tmp_path / out / "trajectory.csv").read_bytes() for out in ("whole", "killed")]
+    assert written[0] == written[1]
     assert "events were in the journal" in (tmp_path / "killed" / "summary.json").read_text()
 
 

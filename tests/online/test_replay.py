@@ -67,18 +67,18 @@ def test_latency_covers_all_events_between_two_steps(monkeypatch):
     assert latency.step(lambda: "7 ms") == "7 ms"
     latency.push(lambda event: None, "4 ms")
     latency.step(lambda: "5 ms")
-    said = latency.describe()
-    assert (said["steps"], said["push"]["median"], said["push"]["max"]) == (2, 3.5, 4.0)
-    assert (said["pose"]["median"], said["pose"]["max"]) == (6.0, 7.0)
+    described = latency.describe()
+    assert (described["steps"], described["push"]["median"], described["push"]["max"]) == (2, 3.5, 4.0)
+    assert (described["pose"]["median"], described["pose"]["max"]) == (6.0, 7.0)
 
 
 def test_latency_of_a_replay(result):
-    said = json.loads((result / "latency.json").read_text())
-    assert list(said["push"]) == ["median", "p95", "p99", "p99.9", "max"]
-    assert list(said["push"].values()) == sorted(said["push"].values())
-    assert said["steps"] == json.loads((result / "summary.json").read_text())["steps"]
-    assert said["peak_memory"] is None or said["peak_memory"] > 10
-    assert all(look["resident"] > 10 for look in said["memory"])
+    described = json.loads((result / "latency.json").read_text())
+    assert list(described["push"]) == ["median", "p95", "p99", "p99.9", "max"]
+    assert list(described["push"].values()) == sorted(described["push"].values())
+    assert described["steps"] == json.loads((result / "summary.json").read_text())["steps"]
+    assert described["peak_memory"] is None or described["peak_memory"] > 10
+    assert all(look["resident"] > 10 for look in described["memory"])
 
 
 def test_long_walks_have_as_many_memory_measurements_as_short_ones(monkeypatch):

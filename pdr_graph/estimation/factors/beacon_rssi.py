@@ -237,9 +237,9 @@ def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons
     middle = np.bincount(of_stretch, time, minlength=len(stretches)) / size
     first = np.unique(group, return_index=True)[1]
     mean = np.bincount(group, rssi, minlength=len(count)) / count
-    heard, row = np.unique(beacon[first], return_inverse=True)
-    label = tuple(beacons.label[m] for m in heard)
-    return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[heard], beacons.sigma[heard])
+    received, row = np.unique(beacon[first], return_inverse=True)
+    label = tuple(beacons.label[m] for m in received)
+    return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[received], beacons.sigma[received])
 
 
 class LevelCollector:
@@ -287,9 +287,9 @@ class LevelCollector:
             yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
         self._waiting = self._waiting[~complete]
 
-    def _among_met(self, levels: Levels, heard: Index) -> Levels:
-        """The levels, renumbered in the table of all beacons received so far. heard: ``(m,)`` beacons of ``levels``."""
-        row = np.array([self._met.index(int(m)) for m in heard])
+    def _among_met(self, levels: Levels, received: Index) -> Levels:
+        """The levels, renumbered in the table of all received beacons. received: ``(m,)`` those of ``levels``."""
+        row = np.array([self._met.index(int(m)) for m in received])
         met, beacons = np.array(self._met), self._beacons
         return Levels(
             time=np.round(levels.time, DECIMALS),
@@ -353,8 +353,8 @@ def _grid(track: Array) -> Array:
 
 def _negative_log_likelihood(level: Array, expected: Array) -> float:
     """Negative log-likelihood of levels ``(n,)``, NaN where not received, at the most likely power of the beacon."""
-    heard = np.isfinite(level)
-    off = (level[heard] - expected[heard] - POWERS[:, None]) / LEVEL_SIGMA
-    silent = -log_ndtr((WEAKEST - expected[~heard] - POWERS[:, None]) / LEVEL_SIGMA)
+    received = np.isfinite(level)
+    off = (level[received] - expected[received] - POWERS[:, None]) / LEVEL_SIGMA
+    silent = -log_ndtr((WEAKEST - expected[~received] - POWERS[:, None]) / LEVEL_SIGMA)
     total = np.minimum(0.5 * off**2, MOST_EVIDENCE).sum(axis=1) + np.minimum(silent, MOST_EVIDENCE).sum(axis=1)
     return float(np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2))

@@ -23,7 +23,7 @@ FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 @dataclass(frozen=True)
 class CorridorUse:
-    """Which corridor measurements are used in addition to walls, which contain much of the same information."""
+    """Use of corridor measurements in addition to walls, which contain much of the same information."""
 
     turns: bool = False
     directions: bool = False

@@ -44,7 +44,7 @@ class Collector(Protocol):
         ...
 
     def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Go on from a checkpoint."""
+        """Set the state to a checkpoint."""
         ...
 
 
