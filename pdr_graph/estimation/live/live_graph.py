@@ -326,9 +326,11 @@ class LiveGraph:
         if not count:
             return
         self._leaving, until = 0, window.times[count]
-        complete = self._current is not None and len(self._current[0].intervals) == len(window.intervals)
-        late = self._outdated and min(self._arrivals, default=until) < until
-        at = self._evaluate(self._current) if complete and not late else self.evaluate(everything=True)
+        current, late = self._current, self._outdated and min(self._arrivals, default=until) < until
+        if current is not None and len(current[0].intervals) == len(window.intervals) and not late:
+            at = self._evaluate(current)
+        else:
+            at = self.evaluate(everything=True)
         self._report_until(until, at)
         self.finalized.take(window.intervals[:count], at, window.pose[0].copy() if window.complete else None)
         window.forget(count)
