@@ -361,6 +361,7 @@ class LiveSmoother(LiveOutput):
             if interval.begin >= path.time[0] - CLOSE:
                 window.c[interval.segment] = path.state[-1, 3:]
                 values.update(C(interval.segment), path.state[-1, 3:])
+        self._associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
         graph.restart_solver(graph.isam.with_values(values), graph.isam.factors)
 
     def checkpoint(self) -> SmootherCheckpoint:
