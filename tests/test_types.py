@@ -10,7 +10,7 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.gait.steps import gap, join
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.measurements import Closures, Levels
+from pdr_graph.measurements import Closures, Levels, Ranges
 from pdr_graph.types import Beacons, Calibration, Estimate, Fixes, Headings, Recording, Sightings, Signal
 
 
@@ -79,6 +79,10 @@ REPRS = [
     (
         Levels(TIME[:1], np.zeros(1, int), TIME[:1], ("a",), np.zeros((1, 2)), np.ones(1)),
         "Levels(1 level, 0.0 to 0.0 s)",
+    ),
+    (
+        Ranges(TIME[:2], np.zeros(2, int), np.ones(2), np.ones(2), ("a",), np.zeros((1, 2)), np.ones(1)),
+        "Ranges(2 ranges, 0.0 to 0.0 s)",
     ),
     (Closures.of([(1.0, 2.0, 0.5)]), "Closures(1 closure, 1.0 to 2.0 s)"),
 ]
