@@ -152,13 +152,13 @@ def rectangle(laps=1, side=(24, 12)):
 KINDS = {  # names by the letters of the variables and the rows of the error
     ("x", 2): ("fix", ORANGE),
     ("x", 1): ("heading, first heading", GREEN),
-    ("xgg", 2): ("fix of a receiver", GOLD),
-    ("xbq", 1): ("level of a beacon", PURPLE),
+    ("xgg", 2): ("GNSS fix", GOLD),
+    ("xbq", 1): ("beacon RSSI", PURPLE),
     ("xx", 2): ("closure", RED),
     ("c", 3): ("calibration", GREY),
     ("cc", 3): ("calibration", GREY),
 }
-BELIEF = "belief of g, b, q", PALE
+PRIOR = "prior of g, b, q", PALE
 STEPS, WALL = ("PDR", BLUE), ("wall", INK)
 LEVEL = {"c": 2.0, "x": 0.0, "g": -1.7, "b": -2.8, "q": -2.8}
 PLACED = {"g": (0.5, 1.6, 4.9, 5.9), "b": (2.4, 7.4), "q": (4.7,)}  # by the poses that they go with
@@ -223,7 +223,7 @@ def draw_factor(axes, factor, place, taken, named):
     """A square between its variables, or beside its only one."""
     keys = list(factor.keys())
     letters, ends = "".join(chr(gtsam.Symbol(key).chr()) for key in keys), np.array([place[key] for key in keys])
-    name, colour = KINDS.get((letters, factor.dim()), BELIEF)
+    name, colour = KINDS.get((letters, factor.dim()), PRIOR)
     at = ends.mean(axis=0)
     if letters == "xxc":
         walled = taken.setdefault(tuple(keys), 0)
@@ -631,10 +631,10 @@ def closure():
     """What a closure costs, and a lap that it closes."""
     figure, (law, above) = canvas(ratios=[1, 1.1])
     metres = np.linspace(0, 5, 300)
-    for name, firmly, colour in (("firm: Gaussian", True, PALE), ("doubted: Geman–McClure", False, BLUE)):
+    for name, firmly, colour in (("Gaussian", True, PALE), ("Geman–McClure", False, BLUE)):
         law.plot(metres, [cost_apart(d, firmly) for d in metres], color=colour, label=name)
-    law.axhline(CLOSURE_WIDTH**2 / 2, color=GREY, lw=1, ls=":", label="8: the most that it costs")
-    law.set(ylim=(0, 14), xlabel=f"apart [m], σ = {STANDING_SIGMA} m", title="cost")
+    law.axhline(CLOSURE_WIDTH**2 / 2, color=GREY, lw=1, ls=":", label="8: its upper limit")
+    law.set(ylim=(0, 14), xlabel=f"distance [m], σ = {STANDING_SIGMA} m", title="cost")
     law.legend(loc="lower right", fontsize=11.5)
 
     steps = rectangle()
@@ -647,7 +647,7 @@ def closure():
         above.plot(*found.position.T, color=colour, label=name)
         ellipse(above, found.position[-1], found.covariance[-1, :2, :2], color=colour, lw=1.2)
     above.plot(*dead_reckon(steps).position.T, color=INK, ls="--", lw=1.4, label="truth")
-    plane(above, "a lap, and the 95 % of its end")
+    plane(above, "a lap and the 95 % region of its end")
     above.legend(loc="upper center", fontsize=11.5)
     above.set(ylim=(-9, 24))
     save(figure, "closure")
