@@ -8,6 +8,8 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_graph.errors import count
+
 Table = TypeVar("Table", bound=Any)
 
 
@@ -36,11 +38,6 @@ def time_span(record: object) -> list[str]:
     """The first and last time of a record's rows as a text, ``0.0 to 243.1 s``; empty without rows."""
     time = np.asarray(getattr(record, "time", ()))
     return [f"{time.min():.1f} to {time.max():.1f} s"] if time.size else []
-
-
-def count(number: int, noun: str) -> str:
-    """A number of things as a text: ``1 fix``, ``12 fixes``."""
-    return f"{number} {noun}{'' if number == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
 def check_finite(record: object, *columns: str) -> None:

@@ -1,4 +1,4 @@
-"""Errors of one line for bad input: source, place, what was found, what was expected. Exit codes and TOML files."""
+"""Texts of one line, errors for bad input among them: source, place, found, expected. Exit codes and TOML files."""
 
 from __future__ import annotations
 
@@ -47,6 +47,11 @@ def one_line(text: str) -> str:
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     half = LONGEST_PART // 2
     return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
+
+
+def count(number: int, noun: str) -> str:
+    """A number of things as a text: ``1 fix``, ``12 fixes``."""
+    return f"{number} {noun}{'' if number == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
 EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names

@@ -17,8 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_graph.columns import OneLineRepr, check_each, check_finite, count, fill_labels, select_rows, time_span
-from pdr_graph.errors import expect
+from pdr_graph.columns import OneLineRepr, check_each, check_finite, fill_labels, select_rows, time_span
+from pdr_graph.errors import count, expect
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

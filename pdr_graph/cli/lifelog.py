@@ -13,8 +13,7 @@ from typing import Annotated
 import typer
 
 from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
-from pdr_graph.columns import count
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, first_look, one_line
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count, first_look, one_line
 
 lifelog = typer.Typer(
     no_args_is_help=True,

@@ -12,8 +12,8 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import expect
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count, expect
 from pdr_graph.floor.cells import CONNECTING, NOWHERE, STRAY
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan

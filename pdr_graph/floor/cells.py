@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import viterbi
 from pdr_graph.types import Array, Index

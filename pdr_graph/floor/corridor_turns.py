@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.floor.network import Network
 from pdr_graph.geometry import courses, turn_between, unit, wrap_angle
 from pdr_graph.types import Array, Index, Mask, Steps

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import KINDS, LINK, OUTLINE, Area
 from pdr_graph.frames import Frame, enu, projected
 from pdr_graph.storage import fingerprint

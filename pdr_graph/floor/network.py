@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.floor import network_derivation
 from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without_cracks
 from pdr_graph.types import Array, Index

@@ -17,7 +17,8 @@ import numpy as np
 import shapely
 from scipy.spatial import KDTree, Voronoi
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Index
 

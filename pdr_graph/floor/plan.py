@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
 from pdr_graph.floor import formats
 from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_detection import Landings, walking_steps
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, SHORTEST_WALK, Attitude, attitude_of

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.inertial.attitude import runs
 from pdr_graph.types import Array, Index, Mask, Signal, Steps
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
 from pdr_graph.types import Array
 
 DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark

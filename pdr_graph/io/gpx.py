@@ -15,8 +15,8 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
-from pdr_graph.columns import OneLineRepr, count, time_span
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr, time_span
+from pdr_graph.errors import InputError, count
 from pdr_graph.frames import Frame
 from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes

@@ -13,8 +13,8 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
 
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
 
 MAXIMUM_FILES = 1000
 ZIP_ERRORS = (

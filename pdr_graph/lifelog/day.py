@@ -11,7 +11,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, count, time_span
+from pdr_graph.columns import OneLineRepr, time_span
+from pdr_graph.errors import count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import interpolate, length_along, nearest, wrap_angle

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS
 from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together

@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.steps import GAP_SIGMA_TURN, append_steps, gap, shifted
 from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation

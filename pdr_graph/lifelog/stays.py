@@ -16,7 +16,8 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr, count
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan

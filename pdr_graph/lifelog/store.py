@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from pdr_graph import storage
-from pdr_graph.columns import OneLineRepr, count
-from pdr_graph.errors import InputError
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
