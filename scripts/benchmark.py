@@ -60,7 +60,7 @@ def smoother_rows():
 
         def mean_only(steps=steps, fixes=fixes):
             graph = WalkGraph(steps, fixes)
-            return optimize(graph, graph.start.to_values())
+            return optimize(graph, graph.start)
 
         alone = median_time(mean_only, runs)
         whole = median_time(lambda steps=steps, fixes=fixes: smooth(WalkGraph(steps, fixes)), runs)
@@ -78,7 +78,7 @@ def wall_rows():
     plan = FloorPlan.load(ROOT / "maps" / "loop.geojson")
     steps, fixes = held_by_walls(7000)
     graph = WalkGraph(steps, fixes, floor=plan)
-    good = optimize(graph, graph.start.to_values()).values
+    good = optimize(graph, graph.start).state
     seven = median_time(lambda: optimize(graph, good), 5)
     found = optimize(graph, good)
     rows = [["graph of 7000 steps with walls, from a good start", f"{seven:.3f} s", f"{found.iterations} iterations"]]

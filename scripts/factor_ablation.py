@@ -11,6 +11,7 @@ from unittest.mock import patch
 import gtsam
 import lifelog_chains
 import numpy as np
+from gtsam.symbol_shorthand import X
 from microsoft import graph_of, microsoft_walks
 from outliers import scattered
 from recorded import WAYPOINT_NOISE, fixes_as_track, gaps, ipin2023_walks, percentiles
@@ -79,7 +80,7 @@ def sub_steps():
     jumps = []
     for walk in malls(SECOND):
         best = optimizer.solutions(graph_of(walk))[0]
-        jumps.append(np.hypot(*best.own.left_over.value[:, :2].T))
+        jumps.append(np.hypot(*best.at.step_residual.value[:, :2].T))
     jumps = np.concatenate(jumps)
     half, most = np.percentile(jumps, [50, 95])
     return (
@@ -197,7 +198,7 @@ def first_heading():
         if not isinstance(factors.at(n), gtsam.PoseRotationPrior2D):
             bare.add(factors.at(n))
     try:
-        gtsam.Marginals(bare, whole.start.to_values()).marginalCovariance(whole.keys[0][0])
+        gtsam.Marginals(bare, whole.start.to_values()).marginalCovariance(X(0))
     except RuntimeError as error:
         found = str(error).strip().splitlines()[0]
         return f"of a walk with one fix GTSAM says: *{found}…*"
