@@ -9,11 +9,12 @@ A phone's sensor log, a floor plan and a few position fixes in; the most probabl
 
 read       load  read_fixes  read_trajectory  FloorPlan  Building  Walker  Frame  frame_of
 walk       detect_steps  magnetic_headings  dead_reckon  floors_of
-estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother
+estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother  verdict
 live       Navigator  Journal  Samples  Scan  Pose  events_of
 look       plot  evaluate
 simulate   Scenario  simulate
 data       Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError
+           Contradiction  Verdict
 
 SI units and radians; x east, y north, or the floor plan's own frame; headings counter-clockwise from +x; arrays are
 samples-first, ``(n, 2)``; times are seconds from the recording's start. What is not named here may change.

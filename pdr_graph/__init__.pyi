@@ -1,6 +1,9 @@
 # The public names, each once: `__init__.py` loads them from here on first use, type checkers read this file as it is.
 
+from .contradiction import Contradiction as Contradiction
+from .contradiction import Verdict as Verdict
 from .errors import InputError as InputError
+from .estimation.consistency import verdict as verdict
 from .estimation.factors.start import Prior as Prior
 from .estimation.floors import floors_of as floors_of
 from .estimation.graph import WalkGraph as WalkGraph

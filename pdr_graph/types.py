@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_graph.columns import OneLineRepr, check_each, check_finite, fill_labels, select_rows, time_span
+from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import count, expect
 
 Array = NDArray[np.float64]
@@ -47,9 +48,7 @@ class Signal(OneLineRepr):
         """Raise ValueError unless there is a row of values for each time."""
         if np.ndim(self.time) != 1 or np.ndim(self.values) != 2 or len(self.time) != len(self.values):
             found = f"shapes {np.shape(self.time)} and {np.shape(self.values)}"
-            raise ValueError(
-                f"Signal: found times and values of {found}, expected (n,) and (n, 3), a barometer's (n, 1)"
-            )
+            raise ValueError(f"Signal: found times and values of {found}, expected (n,) and (n, 3) or (n, 1)")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -413,14 +412,14 @@ class BeaconReport:
 class Estimate(OneLineRepr):
     """The estimated walk.
 
-    trajectory: start pose, one row per step at its end, last pose. See design section 4.
+    trajectory: start pose, one row per step at its end, last pose.
     dead_reckoning: the same rows from the steps alone, rigidly aligned to the fixes.
     calibration: None if the method estimates none.
     reports: residual and weight of each measurement, by kind: "fixes" in input order, "beacons" one each.
     iterations: of the optimiser; cost: half the sum of squared, robustly weighted residuals, NaN if not defined.
     converged: False if the optimiser stopped before the cost converged.
     probability: of this route, against other routes that also explain the measurements.
-    warnings: what a user must know before trusting the result.
+    warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`.
     """
 
     trajectory: Trajectory
@@ -432,6 +431,7 @@ class Estimate(OneLineRepr):
     converged: bool
     probability: float = 1.0
     warnings: tuple[str, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:

@@ -19,7 +19,9 @@ import pdr_graph as pdr
 PROMISED = """
 Building(floors)
 Calibration(start, value, covariance, prior_sigma)
-Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=)
+Contradiction(source, against, amount, unit, text, check, state=)
+Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
+contradictions=)
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
@@ -39,6 +41,7 @@ Sightings(time, transmitter, rssi, minor=)
 Signal(time, values)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=)
 Trajectory(time, position, heading, floor=, covariance=, epsg=)
+Verdict(state, reasons=)
 WalkGraph(steps, fixes=, *, headings=, floor=, floors=, levels=, closures=, measurements=, prior=, others=)
 Walker(height=, sigma_turn=, stride=, constants=, profile=)
 dead_reckon(steps, start=, heading=)
@@ -56,6 +59,7 @@ read_fixes(path, recording, frame=, notes=)
 read_trajectory(path, recording=)
 simulate(scenario)
 smooth(graph)
+verdict(estimate)
 """
 
 
@@ -159,6 +163,7 @@ RETURNS = {
     "magnetic_headings": pdr.Headings,
     "smooth": pdr.Estimate,
     "plot": Figure,
+    "verdict": pdr.Verdict,
 }
 
 

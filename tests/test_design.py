@@ -22,7 +22,7 @@ FLOORS = [
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io"],
     ["inertial", "floor"],
-    ["geometry", "frames", "storage", "measurements", "types", "columns", "errors"],
+    ["geometry", "frames", "storage", "measurements", "types", "contradiction", "columns", "errors"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {

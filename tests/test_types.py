@@ -7,6 +7,7 @@ import pytest
 from walks import fixes_at, wandering_walk
 
 from pdr_graph.columns import OneLineRepr
+from pdr_graph.contradiction import Contradiction, Verdict
 from pdr_graph.gait.steps import gap, join
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import dead_reckon
@@ -59,6 +60,7 @@ FIX = fixes_at([0.0], [[1.0, 2.0]])
 TRACK = dead_reckon(wandering_walk(3))
 CALIBRATION = Calibration(np.zeros(1), np.array([[1.0, 1.0, 0.0]]), 0.01 * np.eye(3)[None], np.ones((1, 3)))
 ESTIMATE = Estimate(TRACK, TRACK, CALIBRATION, {"fixes": (1, 2), "beacons": ()}, 3, 1.0, True)
+CONTRADICTION = Contradiction("plan", "fixes", 12.0, "m", "the plan lies 12 m from the fixes", "the plan")
 REPRS = [
     (SIGNAL, "Signal(1000 samples, 100 Hz, 0.0 to 10.0 s)"),
     (FIX, "Fixes(1 fix, 0.0 to 0.0 s)"),
@@ -75,6 +77,8 @@ REPRS = [
     (Beacons(("a",), np.zeros((1, 2)), np.ones(1), ("",), ("a",)), "Beacons(1 beacon)"),
     (CALIBRATION, "Calibration(1 segment, last: R_s 1 ± 0.1, R_d 1 ± 0.1, b 0 ± 0.1)"),
     (ESTIMATE, None),
+    (CONTRADICTION, "Contradiction(plan against fixes, 12 m, doubtful)"),
+    (Verdict.of([CONTRADICTION]), "Verdict(doubtful, 1 reason)"),
     (Walker(), "Walker(height 1.7 m, stride 'inverted pendulum')"),
     (
         Levels(TIME[:1], np.zeros(1, int), TIME[:1], ("a",), np.zeros((1, 2)), np.ones(1)),
