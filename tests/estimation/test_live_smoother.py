@@ -28,7 +28,8 @@ def some(steps, begin, end):
     rows = {name: getattr(steps, name)[begin:end] for name in COLUMNS}
     starts = steps.start if begin == 0 else float(steps.time[begin - 1])
     ends = steps.end if end >= len(steps) else float(steps.time[end - 1])
-    return replace(steps, start=starts, end=ends, **rows)
+    final_turn = steps.final_turn if end >= len(steps) else 0.0
+    return replace(steps, start=starts, end=ends, final_turn=final_turn, **rows)
 
 
 def walking(graph, steps, fixes, size=1, late=0.0):
