@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from math import isfinite
 from typing import Any
 
 from pdr_graph.columns import OneLineRepr
@@ -29,6 +30,10 @@ class Contradiction(OneLineRepr):
     text: str
     check: str
     state: str = DOUBTFUL
+
+    def describe(self) -> dict[str, Any]:
+        """Return the contradiction for `summary.json`; an unknown amount is None."""
+        return asdict(self) | {"amount": self.amount if isfinite(self.amount) else None}
 
     def _summary(self) -> list[str]:
         return [f"{self.source} against {self.against}", f"{self.amount:.3g} {self.unit}".strip(), self.state]
@@ -58,10 +63,10 @@ class Verdict(OneLineRepr):
 
     def describe(self) -> dict[str, Any]:
         """Return the verdict for `summary.json`."""
-        return {"state": self.state, "reasons": [asdict(reason) for reason in self.reasons]}
+        return {"state": self.state, "reasons": [reason.describe() for reason in self.reasons]}
 
     def __str__(self) -> str:
-        return ": ".join([self.state, *filter(None, ["; ".join(reason.text for reason in self.reasons)])])
+        return "; ".join(reason.text for reason in self.reasons) or "no source contradicts another"
 
     def _summary(self) -> list[str]:
         return [self.state, *([count(len(self.reasons), "reason")] if self.reasons else [])]

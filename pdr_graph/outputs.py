@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.contradiction import Verdict
 from pdr_graph.estimation.calibration import posterior_profile
+from pdr_graph.estimation.consistency import teaches_profile, verdict
 from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.gait.walker import Profile
@@ -69,13 +71,18 @@ class Result:
         """The causal tracks."""
         return self.causal(self.graph) if self.causal else {}
 
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the estimate can be trusted."""
+        return verdict(self.estimate)
+
 
 def write(out: Path, inputs: Inputs, result: Result, options: Options, stage: Stages) -> tuple[str, ...]:
     """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each."""
     estimate, missing = result.estimate, result.missing
     with stage("write"):
         missing += write_results(out, inputs, estimate, options.rate)
-        if result.steps is not None and estimate.calibration is not None and estimate.calibration.learnt[-1, 0]:
+        if result.steps is not None and teaches_profile(estimate):
             walker = replace(inputs.walker, profile=posterior_profile(estimate, result.steps, result.profile))
             origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
@@ -134,6 +141,7 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
     crossings = None if building is None else int(building.crosses_wall(track.position, track.floor).sum())
     packages = {name: version(name) for name in ("pdr_graph", "gtsam", "numpy", "vqf")}
     return {
+        "verdict": result.verdict.describe(),
         "recording": walk.source,
         "steps": result.step_count if result.steps is None else int((~result.steps.is_gap).sum()),
         "distance": round(_length(estimate), 3),

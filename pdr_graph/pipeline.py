@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdr_graph import io
-from pdr_graph.errors import InputError
+from pdr_graph.contradiction import OK
+from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.calibration import calibrate, prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.heading_prior import heading_reports
@@ -19,7 +20,7 @@ from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
-from pdr_graph.estimation.results import missing_of
+from pdr_graph.estimation.results import FIRST_ONLY, missing_of
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import read_route
@@ -197,7 +198,7 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     at = interpolate(fixes.time, track.time, track.position)
     distance = np.hypot(*(fixes.position - at).T)
     reports = [
-        FixReport(t, x, y, sigma, d, 0.0, "not used: dead reckoning takes the first fix only")
+        FixReport(t, x, y, sigma, d, 0.0, FIRST_ONLY)
         for t, (x, y), sigma, d in zip(
             fixes.time.tolist(), fixes.position.tolist(), fixes.sigma.tolist(), distance.tolist(), strict=True
         )
@@ -252,10 +253,16 @@ def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
 
 
 def _frame_of(summary: Path) -> dict[str, Any]:
+    """The frame of a smoothed walk. Raises InputError if it has none, or if the walk is not to be trusted."""
     try:
-        frame = json.loads(summary.read_text(encoding="utf-8"))["frame"]
-    except (ValueError, KeyError, TypeError):
-        frame = None
+        content = json.loads(summary.read_text(encoding="utf-8"))
+        frame, judged = content["frame"], content.get("verdict", {}).get("state", OK)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        frame, judged = None, OK
+    if judged != OK:
+        raise InputError(
+            summary, "verdict", one_line(f"{judged}"), "walks that are ok: a radio map is as wrong as they"
+        )
     if not isinstance(frame, dict):
         raise InputError(summary, "frame", "none", "the frame of a walk, as pdr-graph smooth writes it")
     return frame

@@ -50,10 +50,11 @@ def test_the_summary_speaks_in_the_recorders_clock(tmp_path, felt):
 
 
 def test_dead_reckoning_is_turned_and_scaled_by_nothing(tmp_path, felt):
-    """``--method pdr``: the first fix says where it starts; the rest are not looked at."""
+    """``--method pdr``: the first fix says where it starts; the other fixes are not used, so its direction is open."""
     path = recorders.in_zip(tmp_path / "walk.zip", recorders.phyphox(felt))
     code, _, summary = smoothed(path, tmp_path / "out", "--method", "pdr")
-    assert code == 0
+    assert code == 3
+    assert [reason["source"] for reason in summary["verdict"]["reasons"]] == ["route"]
     run("steps", path, "--out", tmp_path / "steps.csv")
     lengths = np.loadtxt(tmp_path / "steps.csv", delimiter=",", skiprows=1, usecols=1)
     track = read_trajectory(tmp_path / "out" / "trajectory.csv")

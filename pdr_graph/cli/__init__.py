@@ -418,15 +418,18 @@ def _path_named_after(recording: Path, ending: str) -> Path:
 
 
 def _report_end(missing: tuple[str, ...], out: Path) -> None:
-    """Print key figures, warnings and the file to open; exit with EXIT_DEGRADED if something is missing."""
+    """Print verdict, key figures, warnings and the file to open; exit with EXIT_DEGRADED unless all is well."""
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    steps = f"{summary['steps']} steps, " if summary["steps"] else ""
-    typer.echo(f"{steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
+    steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
+    typer.echo(f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
+    for reason in summary["verdict"]["reasons"]:
+        typer.echo(f"{state}: {reason['text']} (to check: {reason['check']})")
     for warning in summary["warnings"]:
         typer.echo(f"note: {warning}")
     typer.echo(f"-> {first_look(out)}")
     if missing:
         typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+    if missing or state != "ok":
         raise typer.Exit(EXIT_DEGRADED)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
+from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoother import smooth
@@ -84,7 +85,7 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     """The profile of a walker who followed a line, the walk in the frame of the line, and the number of laps.
 
     route: corners ``(m, 2)`` [m] of the line in walking order; a closed line may have been walked several times.
-    Raises InputError if the steps do not follow it.
+    Raises InputError if the steps do not follow it, or if the walk is not "ok".
     """
     if len(steps) < 20:
         raise InputError(source, "", f"{len(steps)} steps", "a walk of at least twenty along the route")
@@ -101,6 +102,10 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
     time = np.interp(along, best.along, np.append(steps.time[0] - steps.duration[0], steps.time))
     fixes = Fixes(time, _at(line, along), np.full(len(along), SWAY), ("",) * len(along))
     estimate = smooth(WalkGraph(steps, fixes))
+    if not (judged := verdict(estimate)).ok:
+        raise InputError(
+            source, "", f"a {judged.state} walk: {judged}", "a walk along the route that nothing contradicts"
+        )
     profile = posterior_profile(estimate, steps)
     return replace(profile, residual=best.apart), estimate, best.laps
 

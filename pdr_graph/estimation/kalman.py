@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.errors import expect
+from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.factors.losses import HUBER_WIDTH, huber_weight
 from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
@@ -236,6 +237,7 @@ def estimate_of(
         converged=True,
         probability=probability,
         warnings=(*warnings(graph, walks, probability, True, calibration), *_lost(graph, met)),
+        contradictions=plan_contradictions(graph),
     )
 
 

@@ -15,6 +15,8 @@ from pdr_graph.types import Array, Calibration, Estimate, FixReport, Index
 SURE = 0.9  # probability below which a user is warned
 REJECTED = 0.1  # weight below which a fix counts as rejected
 MANY = 0.1  # share of rejected fixes at which a user is warned
+STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
+FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 
 
@@ -87,9 +89,37 @@ def outside_warnings(time: Array, start: float, end: float) -> tuple[str, ...]:
 
 
 def calibration_warnings(calibration: Calibration) -> tuple[str, ...]:
-    """Warn of coefficients that the walk does not determine."""
+    """Warn of coefficients that the walk does not determine, and of a stride scale of no usual walker."""
     open_ = [NAMES[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
-    return (f"{', '.join(open_)} not observable from this walk: prior kept",) if open_ else ()
+    scale = stride_scale(calibration)
+    return (
+        *((str(scale),) if scale is not None and scale.unusual else ()),
+        *((f"{', '.join(open_)} not observable from this walk: prior kept",) if open_ else ()),
+    )
+
+
+@dataclass(frozen=True)
+class StrideScale:
+    """The mean stride scale R_s of a walk, with its sigma."""
+
+    value: float
+    sigma: float
+
+    @property
+    def unusual(self) -> bool:
+        """True if usual walkers have another stride scale."""
+        return not STRIDE[0] <= self.value <= STRIDE[1]
+
+    def __str__(self) -> str:
+        low, high = STRIDE
+        return f"the {NAMES['R_s']} is {self.value:.2f} ± {self.sigma:.2f}, that of usual walkers {low} to {high}"
+
+
+def stride_scale(calibration: Calibration) -> StrideScale | None:
+    """The mean stride scale of a walk; None if the walk does not determine it."""
+    if not calibration.learnt[:, 0].any():
+        return None
+    return StrideScale(float(calibration.value[:, 0].mean()), float(calibration.sigma[:, 0].min()))
 
 
 def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:

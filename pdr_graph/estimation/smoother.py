@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.errors import expect
+from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
@@ -56,6 +57,7 @@ def smooth(graph: WalkGraph) -> Estimate:
             *warnings(graph, len(optima), of_path, best.converged, calibration),
             *contradiction_warnings(reports.get(used.name, ())),
         ),
+        contradictions=plan_contradictions(graph, trajectory),
     )
 
 

@@ -122,12 +122,15 @@ def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -
 
 
 def _grouped_by_area(outings: Sequence[Sequence[EstimatedWalk | Outing]]) -> Iterator[list[_WalkIndex]]:
-    """The walks on each plan, and walks without a plan whose starts are within AREA_RADIUS; groups of two or more."""
+    """The walks on each plan, and walks without a plan whose starts are within AREA_RADIUS; groups of two or more.
+
+    Walks whose sources contradict each other are left out: the radio scans on them are at wrong places.
+    """
     grounds: defaultdict[object, list[_WalkIndex]] = defaultdict(list)
     centres: list[np.ndarray] = []
     for d, own in enumerate(outings):
         for n, one in enumerate(own):
-            if isinstance(one, EstimatedWalk):
+            if isinstance(one, EstimatedWalk) and one.may_bind:
                 ground: object = one.session.parts[0][1].plan or _area_of(one, centres)
                 if ground is not None:
                     grounds[ground].append(_WalkIndex(d, n))

@@ -11,6 +11,7 @@ import numpy as np
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.estimation.calibration import posterior_profile
+from pdr_graph.estimation.consistency import ROUTE, teaches_profile, verdict
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import plan_fingerprint
@@ -61,9 +62,8 @@ class EstimatedWalk(OneLineRepr):
 
     @property
     def profile_after(self) -> Profile | None:
-        """Profile of the walker after the walk; less certain than before if the walk determined nothing."""
-        calibration = self.estimate.calibration
-        if calibration is None or not (self.profile is not None or calibration.learnt[-1, 0]):
+        """Profile of the walker after the walk: that before it, unless the walk may teach one."""
+        if not teaches_profile(self.estimate):
             return self.profile
         return posterior_profile(self.estimate, self.graph.steps, self.profile)
 
@@ -82,9 +82,19 @@ class EstimatedWalk(OneLineRepr):
             segments=segments_of(steps, track, self.rides),
             stays=stays_of(steps, track, self.building, self.looks),
             steps=int((~steps.is_gap).sum()),
-            notes=tuple(dict.fromkeys((*notes, *self.session.notes, *self.estimate.warnings))),
+            notes=tuple(dict.fromkeys((*self._doubts, *notes, *self.session.notes, *self.estimate.warnings))),
             missing=self.missing,
         )
+
+    @property
+    def may_bind(self) -> bool:
+        """True if other walks may be bound to this one: no source contradicts another; its route may be open."""
+        return all(reason.source == ROUTE for reason in verdict(self.estimate).reasons)
+
+    @property
+    def _doubts(self) -> tuple[str, ...]:
+        """The reasons why the walk is not "ok", a line each."""
+        return tuple(f"{reason.state}: {reason.text}" for reason in verdict(self.estimate).reasons)
 
     def _summary(self) -> list[str]:
         return [repr(self.session), repr(self.estimate)]

@@ -122,6 +122,7 @@ def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[s
         "title": f"{day.person}   {day.date}",
         "subtitle": f"times of {zone}",
         "headline": _headline(totals(day, entries)),
+        "verdict": None,
         "missing": list(missing),
         "warnings": list(warnings),
         "offsets": _offsets(start, end, zone),

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from pdr_graph.contradiction import Contradiction, Verdict
 from pdr_graph.errors import expect
 from pdr_graph.estimation.calibration import prior_of
+from pdr_graph.estimation.consistency import ROUTE, plan_placement, verdict, wall_crossings
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import FloorsCheckpoint, LiveFloors
@@ -34,7 +36,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude_stream import Health
 from pdr_graph.online.interface import EVENTS, NO_DATA, NO_STEPS, Event, Pose, Samples, Scan
-from pdr_graph.types import LONLAT, Array, Beacons, Calibration, Estimate, Fixes, FixReport, Steps, Trajectory
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -53,7 +55,7 @@ class Status:
     of the walk is certain, "running"; issues: present problems, a line each; unknown: what the sensors do not measure,
     a line each; sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers
     of fixes too old for the window or far in the future; restarts: how often fixes contradicted the estimate; rebuilds:
-    reason of each rebuild of the solver.
+    reason of each rebuild of the solver; verdict: whether the walk so far can be trusted.
     """
 
     state: str
@@ -66,6 +68,7 @@ class Status:
     early: int
     restarts: int
     rebuilds: tuple[str, ...]
+    verdict: Verdict
 
 
 @dataclass(frozen=True)
@@ -210,6 +213,7 @@ class Navigator:
             early=self._early,
             restarts=graph.restarts,
             rebuilds=tuple(graph.graph.isam.rebuilds),
+            verdict=verdict(self._estimate()),
         )
 
     def finalized(self) -> Trajectory:
@@ -224,31 +228,58 @@ class Navigator:
         if last is not None:
             self._extend(last)
         self._graph.finish()
+        if self._graph.final is not None:
+            return self._graph.final
+        estimate = self._estimate()
+        return replace(estimate, dead_reckoning=self._dead_reckoning(), warnings=self._warnings(estimate))
+
+    def _estimate(self) -> Estimate:
+        """The walk smoothed so far, without dead reckoning and warnings."""
         smoother, rows = self._graph, self.trajectory
-        if smoother.final is not None:
-            return smoother.final
         if not self._window.keyframes:
-            return Estimate(rows, self._dead_reckoning(), None, {}, 0, float("nan"), True)
-        calibration, reports = smoother.calibration(), smoother.reports()
+            return Estimate(rows, rows, None, {}, 0, float("nan"), True)
+        reports = smoother.reports()
         return Estimate(
             trajectory=rows,
-            dead_reckoning=self._dead_reckoning(),
-            calibration=calibration,
+            dead_reckoning=rows,
+            calibration=smoother.calibration(),
             reports=reports,
             iterations=smoother.graph.isam.updates,
             cost=smoother.graph.cost,
             converged=True,
-            warnings=self._warnings(reports, calibration),
+            contradictions=self._contradictions(rows, reports),
         )
 
-    def _warnings(self, reports: Mapping[str, Sequence[Any]], calibration: Calibration | None) -> tuple[str, ...]:
-        """The warnings of the smoothed walk, as those of `smooth`."""
-        smoother, fixes = self._graph, reports.get("fixes", ())
-        used = 2 if smoother.sure else len(used_fixes(fixes))  # a certain walk had fixes, perhaps long ago
-        places = np.array([(fix.x, fix.y) for fix in used_fixes(fixes)]).reshape(-1, 2)
+    def _contradictions(self, rows: Trajectory, reports: Mapping[str, Sequence[Any]]) -> tuple[Contradiction, ...]:
+        """Contradictions of the walk with the plan, and an open direction."""
+        if self._graph.graph.has_position and not self._graph.sure:
+            open_direction = (Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"),)
+        else:
+            open_direction = ()
+        if self.building is None:
+            return open_direction
+        walled, places = self._placed(reports)
+        if not len(places) and self._graph.graph.has_position:  # by beacons, ranges or the radio map
+            places, walled = rows.position[-1:], True
+        placed = plan_placement(self.building, walled, places)
+        return (*open_direction, *(placed or wall_crossings(self.building, rows)))
+
+    def _placed(self, reports: Mapping[str, Sequence[Any]]) -> tuple[bool, Array]:
+        """Whether walls are used, and the positions ``(n, 2)`` [m] of the fixes that are used."""
+        places = np.array([(fix.x, fix.y) for fix in used_fixes(reports.get("fixes", ()))]).reshape(-1, 2)
         plan = self.building
-        walled = plan is not None and any(bool(floor.near(places).any()) for floor in plan.floors)
-        placement = Placement(used, bool(reports.get("headings")), bool(len(places)) and plan is not None, walled)
+        return plan is not None and any(bool(floor.near(places).any()) for floor in plan.floors), places
+
+    def _warnings(self, estimate: Estimate) -> tuple[str, ...]:
+        """The warnings of the smoothed walk, as those of `smooth`."""
+        if not self._window.keyframes:
+            return ()
+        smoother, reports, calibration = self._graph, estimate.reports, estimate.calibration
+        fixes, (walled, places) = reports.get("fixes", ()), self._placed(reports)
+        used = 2 if smoother.sure else len(places)  # a certain walk had fixes, perhaps long ago
+        placement = Placement(
+            used, bool(reports.get("headings")), bool(len(places)) and self.building is not None, walled
+        )
         return (
             *placement.warnings(),
             *(() if calibration is None else calibration_warnings(calibration)),

@@ -91,6 +91,7 @@ def content(report: WalkReport) -> dict[str, Any]:
     return {
         "title": report.walk.source,
         "subtitle": _subtitle(report),
+        "verdict": summary["verdict"],
         "headline": _headline(summary, estimate.probability),
         "missing": summary["missing"],
         "warnings": summary["warnings"],

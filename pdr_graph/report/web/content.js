@@ -1,6 +1,6 @@
 // The content of the page: its format, decoding of its numbers, formatting of its times.
 //
-//   title, subtitle; headline: [name, value]; missing, warnings: lines; start, end: of the slider
+//   verdict: null or state and reasons, each with text and check; title, subtitle; headline: [name, value]; missing, warnings: lines; start, end: of the slider
 //   offsets: [from, seconds] of local time, of Unix times; null: times are since the start
 //   maps: name, corners, plan: null or svg with its corners and the names in it
 //   tracks: name, colour, on, time, x, y, heading, covariance (xx, xy, yy), bands (rings per map), width, dash, mode,

@@ -1,10 +1,17 @@
-// Headline, warnings and tables.
+// Verdict, headline, warnings and tables.
 
 const FEW = 3; // warnings up to which their list is open at first
 
 const element = (tag, text, more = {}) =>
   Object.assign(document.createElement(tag), text === undefined ? more : { textContent: text, ...more });
+const judge = ({ state, reasons }) => {
+  const list = element("ul");
+  list.append(...reasons.map((reason) => element("li", `${reason.text} (to check: ${reason.check})`)));
+  here("verdict").className = state;
+  here("verdict").append(element("strong", state), reasons.length ? list : ": no source contradicts another");
+};
 const write = () => {
+  if (content.verdict) judge(content.verdict);
   document.title = `${content.title} – pdr_graph`;
   here("title").textContent = content.title;
   here("subtitle").textContent = content.subtitle;

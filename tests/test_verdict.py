@@ -1,0 +1,264 @@
+"""The verdict on a walk: honest sources are "ok", sources that contradict each other are named, and teach nothing."""
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from walks import dead_reckon, drawn_beside_beacons, drawn_from_the_model, fixes_at, square_walk
+
+import pdr_graph as pdr
+from pdr_graph.cli import app
+from pdr_graph.contradiction import DOUBTFUL, FAILED, Contradiction, Verdict
+from pdr_graph.errors import InputError
+from pdr_graph.estimation.calibration import calibrate
+from pdr_graph.estimation.consistency import stride_determined, teaches_profile
+from pdr_graph.geometry import interpolate
+from pdr_graph.pipeline import learn_radio_map
+from pdr_graph.types import Fixes, Headings
+
+MAPS = Path(__file__).parent.parent / "maps"
+DOUBT = Contradiction("plan", "fixes", 3.0, "m", "the plan lies 3 m from the fixes", "the plan")
+
+
+def sources(judged):
+    return {reason.source for reason in judged.reasons}
+
+
+def estimated(seed, change=lambda fixes: fixes, n=150):
+    steps, fixes, _ = drawn_from_the_model(n, seed)
+    return pdr.smooth(pdr.WalkGraph(steps, change(fixes)))
+
+
+def test_the_verdict_is_the_worst_of_its_reasons_which_comes_first():
+    assert Verdict.of([]) == Verdict("ok")
+    assert Verdict.of([DOUBT]).state == "doubtful"
+    worst = replace(DOUBT, source="fixes", state=FAILED)
+    judged = Verdict.of([DOUBT, worst, DOUBT])
+    assert judged.state == "failed"
+    assert judged.reasons == (worst, DOUBT)
+
+
+def test_reasons_are_data_for_json_with_null_for_an_unknown_amount():
+    described = Verdict.of([replace(DOUBT, amount=float("nan"))]).describe()
+    assert json.loads(json.dumps(described, allow_nan=False))["reasons"][0] == {
+        "source": "plan",
+        "against": "fixes",
+        "amount": None,
+        "unit": "m",
+        "text": "the plan lies 3 m from the fixes",
+        "check": "the plan",
+        "state": "doubtful",
+    }
+
+
+def test_walks_whose_errors_are_as_stated_are_ok():
+    """Drawn from the graph's own model: at least 19 of 20."""
+    states = [pdr.verdict(estimated(seed)).state for seed in range(40)]
+    assert states.count("ok") >= 38
+
+
+def test_what_the_smoother_found_counts():
+    assert pdr.verdict(replace(estimated(1), contradictions=(DOUBT,))).state == DOUBTFUL
+
+
+def test_an_unlikely_route_is_doubtful_and_so_is_an_optimiser_that_stopped():
+    estimate = estimated(1)
+    assert pdr.verdict(replace(estimate, probability=0.31)).ok, "two or three routes; the covariance spans them"
+    assert sources(pdr.verdict(replace(estimate, probability=0.29))) == {"route"}
+    assert sources(pdr.verdict(replace(estimate, converged=False))) == {"optimiser"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_most_fixes_are_elsewhere_the_walk_has_failed(seed):
+    def scattered(fixes):
+        away = np.random.default_rng(seed).uniform(-300, 300, fixes.position.shape)
+        return replace(fixes, position=fixes.position + away)
+
+    judged = pdr.verdict(estimated(seed, scattered))
+    assert judged.state == "failed"
+    assert "fixes" in sources(judged)
+
+
+def test_one_outlier_among_ten_fixes_is_no_reason():
+    def moved(fixes):
+        position = fixes.position.copy()
+        position[4] += 60.0
+        return replace(fixes, position=position)
+
+    for seed in range(5):
+        assert pdr.verdict(estimated(seed, moved)).ok
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_fixes_four_times_as_far_off_as_they_state_contradict_the_steps(seed):
+    steps, fixes, _ = drawn_from_the_model(300, seed, every=10, wrong=4.0)
+    assert "fixes" in sources(pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, fixes))))
+
+
+def test_a_list_of_another_building_contradicts_the_fixes():
+    """Half of its beacons are found elsewhere, and the levels of another fit no place."""
+    steps, fixes, levels, _ = drawn_beside_beacons(150, 1)
+    assert pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, fixes, levels=levels))).ok
+    elsewhere = replace(levels, position=levels.position + np.array([40.0, 0.0]))
+    judged = pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, fixes, levels=elsewhere)))
+    assert judged.state == "doubtful"
+    assert {reason.source for reason in judged.reasons} == {"beacons"}
+
+
+def test_headings_ninety_degrees_off_contradict_the_fixes():
+    steps, fixes, truth = drawn_from_the_model(200, 3)
+    time = np.arange(10.0, steps.end - 5, 10.0)
+    heading = np.interp(time, truth.time, np.unwrap(truth.heading)) + np.random.default_rng(0).normal(0, 0.3, len(time))
+    for off, found in ((0.0, set()), (np.pi / 2, {"headings"})):
+        headings = Headings(time, (heading + off + np.pi) % (2 * np.pi) - np.pi, np.full(len(time), 0.3))
+        assert sources(pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, fixes, headings=headings)))) == found
+
+
+# Plans
+
+
+@pytest.fixture(scope="module")
+def arcade():
+    """A walk of 40 s through the arcade: its steps, headings, true trajectory and plan."""
+    plan = pdr.FloorPlan.load(MAPS / "arcade.geojson")
+    route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [27.6, 27.6], [27.9, 8.0]]}, {"stand": 2}]
+    made = pdr.simulate(pdr.Scenario.of({"route": route, "plan": str(MAPS / "arcade.geojson"), "phone": {"rate": 50}}))
+    recording = made.recording("accelerometer", "gyroscope")
+    return pdr.detect_steps(recording), made.truth, plan
+
+
+def on(truth, *times, off=0.0):
+    """Fixes at the true positions, moved by ``off`` [m]."""
+    return fixes_at(times, interpolate(np.array(times), truth.time, truth.position) + off, 0.5)
+
+
+def test_with_true_fixes_on_the_plan_the_walk_is_ok_and_teaches_its_stride(arcade):
+    steps, truth, plan = arcade
+    estimate = pdr.smooth(pdr.WalkGraph(steps, on(truth, 1.0, 20.0, 40.0), floor=plan))
+    assert pdr.verdict(estimate).ok
+    assert teaches_profile(estimate)
+
+
+def test_a_plan_and_no_position_has_failed_but_a_shape_alone_is_ok(arcade):
+    steps, _, plan = arcade
+    assert sources(pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, floor=plan)))) == {"plan"}
+    assert pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, floor=plan))).state == "failed"
+    assert pdr.verdict(pdr.smooth(pdr.WalkGraph(steps))).ok
+
+
+def test_a_plan_beside_all_fixes_is_doubtful_and_the_reason_says_how_far(arcade):
+    steps, truth, plan = arcade
+    judged = pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, on(truth, 1.0, 20.0, 40.0, off=[500.0, 0.0]), floor=plan)))
+    assert judged.state == "doubtful"
+    [reason] = judged.reasons
+    assert (reason.source, reason.against, reason.unit) == ("plan", "fixes", "m")
+    assert 430 < reason.amount < 500, "from the edge of the plan, which is 60 m wide"
+
+
+@pytest.mark.parametrize("off", [[20.0, 0.0], [0.0, -14.0], [14.0, 14.0]])
+def test_one_fix_twenty_metres_off_on_a_plan_is_not_ok_and_teaches_nothing(arcade, off):
+    steps, truth, plan = arcade
+    estimate = pdr.smooth(pdr.WalkGraph(steps, on(truth, 1.0, off=off), floor=plan))
+    assert not pdr.verdict(estimate).ok
+    assert not teaches_profile(estimate)
+
+
+# What may be learnt
+
+
+def test_one_fix_and_a_plan_do_not_determine_a_stride_however_sure_the_posterior(arcade):
+    steps, truth, plan = arcade
+    estimate = pdr.smooth(pdr.WalkGraph(steps, on(truth, 1.0), floor=plan))
+    assert estimate.calibration is not None
+    assert estimate.calibration.learnt[-1, 0], "the plan determines it"
+    assert pdr.verdict(estimate).ok
+    assert not teaches_profile(estimate)
+
+
+def test_two_fixes_determine_a_stride_if_they_are_far_apart():
+    """Of 1 m sigma: their distance must be known to a tenth, half of an unknown stride's variance."""
+    steps = square_walk(side=30)
+    track = dead_reckon(steps)
+    near, far = track.position[[0, 20]], track.position[[0, 60]]
+    assert not stride_determined(pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[[0, 20]], near, 1.5))))
+    assert stride_determined(pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[[0, 60]], far, 1.0))))
+
+
+def test_a_stride_of_no_usual_walker_is_doubtful_until_three_fixes_confirm_it():
+    steps = square_walk(side=30)
+    track = dead_reckon(steps)
+    long = 1.5 * track.position
+    for rows, state in (([0, 60], "doubtful"), ([0, 15, 30, 45, 60, 90, 119], "ok")):
+        estimate = pdr.smooth(pdr.WalkGraph(steps, fixes_at(track.time[rows], long[rows], 0.5)))
+        assert pdr.verdict(estimate).state == state
+        assert any("stride scale R_s is 1." in line for line in estimate.warnings)
+
+
+def test_a_route_at_twice_the_scale_calibrates_nobody():
+    """The line is followed, but half of the fixes on it contradict the steps."""
+    steps = square_walk(side=30)
+    line = np.array([(0.0, 0.0), (21.0, 0.0), (21.0, 21.0), (0.0, 21.0), (0.0, 0.0)])
+    calibrate(steps, line)
+    with pytest.raises(InputError, match="found steps of"):
+        calibrate(steps, 2 * line)
+
+
+# Files
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walk")
+    assert CliRunner().invoke(app, ["simulate", "arcade", "--out", str(folder)]).exit_code == 0
+    return folder
+
+
+def smoothed(walk, out, *options, verb="smooth"):
+    done = CliRunner().invoke(app, [verb, str(walk), *map(str, options), "--out", str(out)])
+    return done, json.loads((out / "summary.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("verb", ["smooth", "replay"])
+def test_stdout_summary_and_exit_code_say_the_same(walk, tmp_path, verb):
+    plan, fixes = ("--map", walk / "plan.geojson"), ("--fixes", walk / "fixes.csv")
+    done, summary = smoothed(walk, tmp_path / "good", *plan, *fixes, verb=verb)
+    assert (done.exit_code, done.output.startswith("ok: ")) == (0, True)
+    assert summary["verdict"] == {"state": "ok", "reasons": []}
+    done, summary = smoothed(walk, tmp_path / "bad", *plan, verb=verb)
+    assert (done.exit_code, done.output.startswith("failed: ")) == (3, True)
+    [reason] = summary["verdict"]["reasons"]
+    assert reason["source"] == "plan"
+    assert reason["text"] in done.output
+    assert not (tmp_path / "bad" / "walker.toml").exists()
+    assert (tmp_path / "bad" / "report.html").exists()
+
+
+def test_a_walk_that_is_not_ok_leaves_no_profile_and_teaches_no_radio_map(walk, tmp_path):
+    _, summary = smoothed(walk, tmp_path / "good", "--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv")
+    assert tomllib.loads((tmp_path / "good" / "walker.toml").read_text())["calibration"]
+    assert summary["verdict"]["state"] == "ok"
+    first, *rows = (walk / "fixes.csv").read_text().splitlines()
+    moved = [",".join([t, str(float(x) + 20), *rest]) for t, x, *rest in (row.split(",") for row in rows[:1])]
+    (tmp_path / "one.csv").write_text("\n".join([first, *moved]) + "\n")
+    done, summary = smoothed(walk, tmp_path / "bad", "--map", walk / "plan.geojson", "--fixes", tmp_path / "one.csv")
+    assert done.exit_code == 3
+    assert summary["verdict"]["state"] != "ok"
+    assert not (tmp_path / "bad" / "walker.toml").exists()
+    with pytest.raises(InputError, match="verdict: found"):
+        learn_radio_map([(walk, tmp_path / "bad")], tmp_path / "map.npz")
+
+
+def test_the_navigator_says_so_while_the_walk_goes_on(walk):
+    recording = pdr.load(walk)
+    plan = pdr.FloorPlan.load(walk / "plan.geojson")
+    fixes = pdr.read_fixes(walk / "fixes.csv", recording, plan.frame)
+    for given, state in ((fixes, "ok"), (Fixes.none(), "failed")):
+        nav = pdr.Navigator(plan)
+        for event in pdr.events_of(replace(recording, fixes=given)):
+            nav.push(event)
+        assert nav.status.verdict.state == state
+        assert pdr.verdict(nav.finish()).state == state
