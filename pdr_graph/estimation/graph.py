@@ -236,6 +236,15 @@ class WalkGraph:
         merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
         return self._with_variables(merged)
 
+    def assuming(self, measurement: Measurement) -> WalkGraph:
+        """Replace the measurements of one kind by ``measurement``, another version of them."""
+        others = tuple(measurement if type(kind) is type(measurement) else kind for kind in self._measurements)
+        return self._with_variables(others)
+
+    def without(self, kind: Measurement) -> WalkGraph:
+        """Remove the measurements of one kind."""
+        return self._with_variables(tuple(other for other in self._measurements if type(other) is not type(kind)))
+
     def decided(self, decisions: Mapping[str, Mapping[str, AnyArray]]) -> WalkGraph:
         """Apply earlier decisions about measurements, by kind (relocated beacons)."""
         kinds = [

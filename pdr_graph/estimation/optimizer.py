@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import Stage, State
+from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
@@ -35,7 +35,8 @@ class Optimum:
     """Result of the optimiser.
 
     at: all factors at the optimum; net: the graph factorised just before the last move; unseen: the negative log
-    posterior of a path that the search may have missed.
+    posterior of a path that the search may have missed; assumed: about sources that err, see `hypotheses`; burden: of
+    these assumptions, in addition to the cost, by their evidence [nats].
     """
 
     graph: WalkGraph
@@ -44,6 +45,8 @@ class Optimum:
     iterations: int
     converged: bool
     unseen: float = np.inf
+    assumed: tuple[Hypothesis, ...] = ()
+    burden: float = 0.0
 
     @property
     def state(self) -> State:
@@ -58,7 +61,7 @@ class Optimum:
     @property
     def surprise(self) -> float:
         """Negative log posterior, least for the most probable walk."""
-        return self.at.surprise
+        return self.at.surprise + self.burden
 
 
 def solutions(graph: WalkGraph) -> list[Optimum]:

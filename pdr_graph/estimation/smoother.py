@@ -8,8 +8,9 @@ from pdr_graph.errors import expect
 from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, paths, probabilities
+from pdr_graph.estimation.optimizer import Optimum, paths, probabilities
 from pdr_graph.estimation.results import calibration_of, contradiction_warnings, warnings
 from pdr_graph.geometry import row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, Trajectory
@@ -25,7 +26,7 @@ def smooth(graph: WalkGraph) -> Estimate:
     expect("smooth, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
 
     # The optimum and other solutions
-    optima = corrected_solutions(graph)
+    optima = joint_solutions(graph)
     best = optima[0]
 
     # Every step, with its covariance
@@ -57,7 +58,7 @@ def smooth(graph: WalkGraph) -> Estimate:
             *warnings(graph, len(optima), of_path, best.converged, calibration),
             *contradiction_warnings(reports.get(used.name, ())),
         ),
-        contradictions=plan_contradictions(graph, trajectory),
+        contradictions=(*plan_contradictions(graph, trajectory), *contradictions(optima, probability)),
     )
 
 

@@ -75,12 +75,16 @@ def test_two_swapped_list_entries_are_detected():
     fixes = fixes_at(truth.time[::20], truth.position[::20], 3.0)
     steps = crooked(truth)
     estimate = smooth(WalkGraph(steps, fixes, levels=levels_along(heard(truth, beacons.position), wrong, steps)))
-    moved = {report.label: report for report in estimate.beacons if "moved or swapped" in report.reason}
+    moved = {report.label: report for report in estimate.beacons if report.misplaced}
     assert set(moved) == {"b", "e"}
     assert "place of e" in moved["b"].reason
     assert "place of b" in moved["e"].reason
     for label, other_index in (("b", 1), ("e", 4)):
         assert (moved[label].x, moved[label].y) == pytest.approx(beacons.position[other_index], abs=5.0)
+    [contradiction] = estimate.contradictions
+    assert contradiction.source == "beacons"
+    assert contradiction.amount > 0.9
+    assert "b and e are swapped" in contradiction.text or "e and b are swapped" in contradiction.text
 
 
 @pytest.mark.parametrize("seed", range(5))

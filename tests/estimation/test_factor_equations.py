@@ -382,25 +382,27 @@ def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_an_offset_is_a_gauss_markov_process(seed):
-    """Between nodes: keep = exp(−drift), σ = √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
+    """About k o: keep = exp(−drift), σ = √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
     graph = received(seed)
     state, bias = any_state(graph, seed), graph.find(GnssBias)
-    g = state["g"]
-    begun = 0
+    g, receiver = state["g"], -1
     for m in range(len(bias.keep)):
         if bias.keep[m] == 0:
-            begun += 1
-            (factor,) = factors_with(graph, state, "gnss_bias.begin", ("g", m))
-            assert factor.residual == pytest.approx(g[m] / [1, 1, 1.0])
+            receiver += 1
+            middle = 1.0 * state["o"][receiver] * [1, 1, 0]
+            (factor,) = factors_with(graph, state, "gnss_bias.begin", ("g", m), ("o", receiver))
+            assert factor.residual == pytest.approx((g[m] - middle) / [1, 1, 1.0])
+            (factor,) = factors_with(graph, state, "gnss_bias.throughout", ("o", receiver))
+            assert factor.residual == pytest.approx(state["o"][receiver])
             continue
         then, at = bias.node_time[m - 1 : m + 1]
         beyond = (max(at - graph.steps.end, 0.0) - max(then - graph.steps.end, 0.0)) * 1.0 / 30.0
         keep = np.exp(-(drifted(graph, at) - drifted(graph, then) + beyond))
         sigma = [np.sqrt(1 - keep**2)] * 2 + [0.02 * np.sqrt(at - then)]
-        r = (g[m] - [keep, keep, 1] * g[m - 1]) / sigma
-        (factor,) = factors_with(graph, state, "gnss_bias.change", ("g", m), ("g", m - 1))
+        r = (g[m] - [keep, keep, 1] * g[m - 1] - (1 - keep) * middle) / sigma
+        (factor,) = factors_with(graph, state, "gnss_bias.change", ("g", m), ("g", m - 1), ("o", receiver))
         assert factor.residual == pytest.approx(r, rel=1e-6)
-    assert begun == 2
+    assert receiver == 1
     assert (fix_factors.STANDING, fix_factors.ALONG) == (120.0, 30.0)
 
 
@@ -428,7 +430,7 @@ def test_the_level_of_a_beacon_follows_the_path_loss(seed):
         distance = np.sqrt(gap @ gap + 1.5**2)
         level = P + b[m, 2] - 10 * n * np.log10(distance) + k * (e(heading) @ gap) / distance
         assert factors[row].variables == [("x", keyframe), ("b", m), ("q", 0)]
-        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 5.0])
+        assert factors[row].residual == pytest.approx([(level - heard.rssi[row]) / 7.0])
     for m, place in enumerate((0.5, 0.5, 30.0)):
         (factor,) = factors_with(graph, state, "beacons.place", ("b", m))
         assert factor.residual == pytest.approx((b[m] - kind.prior[m]) / [place, place, 4.0])

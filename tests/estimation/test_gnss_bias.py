@@ -8,7 +8,7 @@ from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
 from pdr_graph.estimation.factors import gnss_bias
 from pdr_graph.estimation.factors.fixes import STANDING, FixFactor, drift, independent_sigmas
-from pdr_graph.estimation.factors.gnss_bias import NODE, WHITE, GnssBias
+from pdr_graph.estimation.factors.gnss_bias import NODE, THROUGHOUT, WHITE, GnssBias
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
@@ -46,8 +46,9 @@ def biased(graph):
     return graph._with_variables(tuple(replaced.get(kind.name, kind) for kind in graph.measurements))
 
 
-def test_a_minute_of_correlated_fixes_is_worth_a_few():
-    """While standing, the position is the generalised least-squares mean of the fixes."""
+def test_a_minute_of_correlated_fixes_is_worth_a_few(monkeypatch):
+    """While standing, the position is the generalised least-squares mean of the fixes; an offset throughout adds."""
+    monkeypatch.setattr(gnss_bias, "WORSE", ())
     time, sigma = np.arange(0, 61, NODE), 3.0
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
     errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
@@ -56,7 +57,8 @@ def test_a_minute_of_correlated_fixes_is_worth_a_few():
     alike = np.exp(-np.abs(time[:, None] - time) / STANDING)
     weight = np.linalg.solve(sigma**2 * (alike + WHITE**2 * np.eye(len(time))), np.ones(len(time)))
     assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
-    assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(1 / weight.sum(), rel=0.01)
+    variance = 1 / weight.sum() + (THROUGHOUT * sigma) ** 2
+    assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(variance, rel=0.01)
 
 
 def test_a_slow_offset_does_not_bend_the_walk():

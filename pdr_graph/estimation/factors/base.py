@@ -303,6 +303,24 @@ class Stage(Enum):
     FINAL = "final"
 
 
+@dataclass(frozen=True)
+class Hypothesis:
+    """An assumption about how a source errs beyond what it states.
+
+    measurement: its kind under this assumption; price: negative log probability of it in advance, relative to a source
+    without such an error [nats]; text: what errs, for the user; source: its name; place_lost: True if the kind measures
+    no absolute position then.
+    """
+
+    measurement: Measurement
+    price: float
+    source: str
+    text: str
+    check: str = ""
+    place_lost: bool = False
+    second_pass: bool = False
+
+
 class Measurement:
     """A measurement kind: all its instances on one walk.
 
@@ -362,6 +380,10 @@ class Measurement:
     def refined(self, at: Evaluation) -> Measurement:
         """The second pass, once a first optimum is known: outliers lose weight, common errors are modelled."""
         return self
+
+    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+        """Assumptions under which the instances might fit better than at ``at``, the most promising first."""
+        return ()
 
     def corrected(self, at: Evaluation) -> Self | None:
         """The measurement without listed positions that the optimum ``at`` contradicts; None if there are none."""

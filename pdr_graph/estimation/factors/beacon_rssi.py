@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from scipy.special import log_ndtr
 
-from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Measurement, Variables
+from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 STRETCH = 2.0  # [m] of the walk over which levels are averaged
-LEVEL_SIGMA = 5.0  # [dB] of such a mean: reflections, people, furniture
+LEVEL_SIGMA = 7.0  # [dB] of such a mean: reflections, people, furniture
 HEIGHT = 1.5  # [m] of a beacon above the phone
 PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
 BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
@@ -49,6 +49,10 @@ WEAKEST = -97.0  # [dBm] that phones receive
 MOST_EVIDENCE = 4.5  # log-odds of one level at most
 RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
 GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
+MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are assumed and solved
+WRONG_LIST = 5.5  # [nats] price of a wrong list, see `Hypothesis`
+SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
+CHECK_LIST = "the positions in the list of beacons"
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 
 
@@ -195,6 +199,17 @@ class BeaconRssiFactor(Measurement):
         position[moved] = np.nan
         return replace(self, position=position).initialized(at.state.poses)
 
+    def at_places(self, position: Array) -> Self:
+        """The same levels with beacons listed at other positions ``(m, 2)`` [m], NaN where unknown."""
+        prior = self.prior.copy()
+        listed = np.isfinite(position[:, 0])
+        prior[listed, :2] = position[listed]
+        return replace(self, position=position, prior=prior)
+
+    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+        """Two beacons of the list are swapped, one has moved, or the list is of another place."""
+        return list_hypotheses(self, at)
+
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
         [block] = at.blocks_of(self.name)
@@ -203,17 +218,19 @@ class BeaconRssiFactor(Measurement):
 
     def _report(self, m: int, variable: Array, off: Array) -> BeaconReport:
         x, y = variable[:2].tolist()
-        listed, label = self.listed.position[m], self.listed.label
-        moved = bool(np.isfinite(listed[0]) and np.isnan(self.position[m, 0]))
+        listed, used, label = self.listed.position[m], self.position[m], self.listed.label
+        moved = bool(np.isfinite(listed[0]) and (listed != used).any())
         reason = "heard where it is listed"
         if np.isnan(listed[0]):
             reason = "not listed: its place is estimated"
         elif moved:
             distance = np.hypot(*(self.listed.position - (x, y)).T)
-            reason = (
-                f"heard as if it were {distance[m]:.0f} m from where it is listed, nearest to the place of "
-                f"{label[int(np.nanargmin(distance))]}: moved or swapped, its place was not used"
-            )
+            nearest = label[int(np.nanargmin(distance))]
+            reason = f"heard as if it were {distance[m]:.0f} m from where it is listed, "
+            if np.isfinite(used[0]):
+                reason += f"at the place of {nearest}: swapped, that place was used"
+            else:
+                reason += f"nearest to the place of {nearest}: moved or swapped, its place was not used"
         return BeaconReport(label[m], len(off), float(off.mean()), x, y, moved, reason)
 
 
@@ -326,22 +343,80 @@ def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: 
 
     position: ``(k, 2)`` of the walk at its keyframes [m]; q: (P, n, k).
     """
-    stretch, of = np.unique(levels.time, return_inverse=True)
-    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
+    track, table = level_table(levels, keyframe_time, position)
     listed, surveyed = levels.position, np.flatnonzero(np.isfinite(levels.position[:, 0]))
     places = np.concatenate([listed[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
     expected = q[0] - 5 * q[1] * np.log10(square)
     relocated = list[int]()
     for m in surveyed:
-        level = np.full(len(stretch), np.nan)
-        received = levels.beacon == m
-        level[of[received]] = levels.rssi[received]
-        cost = np.array([_negative_log_likelihood(level, at) for at in expected])
+        cost = np.array([_negative_log_likelihood(table[m], at) for at in expected])
         near = np.hypot(*(places - listed[m]).T) < APART
         if cost[near].min() - cost.min() > RELOCATED:
             relocated.append(int(m))
     return relocated
+
+
+def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
+    """Places ``(s, 2)`` [m] of the stretches of a walk; levels ``(m, s)`` of the beacons, NaN where not received."""
+    stretch, of = np.unique(levels.time, return_inverse=True)
+    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
+    table = np.full((len(levels.position), len(stretch)), np.nan)
+    table[levels.beacon, of] = levels.rssi
+    return track, table
+
+
+def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesis]:
+    """What may be wrong with the listed positions, screened along the walk ``at``."""
+    surveyed = np.flatnonzero(np.isfinite(beacons.position[:, 0]))
+    levels = replace(beacons.listed, position=beacons.position)
+    track, level = level_table(levels, at.chain.time, at.state.poses[:, :2])
+    places = np.concatenate([beacons.position[surveyed], _grid(track)])
+    square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
+    P, n, _ = at.state.arrays.get("q", PATH_LOSS[None])[0]
+    expected = P - 5 * n * np.log10(square)
+    cost = np.array([[_negative_log_likelihood(level[m], e) for e in expected] for m in surveyed])
+
+    count = len(surveyed)
+    own = np.diag(cost[:, :count])
+    swaps = [(own[i] + own[j] - cost[i, j] - cost[j, i], i, j) for i in range(count) for j in range(i)]
+    gains = own - cost[:, count:].min(axis=1, initial=np.inf)
+    if max(gains.max(initial=0.0), max(swaps, default=(0.0,))[0]) < SUSPICIOUS:
+        return []
+    found = [
+        _swapped(beacons, surveyed[i], surveyed[j])
+        for gain, i, j in sorted(swaps, reverse=True)[:MOST_OF_A_KIND]
+        if gain > -SUSPICIOUS
+    ]
+    best = places[count + np.argmin(cost[:, count:], axis=1)]
+    for i in np.argsort(-gains)[:MOST_OF_A_KIND].tolist():
+        if gains[i] > SUSPICIOUS:
+            text = f"{beacons.listed.label[surveyed[i]]} is not where the list says"
+            found.append(_unlisted(beacons, surveyed[i : i + 1], best[i : i + 1], text))
+    if count > 1 and np.sum(gains) > count * SUSPICIOUS:
+        text = "the list of beacons is of another place"
+        found.append(replace(_unlisted(beacons, surveyed, best, text), place_lost=True))
+    return found
+
+
+def _swapped(beacons: BeaconRssiFactor, a: int, b: int) -> Hypothesis:
+    position, label = beacons.position.copy(), beacons.listed.label
+    position[[a, b]] = position[[b, a]]
+    text = f"the positions of {label[a]} and {label[b]} are swapped in the list"
+    return Hypothesis(beacons.at_places(position), WRONG_LIST, "beacons", text, CHECK_LIST)
+
+
+def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) -> Hypothesis:
+    """Beacons ``which`` are not where they are listed, perhaps at ``place (m, 2)`` [m].
+
+    The price includes the normaliser of the wider prior of their places.
+    """
+    position = beacons.position.copy()
+    position[which] = np.nan
+    unlisted = beacons.at_places(position)
+    unlisted.prior[which, :2] = place
+    price = WRONG_LIST + float(2 * np.log(ANYWHERE / beacons.listed.sigma[which]).sum())
+    return Hypothesis(unlisted, price, "beacons", text, CHECK_LIST)
 
 
 def _grid(track: Array) -> Array:

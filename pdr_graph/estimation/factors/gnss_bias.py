@@ -4,10 +4,12 @@
 its correlation is 0.9 after a second, 0.5 after ten), so a minute of epochs has the information of a few fixes, not of
 sixty. With g = (g_x, g_y, lag) of the source at its time, a fix of stated sigma σ is modelled as
 
-    z = p − R(θ) v lag + σ₀ (g_x, g_y) + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
+    z = p − R(θ) v lag + σ₀ (g + k o) + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
 
-with v the walking velocity in the body's axes, averaged over LATELY. (g_x, g_y) is a Gauss–Markov process of unit
-variance, lag a slow random walk; both are linear between nodes NODE apart. The process runs in units of `drift`, with
+with v the walking velocity in the body's axes, averaged over LATELY. g is a Gauss–Markov process of unit variance, lag
+a slow random walk; both are linear between nodes NODE apart. o, of unit variance, is what stays the same throughout: a
+reflection under a roof. How large it is nothing tells where there is no other source, so that k is a hypothesis: most
+receivers have k = 1, some are several times worse than they state. The process runs in units of `drift`, with
 correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse ones among them is
 common to them as well.
 """
@@ -21,7 +23,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Variables
+from pdr_graph.estimation.factors.base import FactorBlock, Hypothesis, Measurement, Variables
 from pdr_graph.estimation.factors.fixes import ALONG, FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.geometry import pose_rotation, rotation
@@ -37,6 +39,9 @@ LATELY = 2.0  # [s] over which the velocity is averaged
 AMBLE = 1.0  # [m/s] assumed after the last step, until the next node
 SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
+PLANE = np.array([1.0, 1.0, 0.0])  # the components of g that are a position
+THROUGHOUT = 1.0  # [σ₀] of the offset that stays the same throughout, of a receiver that is as good as it states
+WORSE = ((2.0, 0.7), (5.0, 2.3))  # of a worse one, and the price of that assumption [nats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +53,7 @@ class GnssBias(Measurement):
     node: ``(f,)`` row of the node before each; share: ``(f,)`` position between this node and the next, 0 to 1.
     node_number: ``(m,)``; node_time: ``(m,)`` [s]; keep: ``(m,)`` correlation with the node before, 0 for the first of
     a source; elapsed: ``(m,)`` time since the node before [s].
+    receiver_number: ``(r,)``; throughout: k.
     """
 
     fixes: FixFactor
@@ -62,9 +68,12 @@ class GnssBias(Measurement):
     node_time: Array
     keep: Array
     elapsed: Array
+    receiver_number: Index
+    throughout: float = THROUGHOUT
 
     name: ClassVar[str] = "gnss_bias"
     symbol: ClassVar[str] = "g"
+    symbol_throughout: ClassVar[str] = "o"
 
     @classmethod
     def of(cls, fixes: FixFactor, steps: Steps) -> GnssBias:
@@ -78,25 +87,43 @@ class GnssBias(Measurement):
         joined = np.concatenate(sources) if sources else np.empty(0, np.intp)
         rows = np.concatenate([n + f for n, f in zip(node, first, strict=True)])
         rest = (np.concatenate(column) for column in (share, number, time, keep, elapsed))
-        return cls(fixes, steps, np.empty((0, 2)), joined, offset[joined], white[joined], rows, *rest)
+        numbers = np.array([_number(fixes.fixes.source[indices[0]]) for indices in sources], dtype=np.intp)
+        own = (np.empty((0, 2)), joined, offset[joined], white[joined], rows)
+        return cls(fixes, steps, *own, *rest, numbers)
 
     def refined(self, at: Evaluation) -> GnssBias:
         """Model the common errors of the fixes that the second pass marks as biased."""
         fixes = self.fixes.refined(at)
-        return self if fixes is self.fixes else self.of(fixes, self.steps)
+        return self if fixes is self.fixes else replace(self.of(fixes, self.steps), throughout=self.throughout)
+
+    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+        """All receivers are off throughout by several times what they state."""
+        if not len(self.fix):
+            return ()
+        hypotheses = []
+        for k, price in WORSE:
+            text = f"the receiver is off throughout by up to {k:.0f} times what it states"
+            check = "indoors GNSS states too little: leave it out, or give a position that is known" if k > 2 else ""
+            worse = replace(self, throughout=k)
+            hypotheses.append(Hypothesis(worse, price, "GNSS", text, check, second_pass=True))
+        return hypotheses
 
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
         return replace(self, fixes=self.fixes.bind(chain), velocity=velocities(*chain.track, chain.time))
 
     def variables(self, poses: Array) -> Sequence[Variables]:
-        """A node (g_x, g_y [-], lag [s]) every NODE seconds in which there are fixes."""
+        """A node (g_x, g_y [-], lag [s]) every NODE seconds in which there are fixes; o [-] of each receiver."""
         if not len(self.node_number):
             return ()
         needed = np.full(len(self.node_number), -np.inf)
         for rows in (self.node, self.node + 1):
             np.maximum.at(needed, rows, self.fixes.fixes.time[self.fix])
-        return (Variables(self.symbol, self.node_number, np.zeros((len(self.node_number), 3)), needed),)
+        last = np.full(len(self.receiver_number), np.inf)
+        return (
+            Variables(self.symbol, self.node_number, np.zeros((len(self.node_number), 3)), needed),
+            Variables(self.symbol_throughout, self.receiver_number, np.zeros((len(self.receiver_number), 3)), last),
+        )
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """Factors of the fixes, the prior of each source's first node, and the process from node to node."""
@@ -129,14 +156,17 @@ class GnssBias(Measurement):
         )
 
     def _process(self, at: Evaluation) -> list[FactorBlock]:
-        g = at.state[self.symbol]
+        """Factors of g, which varies about k o, and of o."""
+        g, receivers = at.state[self.symbol], at.state[self.symbol_throughout]
         first, later = np.flatnonzero(self.keep == 0), np.flatnonzero(self.keep)
+        receiver = np.cumsum(self.keep == 0) - 1
+        middle = self.throughout * receivers[receiver] * PLANE
         root = np.diag([1.0, 1.0, 1 / LAG])
         begin = FactorBlock.uniform(
             f"{self.name}.begin",
-            g[first] @ root,
-            [(self.symbol, first)],
-            lambda: [np.tile(root, (len(first), 1, 1))],
+            (g[first] - middle[first]) @ root,
+            [(self.symbol, first), (self.symbol_throughout, receiver[first])],
+            lambda: [np.tile(by, (len(first), 1, 1)) for by in (root, -self.throughout * np.diag(PLANE))],
             self.node_number[first],
             tolerance=None,
             prior=True,
@@ -146,15 +176,31 @@ class GnssBias(Measurement):
         sigma = np.stack([change, change, LAG_CHANGE * np.sqrt(self.elapsed[later])], axis=1)
         follow = FactorBlock.uniform(
             f"{self.name}.change",
-            (g[later] - share * g[later - 1]) / sigma,
-            [(self.symbol, later), (self.symbol, later - 1)],
-            lambda: [np.eye(3) / sigma[:, :, None], -np.eye(3) * (share / sigma)[:, :, None]],
+            (g[later] - share * g[later - 1] - (1 - share) * middle[later]) / sigma,
+            [(self.symbol, later), (self.symbol, later - 1), (self.symbol_throughout, receiver[later])],
+            lambda: [
+                np.eye(3) * by[:, :, None] for by in (1 / sigma, -share / sigma, self.throughout * (share - 1) / sigma)
+            ],
             self.node_number[later],
             tolerance=None,
             signature=20 * self.keep[later],
             prior=True,
         )
-        return [begin, follow]
+        same = FactorBlock.uniform(
+            f"{self.name}.throughout",
+            receivers,
+            [(self.symbol_throughout, np.arange(len(receivers)))],
+            lambda: [np.tile(np.eye(3), (len(receivers), 1, 1))],
+            self.receiver_number,
+            tolerance=None,
+            prior=True,
+        )
+        return [begin, follow, same]
+
+
+def _number(source: str) -> int:
+    """The number of a receiver, so that it does not depend on the others."""
+    return zlib.crc32(source.encode()) % SOURCES
 
 
 def velocities(track: Complex, heading: Array, time: Array) -> Array:
@@ -191,5 +237,5 @@ def _nodes(time: Array, steps: Steps, source: str) -> tuple[Index, Array, Index,
     kept = np.exp(-np.diff(drift(steps, at) + beyond, prepend=0.0))
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)
-    number = (zlib.crc32(source.encode()) % SOURCES) * NODES_PER_SOURCE + NODES_PER_SOURCE // 2 + grid
+    number = _number(source) * NODES_PER_SOURCE + NODES_PER_SOURCE // 2 + grid
     return node, (time - at[node]) / NODE, number, at, keep, elapsed

@@ -1,0 +1,116 @@
+"""Joint hypotheses about what the sources of a walk get wrong, each solved and weighed by its evidence.
+
+A source may err beyond what it states: two beacons of a list are swapped, a receiver is several times worse than it
+says. No robust loss helps where its measurements agree with one another. So each kind of measurement proposes
+assumptions about itself (`Measurement.hypotheses`), combinations of them are solved, and each is weighed by Laplace's
+approximation of its evidence (MacKay, *Information Theory, Inference, and Learning Algorithms*, Ch. 28),
+
+    −log p(z | H) − log p(H) = cost + log |R| + price,      RᵀR the information matrix at the optimum
+
+in which constants that all share are left out. The walk is the best; the others widen its covariance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_graph.contradiction import Contradiction
+from pdr_graph.estimation.factors.base import Hypothesis, Measurement, State
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, optimize, solutions, solve_robust
+from pdr_graph.types import Array
+
+CONTINUED = ("x", "c", "g", "o", "q")  # variables that keep their values under another assumption
+PROBABLE = 0.5  # probability above which a user is told what a source gets wrong
+UNLIKELY = 5.0  # [nats] above the best at which an assumption is dropped: 0.7 %
+
+
+def joint_solutions(graph: WalkGraph) -> list[Optimum]:
+    """Distinct solutions under all assumptions about sources that remain, the most probable first.
+
+    With a plan, what the list of beacons gets wrong is decided by the walk without its walls.
+    """
+    if not graph.walled:
+        optima = solutions(graph)
+        return sorted([*explanations(optima[0]), *optima[1:]], key=lambda optimum: optimum.surprise)
+    assumed = explanations(solve_robust(graph.without_plan()))[0].assumed
+    assumed = tuple(hypothesis for hypothesis in assumed if not hypothesis.second_pass)
+    for hypothesis in assumed:
+        graph = graph.assuming(hypothesis.measurement)
+    return [replace(optimum, assumed=assumed) for optimum in corrected_solutions(graph)]
+
+
+def contradictions(optima: list[Optimum], probability: Array) -> tuple[Contradiction, ...]:
+    """What the sources probably get wrong. probability: ``(n,)`` of each solution, up to a factor."""
+    assumed = {hypothesis.text: hypothesis for optimum in optima for hypothesis in optimum.assumed if hypothesis.check}
+    found = []
+    for text, hypothesis in assumed.items():
+        holds = np.array([any(other.text == text for other in optimum.assumed) for optimum in optima])
+        share = float(probability[holds].sum() / probability.sum())
+        if share > PROBABLE:
+            text = f"{text} (probability {share:.0%})"
+            against = "the steps and the other sources"
+            found.append(
+                Contradiction(hypothesis.source, against, round(share, 3), "probability", text, hypothesis.check)
+            )
+    return tuple(found)
+
+
+def explanations(first: Optimum) -> list[Optimum]:
+    """The walk near ``first`` under all joint assumptions that remain, the most probable first."""
+    known = frontier = [first]
+    while frontier := [new for old in frontier for new in _extended(old, first)]:
+        known = _likely([*known, *frontier])
+        frontier = [new for new in known if any(new is candidate for candidate in frontier)]
+    return known
+
+
+def _extended(old: Optimum, first: Optimum) -> list[Optimum]:
+    """``old`` with an assumption about one more kind, of those after the last kind that is assumed to err."""
+    kinds = old.graph.measurements
+    names = [kind.name for kind in kinds]
+    after = 1 + max((names.index(hypothesis.measurement.name) for hypothesis in old.assumed), default=-1)
+    return [new for kind in kinds[after:] for new in _alternatives(old, kind, first)]
+
+
+def _alternatives(old: Optimum, kind: Measurement, first: Optimum) -> list[Optimum]:
+    """The walk under each assumption about a kind that is promising along ``old``, or along the walk by the others."""
+    fixes = old.graph.positions
+    placed = fixes.used.any() and not fixes.approximate
+    proposals = [
+        (hypothesis, old.state) for hypothesis in kind.hypotheses(old.at) if placed or not hypothesis.place_lost
+    ]
+    if proposals and placed and kind.determines_position:
+        others = optimize(without := old.graph.without(kind), without.start).at
+        proposals += [(hypothesis, others.state) for hypothesis in kind.hypotheses(others)]
+    best = dict[str, Optimum]()
+    for hypothesis, start in proposals:
+        new = _assuming(old, hypothesis, start, first)
+        if hypothesis.text not in best or new.surprise < best[hypothesis.text].surprise:
+            best[hypothesis.text] = new
+    return list(best.values())
+
+
+def _assuming(old: Optimum, hypothesis: Hypothesis, start: State, first: Optimum) -> Optimum:
+    """The optimum near ``start`` under one more assumption than ``old``."""
+    graph = old.graph.assuming(hypothesis.measurement)
+    optimum = optimize(graph, _started(graph, start))
+    information = optimum.net.logDeterminant() - first.net.logDeterminant()
+    assumed = (*old.assumed, hypothesis)
+    burden = information + sum(hypothesis.price for hypothesis in assumed)
+    return replace(optimum, assumed=assumed, burden=burden, unseen=first.unseen)
+
+
+def _started(graph: WalkGraph, start: State) -> State:
+    """The state ``start`` with all variables of ``graph``; places of beacons are initial ones, the rest as it was."""
+    fresh = graph.start.arrays
+    shared = {symbol: rows for symbol, rows in start.arrays.items() if len(rows) == len(fresh.get(symbol, ()))}
+    return graph.start.replaced(**{symbol: rows for symbol, rows in shared.items() if symbol in CONTINUED})
+
+
+def _likely(optima: list[Optimum]) -> list[Optimum]:
+    """Those within UNLIKELY of the best, the most probable first."""
+    ordered = sorted(optima, key=lambda optimum: optimum.surprise)
+    return [optimum for optimum in ordered if optimum.surprise - ordered[0].surprise < UNLIKELY]
