@@ -158,10 +158,10 @@ KINDS = {  # names by the letters of the variables and the rows of the error
     ("c", 3): ("calibration", GREY),
     ("cc", 3): ("calibration", GREY),
 }
-PRIOR = "prior of g, b, q", PALE
+PRIOR = "prior of g, o, b, q", PALE
 STEPS, WALL = ("PDR", BLUE), ("wall", INK)
-LEVEL = {"c": 2.0, "x": 0.0, "g": -1.7, "b": -2.8, "q": -2.8}
-PLACED = {"g": (0.5, 1.6, 4.9, 5.9), "b": (2.4, 7.4), "q": (4.7,)}  # by the poses that they go with
+LEVEL = {"c": 2.0, "x": 0.0, "g": -1.7, "o": -2.8, "b": -2.8, "q": -2.8}
+PLACED = {"g": (0.5, 1.6, 4.9, 5.9), "b": (2.4, 7.4), "q": (4.7,), "o": (1.05,)}  # by the poses that they go with
 BELOW = {"xgg": 0.9, "xbq": 1.35}  # how far below its pose a factor is drawn
 ARC = 4.2  # of a closure
 

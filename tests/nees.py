@@ -10,7 +10,7 @@ from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_recei
 
 from pdr_graph import smooth
 from pdr_graph.estimation import kalman
-from pdr_graph.estimation.factors import gnss_bias, losses
+from pdr_graph.estimation.factors import beacon_rssi, gnss_bias, losses
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
 
@@ -21,9 +21,10 @@ WIDE = 1e6  # [σ] within which Huber's loss is Gaussian
 
 @contextmanager
 def gaussian():
-    """Without robust loss, which is not Gaussian, and without receivers that are worse than they state."""
+    """Without robust losses and hypotheses about sources that err, which are not Gaussian."""
     with ExitStack() as patches:
         patches.enter_context(patch.object(gnss_bias, "WORSE", ()))
+        patches.enter_context(patch.object(beacon_rssi, "SUSPICIOUS", np.inf))
         for module in (losses, kalman):
             patches.enter_context(patch.object(module, "HUBER_WIDTH", WIDE))
             patches.enter_context(
