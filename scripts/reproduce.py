@@ -13,6 +13,7 @@ import fingerprints
 import floors
 import gps_outage
 import heading
+import integrity
 import lifelog_chains
 import lifelog_days
 import lifelog_visits
@@ -52,6 +53,7 @@ MADE = {  # in the order of the page
     "lifelog": lifelog,
     "live": lambda: live.live(DATA),
     "covariance": lambda: covariance.covariance(DATA, microsoft.microsoft_walks(DATA)),
+    "integrity": lambda: integrity.integrity(DATA),
     "outliers": lambda: outliers.outliers(DATA, dict(microsoft.microsoft_walks(DATA))["every second waypoint"]),
     "topology": lambda: topology.topology(DATA),
     "fingerprints": lambda: fingerprints.fingerprints(DATA),

@@ -170,11 +170,11 @@ def loaded(path, label):
     return FloorPlan.load(path, label)
 
 
-def route(floor, random):
-    """Corners ``(k, 2)`` [m] of a random way along the network of a floor."""
+def route(floor, random, ways=WAYS):
+    """Corners ``(k, 2)`` [m] of a random way of a length between `ways` along the network of a floor."""
     network = floor.network
     total = sum(map(_length, network.lines))
-    wanted = min(np.exp(random.uniform(*np.log(WAYS))), total)
+    wanted = min(np.exp(random.uniform(*np.log(ways))), total)
     for attempt in range(ATTEMPTS):
         line = _wandered(network, wanted, random)
         if _length(line) < wanted * (1 - attempt / ATTEMPTS):

@@ -1,0 +1,154 @@
+"""Does a stated region hold what it says, whatever one of the sources does? Simulated walks x lies, and recordings.
+
+python scripts/integrity.py [ROWS] [--walks N] [--held-back] [--write]; ROWS: words in the names of rows, with commas:
+``integrity.py "GNSS, beacons"`` or ``swapped,moved``; without: all. The published table has the walks held back.
+"""
+
+import argparse
+import os
+import sys
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from integrity_scores import HEADER, cells, reliability, score
+from integrity_walks import INDOORS, OUTDOORS, measured, simulated_walk
+from tables import publish, table
+
+from pdr_graph import smooth
+
+WALKS, WALKS_ON_PLAN = 60, 30  # of each family; of the one whose every row searches a plan, 1 to 8 s a walk
+DEVELOPMENT, HELD_BACK = 0, 100_000  # first seed; tuning is done on the former alone
+DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table: what the estimate is given, and without what it is compared to see harm (None: nothing)."""
+
+    given: tuple[str, ...]
+    without: tuple[str, ...] | None = None
+
+    @property
+    def name(self):
+        return ", ".join(self.given)
+
+
+def rows_of(given, lies, without=None):
+    """A row without a lie, and one for each lie of the last source."""
+    return [Row((*given[:-1], f"{given[-1]}: {lie}" if lie else given[-1]), without) for lie in ("", *lies)]
+
+
+LISTS = ("a pair swapped", "one moved", "one missing", "three on another floor", "of another building")
+RECEIVER = ("10 m off", "jumping", "5 s late", "frozen for a minute", "3 times as sure")
+PLAN = ("5 m shifted", "a door missing", "of another floor")
+NO_COMPASS = "compass: none"
+FAMILIES = {  # the setting and the rows of walks that are compared with each other; each family has its own walks
+    "GNSS, beacons": (
+        INDOORS,
+        [
+            Row(("GNSS",)),
+            Row(("GNSS: 10 m off",)),
+            *rows_of(("GNSS", "beacons"), LISTS, ("GNSS",)),
+        ],
+    ),
+    "beacons, GNSS": (INDOORS, rows_of(("beacons", "GNSS"), RECEIVER, ("beacons",))),
+    "beacons": (INDOORS, rows_of(("beacons",), LISTS)),
+    "outdoors": (OUTDOORS, rows_of(("GNSS",), RECEIVER)),
+    "fixes": (
+        INDOORS,
+        [
+            Row((NO_COMPASS, "user fixes")),
+            Row(("user fixes",), (NO_COMPASS, "user fixes")),
+            Row(("compass: 40° off", "user fixes"), (NO_COMPASS, "user fixes")),
+            Row(("stride: 40 % off", "user fixes")),
+            *rows_of(("user fixes", "start"), ("8 m off",), ("user fixes",)),
+        ],
+    ),
+    "ends": (
+        INDOORS,
+        [Row(("start",)), Row(("start", "end"), ("start",)), Row((NO_COMPASS, "start", "end"))],
+    ),
+    "ranges": (INDOORS, rows_of(("ranges", "start"), ("8 m off",), ("ranges",))),
+    "radio map": (
+        INDOORS,
+        [*rows_of(("start", "radio map"), ("a part rebuilt",), ("start",)), Row(("radio map", "plan"), ("radio map",))],
+    ),
+    "plan": (
+        INDOORS,
+        [
+            *rows_of(("user fixes", "plan"), PLAN, ("user fixes",)),
+            Row(("start", "end", "plan"), ("start", "end")),
+            *rows_of(("start", "plan"), PLAN, ("start",)),
+            Row(("start: 8 m off", "user fixes", "plan"), ("user fixes", "plan")),
+            Row(("start: 8 m off", "plan"), ("start: 8 m off",)),
+            Row(("stride: 40 % off", "user fixes", "plan")),
+        ],
+    ),
+}
+LIE = ": "  # in the name of a source that lies
+
+
+def integrity(data, wanted=(), walks=None, first=HELD_BACK):
+    """The tables. wanted: words of which a row's name has one; walks: of each family; first: seed of the first walk."""
+    rows = [(name, row) for name, (_, some) in FAMILIES.items() for row in some if matches(name, row, wanted)]
+    found = scores_by_row(rows, walks, first)
+    lines = [
+        [FAMILIES[name][0], row.name, *cells(found[name, row.given], row.without and found[name, row.without])]
+        for name, row in rows
+    ]
+    publish("accuracy.md", "integrity", table(["", "given", *HEADER], lines))
+    groups = {"nothing lies": [], "a source lies": []}
+    for name, row in rows:
+        if any(source.startswith("plan") for source in row.given):
+            lies = any(LIE in source for source in row.given)
+            groups["a source lies" if lies else "nothing lies"] += found[name, row.given]
+    publish("accuracy.md", "integrity probability", reliability({n: scores for n, scores in groups.items() if scores}))
+
+
+def scores_by_row(rows, walks, first):
+    """The scores of all walks by family and what is given, also without the sources that rows are compared with."""
+    jobs = []
+    for name in dict.fromkeys(name for name, _ in rows):
+        needed = dict.fromkeys(given for of, row in rows if of == name for given in (row.given, row.without) if given)
+        count = walks or (WALKS_ON_PLAN if name == "plan" else WALKS)
+        jobs += [(name, first + 1000 * list(FAMILIES).index(name) + seed, tuple(needed)) for seed in range(count)]
+    found = {}
+    with ProcessPoolExecutor() as pool:
+        for (name, _, _), scores in zip(jobs, pool.map(scores_of, jobs), strict=True):
+            for given, one in scores.items():
+                found.setdefault((name, given), []).append(one)
+    return found
+
+
+def matches(family, row, wanted):
+    """Whether a row is wanted."""
+    return not wanted or any(word.lower() in f"{family}: {row.name}".lower() for word in wanted)
+
+
+def scores_of(job):
+    """The scores of one walk by what is given."""
+    family, seed, needed = job
+    warnings.simplefilter("ignore")
+    walk = simulated_walk(FAMILIES[family][0], seed)
+    return {given: score(smooth(measured(walk, given).graph()), walk.truth) for given in needed}
+
+
+def main(arguments):
+    """Make some rows quickly."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("rows", nargs="*", help="words in the names of rows")
+    parser.add_argument("--walks", type=int, help=f"of each family; {WALKS}, with a plan {WALKS_ON_PLAN}")
+    parser.add_argument("--held-back", action="store_true", help="not the walks of development")
+    parser.add_argument("--write", action="store_true", help="into docs/accuracy.md")
+    options = parser.parse_args(arguments)
+    wanted = [word.strip() for words in options.rows for word in words.split(",")]
+    began = time.time()
+    integrity(DATA, wanted, options.walks, HELD_BACK if options.held_back else DEVELOPMENT)
+    print(f"{time.time() - began:.0f} s", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
