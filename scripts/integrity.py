@@ -1,7 +1,8 @@
 """Does a stated region hold what it says, whatever one of the sources does? Simulated walks x lies, and recordings.
 
-python scripts/integrity.py [ROWS] [--walks N] [--held-back] [--write]; ROWS: words in the names of rows, with commas:
-``integrity.py "GNSS, beacons"`` or ``swapped,moved``; without: all. The published table has the walks held back.
+python scripts/integrity.py [WORDS] [--walks N] [--held-back] [--write] makes the rows whose "family: name" has one of
+some words, separated by commas: ``beacons:`` of a family, ``swapped,moved`` of rows, ``recordings`` of the real ones;
+without words, all. Tune on the walks of development; the published table has those held back.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from integrity_recorded import recorded
 from integrity_scores import HEADER, cells, reliability, score
 from integrity_walks import INDOORS, OUTDOORS, measured, simulated_walk
 from tables import publish, table
@@ -105,7 +107,11 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
         if any(source.startswith("plan") for source in row.given):
             lies = any(LIE in source for source in row.given)
             groups["a source lies" if lies else "nothing lies"] += found[name, row.given]
-    publish("accuracy.md", "integrity probability", reliability({n: scores for n, scores in groups.items() if scores}))
+    if any(groups.values()):
+        groups = {name: scores for name, scores in groups.items() if scores}
+        publish("accuracy.md", "integrity probability", reliability(groups))
+    if not wanted:
+        recorded(data)
 
 
 def scores_by_row(rows, walks, first):
@@ -146,7 +152,10 @@ def main(arguments):
     options = parser.parse_args(arguments)
     wanted = [word.strip() for words in options.rows for word in words.split(",")]
     began = time.time()
-    integrity(DATA, wanted, options.walks, HELD_BACK if options.held_back else DEVELOPMENT)
+    if wanted == ["recordings"]:
+        recorded(DATA)
+    else:
+        integrity(DATA, wanted, options.walks, HELD_BACK if options.held_back else DEVELOPMENT)
     print(f"{time.time() - began:.0f} s", file=sys.stderr)
 
 

@@ -84,7 +84,7 @@ def score(estimate, truth, noise=0.0):
 def verdict_of(estimate):
     """The state of the package's verdict; empty while there is none."""
     try:
-        from pdr_graph.verdict import verdict
+        from pdr_graph import verdict
     except ImportError:
         return ""
     return verdict(estimate).state

@@ -97,8 +97,8 @@ def ipin21_landmarks(data, truth):
     return np.unique([np.argmin(np.abs(truth.time - t)) for t in at])
 
 
-def ipin2023_walks(data):
-    """Three walks in a museum with the phone's own GNSS, and the beacons that it heard."""
+def ipin2023_walks(data, relisted=lambda listed: listed):
+    """Three walks in a museum with the phone's GNSS, and the beacons that it heard; relisted: changes their list."""
     for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
         walk = io.load(path)
         lon, lat = walk.fixes.position[0]
@@ -107,7 +107,8 @@ def ipin2023_walks(data):
         headings, steps = magnetic_headings(gaits, frame, fixes.position[0]), detect_steps(gaits)
         floors = floors_along(steps, walk.barometer, "", fixes, None)
         steps = with_stair_lengths(steps, floors.climbs, floors.kinds)
-        heard = levels_along(walk.bluetooth, frame.place(read_beacons(path.parent / "BLE_Locations.csv", walk)), steps)
+        listed = relisted(read_beacons(path.parent / "BLE_Locations.csv", walk))
+        heard = levels_along(walk.bluetooth, frame.place(listed), steps)
         yield Walk(path.stem, steps, headings, fixes, frame.place(walk.truth), levels=heard)
 
 
