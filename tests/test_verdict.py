@@ -100,7 +100,7 @@ def test_fixes_four_times_as_far_off_as_they_state_contradict_the_steps(seed):
 
 
 def test_a_list_of_another_building_contradicts_the_fixes():
-    """Half of its beacons are found elsewhere, and the levels of another fit no place."""
+    """Half of its beacons are found elsewhere."""
     steps, fixes, levels, _ = drawn_beside_beacons(150, 1)
     assert pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, fixes, levels=levels))).ok
     elsewhere = replace(levels, position=levels.position + np.array([40.0, 0.0]))
@@ -131,9 +131,9 @@ def arcade():
     return pdr.detect_steps(recording), made.truth, plan
 
 
-def on(truth, *times, off=0.0):
-    """Fixes at the true positions, moved by ``off`` [m]."""
-    return fixes_at(times, interpolate(np.array(times), truth.time, truth.position) + off, 0.5)
+def on(truth, *times, off=(0.0, 0.0)):
+    """Fixes at the true positions, moved by ``off (2,)`` [m]."""
+    return fixes_at(times, interpolate(np.array(times), truth.time, truth.position) + np.array(off), 0.5)
 
 
 def test_with_true_fixes_on_the_plan_the_walk_is_ok_and_teaches_its_stride(arcade):

@@ -13,7 +13,6 @@ import numpy as np
 
 from pdr_graph.contradiction import DOUBTFUL, FAILED, Contradiction, Verdict
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors.beacon_rssi import LEVEL_SIGMA
 from pdr_graph.estimation.factors.fixes import LOUD_BEACON
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.gps_track import REPEATED
@@ -32,7 +31,6 @@ ALIKE = 30.0  # [s] in which the errors of fixes are alike, as those of a receiv
 CHECKED = 3  # fixes that determine a stride scale and check one another
 UNLIKELY = 0.3  # probability of a route below which it is one of several, or none that fits
 MOVED = 0.5  # share of the beacons, not where the list has them, at which the list is of another place
-LEVEL_MEAN, LEVEL_SPREAD = 0.8, 0.6  # [σ] mean absolute residual of honest levels, which is normal; sigma of it × √n
 CROSSED, LOST = 0.05, 0.5  # share of rows through walls of a doubtful and of a failed walk
 FEWEST_CROSSINGS = 3  # rows: a corner that is cut is no contradiction
 TRUSTED = 0.5  # weight above which a fix is accepted
@@ -146,17 +144,12 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
-    """A list of beacons of which half are elsewhere, or a beacon whose levels fit no place on the walk."""
+    """A list of beacons of which half are elsewhere."""
     moved = [beacon.label for beacon in estimate.beacons if beacon.misplaced]
     if estimate.beacons and len(moved) >= MOVED * len(estimate.beacons):
         share = len(moved) / len(estimate.beacons)
         text = f"{len(moved)} of {count(len(estimate.beacons), 'beacon')} are not heard where they are listed"
         yield Contradiction("beacons", "fixes and steps", share, "share", text, CHECK_LIST)
-    for beacon in estimate.beacons:
-        limit = LEVEL_MEAN + DISTANT * LEVEL_SPREAD / np.sqrt(max(beacon.levels, 1))
-        if beacon.residual > LEVEL_SIGMA * limit:
-            text = f"the levels of beacon {beacon.label} differ by {beacon.residual:.1f} dB from those at its place"
-            yield Contradiction("beacons", "fixes and steps", beacon.residual, "dB", text, CHECK_LIST)
 
 
 def _headings(estimate: Estimate) -> Iterator[Contradiction]:

@@ -8,8 +8,9 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -55,7 +56,7 @@ class Status:
     of the walk is certain, "running"; issues: present problems, a line each; unknown: what the sensors do not measure,
     a line each; sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers
     of fixes too old for the window or far in the future; restarts: how often fixes contradicted the estimate; rebuilds:
-    reason of each rebuild of the solver; verdict: whether the walk so far can be trusted.
+    reason of each rebuild of the solver; judge: returns the verdict.
     """
 
     state: str
@@ -68,7 +69,12 @@ class Status:
     early: int
     restarts: int
     rebuilds: tuple[str, ...]
-    verdict: Verdict
+    judge: Callable[[], Verdict] = field(repr=False, compare=False)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the walk so far can be trusted, computed when it is first read."""
+        return self.judge()
 
 
 @dataclass(frozen=True)
@@ -213,7 +219,7 @@ class Navigator:
             early=self._early,
             restarts=graph.restarts,
             rebuilds=tuple(graph.graph.isam.rebuilds),
-            verdict=verdict(self._estimate()),
+            judge=lambda: verdict(self._estimate()),
         )
 
     def finalized(self) -> Trajectory:
@@ -253,16 +259,12 @@ class Navigator:
     def _contradictions(self, rows: Trajectory, reports: Mapping[str, Sequence[Any]]) -> tuple[Contradiction, ...]:
         """Contradictions of the walk with the plan, and an open direction."""
         if self._graph.graph.has_position and not self._graph.sure:
-            open_direction = (Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"),)
-        else:
-            open_direction = ()
-        if self.building is None:
-            return open_direction
+            return (Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"),)
         walled, places = self._placed(reports)
         if not len(places) and self._graph.graph.has_position:  # by beacons, ranges or the radio map
             places, walled = rows.position[-1:], True
-        placed = plan_placement(self.building, walled, places)
-        return (*open_direction, *(placed or wall_crossings(self.building, rows)))
+        plan = self.building
+        return () if plan is None else plan_placement(plan, walled, places) or wall_crossings(plan, rows)
 
     def _placed(self, reports: Mapping[str, Sequence[Any]]) -> tuple[bool, Array]:
         """Whether walls are used, and the positions ``(n, 2)`` [m] of the fixes that are used."""
