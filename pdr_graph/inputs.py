@@ -17,6 +17,7 @@ from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import SURVEY_SIGMA, beside, drawn_beacons, read_beacons
 from pdr_graph.io.ranges import ANCHOR_SIGMA, read_ranges
 from pdr_graph.io.tables import read_fixes, read_trajectory
+from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility
 from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Recording
 
 if TYPE_CHECKING:
@@ -105,8 +106,12 @@ class Inputs:
         return self.fixes[np.array([name != self.radio_map.source for name in self.fixes.source], dtype=bool)]
 
 
-def read(recording: Path, options: Options | None = None) -> Inputs:
-    """Read all files of a walk into one frame. Raises InputError if a file cannot be used."""
+def read(recording: Path, options: Options | None = None, fastest: float = FASTEST_WALK) -> Inputs:
+    """Read all files of a walk into one frame.
+
+    fastest: mean speed at which the walker can have gone from one place to another [m/s]. Raises InputError if a file
+    cannot be used, or cannot belong to this walk.
+    """
     options = options or Options()
     walk = io.load(recording, options.gnss_latency)
     notes = list(walk.notes)
@@ -117,16 +122,49 @@ def read(recording: Path, options: Options | None = None) -> Inputs:
     walk = replace(walk, beacons=_beacons(walk, options, listed, building, notes))
     radio_map = load_radio_map(options.radio_map, building) if options.radio_map else None
     recorded = walk.fixes if options.recorded_fixes else Fixes.none()
-    frame, fixes = _in_one_frame(building, radio_map, listed_fixes, recorded, notes)
+    frame, listed_fixes, recorded = _in_one_frame(building, radio_map, listed_fixes, recorded, notes)
+    fixes = Fixes.concatenate([listed_fixes, recorded])
     if radio_map is not None:
         fixes = Fixes.concatenate([fixes, _radio_fixes(radio_map, walk, frame, options.radio_map, notes)])
+    places = Plausibility.of(walk, frame, fixes, building, fastest)
+    places.check_fixes(options.plan, options.fixes, listed_fixes, recorded)
     beacons = _placed_beacons(walk, frame, notes)
+    beacons = _plausible(beacons, walk, options.beacons, listed, places, notes)
     if options.ranges is not None:
         frame, anchors = _anchors(walk, options.ranges, frame, located=len(fixes) > 0 or building is not None)
-        walk = replace(walk, measurements=(*walk.measurements, read_ranges(options.ranges, walk, anchors)))
+        ranges = read_ranges(options.ranges, walk, anchors)
+        places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
+        walk = replace(walk, measurements=(*walk.measurements, ranges))
     if options.truth is not None:
         walk = replace(walk, truth=read_trajectory(options.truth, walk))
+        places.check_truth(options.truth, walk.truth)
     return Inputs(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map)
+
+
+def _plausible(
+    beacons: Beacons | None,
+    walk: Recording,
+    option: Path | None,
+    listed: Path | None,
+    places: Plausibility,
+    notes: list[str],
+) -> Beacons | None:
+    """The beacons, unless those received lie out of reach: raises InputError if ``option`` names their list.
+
+    A list beside the recording is left out with a note; beacons of the plan are where the plan is.
+    """
+    source = option or listed
+    if beacons is None or walk.bluetooth is None or source is None:
+        return beacons
+    received = np.isin(np.array(beacons.name), walk.bluetooth.transmitter) & np.isfinite(beacons.position).all(axis=1)
+    try:
+        places.check_list(source, "beacon", beacons.position[received], RADIO_RANGE)
+    except InputError as error:
+        if option is not None:
+            raise
+        notes.append(f"beacons were left out: {error}")
+        return None
+    return beacons
 
 
 def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons | None:
@@ -189,8 +227,8 @@ def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path 
 
 def _in_one_frame(
     building: Building | None, radio_map: RadioMap | None, listed: Fixes, recorded: Fixes, notes: list[str]
-) -> tuple[Frame, Fixes]:
-    """The output frame and all fixes in it; adds a note on fixes that cannot be placed in it.
+) -> tuple[Frame, Fixes, Fixes]:
+    """The output frame, and the listed and the recorded fixes in it; adds a note on fixes that cannot be placed in it.
 
     It is the frame of the plan; else of the radio map; else of metric fixes; else east-north at the first geodetic fix.
     """
@@ -207,4 +245,4 @@ def _in_one_frame(
     if not frame.georeferenced and len(recorded):
         notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
         recorded = Fixes.none()
-    return frame, Fixes.concatenate([frame.place(listed), frame.place(recorded)])
+    return frame, frame.place(listed), frame.place(recorded)

@@ -50,9 +50,9 @@ def smooth_recording(recording: Path, out: Path, options: Options | None = None)
     options, stage = options or Options(), Stages()
     with stage("reading"):
         inputs = read(recording, options)
-    out.mkdir(parents=True, exist_ok=True)
     with stage("steps"):
         evidence = observe(inputs, options)
+    out.mkdir(parents=True, exist_ok=True)
     with stage("estimate"):
         result = estimate(evidence, options.method)
     return write(out, inputs, result, options, stage)

@@ -19,6 +19,7 @@ FLOORS = [
     ["outputs"],
     ["report"],
     ["inputs"],
+    ["plausibility"],
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io"],
     ["inertial", "floor"],

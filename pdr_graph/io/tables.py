@@ -163,18 +163,40 @@ def _check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expecte
         raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", expected)
 
 
+CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
+
+
 def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
-    """Raise InputError unless at least one fix lies within the recording or 5 s of it."""
+    """Raise InputError unless at least one fix lies within the recording or CLOCK_MARGIN of it."""
     signals = list(recording.signals.values())
     if not signals:
         return
-    start = min(s.time[0] for s in signals) - 5.0
-    end = max(s.time[-1] for s in signals) + 5.0
-    if not np.any((fixes.time >= start) & (fixes.time <= end)):
-        origin = recording.clock_origin
+    start, end = float(min(s.time[0] for s in signals)), float(max(s.time[-1] for s in signals))
+    if not np.any((fixes.time >= start - CLOCK_MARGIN) & (fixes.time <= end + CLOCK_MARGIN)):
+        first, last = (fixes.time[[0, -1]] + recording.clock_origin).tolist()
+        start, end = start + recording.clock_origin, end + recording.clock_origin
+        hint = clock_hint((first, last), (start, end))
         raise InputError(
-            path,
-            "time",
-            f"{fixes.time[0] + origin:.3f} to {fixes.time[-1] + origin:.3f}",
-            f"times within the recording, {start + 5 + origin:.3f} to {end - 5 + origin:.3f}",
+            path, "time", f"{first:.3f} to {last:.3f}{hint}", f"times within the recording, {start:.3f} to {end:.3f}"
         )
+
+
+def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str:
+    """The likely cause of times that miss the recording, as the end of a message; empty if none is evident.
+
+    found, expected: first and last time of the file and of the recording [s].
+    """
+    (first, last), (start, end) = found, expected
+    offset = (first + last - start - end) / 2
+    hours, open_ = round(offset / 1800) / 2, (end - start) / 2 + CLOCK_MARGIN
+    if 0 < abs(hours) <= LARGEST_TIME_ZONE and abs(offset - 3600 * hours) <= open_:
+        return f" ({abs(hours):g} h {'late' if hours > 0 else 'early'}: time zone?)"
+    if start - CLOCK_MARGIN <= first / 1000 <= end + CLOCK_MARGIN:
+        return " (milliseconds?)"
+    if last < FIRST_UNIX_TIME <= start:
+        return " (seconds from the start instead of the recorder's clock?)"
+    return ""
+
+
+LARGEST_TIME_ZONE = 14.0  # [h]
+FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording

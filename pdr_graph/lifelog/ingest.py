@@ -14,12 +14,10 @@ from pdr_graph.floor.formats import MICROSOFT_INFO, MICROSOFT_MAP
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside
 from pdr_graph.io.source import Source
-from pdr_graph.io.tables import read_fixes
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import check_usable, read_inputs
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
-from pdr_graph.types import Fixes
 
 DEFAULT_PERSON = "me"
 TIME_FORM = "a time such as 2024-05-01T09:30:00+02:00"
@@ -165,10 +163,8 @@ def _check(path: Path, options: RecordingOptions) -> None:
     walk = io.load(path)
     if walk.epoch is None and options.begins is None:
         raise InputError(path, "", "no date", f"a start time: give --begins with {TIME_FORM}")
-    if options.ranges is not None or options.beacons is not None:
-        read_inputs(path, options)
-    fixes = read_fixes(options.fixes, walk) if options.fixes else Fixes.none()
-    check_usable(path, walk, len(walk.fixes) + len(fixes))
+    placed = any(name != "walker" for name in options.files)
+    check_usable(path, walk, len((read_inputs(path, options) if placed else walk).fixes))
 
 
 def _checked(person: str | None, options: RecordingOptions) -> RecordingOptions:

@@ -25,6 +25,7 @@ from pdr_graph.inputs import Inputs, Options, read
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.store import RecordingOptions
+from pdr_graph.plausibility import FASTEST_RIDE
 from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
 
@@ -130,7 +131,7 @@ def read_inputs(recording: Path, options: RecordingOptions) -> Inputs:
         ranges=options.ranges,
         walker=options.walker,
     )
-    return read(recording, files)
+    return read(recording, files, FASTEST_RIDE)
 
 
 def observe(recording: Path, options: RecordingOptions | None = None) -> Observation:

@@ -30,6 +30,7 @@ from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, 
 from pdr_graph.online.journal import Journal
 from pdr_graph.outputs import Result, Stages, write
 from pdr_graph.pipeline import NO_ACCELEROMETER
+from pdr_graph.plausibility import check_beacons_on_plan
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
 
@@ -156,11 +157,14 @@ def navigator_of(options: Options) -> tuple[Callable[[], Any], tuple[str, ...]]:
     Raises InputError if a file cannot be used.
     """
     building = Building.load(options.plan) if options.plan else None
+    beacons = read_beacons(options.beacons) if options.beacons else None
+    if building is not None and options.beacons is not None and beacons is not None:
+        check_beacons_on_plan(options.beacons, beacons, building)
     arguments = {
         "floor": building,
         "lag": options.lag,
         "walker": Walker.load(options.walker) if options.walker else Walker(),
-        "beacons": read_beacons(options.beacons) if options.beacons else None,
+        "beacons": beacons,
         "radio_map": load_radio_map(options.radio_map, building) if options.radio_map else None,
         "start_floor": options.floor,
     }

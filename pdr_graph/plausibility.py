@@ -1,0 +1,199 @@
+"""Refuse inputs that cannot belong to one walk: a plan, a list or fixes of another place, a truth of another time.
+
+Only what no walk explains is refused: two inputs must be farther apart than the walker can have gone within the
+recording, plus their errors. Where that is open, nothing is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.errors import InputError, count
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan import FAR_FROM_PLAN
+from pdr_graph.frames import Frame
+from pdr_graph.io.tables import CLOCK_MARGIN, clock_hint
+from pdr_graph.types import Array, Beacons, Fixes, Recording, Trajectory
+
+# Chosen by hand
+FASTEST_WALK = 2.0  # [m/s] mean speed of a walker over a recording; a brisk walk has 1.8
+FASTEST_RIDE = 60.0  # [m/s] the same where the recording may contain a ride by train
+LIVE_DURATION = 3600.0  # [s] of a walk that has not begun
+RADIO_RANGE = 100.0  # [m] from which a beacon or an anchor is received
+WIDEST_ERROR = 5.0  # [sigma] of a fix
+FEWEST_RECORDED = 3  # fixes inside a recording that can contradict a file: a single one is often an old position
+
+
+@dataclass(frozen=True)
+class Reach(OneLineRepr):
+    """The area where a walk can have been: boxes, each with a margin.
+
+    low, high: ``(k, 2)`` corners of the boxes [m], for a fix the same point; margin: ``(k,)`` [m].
+    """
+
+    low: Array
+    high: Array
+    margin: Array
+
+    def __len__(self) -> int:
+        return len(self.margin)
+
+    def _summary(self) -> list[str]:
+        return [count(len(self), "box")]
+
+    @classmethod
+    def of_fixes(cls, fixes: Fixes, span: tuple[float, float], fastest: float) -> Reach:
+        """Places that the walker can visit from fixes within a time span [s], at a speed [m/s]."""
+        start, end = span
+        fixes = fixes[(fixes.time >= start - CLOCK_MARGIN) & (fixes.time <= end + CLOCK_MARGIN)]
+        longest = np.maximum(np.maximum(fixes.time - start, end - fixes.time), 0.0)
+        return cls(fixes.position, fixes.position, WIDEST_ERROR * fixes.sigma + fastest * longest)
+
+    @classmethod
+    def of_plan(cls, building: Building, margin: float) -> Reach:
+        """Places within `margin` [m] of a building's bounding box."""
+        corners = np.array([floor.corners for floor in building.floors])
+        return cls(corners[:, 0].min(axis=0)[None], corners[:, 1].max(axis=0)[None], np.array([margin]))
+
+    def joined(self, other: Reach) -> Reach:
+        """The boxes of both."""
+        return Reach(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("low", "high", "margin")))
+
+    def distance(self, position: Array) -> Array:
+        """Distance ``(n, k)`` [m] of positions ``(n, 2)`` from each box, without its margin."""
+        outside = np.maximum(self.low - position[:, None], position[:, None] - self.high)
+        return np.hypot(*np.moveaxis(np.maximum(outside, 0.0), -1, 0))
+
+
+@dataclass(frozen=True)
+class Plausibility(OneLineRepr):
+    """The area of a walk by its fixes and its plan, against which its other inputs are checked.
+
+    span: first and last time [s]; fastest: mean speed at which the walker can have gone [m/s].
+    """
+
+    walk: Recording
+    frame: Frame
+    building: Building | None
+    span: tuple[float, float]
+    fastest: float
+    fixes: Reach
+    area: Reach
+
+    def _summary(self) -> list[str]:
+        return [repr(self.walk.source), f"{self.span[1] - self.span[0]:.0f} s", repr(self.area)]
+
+    @classmethod
+    def of(
+        cls, walk: Recording, frame: Frame, fixes: Fixes, building: Building | None, fastest: float = FASTEST_WALK
+    ) -> Plausibility:
+        """The area of a walk; fixes: all of them, in the frame."""
+        span = _span(walk, fixes)
+        area = reach = Reach.of_fixes(fixes, span, fastest)
+        if building is not None:
+            area = reach.joined(Reach.of_plan(building, fastest * (span[1] - span[0])))
+        return cls(walk, frame, building, span, fastest, reach, area)
+
+    def check_fixes(self, plan: Path | None, source: Path | None, listed: Fixes, recorded: Fixes) -> None:
+        """Raise InputError if no fix can reach the plan, or a file's fixes lie elsewhere than the recording's.
+
+        plan, source: files of the plan and of the listed fixes; recorded: fixes inside the recording.
+        """
+        outline = None if self.building is None else Reach.of_plan(self.building, np.sqrt(2) * FAR_FROM_PLAN)
+        if outline is not None and plan is not None:
+            self._check_plan(plan, outline)
+        if source is None or len(recorded) < FEWEST_RECORDED:
+            return
+        if outline is not None and (outline.distance(listed.position) <= outline.margin).any():
+            return  # the receiver is wrong
+        widest = WIDEST_ERROR * float(listed.sigma.max(initial=0.0))
+        reach = Reach.of_fixes(recorded, self.span, self.fastest)
+        self._check(source, "fix", listed.position, reach, widest, "those inside the recording")
+
+    def check_list(self, source: Path | None, noun: str, position: Array, margin: float = 0.0) -> None:
+        """Raise InputError if all places of a list ``(n, 2)`` [m] are out of reach of the fixes and the plan.
+
+        source: the list's file, None if nothing is to be checked; noun: of one place; margin: of the reach [m].
+        """
+        if source is not None:
+            evidence = "the plan" if not len(self.fixes) else "all fixes" if self.building is None else "fixes and plan"
+            self._check(source, noun, position, self.area, margin, evidence)
+
+    def check_truth(self, source: Path, truth: Trajectory) -> None:
+        """Raise InputError if a truth is of another time than the walk, or out of its reach."""
+        start, end = self.span
+        if not ((truth.time >= start - CLOCK_MARGIN) & (truth.time <= end + CLOCK_MARGIN)).any():
+            first, last = (truth.time[[0, -1]] + self.walk.clock_origin).tolist()
+            start, end = start + self.walk.clock_origin, end + self.walk.clock_origin
+            found = f"{first:.3f} to {last:.3f}{clock_hint((first, last), (start, end))}"
+            raise InputError(source, "time", found, f"times within the recording, {start:.3f} to {end:.3f}")
+        if truth.epsg is None:
+            self.check_list(source, "row", truth.position)
+
+    def _check_plan(self, plan: Path, outline: Reach) -> None:
+        far = outline.distance(self.fixes.low)[:, 0]
+        if not len(far) or (far <= np.maximum(self.fixes.margin, outline.margin)).any():
+            return
+        nearest = int(np.argmin(far - self.fixes.margin))
+        found = f"a plan {_distance(far[nearest])} or more from {_each(len(far), 'fix')}"
+        found += self._swapped(self.fixes.low, outline)
+        expected = (
+            f"a plan within {_distance(max(self.fixes.margin[nearest], FAR_FROM_PLAN))}, which the walk can reach"
+        )
+        raise InputError(plan, "", found, expected)
+
+    def _check(self, source: Path, noun: str, position: Array, reach: Reach, margin: float, evidence: str) -> None:
+        """Raise InputError if no position lies within reach and a margin [m]. evidence: what the reach follows from."""
+        far = reach.distance(position)
+        if not far.size or (far <= reach.margin + margin).any():
+            return
+        row, box = np.unravel_index(np.argmin(far - reach.margin), far.shape)
+        found = f"{_each(len(position), noun)} {_distance(far[row, box])} or more from {evidence}"
+        found += self._swapped(position, reach)
+        raise InputError(
+            source, "", found, f"places within {_distance(reach.margin[box] + margin)}, in reach of the walk"
+        )
+
+    def _swapped(self, position: Array, reach: Reach) -> str:
+        """A hint if positions ``(n, 2)`` would be in reach with latitude and longitude swapped; else empty."""
+        if not self.frame.georeferenced:
+            return ""
+        swapped = self.frame.to_lonlat(position)[:, ::-1]
+        swapped = swapped[np.abs(swapped[:, 1]) <= 90]
+        back = self.frame.from_lonlat(swapped) if len(swapped) else swapped
+        near = (reach.distance(back[np.isfinite(back).all(axis=1)]) <= reach.margin).any()
+        return " (latitude and longitude swapped?)" if near else ""
+
+
+def check_beacons_on_plan(source: Path, beacons: Beacons, building: Building) -> None:
+    """Raise InputError if no beacon of a list can be near a plan, before a live walk begins."""
+    frame, span = building.floors[0].frame, (0.0, LIVE_DURATION)
+    if beacons.epsg is not None and not frame.georeferenced:
+        return
+    reach, no_fixes = Reach.of_plan(building, FASTEST_WALK * LIVE_DURATION), Reach(*np.empty((2, 0, 2)), np.empty(0))
+    places = Plausibility(Recording("", 0.0, None), frame, building, span, FASTEST_WALK, no_fixes, reach)
+    position = frame.place(beacons).position
+    places.check_list(source, "beacon", position[np.isfinite(position).all(axis=1)], RADIO_RANGE)
+
+
+def _span(walk: Recording, fixes: Fixes) -> tuple[float, float]:
+    """First and last time [s] of the sensors; without any, of the fixes."""
+    timed = [signal.time for signal in walk.signals.values() if len(signal)] or [fixes.time, walk.fixes.time]
+    time = np.concatenate([part for part in timed if len(part)] or [np.zeros(1)])
+    return float(time.min()), float(time.max())
+
+
+def _each(number: int, noun: str) -> str:
+    """A text for all of some things: ``the only fix``, ``each of 12 fixes``."""
+    return f"the only {noun}" if number == 1 else f"each of {count(number, noun)}"
+
+
+def _distance(metres: float) -> str:
+    """A distance in metres or kilometres."""
+    if metres < 2000:
+        return f"{metres:.0f} m"
+    return f"{metres / 1000:.1f} km" if metres < 20e3 else f"{metres / 1000:,.0f} km"
