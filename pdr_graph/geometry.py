@@ -1,4 +1,4 @@
-"""Angles, plane geometry, dead reckoning, 95 % confidence regions and the Viterbi algorithm."""
+"""Angles, plane geometry, dead reckoning, confidence regions, protection levels and the Viterbi algorithm."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
+from scipy.special import stdtrit
 
 from pdr_graph.errors import expect
 from pdr_graph.types import LARGEST_HEADING, Array, Fixes, Index, Mask, Steps, Trajectory
@@ -126,6 +127,35 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     covariance = None if trajectory.covariance is None else between(trajectory.covariance)
     heading = wrap_angle(between(np.unwrap(trajectory.heading)))
     return Trajectory(time, between(trajectory.position), heading, floor, covariance)
+
+
+FREEDOM = 5.0
+"""Degrees of freedom of Student's t for protection levels. On 20 real recordings, 112 walks with several sets of fixes
+(`scripts/reproduce protection`), 95 % of the errors of each kind of walk are within 2.4 sigma and 99.9 % of all within
+3.8; 6 degrees would give 2.45 and 6.0. One less is used, 2.57 and 6.9: places within a walk err alike, and so few walks
+do not show one case in 1000."""
+
+
+def along_and_across(covariance: Array, heading: Array) -> Array:
+    """Standard deviations ``(n, 2)`` [m] along and across the walking direction.
+
+    covariance: ``(n, 2, 2)`` or more, (x, y) first [m²]; heading: ``(n,)`` [rad].
+    """
+    ahead = unit(heading)
+    axes = np.stack([ahead, np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)], axis=1)
+    return np.sqrt(np.maximum(np.einsum("nai,nij,naj->na", axes, covariance[:, :2, :2], axes), 0.0))
+
+
+def protection_level(covariance: Array, heading: Array, probability: float = 0.95) -> Array:
+    """Distances ``(n, 2)`` [m] along and across the walking direction that hold the error with a probability.
+
+    Each direction is by itself, as in the integrity monitoring of aviation. The tails are those of Student's t, not of
+    a Gaussian: errors of real walks are rarely, but then much, larger than stated. covariance, heading: as of
+    `along_and_across`. Raises ValueError unless the probability lies between 0 and 1.
+    """
+    if not 0 < probability < 1:
+        raise ValueError(f"protection_level, probability: found {probability}, expected a number between 0 and 1")
+    return float(stdtrit(FREEDOM, (1 + probability) / 2)) * along_and_across(covariance, heading)
 
 
 CHI_SQUARE = 5.99  # 95 % quantile for two degrees of freedom

@@ -19,12 +19,19 @@ from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.consistency import teaches_profile, verdict
 from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.results import is_located
+from pdr_graph.estimation.sources import position_sources
 from pdr_graph.gait.walker import Profile
-from pdr_graph.geometry import resample
+from pdr_graph.geometry import protection_level, resample
 from pdr_graph.inputs import LIVE, Inputs, Options
 from pdr_graph.io import gpx, writers
 from pdr_graph.types import Estimate, Steps, Trajectory
 
+LONGEST_SOURCES = (
+    0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % of it on IPIN 2023
+)
+LEAST_SOURCES = 1.0  # [s] that these tracks may always take
+PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its probability
 REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, even without measurements
 
 
@@ -89,7 +96,7 @@ def write(out: Path, inputs: Inputs, result: Result, options: Options, stage: St
     summary = summarize(inputs, result) | {"seconds": stage.seconds}
     summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
     with stage("report"):
-        missing += write_report(out, inputs, result, options.method, summary)
+        missing += write_report(out, inputs, result, options.method, summary, stage.seconds.get("estimate", 0.0))
         missing += _unscored(options.truth, inputs, estimate)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
@@ -118,8 +125,10 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
     return ()
 
 
-def write_report(out: Path, inputs: Inputs, result: Result, method: str, summary: dict[str, Any]) -> tuple[str, ...]:
-    """Write ``report.html``; returns what could not be written."""
+def write_report(
+    out: Path, inputs: Inputs, result: Result, method: str, summary: dict[str, Any], seconds: float = 0.0
+) -> tuple[str, ...]:
+    """Write ``report.html``; returns what could not be written. seconds: computing time of the estimate [s]."""
     try:
         from pdr_graph.report.page import page
         from pdr_graph.report.walk import WalkReport, content
@@ -127,7 +136,11 @@ def write_report(out: Path, inputs: Inputs, result: Result, method: str, summary
         estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
         method = "graph" if method == LIVE else method
         tracks = result.tracks()
-        shown = WalkReport(inputs.walk, inputs.building, estimate, method, summary, result.steps, tracks, truth)
+        longest = max(LONGEST_SOURCES * seconds, LEAST_SOURCES)
+        sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
+        shown = WalkReport(
+            inputs.walk, inputs.building, estimate, method, summary, result.steps, tracks, truth, sources
+        )
         (out / "report.html").write_bytes(page(content(shown)))
     except Exception as error:  # without a report the result is still useful
         return (f"report.html ({type(error).__name__}: {error})",)
@@ -155,7 +168,8 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
             kind: _reports(estimate.reports.get(kind, ()), walk.clock_origin) for kind in (*REPORTED, *estimate.reports)
         },
         "wall_crossings": crossings,
-        "probability": round(estimate.probability, 3),
+        **_finite({"probability": round(estimate.probability, 3)}),
+        "protection": protection_of(estimate),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
         "warnings": list(dict.fromkeys([*inputs.notes, *estimate.warnings, *result.issues])),
         "versions": packages | {"python": platform.python_version()},
@@ -215,6 +229,25 @@ def _calibration(estimate: Estimate, clock_origin: float) -> list[dict[str, Any]
         }
         for s in range(len(c.start))
     ]
+
+
+def protection_of(estimate: Estimate) -> dict[str, dict[str, float]] | None:
+    """Median and worst protection levels of a walk along and across its direction [m]; None without a position.
+
+    Keys: ``along_95``, ``across_95``, ``along_999``, ``across_999``.
+    """
+    track = estimate.trajectory
+    if track.covariance is None or not is_located(estimate) or not len(track):
+        return None
+    found = {}
+    for name, probability in PROTECTION.items():
+        levels = protection_level(track.covariance, np.nan_to_num(track.heading), probability)
+        for axis, values in zip(("along", "across"), levels.T, strict=True):
+            found[f"{axis}_{name}"] = {
+                "median": round(float(np.median(values)), 2),
+                "worst": round(float(values.max()), 2),
+            }
+    return found
 
 
 def _length(estimate: Estimate) -> float:

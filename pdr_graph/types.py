@@ -418,7 +418,7 @@ class Estimate(OneLineRepr):
     reports: residual and weight of each measurement, by kind: "fixes" in input order, "beacons" one each.
     iterations: of the optimiser; cost: half the sum of squared, robustly weighted residuals, NaN if not defined.
     converged: False if the optimiser stopped before the cost converged.
-    probability: of this route, against other routes that also explain the measurements.
+    probability: of this route, against other routes that also explain the measurements; NaN if it is unknown.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`.
     """
 
@@ -429,7 +429,7 @@ class Estimate(OneLineRepr):
     iterations: int
     cost: float
     converged: bool
-    probability: float = 1.0
+    probability: float = np.nan
     warnings: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
 

@@ -10,10 +10,10 @@ from tables import publish, table
 
 from pdr_graph import smooth
 from pdr_graph.evaluation import pair
-from pdr_graph.geometry import AT_MOST, along_and_across
+from pdr_graph.geometry import along_and_across, protection_level
 
-LEVELS = tuple(AT_MOST)  # probabilities
-HEADER = ["walks", "places", *(f"within {100 * level:g} % level" for level in LEVELS), "99.9 % of |error| / sigma"]
+LEVELS = (0.95, 0.999)
+QUANTILES = (0.95, 0.999)
 
 
 def protection(data):
@@ -21,7 +21,9 @@ def protection(data):
     groups = dict(_groups(data))
     groups["all, each walk counted alike"] = [walk for walks in groups.values() for walk in walks]
     rows = [[name, f"{len(walks)}", f"{sum(len(z) for z in walks)}", *_held(walks)] for name, walks in groups.items()]
-    publish("accuracy.md", "protection", table(["", *HEADER], rows))
+    levels = [f"within the {100 * level:g} % level" for level in LEVELS]
+    quantiles = [f"{100 * quantile:g} % of errors / sigma" for quantile in QUANTILES]
+    publish("accuracy.md", "protection", table(["walks", "", "places", *levels, *quantiles, "worst"], rows))
 
 
 def _groups(data):
@@ -53,9 +55,17 @@ def normalised_errors(walk, noise=0.0, floor=None):
 
 
 def _held(walks):
-    """Share of places within each level, and the multiple of sigma that holds 99.9 %; each walk counts alike."""
+    """Share of errors within each level, their quantiles and the worst [sigma]; each walk counts alike."""
+    walks = [walk for walk in walks if len(walk)]
     z = np.concatenate([walk.ravel() for walk in walks])
     weight = np.concatenate([np.full(walk.size, 1 / walk.size) for walk in walks]) / len(walks)
     order = np.argsort(z)
-    tail = float(z[order][np.searchsorted(np.cumsum(weight[order]), 0.999).clip(max=len(z) - 1)])
-    return [*(f"{100 * (weight * (z <= AT_MOST[level])).sum():.1f} %" for level in LEVELS), f"{tail:.1f}"]
+    below = np.cumsum(weight[order])
+    quantiles = [z[order][min(np.searchsorted(below, q), len(z) - 1)] for q in QUANTILES]
+    shares = [100 * float(weight[z <= _factor(level)].sum()) for level in LEVELS]
+    return [*(f"{share:.1f} %" for share in shares), *(f"{value:.1f}" for value in (*quantiles, z.max()))]
+
+
+def _factor(level):
+    """The multiple of sigma that a level is."""
+    return protection_level(np.eye(2)[None], np.zeros(1), level)[0, 0]

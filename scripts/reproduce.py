@@ -22,6 +22,7 @@ import map_matching
 import microsoft
 import outliers
 import own_fixes
+import protection
 import realism
 import settings
 import steps
@@ -54,6 +55,7 @@ MADE = {  # in the order of the page
     "live": lambda: live.live(DATA),
     "covariance": lambda: covariance.covariance(DATA, microsoft.microsoft_walks(DATA)),
     "integrity": lambda: integrity.integrity(DATA),
+    "protection": lambda: protection.protection(DATA),
     "outliers": lambda: outliers.outliers(DATA, dict(microsoft.microsoft_walks(DATA))["every second waypoint"]),
     "topology": lambda: topology.topology(DATA),
     "fingerprints": lambda: fingerprints.fingerprints(DATA),

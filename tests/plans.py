@@ -1,5 +1,6 @@
 """Floors drawn for a test, and those of maps/."""
 
+import json
 from pathlib import Path
 
 from pdr_graph.floor.cells import Area
@@ -12,3 +13,19 @@ MAPS = Path(__file__).resolve().parents[1] / "maps"
 def plan(*areas):
     """A floor of areas, each a kind, a name if it has one, and a shape [m]."""
     return FloorPlan("1", tuple(Area(kind, "".join(name), shape) for kind, *name, shape in areas), Frame())
+
+
+def moved(source, path, lat, lon):
+    """Write a drawn plan with its origin elsewhere [deg], to `path`."""
+    drawn = json.loads(source.read_text())
+    (west, south), drawn["pdr_graph"]["origin"] = drawn["pdr_graph"]["origin"], [lon, lat]
+    for feature in drawn["features"]:
+        feature["geometry"]["coordinates"] = _shifted(feature["geometry"]["coordinates"], lon - west, lat - south)
+    path.write_text(json.dumps(drawn))
+    return path
+
+
+def _shifted(coordinates, east, north):
+    if isinstance(coordinates[0], float | int):
+        return [round(coordinates[0] + east, 8), round(coordinates[1] + north, 8)]
+    return [_shifted(inner, east, north) for inner in coordinates]

@@ -373,15 +373,16 @@ def test_if_the_graph_cannot_be_solved_the_filter_is_written(folder, tmp_path, m
 
 
 def test_a_plan_elsewhere_is_not_used(folder, tmp_path):
-    """With fixes 500 m from the plan the walls are not used, and the walk is doubtful."""
+    """With fixes 100 m from the plan, in reach of the walk, the walls are not used, and the summary has a warning."""
     elsewhere = tmp_path / "fixes.csv"
     lines = (folder / "fixes.csv").read_text().splitlines()
-    moved = [f"{t},{float(x) + 500},{y},{s}" for t, x, y, s, _ in (line.split(",") for line in lines[1:])]
+    moved = [f"{t},{float(x) + 165},{y},{s}" for t, x, y, s, _ in (line.split(",") for line in lines[1:])]
     elsewhere.write_text("\n".join(["time,x,y,sigma", *moved]) + "\n")
     out = tmp_path / "out"
     assert run("smooth", folder / "walk.txt", "--map", ARCADE, "--fixes", elsewhere, "--out", out)[0] == 3
     summary = json.loads((out / "summary.json").read_text())
-    assert any("near the floor plan" in w for w in summary["warnings"])
+    assert any("near the floor plan" in warning for warning in summary["warnings"])
+    assert summary["probability"] == 0
     assert summary["verdict"]["state"] == "doubtful"
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from pdr_graph.errors import expect
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.frames import Frame
+from pdr_graph.geometry import protection_level
 from pdr_graph.measurements import last_time, take
 from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
 
@@ -95,6 +96,11 @@ class Pose:
     heading: float
     floor: str
     covariance: Array
+
+    def protection(self, probability: float = 0.95) -> tuple[float, float]:
+        """Distances along and across the heading that hold the error with a probability [m]."""
+        along, across = protection_level(self.covariance[None], np.array([self.heading]), probability)[0].tolist()
+        return along, across
 
 
 def trajectory_of(poses: Sequence[Pose]) -> Trajectory:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr, time_span
+from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.plotting import FIX, GREY, RADIO, SURROUNDINGS, TRACK, TRUTH
-from pdr_graph.report import charts_and_tables, page
+from pdr_graph.report import charts_and_tables, page, sources
 from pdr_graph.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
@@ -44,7 +45,7 @@ class WalkReport(OneLineRepr):
 
     method: of ``pdr-graph smooth``; summary: the content of ``summary.json``; steps: None if there are none;
     causal: causal tracks (estimated from earlier data only) by name; truth: in the frame of the estimate, drawn and
-    scored.
+    scored; sources: of position, each with its own track.
     """
 
     walk: Recording
@@ -55,6 +56,7 @@ class WalkReport(OneLineRepr):
     steps: Steps | None = None
     causal: Mapping[str, Trajectory] = field(default_factory=dict)
     truth: Trajectory | None = None
+    sources: Sequence[PositionSource] = ()
 
     def _summary(self) -> list[str]:
         return [repr(self.walk.source), self.name, *time_span(self.estimate.trajectory)]
@@ -101,10 +103,24 @@ def content(report: WalkReport) -> dict[str, Any]:
         "maps": _maps(report),
         "tracks": _tracks(report),
         "marks": [*_fixes(fixes, fix_labels, estimate.trajectory, labels), *_beacons(estimate), *_headings(report)],
-        "charts": charts_and_tables.walk_charts(
-            report.walk, report.tracks, fixes, fix_labels, estimate.calibration, report.steps, report.truth, labels
-        ),
-        "tables": charts_and_tables.walk_tables(report.walk, fixes, estimate, scores, summary),
+        "charts": [
+            *charts_and_tables.walk_charts(
+                report.walk,
+                report.tracks,
+                fixes,
+                fix_labels,
+                estimate.calibration,
+                report.steps,
+                report.truth,
+                labels,
+            ),
+            *sources.protection_charts(estimate.trajectory, summary["protection"]),
+        ],
+        "tables": [
+            *sources.source_tables(report.sources, estimate.trajectory),
+            *sources.protection_tables(summary["protection"]),
+            *charts_and_tables.walk_tables(report.walk, fixes, estimate, scores, summary),
+        ],
     }
 
 
@@ -125,7 +141,8 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
         ["fixes", f"{len(summary['fixes']):,}"],
     ]
     if summary["steps"]:
-        figures += [["steps", f"{summary['steps']:,}"], ["probability of this route", f"{probability:.0%}"]]
+        stated = f"{probability:.0%}" if np.isfinite(probability) else "unknown"
+        figures += [["steps", f"{summary['steps']:,}"], ["probability of this route", stated]]
     figures += [["floors" if len(floors) > 1 else "floor", " → ".join(floors)]] if floors else []
     crossed = summary["wall_crossings"]
     return figures + ([["steps through walls", f"{crossed}"]] if crossed is not None else [])
@@ -165,6 +182,7 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
+    drawn = [*sources.source_tracks(report.sources, labels), *drawn]
     truth = [] if report.truth is None else [_truth(report.truth, labels)]
     return [*drawn, *truth] if report.truth is not None and len(report.truth) <= FEW else [*truth, *drawn]
 

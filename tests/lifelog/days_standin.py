@@ -19,6 +19,8 @@ from pdr_graph.types import Trajectory
 
 FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording
 
+PLACE = 52.5, 13.4  # latitude and longitude of all recordings [deg]
+
 
 def recording(path, day=0.0, points=4, seed=0):
     """Write a GeoLife file of a few points, ten seconds apart, `day` days after FIRST."""
@@ -26,7 +28,7 @@ def recording(path, day=0.0, points=4, seed=0):
     rows = ["Geolife trajectory", "WGS 84", "Altitude is in Feet", "Reserved 3", "0,2,255,My Track,0,0,2,8421376", "0"]
     for n in range(points):
         seconds = FIRST + day * DAY + 10 * n
-        lat, lon = np.array([52.5, 13.4]) + random.normal(0, 1e-4, 2)
+        lat, lon = np.array(PLACE) + random.normal(0, 1e-4, 2)
         time = f"{(seconds - EPOCH_1899) / DAY:.10f},{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d,%H:%M:%S}"
         rows.append(f"{lat:.6f},{lon:.6f},0,492,{time}")
     path.parent.mkdir(parents=True, exist_ok=True)

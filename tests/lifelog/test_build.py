@@ -14,6 +14,7 @@ from pathlib import Path
 
 import days_standin as standin
 import pytest
+from plans import MAPS, moved
 
 from pdr_graph import InputError
 from pdr_graph.lifelog import cache
@@ -119,11 +120,11 @@ def test_a_late_recording_changes_its_own_day_and_all_later_ones(tmp_path, count
 @pytest.mark.parametrize(
     ("option", "days"), [("plan", 3), ("fixes", 3), ("walker", 1), ("floor", 1), ("content of the plan", 1)]
 )
-def test_changed_options_change_the_day(tmp_path, option, days, pytestconfig):
+def test_changed_options_change_the_day(tmp_path, option, days):
     """Also the days after it, if its profile changes: by another frame, or by other positions."""
     log, paths = added(tmp_path, people=1)
     plan, walker, fixes = tmp_path / "plan.geojson", tmp_path / "walker.toml", tmp_path / "fixes.csv"
-    shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
+    moved(MAPS / "arcade.geojson", plan, *standin.PLACE)
     walker.write_text("height = 1.6\n")
     fixes.write_text(f"time,lat,lon,sigma\n{standin.FIRST + 2 * 86400:.1f},52.5,13.4,3\n")
     if option == "content of the plan":
@@ -217,10 +218,10 @@ def test_built_days_do_not_need_their_recordings(tmp_path):
     assert content(log) == before
 
 
-def test_a_missing_plan_costs_one_line_and_keeps_the_days(tmp_path, pytestconfig):
+def test_a_missing_plan_costs_one_line_and_keeps_the_days(tmp_path):
     log, paths = added(tmp_path, people=1, days=3)
     plan = tmp_path / "plan.geojson"
-    shutil.copy(pytestconfig.rootpath / "maps" / "arcade.geojson", plan)
+    moved(MAPS / "arcade.geojson", plan, *standin.PLACE)
     add(log, paths["person0"], RecordingOptions(plan=plan))
     built(log)
     before = content(log)

@@ -1,0 +1,75 @@
+"""The report's tracks and table of the position sources of a walk, and its protection levels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.estimation.sources import PositionSource
+from pdr_graph.geometry import protection_level
+from pdr_graph.plotting import RADIO, TRACK
+from pdr_graph.report.charts_and_tables import Table, line, table
+from pdr_graph.report.page import maps_of, track
+from pdr_graph.types import Trajectory
+
+COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order
+CHARTED = 0.95  # probability of the protection level that is drawn; others are multiples of it
+ALONE = "by {} alone"  # name of a source's track
+
+
+def source_tracks(sources: Sequence[PositionSource], labels: Sequence[str]) -> list[dict[str, Any]]:
+    """A thin track for each source that has one; labels: of the maps."""
+    style = {"width": 1.3, "dash": "dot"}
+    return [
+        track(ALONE.format(one.name), colour, one.track, maps_of(one.track.floor, labels), **style)
+        for one, colour in zip(sources, np.resize(COLOURS, len(sources)).tolist(), strict=True)
+        if one.track is not None
+    ]
+
+
+def source_tables(sources: Sequence[PositionSource], shown: Trajectory) -> list[Table]:
+    """The table of the sources: what each says, and how much of it was used. shown: the result."""
+    if not sources:
+        return []
+    rows = []
+    for one in sources:
+        median, largest = one.distances(shown)
+        weight = f"{one.weight:.0%}" if np.isfinite(one.weight) else ""
+        rows.append([one.name, f"{one.measurements:,}", _metres(median), _metres(largest), weight, one.remark])
+    head = ["source", "measurements", "median distance", "largest", "weight used", "status"]
+    note = "Distance of the track by steps, headings and one source alone from the result. These tracks have no plan "
+    note += "and are dotted on the map; zoom out for a distant one."
+    skipped = [one.name for one in sources if one.track is None and np.isfinite(one.weight)]
+    note += f" Not estimated by itself: {', '.join(skipped)}." if skipped else ""
+    return [table("Which source says what", head, rows, note=note)]
+
+
+def protection_charts(track: Trajectory, levels: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """Chart of the protection levels of a track [m]; levels: those of ``summary.json``, None if there are none."""
+    if levels is None or track.covariance is None:
+        return []
+    both = protection_level(track.covariance, np.nan_to_num(track.heading), CHARTED).T
+    lines = [
+        line(axis, colour, track.time, values)
+        for axis, colour, values in zip(("along", "across"), (TRACK, RADIO), both, strict=True)
+    ]
+    return [{"title": f"protection level {100 * CHARTED:g} %", "unit": "m", "lines": lines, "from_zero": True}]
+
+
+def protection_tables(levels: Mapping[str, Mapping[str, float]] | None) -> list[Table]:
+    """The protection levels of ``summary.json``, None if there are none."""
+    if levels is None:
+        return []
+    rows = [
+        [f"{name} %", axis, *(_metres(levels[f"{axis}_{name.replace('.', '')}"][key]) for key in ("median", "worst"))]
+        for name in ("95", "99.9")
+        for axis in ("along", "across")
+    ]
+    note = "Distance along and across the walking direction that holds the error with a probability."
+    return [table("Protection level", ["probability", "direction", "median", "worst"], rows, note=note)]
+
+
+def _metres(value: float) -> str:
+    return f"{value:.1f} m" if np.isfinite(value) else ""

@@ -1,0 +1,67 @@
+"""A probability is stated only of a walk with a position, and is near 0 where the route contradicts the plan."""
+
+import json
+
+import numpy as np
+import pytest
+import simulated
+from test_cli import ARCADE, ROUTE
+
+from pdr_graph.estimation.results import stated_probability
+from pdr_graph.floor.building import Building
+from pdr_graph.inputs import Options
+from pdr_graph.online.replay import replay_recording
+from pdr_graph.pipeline import smooth_recording
+from pdr_graph.types import Estimate, FixReport, Trajectory
+
+PLAN = Building.load(ARCADE)
+
+
+def estimate(path, fixes=((0.0, 0.0),), probability=0.95):
+    """An estimated walk along points with fixes at places."""
+    path = np.array(path, dtype=float)
+    track = Trajectory(np.arange(float(len(path))), path, np.zeros(len(path)))
+    reports = tuple(FixReport(0.0, x, y, 1.0, 0.0, 1.0, "") for x, y in fixes)
+    return Estimate(track, track, None, {"fixes": reports}, 1, 0.0, converged=True, probability=probability)
+
+
+def test_without_a_position_nothing_is_stated():
+    assert np.isnan(stated_probability(estimate(ROUTE, fixes=()), None))
+    assert np.isnan(stated_probability(estimate(ROUTE, fixes=()), PLAN))
+
+
+def test_a_route_between_walls_keeps_its_probability():
+    assert stated_probability(estimate(ROUTE, fixes=ROUTE[:1]), PLAN) == 0.95
+    assert stated_probability(estimate(ROUTE, fixes=ROUTE[:1]), None) == 0.95
+
+
+def test_a_route_through_many_walls_has_a_probability_near_zero():
+    through = np.stack([np.linspace(-20, 60, 100), np.linspace(-20, 50, 100)], axis=1)
+    assert PLAN.crosses_wall(through, ("",) * 100).sum() > 10
+    assert stated_probability(estimate(through, fixes=through[50:51]), PLAN) < 0.001
+
+
+def test_a_route_with_no_fix_near_the_plan_has_probability_zero():
+    assert stated_probability(estimate(ROUTE, fixes=[(9000.0, 0.0)]), PLAN) == 0.0
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+
+
+@pytest.mark.parametrize("write", [smooth_recording, replay_recording])
+def test_a_plan_without_any_fix_states_no_probability(write, folder, tmp_path):
+    write(folder / "walk.txt", tmp_path, Options(plan=ARCADE, recorded_fixes=False))
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["probability"] is None
+    assert any("no position fix" in warning for warning in summary["warnings"])
+    assert '["probability of this route","unknown"]' in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("method", ["graph", "pdr"])
+def test_only_a_method_that_compares_routes_states_a_probability(method, folder, tmp_path):
+    options = Options(plan=ARCADE, fixes=folder / "fixes.csv", method=method)
+    smooth_recording(folder / "walk.txt", tmp_path, options)
+    probability = json.loads((tmp_path / "summary.json").read_text())["probability"]
+    assert (probability is None) == (method == "pdr")
