@@ -26,13 +26,7 @@ from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_smoother import LiveSmoother, SmootherCheckpoint
 from pdr_graph.estimation.live.window import Window
-from pdr_graph.estimation.results import (
-    Placement,
-    calibration_warnings,
-    contradiction_warnings,
-    stated_probability,
-    used_fixes,
-)
+from pdr_graph.estimation.results import Placement, calibration_warnings, contradiction_warnings, used_fixes
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
@@ -241,7 +235,7 @@ class Navigator:
             self._extend(last)
         self._graph.finish()
         if self._graph.final is not None:
-            return replace(self._graph.final, probability=stated_probability(self._graph.final, self.building))
+            return self._graph.final
         estimate = self._estimate()
         return replace(estimate, dead_reckoning=self._dead_reckoning(), warnings=self._warnings(estimate))
 

@@ -293,12 +293,10 @@ def walk_tables(
     walk: Recording,
     fixes: Sequence[FixReport],
     estimate: Estimate,
-    scores: Table | None,
     summary: Mapping[str, Any],
 ) -> list[Table]:
-    """All tables for which there is data; fixes: those of the estimate that are shown."""
-    tables = [scores] if scores is not None else []
-    tables += [_calibration(estimate.calibration)] if estimate.calibration is not None else []
+    """All tables for which there is data, beside the scores; fixes: those of the estimate that are shown."""
+    tables = [_calibration(estimate.calibration)] if estimate.calibration is not None else []
     tables += [table("Sensors", *sensor_rows(walk))]
     tables += [_fixes(fixes)] if fixes else []
     tables += [_beacons(estimate.beacons)] if estimate.beacons else []

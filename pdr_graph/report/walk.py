@@ -14,7 +14,7 @@ from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.plotting import FIX, GREY, RADIO, SURROUNDINGS, TRACK, TRUTH
-from pdr_graph.report import charts_and_tables, page, sources
+from pdr_graph.report import charts_and_tables, integrity, page
 from pdr_graph.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
@@ -114,12 +114,13 @@ def content(report: WalkReport) -> dict[str, Any]:
                 report.truth,
                 labels,
             ),
-            *sources.protection_charts(estimate.trajectory, summary["protection"]),
+            *integrity.protection_charts(estimate.trajectory, summary["protection"]),
         ],
         "tables": [
-            *sources.source_tables(report.sources, estimate.trajectory),
-            *sources.protection_tables(summary["protection"]),
-            *charts_and_tables.walk_tables(report.walk, fixes, estimate, scores, summary),
+            *([scores] if scores is not None else []),
+            *integrity.source_tables(report.sources, estimate.trajectory),
+            *integrity.protection_tables(summary["protection"]),
+            *charts_and_tables.walk_tables(report.walk, fixes, estimate, summary),
         ],
     }
 
@@ -182,7 +183,7 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
-    drawn = [*sources.source_tracks(report.sources, labels), *drawn]
+    drawn = [*integrity.source_tracks(report.sources, labels), *drawn]
     truth = [] if report.truth is None else [_truth(report.truth, labels)]
     return [*drawn, *truth] if report.truth is not None and len(report.truth) <= FEW else [*truth, *drawn]
 

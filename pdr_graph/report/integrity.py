@@ -11,10 +11,11 @@ from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.geometry import protection_level
 from pdr_graph.plotting import RADIO, TRACK
 from pdr_graph.report.charts_and_tables import Table, line, table
-from pdr_graph.report.page import maps_of, track
+from pdr_graph.report.page import maps_of, thinned, track
 from pdr_graph.types import Trajectory
 
 COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order
+CHART_ROWS = 2000  # of the chart: 4 per pixel
 CHARTED = 0.95  # probability of the protection level that is drawn; others are multiples of it
 ALONE = "by {} alone"  # name of a source's track
 
@@ -50,6 +51,7 @@ def protection_charts(track: Trajectory, levels: Mapping[str, Any] | None) -> li
     """Chart of the protection levels of a track [m]; levels: those of ``summary.json``, None if there are none."""
     if levels is None or track.covariance is None:
         return []
+    track = track[thinned(len(track), CHART_ROWS)]
     both = protection_level(track.covariance, np.nan_to_num(track.heading), CHARTED).T
     lines = [
         line(axis, colour, track.time, values)
