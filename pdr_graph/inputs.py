@@ -136,8 +136,9 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         places.check_list(options.beacons, "anchor", anchors.position[np.unique(ranges.anchor)], RADIO_RANGE)
         walk = replace(walk, measurements=(*walk.measurements, ranges))
     if options.truth is not None:
-        walk = replace(walk, truth=read_trajectory(options.truth, walk))
-        places.check_truth(options.truth, walk.truth)
+        truth = read_trajectory(options.truth, walk)
+        places.check_truth(options.truth, truth)
+        walk = replace(walk, truth=truth)
     return Inputs(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map)
 
 

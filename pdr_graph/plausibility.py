@@ -174,7 +174,8 @@ def check_beacons_on_plan(source: Path, beacons: Beacons, building: Building) ->
     frame, span = building.floors[0].frame, (0.0, LIVE_DURATION)
     if beacons.epsg is not None and not frame.georeferenced:
         return
-    reach, no_fixes = Reach.of_plan(building, FASTEST_WALK * LIVE_DURATION), Reach(*np.empty((2, 0, 2)), np.empty(0))
+    reach = Reach.of_plan(building, FASTEST_WALK * LIVE_DURATION)
+    no_fixes = Reach(np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
     places = Plausibility(Recording("", 0.0, None), frame, building, span, FASTEST_WALK, no_fixes, reach)
     position = frame.place(beacons).position
     places.check_list(source, "beacon", position[np.isfinite(position).all(axis=1)], RADIO_RANGE)
