@@ -162,10 +162,15 @@ def _headings(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _stride(estimate: Estimate) -> Iterator[Contradiction]:
-    """A stride scale of no usual walker that not even three fixes confirm."""
+    """A stride scale of no usual walker, by more than its sigma, that not even three fixes confirm."""
     calibration = estimate.calibration
     scale = None if calibration is None else stride_scale(calibration)
-    if calibration is not None and scale is not None and scale.unusual and not stride_determined(estimate, CHECKED):
+    if (
+        calibration is not None
+        and scale is not None
+        and scale.beyond > scale.sigma
+        and not stride_determined(estimate, CHECKED)
+    ):
         sigmas = (scale.value - 1) / float(calibration.prior_sigma[0, 0])
         text = f"{scale}, and too few fixes confirm it"
         check = "the fixes, the start, and the floor plan"

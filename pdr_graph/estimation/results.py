@@ -110,7 +110,12 @@ class StrideScale:
     @property
     def unusual(self) -> bool:
         """True if usual walkers have another stride scale."""
-        return not STRIDE[0] <= self.value <= STRIDE[1]
+        return self.beyond > 0
+
+    @property
+    def beyond(self) -> float:
+        """Difference to the nearest stride scale of usual walkers."""
+        return max(STRIDE[0] - self.value, self.value - STRIDE[1], 0.0)
 
     def __str__(self) -> str:
         low, high = STRIDE

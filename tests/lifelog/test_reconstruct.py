@@ -134,6 +134,17 @@ def test_a_walker_file_is_the_first_profile():
     assert day_of(blind).profile is None
 
 
+def test_a_day_whose_sources_contradict_each_other_teaches_no_profile_and_its_notes_say_why():
+    one = walk(200, seed=8)[0]
+    known = day_of(one).profile
+    away = np.random.default_rng(0).normal(0, 6, one.fixes.position.shape)  # they state 1.5 m
+    wrong = replace(one, fixes=replace(one.fixes, position=one.fixes.position + away))
+    for before in (None, known):
+        day = day_of(wrong, profile=before)
+        assert day.profile is before
+        assert day.outings[0].notes[0].startswith("doubtful: ")
+
+
 def test_the_order_in_which_recordings_were_added_does_not_matter():
     one = walk(100)[0]
     parts = {name: replace(one, epoch=NOON + 200.0 * n, source=name) for n, name in enumerate("abc")}
