@@ -59,20 +59,15 @@ def contradictions(optima: list[Optimum], probability: Array) -> tuple[Contradic
 
 
 def explanations(first: Optimum) -> list[Optimum]:
-    """The walk near ``first`` under all joint assumptions that remain, the most probable first."""
-    known = frontier = [first]
-    while frontier := [new for old in frontier for new in _extended(old, first)]:
-        known = _likely([*known, *frontier])
-        frontier = [new for new in known if any(new is candidate for candidate in frontier)]
+    """The walk near ``first`` under the joint assumptions that remain, the most probable first.
+
+    Kind by kind, assumptions are added to those of the best walk so far.
+    """
+    known = [first]
+    for name in [kind.name for kind in first.graph.measurements]:
+        kind = next(kind for kind in known[0].graph.measurements if kind.name == name)
+        known = _likely([*known, *_alternatives(known[0], kind, first)])
     return known
-
-
-def _extended(old: Optimum, first: Optimum) -> list[Optimum]:
-    """``old`` with an assumption about one more kind, of those after the last kind that is assumed to err."""
-    kinds = old.graph.measurements
-    names = [kind.name for kind in kinds]
-    after = 1 + max((names.index(hypothesis.measurement.name) for hypothesis in old.assumed), default=-1)
-    return [new for kind in kinds[after:] for new in _alternatives(old, kind, first)]
 
 
 def _alternatives(old: Optimum, kind: Measurement, first: Optimum) -> list[Optimum]:

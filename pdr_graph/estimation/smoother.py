@@ -55,7 +55,7 @@ def smooth(graph: WalkGraph) -> Estimate:
         converged=best.converged,
         probability=of_path,
         warnings=(
-            *warnings(graph, len(optima), of_path, best.converged, calibration),
+            *warnings(graph, len(np.unique(path)), of_path, best.converged, calibration),
             *contradiction_warnings(reports.get(used.name, ())),
         ),
         contradictions=(*plan_contradictions(graph, trajectory), *contradictions(optima, probability)),
