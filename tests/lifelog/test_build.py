@@ -14,7 +14,6 @@ from pathlib import Path
 
 import days_standin as standin
 import pytest
-from plans import MAPS, moved
 
 from pdr_graph import InputError
 from pdr_graph.lifelog import cache
@@ -23,6 +22,13 @@ from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.store import RecordingOptions, Store
 
 HERE = Path(__file__).parent
+
+
+def arcade_there(path):
+    """Write the arcade's plan, drawn where the recordings are."""
+    from plans import MAPS, moved  # here: the child process of a test has no path to it
+
+    moved(MAPS / "arcade.geojson", path, *standin.PLACE)
 
 
 def added(folder, people=3, days=5):
@@ -124,7 +130,7 @@ def test_changed_options_change_the_day(tmp_path, option, days):
     """Also the days after it, if its profile changes: by another frame, or by other positions."""
     log, paths = added(tmp_path, people=1)
     plan, walker, fixes = tmp_path / "plan.geojson", tmp_path / "walker.toml", tmp_path / "fixes.csv"
-    moved(MAPS / "arcade.geojson", plan, *standin.PLACE)
+    arcade_there(plan)
     walker.write_text("height = 1.6\n")
     fixes.write_text(f"time,lat,lon,sigma\n{standin.FIRST + 2 * 86400:.1f},52.5,13.4,3\n")
     if option == "content of the plan":
@@ -221,7 +227,7 @@ def test_built_days_do_not_need_their_recordings(tmp_path):
 def test_a_missing_plan_costs_one_line_and_keeps_the_days(tmp_path):
     log, paths = added(tmp_path, people=1, days=3)
     plan = tmp_path / "plan.geojson"
-    moved(MAPS / "arcade.geojson", plan, *standin.PLACE)
+    arcade_there(plan)
     add(log, paths["person0"], RecordingOptions(plan=plan))
     built(log)
     before = content(log)
