@@ -77,9 +77,11 @@ def _alternatives(old: Optimum, kind: Measurement, first: Optimum) -> list[Optim
     proposals = [
         (hypothesis, old.state) for hypothesis in kind.hypotheses(old.at) if placed or not hypothesis.place_lost
     ]
-    if proposals and placed and kind.determines_position:
+    if placed and kind.has_list:
         others = optimize(without := old.graph.without(kind), without.start).at
-        proposals += [(hypothesis, others.state) for hypothesis in kind.hypotheses(others)]
+        proposals += [(new, others.state) for new in kind.hypotheses(others) if proposals]
+        by = np.mean(others.state.poses[:, :2] - old.state.poses[:, :2], axis=0)
+        proposals += [(new, others.state) for new in [kind.displaced(by)] if new is not None]
     best = dict[str, Optimum]()
     for hypothesis, start in proposals:
         new = _assuming(old, hypothesis, start, first)

@@ -330,6 +330,7 @@ class Measurement:
     name: ClassVar[str] = ""
     on_plan: ClassVar[bool] = False  # True if it uses the floor plan
     determines_position: ClassVar[bool] = False  # True if it measures absolute positions
+    has_list: ClassVar[bool] = False  # True if its positions come from a list, see `displaced`
     overhang: ClassVar[float] = 0.0  # [s] by which it may lie before or after the steps
     converges_slowly: ClassVar[bool] = False  # True if the optimiser converges slowly with it from a distant start
 
@@ -384,6 +385,10 @@ class Measurement:
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
         """Assumptions under which the instances might fit better than at ``at``, the most promising first."""
         return ()
+
+    def displaced(self, by: Array) -> Hypothesis | None:
+        """The assumption that all listed positions are displaced by ``by (2,)`` [m]; None for kinds without a list."""
+        return None
 
     def corrected(self, at: Evaluation) -> Self | None:
         """The measurement without listed positions that the optimum ``at`` contradicts; None if there are none."""

@@ -52,6 +52,8 @@ GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their are
 MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are assumed and solved
 WRONG_LIST = 5.5  # [nats] price of a wrong list, see `Hypothesis`
 SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
+WRONG_ORIGIN = 9.0  # [nats] price of a displaced list: WRONG_LIST, and 30 m in which it may lie to 5 m
+DISPLACED = 8.0  # [m] between the walks by the list and by all else, from which that is assumed
 CHECK_LIST = "the positions in the list of beacons"
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 
@@ -74,6 +76,7 @@ class BeaconRssiFactor(Measurement):
 
     name: ClassVar[str] = "beacons"
     determines_position: ClassVar[bool] = True
+    has_list: ClassVar[bool] = True
     converges_slowly: ClassVar[bool] = True
 
     @classmethod
@@ -209,6 +212,13 @@ class BeaconRssiFactor(Measurement):
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
         """Two beacons of the list are swapped, one has moved, or the list is of another place."""
         return list_hypotheses(self, at)
+
+    def displaced(self, by: Array) -> Hypothesis | None:
+        """The list has the right distances between beacons, but another origin."""
+        if np.hypot(*by) < DISPLACED:
+            return None
+        text = f"all positions in the list of beacons are off by about {np.hypot(*by):.0f} m"
+        return Hypothesis(self.at_places(self.position + by), WRONG_ORIGIN, "beacons", text, CHECK_LIST)
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
