@@ -51,10 +51,10 @@ def protection_charts(track: Trajectory, levels: Mapping[str, Any] | None) -> li
     """Chart of the protection levels of a track [m]; levels: those of ``summary.json``, None if there are none."""
     if levels is None or track.covariance is None:
         return []
-    track = track[thinned(len(track), CHART_ROWS)]
-    both = protection_level(track.covariance, np.nan_to_num(track.heading), CHARTED).T
+    rows = thinned(len(track), CHART_ROWS)
+    both = protection_level(track.covariance[rows], np.nan_to_num(track.heading[rows]), CHARTED).T
     lines = [
-        line(axis, colour, track.time, values)
+        line(axis, colour, track.time[rows], values)
         for axis, colour, values in zip(("along", "across"), (TRACK, RADIO), both, strict=True)
     ]
     return [{"title": f"protection level {100 * CHARTED:g} %", "unit": "m", "lines": lines, "from_zero": True}]

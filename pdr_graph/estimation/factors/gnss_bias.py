@@ -86,10 +86,10 @@ class GnssBias(Measurement):
         offset, white = _sigmas(fixes, sources, steps)
         joined = np.concatenate(sources) if sources else np.empty(0, np.intp)
         rows = np.concatenate([n + f for n, f in zip(node, first, strict=True)])
-        rest = (np.concatenate(column) for column in (share, number, time, keep, elapsed))
+        nodes = (np.concatenate(column) for column in (share, number, time, keep, elapsed))
         numbers = np.array([_number(fixes.fixes.source[indices[0]]) for indices in sources], dtype=np.intp)
-        own = (np.empty((0, 2)), joined, offset[joined], white[joined], rows)
-        return cls(fixes, steps, *own, *rest, numbers)
+        none_yet = np.empty((0, 2))
+        return cls(fixes, steps, none_yet, joined, offset[joined], white[joined], rows, *nodes, receiver_number=numbers)
 
     def refined(self, at: Evaluation) -> GnssBias:
         """Model the common errors of the fixes that the second pass marks as biased."""
