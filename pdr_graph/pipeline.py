@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdr_graph import io
-from pdr_graph.contradiction import OK
+from pdr_graph.contradiction import OK, Contradiction
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.calibration import calibrate, prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
@@ -38,6 +38,7 @@ from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sight
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
+OPEN = "the direction of dead reckoning from one fix is open"
 NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
 
 
@@ -206,7 +207,10 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     ]
     reports[first : first + 1] = alone.fixes
     track = replace(track, floor=graph.floors)
-    return replace(alone, trajectory=track, reports={"fixes": tuple(reports)}, probability=float("nan"))
+    direction = Contradiction("route", "other directions", 2 * np.pi, "rad", OPEN, "--method graph uses all fixes")
+    found = (*alone.contradictions, direction)
+    reports_of_kinds = {"fixes": tuple(reports)}
+    return replace(alone, trajectory=track, reports=reports_of_kinds, probability=float("nan"), contradictions=found)
 
 
 def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | None = None) -> tuple[Profile, int]:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import simulated
 
+from pdr_graph.errors import InputError
 from pdr_graph.inputs import Options, read
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import reconstruct
@@ -51,7 +52,6 @@ CASES = {
     "no magnetometer": ("MAGNETIC_FIELD.txt", "fixes.csv", {}),
     "fixes outside the recording": ("walk.txt", "late.csv", {}),
     "no fixes": ("walk.txt", None, {"recorded_fixes": False}),
-    "a plan elsewhere": ("walk.txt", "far.csv", {"plan": PLAN}),
 }
 
 
@@ -74,6 +74,16 @@ def test_smooth_and_replay_say_the_same(folder, tmp_path, case, lag):
     if lag is not None:  # a window of ten seconds determines other coefficients than the whole walk
         smoothed, replayed = ((_without_calibration(one[0]), *one[1:]) for one in (smoothed, replayed))
     assert replayed == smoothed
+
+
+def test_smooth_and_replay_refuse_the_same(folder, tmp_path):
+    """A plan that no fix can reach."""
+    options, lines = Options(fixes=folder / "far.csv", plan=PLAN), []
+    for run in (smooth_recording, replay_recording):
+        with pytest.raises(InputError, match="found a plan") as refused:
+            run(folder / "walk.txt", tmp_path / run.__name__, options)
+        lines.append(str(refused.value))
+    assert lines[0] == lines[1]
 
 
 def _without_calibration(warnings):
