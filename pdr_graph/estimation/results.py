@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.factors.fixes import DUPLICATE, LOUD_BEACON, OUTSIDE
+from pdr_graph.estimation.factors.fixes import DUPLICATE, FROZEN, LOUD_BEACON, OUTSIDE
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
@@ -73,7 +73,7 @@ def warnings(
         ),
         "the optimiser had not converged": not converged,
     }
-    outside = fixes.fixes.time[~fixes.used & ~fixes.duplicate]
+    outside = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still]
     return (
         *placement.warnings(),
         *outside_warnings(outside, graph.steps.start, graph.steps.end),
@@ -151,7 +151,7 @@ def missing_of(estimate: Estimate, fixes: int) -> tuple[str, ...]:
 
 def used_fixes(fixes: Sequence[FixReport]) -> list[FixReport]:
     """Return the reports without duplicate epochs and fixes outside the recording."""
-    return [fix for fix in fixes if fix.reason not in (DUPLICATE, OUTSIDE)]
+    return [fix for fix in fixes if fix.reason not in (DUPLICATE, FROZEN, OUTSIDE)]
 
 
 def is_a_guess(fixes: Sequence[FixReport]) -> bool:

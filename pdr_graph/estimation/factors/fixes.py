@@ -18,7 +18,7 @@ import numpy as np
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.losses import GAUSSIAN, NOISE, Loss, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.geometry import distance_walked, pose_rotation
+from pdr_graph.geometry import dead_reckon, distance_walked, interpolate, pose_rotation
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -36,6 +36,8 @@ LOOSELY = 5.0  # scale of the sigma in the second factor of a fix that states on
 PATIENCE = 4  # consistent fixes in a row, all far from the walk, at which the estimate has diverged
 STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of a receiver's errors
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
+FROZEN = "the receiver held its position while the walk went on: not used"
+STILL, AWAY = 1.0, 10.0  # [m] within which a frozen receiver stays, from where the steps lead so far away
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
 
@@ -44,8 +46,8 @@ class FixFactor(Measurement):
     """Positions with independent errors: r = (p − z) / σ. [gps-dr] Sec. 4
 
     fixes: all of them, ``f``; number: ``(f,)`` permanent numbers.
-    sigma: ``(f,)`` per axis, wider outside the recording [m]; used: ``(f,)`` not far outside it, and no duplicate;
-    duplicate: ``(f,)`` epochs that repeat the one before.
+    sigma: ``(f,)`` per axis, wider outside the recording [m]; used: ``(f,)`` not far outside it, new and not frozen;
+    duplicate: ``(f,)`` epochs that repeat the one before; still: ``(f,)`` of a frozen receiver, see `frozen`.
     run: ``(f,)`` number of the run of fixes within reach of each other, −1 for unused ones; consistent: ``(f,)`` in the
     longest chain that one walk can have made.
     independent_sigma: ``(f,)`` wider, so that correlated fixes of one receiver may be treated as independent [m].
@@ -59,6 +61,7 @@ class FixFactor(Measurement):
     sigma: Array
     used: Mask
     duplicate: Mask
+    still: Mask
     run: Index
     consistent: Mask
     independent_sigma: Array
@@ -80,8 +83,8 @@ class FixFactor(Measurement):
         """The fixes of one walk. approximate: they only initialise the search; number: 0, 1, … by default."""
         overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
         fresh, sigma = overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
-        duplicate = duplicates(fixes)
-        used = fresh & ~duplicate
+        duplicate, still = duplicates(fixes), frozen(fixes, steps)
+        used = fresh & ~duplicate & ~still
         run, consistent = consistent_chains(steps, fixes, sigma, used)
         none = np.zeros(len(fixes), dtype=bool)
         return cls(
@@ -90,6 +93,7 @@ class FixFactor(Measurement):
             sigma=sigma,
             used=used,
             duplicate=duplicate,
+            still=still & ~duplicate,
             run=run,
             consistent=consistent,
             independent_sigma=independent_sigmas(fixes, sigma, consistent, steps),
@@ -232,6 +236,8 @@ class FixFactor(Measurement):
             x, y = self.fixes.position[n].tolist()
             if self.duplicate[n]:
                 reason = DUPLICATE
+            elif self.still[n]:
+                reason = FROZEN
             elif self.approximate:
                 reason = LOUD_BEACON
             elif not self.used[n] or self.keyframe[n] < 0:
@@ -254,6 +260,26 @@ def duplicates(fixes: Fixes) -> Mask:
     result = np.zeros(len(fixes), dtype=bool)
     for indices in by_source(fixes, np.ones(len(fixes), dtype=bool)):
         result[indices[1:]] = (np.diff(fixes.position[indices], axis=0) == 0).all(axis=1)
+    return result
+
+
+def frozen(fixes: Fixes, steps: Steps) -> Mask:
+    """True ``(f,)`` for the fixes of a receiver that holds its position while the steps lead away, but the first.
+
+    Receivers do so where signals are weak (static navigation): the fixes agree with one another, and are sure.
+    """
+    result = np.zeros(len(fixes), dtype=bool)
+    sources = by_source(fixes, np.ones(len(fixes), dtype=bool))
+    track = dead_reckon(steps) if sources else None
+    for indices in sources if track else []:
+        place, walked = fixes.position[indices], interpolate(fixes.time[indices], track.time, track.position)
+        first = 0
+        for n in range(1, len(indices) + 1):
+            if n < len(indices) and np.hypot(*(place[n] - place[first])) < STILL:
+                continue
+            if np.hypot(*(walked[first:n] - walked[first]).T).max() > AWAY:
+                result[indices[first + 1 : n]] = True
+            first = n
     return result
 
 
