@@ -501,7 +501,7 @@ def receiver():
     axes.axhline(0, color=GREY, lw=1)
     axes.plot(fixes.time, (fixes.position - true)[:, 0], ".", ms=6, color=ORANGE, label="error of a fix to the east")
     order = np.argsort(fixes.time[seen.fix])
-    time, middle, spread = (of[order] for of in (fixes.time[seen.fix], seen.offset * offset, seen.offset * spread))
+    time, middle, spread = (of[order] for of in (fixes.time[seen.fix], offset, spread))
     band(axes, time, middle, spread, "offset in the graph, 95 %")
     axes.set(xlabel="time [s]", ylabel="[m]", ylim=(-14, 16))
     axes.legend(loc="upper left", ncols=3)

@@ -236,10 +236,10 @@ class WalkGraph:
         merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
         return self._with_variables(merged)
 
-    def assuming(self, measurement: Measurement) -> WalkGraph:
-        """Replace the measurements of one kind by ``measurement``, another version of them."""
-        others = tuple(measurement if type(kind) is type(measurement) else kind for kind in self._measurements)
-        return self._with_variables(others)
+    def assuming(self, measurements: Sequence[Measurement]) -> WalkGraph:
+        """Replace the measurements of some kinds by other versions of them."""
+        version = {type(measurement): measurement for measurement in measurements}
+        return self._with_variables(tuple(version.get(type(kind), kind) for kind in self._measurements))
 
     def without(self, kind: Measurement) -> WalkGraph:
         """Remove the measurements of one kind."""

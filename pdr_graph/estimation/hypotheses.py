@@ -38,7 +38,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
     assumed = explanations(solve_robust(graph.without_plan()))[0].assumed
     assumed = tuple(hypothesis for hypothesis in assumed if not hypothesis.second_pass)
     for hypothesis in assumed:
-        graph = graph.assuming(hypothesis.measurement)
+        graph = graph.assuming(hypothesis.measurements)
     return [replace(optimum, assumed=assumed) for optimum in corrected_solutions(graph)]
 
 
@@ -92,7 +92,7 @@ def _alternatives(old: Optimum, kind: Measurement, first: Optimum) -> list[Optim
 
 def _assuming(old: Optimum, hypothesis: Hypothesis, start: State, first: Optimum) -> Optimum:
     """The optimum near ``start`` under one more assumption than ``old``."""
-    graph = old.graph.assuming(hypothesis.measurement)
+    graph = old.graph.assuming(hypothesis.measurements)
     optimum = optimize(graph, _started(graph, start))
     information = optimum.net.logDeterminant() - first.net.logDeterminant()
     assumed = (*old.assumed, hypothesis)

@@ -354,7 +354,7 @@ def drifted(graph, time):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
-    """p − R(θ) v lag + σ₀ (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
+    """p − R(θ) v lag + (g_x, g_y) − z, g linear between its nodes, white noise of 0.09 σ₀² + n (σ² − σ₀²)."""
     graph = received(seed)
     state, fixes, bias = any_state(graph, seed), graph.positions.fixes, graph.find(GnssBias)
     drift = drifted(graph, fixes.time)
@@ -367,9 +367,9 @@ def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
         k, node, share = int(graph.positions.keyframe[f]), int(bias.node[row]), float(bias.share[row])
         x, y, heading = state.poses[k]
         assert share == pytest.approx(fixes.time[f] / 5 % 1)
-        assert bias.node_time[node] == pytest.approx(5 * (fixes.time[f] // 5))
+        assert node_times(bias)[node] == 5 * (fixes.time[f] // 5)
         g = (1 - share) * state["g"][node] + share * state["g"][node + 1]
-        r = np.array([x, y]) - turned_by(heading) @ bias.velocity[k] * g[2] + least * g[:2] - fixes.position[f]
+        r = np.array([x, y]) - turned_by(heading) @ bias.velocity[k] * g[2] + g[:2] - fixes.position[f]
         assert factors[row].variables == [("x", k), ("g", node), ("g", node + 1)]
         assert factors[row].residual == pytest.approx(r / white)
 
@@ -380,26 +380,38 @@ def test_fixes_of_a_receiver_share_an_offset_and_a_lag(seed):
         assert bias.velocity[k] == pytest.approx(way, abs=0.3)  # [m/s]: keyframes lie further apart
 
 
+def node_times(bias):
+    """Times of the nodes of receivers, multiples of 5 s. [s]"""
+    return 5.0 * (bias.node_number % 2**34 - 2**33)
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_an_offset_is_a_gauss_markov_process(seed):
-    """About k o: keep = exp(−drift), σ = √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
+    """About o [m]: keep = exp(−drift), σ = σ₀ √(1 − keep²) of the offset; the lag's grows by 0.02 s/√s."""
     graph = received(seed)
-    state, bias = any_state(graph, seed), graph.find(GnssBias)
-    g, receiver = state["g"], -1
+    state, bias, fixes = any_state(graph, seed), graph.find(GnssBias), graph.positions.fixes
+    g, receiver, drift = state["g"], -1, drifted(graph, fixes.time)
+    common = np.array([fixes.sigma[(np.array(fixes.source) == fixes.source[f]) & (np.abs(drift - drift[f]) <= 1)].min()
+                       for f in range(len(fixes))])  # fmt: skip
     for m in range(len(bias.keep)):
         if bias.keep[m] == 0:
             receiver += 1
-            middle = 1.0 * state["o"][receiver] * [1, 1, 0]
+            middle = state["o"][receiver] * [1, 1, 0]
+            own = [f for f, node in zip(bias.fix.tolist(), bias.node.tolist(), strict=True)
+                   if bias.receiver[node] == receiver]  # fmt: skip
+            scale = np.interp(node_times(bias), fixes.time[own], common[own])
             (factor,) = factors_with(graph, state, "gnss_bias.begin", ("g", m), ("o", receiver))
-            assert factor.residual == pytest.approx((g[m] - middle) / [1, 1, 1.0])
+            assert factor.residual == pytest.approx((g[m] - middle) / [scale[m], scale[m], 1.0])
             (factor,) = factors_with(graph, state, "gnss_bias.throughout", ("o", receiver))
-            assert factor.residual == pytest.approx(state["o"][receiver])
+            usual = np.median(common[own])
+            assert factor.residual == pytest.approx(state["o"][receiver] / [usual, usual, 1.0])
             continue
-        then, at = bias.node_time[m - 1 : m + 1]
+        then, at = node_times(bias)[m - 1 : m + 1]
         beyond = (max(at - graph.steps.end, 0.0) - max(then - graph.steps.end, 0.0)) * 1.0 / 30.0
         keep = np.exp(-(drifted(graph, at) - drifted(graph, then) + beyond))
-        sigma = [np.sqrt(1 - keep**2)] * 2 + [0.02 * np.sqrt(at - then)]
-        r = (g[m] - [keep, keep, 1] * g[m - 1] - (1 - keep) * middle) / sigma
+        sigma = [scale[m] * np.sqrt(1 - keep**2)] * 2 + [0.02 * np.sqrt(at - then)]
+        keep *= scale[m] / scale[m - 1]
+        r = (g[m] - middle - [keep, keep, 1] * (g[m - 1] - middle)) / sigma
         (factor,) = factors_with(graph, state, "gnss_bias.change", ("g", m), ("g", m - 1), ("o", receiver))
         assert factor.residual == pytest.approx(r, rel=1e-6)
     assert receiver == 1

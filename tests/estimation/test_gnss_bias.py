@@ -168,3 +168,38 @@ def test_a_flat_zone_has_no_effect_within_the_radius():
     bent, flat = (smooth(WalkGraph(steps, fixes, prior=Prior(fix_flat=zone))).trajectory for zone in (0.0, 1.5))
     shape = [np.std(track.position - truth.position, axis=0).max() for track in (bent, flat)]
     assert shape[1] < 0.5 * shape[0]
+
+
+def test_a_frozen_receiver_is_not_used_until_it_moves_again():
+    steps, random = steps_of(np.full(220, 0.7), np.zeros(220)), np.random.default_rng(5)
+    time = np.arange(1.0, 120.0, 1.0)
+    true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+    place = true + 3.0 * gauss_markov(steps, time, random) + random.normal(0, 1.0, (len(time), 2))
+    held = (time > 30) & (time < 80)
+    place[held] = place[np.argmax(held)] + random.normal(0, 0.2, (held.sum(), 2))
+    estimate = smooth(WalkGraph(steps, named(fixes_at(time, place, 3.0))))
+    unused = [fix for fix in estimate.fixes if "held its position" in fix.reason]
+    assert {fix.time for fix in unused} == set(np.arange(32.0, 80.0))
+    assert all(fix.weight == 0 for fix in unused)
+    assert np.abs(estimate.trajectory.position[-1] - dead_reckon(steps).position[-1]).max() < 8.0
+
+
+def test_standing_still_is_not_frozen():
+    time = np.arange(0.0, 60.0, 1.0)
+    standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
+    fixes = named(fixes_at(time, np.random.default_rng(1).normal(0, 0.2, (len(time), 2)), 3.0))
+    assert WalkGraph(standing, fixes).positions.used.all()
+
+
+def test_a_receiver_that_scatters_more_than_it_states_gets_a_region_as_wide_as_its_errors():
+    """Stated a third of the sigma, the region is about that of the right one."""
+
+    def radius(stated):
+        steps, random = meander(), np.random.default_rng(3)
+        time = np.arange(1.0, steps.end, 1.0)
+        true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+        errors = 3.0 * gauss_markov(steps, time, random) + random.normal(0, 1.2, (len(time), 2))
+        estimate = smooth(WalkGraph(steps, named(fixes_at(time, true + errors, stated))))
+        return np.sqrt(np.linalg.det(estimate.trajectory.covariance[:, :2, :2])).mean() ** 0.5
+
+    assert radius(1.0) == pytest.approx(radius(3.0), rel=0.25)

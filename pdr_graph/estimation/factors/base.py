@@ -307,12 +307,12 @@ class Stage(Enum):
 class Hypothesis:
     """An assumption about how a source errs beyond what it states.
 
-    measurement: its kind under this assumption; price: negative log probability of it in advance, relative to a source
+    measurements: its kind under this assumption; price: negative log probability of it in advance, relative to a source
     without such an error [nats]; text: what errs, for the user; source: its name; place_lost: True if the kind measures
     no absolute position then.
     """
 
-    measurement: Measurement
+    measurements: tuple[Measurement, ...]
     price: float
     source: str
     text: str

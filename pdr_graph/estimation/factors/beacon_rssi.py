@@ -218,7 +218,7 @@ class BeaconRssiFactor(Measurement):
         if np.hypot(*by) < DISPLACED:
             return None
         text = f"all positions in the list of beacons are off by about {np.hypot(*by):.0f} m"
-        return Hypothesis(self.at_places(self.position + by), WRONG_ORIGIN, "beacons", text, CHECK_LIST)
+        return Hypothesis((self.at_places(self.position + by),), WRONG_ORIGIN, "beacons", text, CHECK_LIST)
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
@@ -413,7 +413,7 @@ def _swapped(beacons: BeaconRssiFactor, a: int, b: int) -> Hypothesis:
     position, label = beacons.position.copy(), beacons.listed.label
     position[[a, b]] = position[[b, a]]
     text = f"the positions of {label[a]} and {label[b]} are swapped in the list"
-    return Hypothesis(beacons.at_places(position), WRONG_LIST, "beacons", text, CHECK_LIST)
+    return Hypothesis((beacons.at_places(position),), WRONG_LIST, "beacons", text, CHECK_LIST)
 
 
 def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) -> Hypothesis:
@@ -426,7 +426,7 @@ def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) 
     unlisted = beacons.at_places(position)
     unlisted.prior[which, :2] = place
     price = WRONG_LIST + float(2 * np.log(ANYWHERE / beacons.listed.sigma[which]).sum())
-    return Hypothesis(unlisted, price, "beacons", text, CHECK_LIST)
+    return Hypothesis((unlisted,), price, "beacons", text, CHECK_LIST)
 
 
 def _grid(track: Array) -> Array:

@@ -38,6 +38,9 @@ STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
 STILL, AWAY = 1.0, 10.0  # [m] within which a frozen receiver stays, from where the steps lead so far away
+WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
+SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
+RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
 
@@ -154,18 +157,38 @@ class FixFactor(Measurement):
     def refined(self, at: Evaluation) -> Self:
         """Mark fixes far from a first optimum as outliers; leave those of one receiver to `GnssBias`.
 
-        Approximate fixes, used only for the start, are released.
+        Approximate fixes, used only for the start, are released. Receivers that state too little get wider sigmas.
         """
+        too_small = self._too_small(at)
+        if (too_small > 1).any():
+            wider = (too_small * sigma for sigma in (self.sigma, self.independent_sigma))
+            return replace(self, **dict(zip(("sigma", "independent_sigma"), wider, strict=True))).refined(at)
         far = self.used & (self.distance(at) > OUTLIER * self.sigma)
         held = self.used & (self.consistent | ~_mostly(far, self.run))
-        sourced = np.array([bool(source) for source in self.fixes.source], dtype=bool)
+        sourced = _sourced(self.fixes)
         if not (far.any() or sourced.any() or self.approximate) and (held == self.held).all():
             return self
         return self.classified(far, held & (not self.approximate))
 
+    def _too_small(self, at: Evaluation) -> Array:
+        """The factors ``(f,)`` by which stated sigmas are too small, by the scatter of a receiver's fixes in a second.
+
+        Most of a receiver's error stays the same from one second to the next, so that a larger scatter is a larger
+        error.
+        """
+        factor, off = np.ones(len(self)), at.state.poses[self.keyframe, :2] - self.fixes.position
+        for indices in by_source(self.fixes, self.used & (self.keyframe >= 0)):
+            time, middle = self.fixes.time[indices], indices[1:-1]
+            scatter = np.hypot(*(off[middle] - (off[indices[:-2]] + off[indices[2:]]) / 2).T) / np.sqrt(1.5)
+            within = time[2:] - time[:-2] <= SECONDS
+            if within.sum() >= FEWEST_SCATTER:
+                share = float(np.median((scatter / self.sigma[middle])[within])) / RAYLEIGH
+                factor[indices] = share / WHITEST if share > SUSPICIOUS else 1.0
+        return factor
+
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
-        sourced = np.array([bool(source) for source in self.fixes.source], dtype=bool)
+        sourced = _sourced(self.fixes)
         return replace(self, outlier=outlier, held=held, biased=held & sourced & (self.flat == 0))
 
     def reclassified(self, at: Evaluation) -> Self:
@@ -281,6 +304,11 @@ def frozen(fixes: Fixes, steps: Steps) -> Mask:
                 result[indices[first + 1 : n]] = True
             first = n
     return result
+
+
+def _sourced(fixes: Fixes) -> Mask:
+    """True ``(f,)`` for fixes of a receiver."""
+    return np.array([bool(source) for source in fixes.source], dtype=bool)
 
 
 def by_source(fixes: Fixes, used: Mask) -> list[Index]:

@@ -2,16 +2,16 @@
 
 [gps-dr] leaves the *systematic* error of GPS open. Most of a phone's error stays the same from epoch to epoch (indoors
 its correlation is 0.9 after a second, 0.5 after ten), so a minute of epochs has the information of a few fixes, not of
-sixty. With g = (g_x, g_y, lag) of the source at its time, a fix of stated sigma σ is modelled as
+sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of stated sigma σ is modelled as
 
-    z = p − R(θ) v lag + σ₀ (g + k o) + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
+    z = p − R(θ) v lag + g + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
 
-with v the walking velocity in the body's axes, averaged over LATELY. g is a Gauss–Markov process of unit variance, lag
-a slow random walk; both are linear between nodes NODE apart. o, of unit variance, is what stays the same throughout: a
-reflection under a roof. How large it is nothing tells where there is no other source, so that k is a hypothesis: most
-receivers have k = 1, some are several times worse than they state. The process runs in units of `drift`, with
-correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the excess of worse ones among them is
-common to them as well.
+with v the walking velocity in the body's axes, averaged over LATELY. g is a Gauss–Markov process of sigma σ₀ about o,
+lag a slow random walk; both are linear between nodes NODE apart. o [m] is what stays the same throughout: a reflection
+under a roof. Its sigma is k times the receiver's median σ₀. How large k is nothing tells where there is no other
+source, so that it is a hypothesis: most receivers have k = 1, some are several times worse than they state. The process
+runs in units of `drift`, with correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the
+excess of worse ones among them is common to them as well.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ AMBLE = 1.0  # [m/s] assumed after the last step, until the next node
 SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
 PLANE = np.array([1.0, 1.0, 0.0])  # the components of g that are a position
-THROUGHOUT = 1.0  # [σ₀] of the offset that stays the same throughout, of a receiver that is as good as it states
+THROUGHOUT = 1.0  # k of a receiver that is as good as it states
 WORSE = ((2.0, 0.7), (5.0, 2.3))  # of a worse one, and the price of that assumption [nats]
 
 
@@ -49,26 +49,27 @@ class GnssBias(Measurement):
     """Offset and lag of each receiver along the walk; none before the second pass.
 
     fixes, steps: of the walk; velocity: ``(k + 1, 2)`` of the walk at its keyframes [m/s], see `velocities`.
-    fix: ``(f,)`` indices of the biased fixes; offset, white: ``(f,)`` sigmas of common and independent error [m];
-    node: ``(f,)`` row of the node before each; share: ``(f,)`` position between this node and the next, 0 to 1.
-    node_number: ``(m,)``; node_time: ``(m,)`` [s]; keep: ``(m,)`` correlation with the node before, 0 for the first of
-    a source; elapsed: ``(m,)`` time since the node before [s].
-    receiver_number: ``(r,)``; throughout: k.
+    fix: ``(f,)`` indices of the biased fixes; white: ``(f,)`` sigmas of their independent errors [m]; node: ``(f,)``
+    row of the node before each; share: ``(f,)`` position between this node and the next, 0 to 1.
+    node_number: ``(m,)``; sigma: ``(m,)`` σ₀ there [m]; keep: ``(m,)`` correlation with the node before, 0 for the
+    first of a source; elapsed: ``(m,)`` time since the node before [s].
+    receiver: ``(m,)`` of each node; receiver_number: ``(r,)``; usual: ``(r,)`` median σ₀ [m]; throughout: k.
     """
 
     fixes: FixFactor
     steps: Steps
     velocity: Array
     fix: Index
-    offset: Array
     white: Array
     node: Index
     share: Array
     node_number: Index
-    node_time: Array
+    sigma: Array
     keep: Array
     elapsed: Array
+    receiver: Index
     receiver_number: Index
+    usual: Array
     throughout: float = THROUGHOUT
 
     name: ClassVar[str] = "gnss_bias"
@@ -79,17 +80,28 @@ class GnssBias(Measurement):
     def of(cls, fixes: FixFactor, steps: Steps) -> GnssBias:
         """The biases of the receivers whose fixes are marked as biased."""
         sources = by_source(fixes.fixes, fixes.biased)
-        parts = [_nodes(fixes.fixes.time[indices], steps, fixes.fixes.source[indices[0]]) for indices in sources]
-        none = ((np.empty(0, np.intp), np.empty(0), np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0)),)
-        node, share, number, time, keep, elapsed = ([*column] for column in zip(*(parts or none), strict=True))
-        first = np.cumsum([0] + [len(n) for n in number[:-1]])
         offset, white = _sigmas(fixes, sources, steps)
+        parts = [_nodes(fixes.fixes.time[rows], offset[rows], steps, fixes.fixes.source[rows[0]]) for rows in sources]
+        none = ((np.empty(0, np.intp), np.empty(0), np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0)),)
+        node, share, number, sigma, keep, elapsed = ([*column] for column in zip(*(parts or none), strict=True))
+        first = np.cumsum([0] + [len(n) for n in number[:-1]])
         joined = np.concatenate(sources) if sources else np.empty(0, np.intp)
-        rows = np.concatenate([n + f for n, f in zip(node, first, strict=True)])
-        nodes = (np.concatenate(column) for column in (share, number, time, keep, elapsed))
-        numbers = np.array([_number(fixes.fixes.source[indices[0]]) for indices in sources], dtype=np.intp)
-        none_yet = np.empty((0, 2))
-        return cls(fixes, steps, none_yet, joined, offset[joined], white[joined], rows, *nodes, receiver_number=numbers)
+        return cls(
+            fixes=fixes,
+            steps=steps,
+            velocity=np.empty((0, 2)),
+            fix=joined,
+            white=white[joined],
+            node=np.concatenate([n + f for n, f in zip(node, first, strict=True)]),
+            share=np.concatenate(share),
+            node_number=np.concatenate(number),
+            sigma=np.concatenate(sigma),
+            keep=np.concatenate(keep),
+            elapsed=np.concatenate(elapsed),
+            receiver=np.repeat(np.arange(len(number)), [len(n) for n in number]),
+            receiver_number=np.array([_number(fixes.fixes.source[rows[0]]) for rows in sources], dtype=np.intp),
+            usual=np.array([np.median(offset[rows]) for rows in sources]),
+        )
 
     def refined(self, at: Evaluation) -> GnssBias:
         """Model the common errors of the fixes that the second pass marks as biased."""
@@ -105,7 +117,8 @@ class GnssBias(Measurement):
             text = f"the receiver is off throughout by up to {k:.0f} times what it states"
             check = "indoors GNSS states too little: leave it out, or give a position that is known" if k > 2 else ""
             worse = replace(self, throughout=k)
-            hypotheses.append(Hypothesis(worse, price, "GNSS", text, check, second_pass=True))
+            spread = 2 * float(np.log(k)) * len(self.usual)  # the normaliser of the wider prior
+            hypotheses.append(Hypothesis((worse,), price + spread, "GNSS", text, check, second_pass=True))
         return hypotheses
 
     def bind(self, chain: Chain) -> Self:
@@ -132,67 +145,67 @@ class GnssBias(Measurement):
     def _fixes(self, at: Evaluation) -> FactorBlock:
         reached = np.flatnonzero(self.fixes.keyframe[self.fix] >= 0)
         fix, node, share = self.fix[reached], self.node[reached], self.share[reached, None]
-        offset, white = self.offset[reached], self.white[reached]
+        white = self.white[reached]
         g, keyframe = at.state[self.symbol], self.fixes.keyframe[fix]
         pose, now = at.state.poses[keyframe], (1 - share) * g[node] + share * g[node + 1]
         R = pose_rotation(pose[:, 2])[:, :2, :2]
         ahead = np.einsum("fij,fj->fi", R, self.velocity[keyframe])
-        shifted = pose[:, :2] - ahead * now[:, 2:] + offset[:, None] * now[:, :2]
+        shifted = pose[:, :2] - ahead * now[:, 2:] + now[:, :2]
         value = (shifted - self.fixes.fixes.position[fix]) / white[:, None]
 
         def jacobian() -> list[Array]:
             by_pose, by_now = np.zeros((len(pose), 2, 3)), np.zeros((len(pose), 2, 3))
             by_pose[:, :, :2] = R / white[:, None, None]
             by_pose[:, :, 2] = -(ahead @ QUARTER.T) * now[:, 2:] / white[:, None]
-            by_now[:, [0, 1], [0, 1]] = (offset / white)[:, None]
+            by_now[:, [0, 1], [0, 1]] = 1 / white[:, None]
             by_now[:, :, 2] = -ahead / white[:, None]
             return [by_pose, (1 - share[:, :, None]) * by_now, share[:, :, None] * by_now]
 
         variables = (("x", keyframe), (self.symbol, node), (self.symbol, node + 1))
         loss = RobustLoss(self.fixes.outlier[fix])
-        tenths = 10 * (np.log(white) + np.log(offset))
+        tenths = 10 * np.log(white)
         return FactorBlock.uniform(
             FixFactor.name, value, variables, jacobian, self.fixes.number[fix], loss=loss, signature=tenths
         )
 
     def _process(self, at: Evaluation) -> list[FactorBlock]:
-        """Factors of g, which varies about k o, and of o."""
-        g, receivers = at.state[self.symbol], at.state[self.symbol_throughout]
+        """Factors of g, which varies about o, and of o."""
+        g, o = at.state[self.symbol], at.state[self.symbol_throughout]
         first, later = np.flatnonzero(self.keep == 0), np.flatnonzero(self.keep)
-        receiver = np.cumsum(self.keep == 0) - 1
-        middle = self.throughout * receivers[receiver] * PLANE
-        root = np.diag([1.0, 1.0, 1 / LAG])
+        about = g - o[self.receiver] * PLANE
+        sigma = np.stack([self.sigma, self.sigma, np.full(len(g), LAG)], axis=1)
         begin = FactorBlock.uniform(
             f"{self.name}.begin",
-            (g[first] - middle[first]) @ root,
-            [(self.symbol, first), (self.symbol_throughout, receiver[first])],
-            lambda: [np.tile(by, (len(first), 1, 1)) for by in (root, -self.throughout * np.diag(PLANE))],
+            about[first] / sigma[first],
+            [(self.symbol, first), (self.symbol_throughout, self.receiver[first])],
+            lambda: [np.eye(3) / sigma[first, :, None], -np.diag(PLANE) / sigma[first, :, None]],
             self.node_number[first],
             tolerance=None,
+            signature=10 * np.log(self.sigma[first]),
             prior=True,
         )
-        share = self.keep[later, None] * [1, 1, 0] + [0, 0, 1]
-        change = np.sqrt(1 - self.keep[later] ** 2)
-        sigma = np.stack([change, change, LAG_CHANGE * np.sqrt(self.elapsed[later])], axis=1)
+        share = self.keep[later, None] * self.sigma[later, None] / self.sigma[later - 1, None] * [1, 1, 0] + [0, 0, 1]
+        change = self.sigma[later] * np.sqrt(1 - self.keep[later] ** 2)
+        scale = 1 / np.stack([change, change, LAG_CHANGE * np.sqrt(self.elapsed[later])], axis=1)
         follow = FactorBlock.uniform(
             f"{self.name}.change",
-            (g[later] - share * g[later - 1] - (1 - share) * middle[later]) / sigma,
-            [(self.symbol, later), (self.symbol, later - 1), (self.symbol_throughout, receiver[later])],
-            lambda: [
-                np.eye(3) * by[:, :, None] for by in (1 / sigma, -share / sigma, self.throughout * (share - 1) / sigma)
-            ],
+            (about[later] - share * about[later - 1]) * scale,
+            [(self.symbol, later), (self.symbol, later - 1), (self.symbol_throughout, self.receiver[later])],
+            lambda: [np.eye(3) * by[:, :, None] for by in (scale, -share * scale, (share - 1) * PLANE * scale)],
             self.node_number[later],
             tolerance=None,
-            signature=20 * self.keep[later],
+            signature=20 * self.keep[later] + 10 * np.log(self.sigma[later]),
             prior=True,
         )
+        root = np.stack([1 / (self.throughout * self.usual)] * 2 + [np.ones(len(o))], axis=1)
         same = FactorBlock.uniform(
             f"{self.name}.throughout",
-            receivers,
-            [(self.symbol_throughout, np.arange(len(receivers)))],
-            lambda: [np.tile(np.eye(3), (len(receivers), 1, 1))],
+            o * root,
+            [(self.symbol_throughout, np.arange(len(o)))],
+            lambda: [np.eye(3) * root[:, :, None]],
             self.receiver_number,
             tolerance=None,
+            signature=10 * np.log(root[:, 0]),
             prior=True,
         )
         return [begin, follow, same]
@@ -223,11 +236,11 @@ def _sigmas(fixes: FixFactor, sources: Sequence[Index], steps: Steps) -> tuple[A
     return offset, white
 
 
-def _nodes(time: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
+def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
     """Nodes around a source's fixes at ``time (f,)``, at multiples of NODE, so that they do not depend on a window.
 
-    Returns per fix the row of the node before and the share to the next; per node its number, time, correlation with
-    the node before, and the time since.
+    sigma: ``(f,)`` of their common error. Returns per fix the row of the node before and the share to the next; per
+    node its number, sigma, correlation with the node before, and the time since.
     """
     before = np.floor(time / NODE).astype(np.intp)
     grid = np.unique([before, before + 1]).astype(np.intp)
@@ -238,4 +251,4 @@ def _nodes(time: Array, steps: Steps, source: str) -> tuple[Index, Array, Index,
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)
     number = _number(source) * NODES_PER_SOURCE + NODES_PER_SOURCE // 2 + grid
-    return node, (time - at[node]) / NODE, number, at, keep, elapsed
+    return node, (time - at[node]) / NODE, number, np.interp(at, time, sigma), keep, elapsed
