@@ -17,12 +17,11 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.contradiction import Contradiction
-from pdr_graph.estimation.factors.base import Hypothesis, Measurement, State
+from pdr_graph.estimation.factors.base import Hypothesis, State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, optimize, solutions, solve_robust
+from pdr_graph.estimation.optimizer import Optimum, continued, corrected_solutions, optimize, solutions, solve_robust
 from pdr_graph.types import Array
 
-CONTINUED = ("x", "c", "g", "o", "q")  # variables that keep their values under another assumption
 PROBABLE = 0.5  # probability above which a user is told what a source gets wrong
 UNLIKELY = 5.0  # [nats] above the best at which an assumption is dropped: 0.7 %
 
@@ -61,17 +60,18 @@ def contradictions(optima: list[Optimum], probability: Array) -> tuple[Contradic
 def explanations(first: Optimum) -> list[Optimum]:
     """The walk near ``first`` under the joint assumptions that remain, the most probable first.
 
-    Kind by kind, assumptions are added to those of the best walk so far.
+    Kind by kind, assumptions are added to those of the best walk so far, or made instead of them.
     """
     known = [first]
     for name in [kind.name for kind in first.graph.measurements]:
-        kind = next(kind for kind in known[0].graph.measurements if kind.name == name)
-        known = _likely([*known, *_alternatives(known[0], kind, first)])
+        bases = [known[0]] if known[0] is first else [known[0], first]
+        known = _likely([*known, *(new for base in bases for new in _alternatives(base, name, first))])
     return known
 
 
-def _alternatives(old: Optimum, kind: Measurement, first: Optimum) -> list[Optimum]:
+def _alternatives(old: Optimum, name: str, first: Optimum) -> list[Optimum]:
     """The walk under each assumption about a kind that is promising along ``old``, or along the walk by the others."""
+    kind = next(kind for kind in old.graph.measurements if kind.name == name)
     fixes = old.graph.positions
     placed = fixes.used.any() and not fixes.approximate
     proposals = [
@@ -93,18 +93,11 @@ def _alternatives(old: Optimum, kind: Measurement, first: Optimum) -> list[Optim
 def _assuming(old: Optimum, hypothesis: Hypothesis, start: State, first: Optimum) -> Optimum:
     """The optimum near ``start`` under one more assumption than ``old``."""
     graph = old.graph.assuming(hypothesis.measurements)
-    optimum = optimize(graph, _started(graph, start))
+    optimum = optimize(graph, continued(graph.start, start, hypothesis.fresh))
     information = optimum.net.logDeterminant() - first.net.logDeterminant()
     assumed = (*old.assumed, hypothesis)
     burden = information + sum(hypothesis.price for hypothesis in assumed)
     return replace(optimum, assumed=assumed, burden=burden, unseen=first.unseen)
-
-
-def _started(graph: WalkGraph, start: State) -> State:
-    """The state ``start`` with all variables of ``graph``; places of beacons are initial ones, the rest as it was."""
-    fresh = graph.start.arrays
-    shared = {symbol: rows for symbol, rows in start.arrays.items() if len(rows) == len(fresh.get(symbol, ()))}
-    return graph.start.replaced(**{symbol: rows for symbol, rows in shared.items() if symbol in CONTINUED})
 
 
 def _likely(optima: list[Optimum]) -> list[Optimum]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -170,7 +171,7 @@ def solve_robust(graph: WalkGraph) -> Optimum:
     """
     first = _solve_alternatives(graph) or optimize(graph, graph.start)
     refined = graph.refined(first.at)
-    return first if refined is graph else optimize(refined, _continued(refined.start, first.state))
+    return first if refined is graph else optimize(refined, continued(refined.start, first.state))
 
 
 def _solve_alternatives(graph: WalkGraph) -> Optimum | None:
@@ -179,10 +180,10 @@ def _solve_alternatives(graph: WalkGraph) -> Optimum | None:
     return min((optimize(graph, start) for start in starts), key=_negative_log_posterior) if starts else None
 
 
-def _continued(start: State, optimum: State) -> State:
-    """The optimum of the variables that were there before; new ones at ``start``."""
-    shared = {symbol: rows for symbol, rows in optimum.arrays.items() if len(rows) == len(start.arrays.get(symbol, ()))}
-    return start.replaced(**{symbol: rows for symbol, rows in shared.items() if symbol in start.arrays})
+def continued(start: State, optimum: State, fresh: Collection[str] = ()) -> State:
+    """The optimum of the variables that were there before; new ones, and those of symbols ``fresh``, at ``start``."""
+    old = {symbol: rows for symbol, rows in optimum.arrays.items() if symbol in start.arrays and symbol not in fresh}
+    return start.replaced(**{symbol: rows for symbol, rows in old.items() if len(rows) == len(start[symbol])})
 
 
 def _in_the_building(graph: WalkGraph) -> list[Optimum]:
@@ -195,7 +196,7 @@ def _in_the_building(graph: WalkGraph) -> list[Optimum]:
     optima = _distinct(_paths_of_fixes(robust, without_walls))
     if optima and optima[0].surprise < expected + STRAINED:
         return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
-    aligned, optima = [robust.start, _continued(robust.start, without_walls.state)], list[Optimum]()
+    aligned, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
     for attempt in range(ATTEMPTS):
         starts = hypotheses(robust, attempt) + (aligned if attempt == 0 else [])
         optima += [
@@ -212,7 +213,7 @@ def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
     if until is None:
         return []
     last, sigma = until
-    rough = _solve_relaxed(graph, _continued(graph.start, without_walls.state), sigma)
+    rough = _solve_relaxed(graph, continued(graph.start, without_walls.state), sigma)
     first = _solve_tight_walls(rough)
     others = alternative_endings(first.graph, first.state, first.net, last)
     return [first, *(_solve_tight_walls(_solve_loose_walls(graph, path)) for path in others)]

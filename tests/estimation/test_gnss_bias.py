@@ -203,3 +203,17 @@ def test_a_receiver_that_scatters_more_than_it_states_gets_a_region_as_wide_as_i
         return np.sqrt(np.linalg.det(estimate.trajectory.covariance[:, :2, :2])).mean() ** 0.5
 
     assert radius(1.0) == pytest.approx(radius(3.0), rel=0.25)
+
+
+def test_errors_larger_than_stated_are_assumed_where_the_fixes_lie_so():
+    """Fixes every four seconds, in the first half 12 m beside the walk, in the second on it; the start is known."""
+    steps, random = meander(), np.random.default_rng(2)
+    time = np.arange(2.0, steps.end, 4.0)
+    true = interpolate(time, dead_reckon(steps).time, dead_reckon(steps).position)
+    errors = random.normal(0, 2.0, (len(time), 2)) + np.where(time < steps.end / 2, 12.0, 0.0)[:, None] * [0, 1]
+    known = fixes_at([0.0], [[0.0, 0.0]], 0.5)
+    estimate = smooth(WalkGraph(steps, Fixes.concatenate([known, named(fixes_at(time, true + errors, 3.0), "Wi-Fi")])))
+    assert any("errors of Wi-Fi are about" in reason.text for reason in estimate.contradictions)
+    off = estimate.trajectory.position - dead_reckon(steps).position
+    square = np.einsum("ni,nij,nj->n", off, np.linalg.inv(estimate.trajectory.covariance[:, :2, :2]), off)
+    assert np.mean(square < 4.61) > 0.85  # the 90 % region

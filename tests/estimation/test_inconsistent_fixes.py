@@ -253,3 +253,17 @@ def test_an_outlier_just_within_reach_does_not_split_the_chain():
     graph = WalkGraph(steps, fixes_at(track.time[::2], place, 3.0))
     assert len(np.unique(graph.positions.run)) == 2
     assert graph.positions.consistent.all()
+
+
+def test_a_misplaced_start_is_recognised_by_the_fixes_after_it():
+    """A start 8 m off that says half a metre; fixes of 1.5 m follow."""
+    steps = wandering_walk(150, 3)
+    truth = dead_reckon(steps, fixes_at([0], [[20.0, 10.0]]))
+    after = fixes_on(truth[5:], every=25, sigma=1.5, seed=3)
+    start = fixes_at(truth.time[:1], truth.position[:1] + np.array([8.0, 0.0]), 0.5)
+    estimate = smooth(WalkGraph(steps, both(start, after)))
+    [wrong] = estimate.contradictions
+    assert wrong.source == "fixes"
+    assert "the fix at 0 s" in wrong.text
+    assert np.hypot(*(estimate.trajectory.position - truth.position).T).max() < 5.0
+    assert estimate.fixes[0].weight == 0

@@ -52,7 +52,7 @@ GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their are
 MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are assumed and solved
 WRONG_LIST = 5.5  # [nats] price of a wrong list, see `Hypothesis`
 SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
-WRONG_ORIGIN = 9.0  # [nats] price of a displaced list: WRONG_LIST, and 30 m in which it may lie to 5 m
+WRONG_ORIGIN = 5.0  # [nats] price of a displaced list: as probable as a receiver that is as far off throughout
 DISPLACED = 8.0  # [m] between the walks by the list and by all else, from which that is assumed
 CHECK_LIST = "the positions in the list of beacons"
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
@@ -218,7 +218,9 @@ class BeaconRssiFactor(Measurement):
         if np.hypot(*by) < DISPLACED:
             return None
         text = f"all positions in the list of beacons are off by about {np.hypot(*by):.0f} m"
-        return Hypothesis((self.at_places(self.position + by),), WRONG_ORIGIN, "beacons", text, CHECK_LIST)
+        return Hypothesis(
+            (self.at_places(self.position + by),), WRONG_ORIGIN, "beacons", text, CHECK_LIST, fresh=("b",)
+        )
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
@@ -353,18 +355,27 @@ def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: 
 
     position: ``(k, 2)`` of the walk at its keyframes [m]; q: (P, n, k).
     """
+    surveyed, places, cost = placement_costs(levels, keyframe_time, position, q)
+    relocated = list[int]()
+    for m, of_beacon in zip(surveyed.tolist(), cost, strict=True):
+        near = np.hypot(*(places - levels.position[m]).T) < APART
+        if of_beacon[near].min() - of_beacon.min() > RELOCATED:
+            relocated.append(m)
+    return relocated
+
+
+def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> tuple[Index, Array, Array]:
+    """How well the levels of each surveyed beacon fit each place.
+
+    Returns the ``m`` surveyed beacons; places ``(p, 2)`` [m], first those listed for them; costs ``(m, p)`` [nats].
+    """
     track, table = level_table(levels, keyframe_time, position)
-    listed, surveyed = levels.position, np.flatnonzero(np.isfinite(levels.position[:, 0]))
-    places = np.concatenate([listed[surveyed], _grid(track)])
+    surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
+    places = np.concatenate([levels.position[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
     expected = q[0] - 5 * q[1] * np.log10(square)
-    relocated = list[int]()
-    for m in surveyed:
-        cost = np.array([_negative_log_likelihood(table[m], at) for at in expected])
-        near = np.hypot(*(places - listed[m]).T) < APART
-        if cost[near].min() - cost.min() > RELOCATED:
-            relocated.append(int(m))
-    return relocated
+    cost = [[_negative_log_likelihood(table[m], at) for at in expected] for m in surveyed.tolist()]
+    return surveyed, places, np.array(cost).reshape(len(surveyed), len(places))
 
 
 def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
@@ -378,15 +389,9 @@ def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[
 
 def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesis]:
     """What may be wrong with the listed positions, screened along the walk ``at``."""
-    surveyed = np.flatnonzero(np.isfinite(beacons.position[:, 0]))
+    q = at.state.arrays.get("q", PATH_LOSS[None])[0]
     levels = replace(beacons.listed, position=beacons.position)
-    track, level = level_table(levels, at.chain.time, at.state.poses[:, :2])
-    places = np.concatenate([beacons.position[surveyed], _grid(track)])
-    square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
-    P, n, _ = at.state.arrays.get("q", PATH_LOSS[None])[0]
-    expected = P - 5 * n * np.log10(square)
-    cost = np.array([[_negative_log_likelihood(level[m], e) for e in expected] for m in surveyed])
-
+    surveyed, places, cost = placement_costs(levels, at.chain.time, at.state.poses[:, :2], q)
     count = len(surveyed)
     own = np.diag(cost[:, :count])
     swaps = [(own[i] + own[j] - cost[i, j] - cost[j, i], i, j) for i in range(count) for j in range(i)]
@@ -413,7 +418,7 @@ def _swapped(beacons: BeaconRssiFactor, a: int, b: int) -> Hypothesis:
     position, label = beacons.position.copy(), beacons.listed.label
     position[[a, b]] = position[[b, a]]
     text = f"the positions of {label[a]} and {label[b]} are swapped in the list"
-    return Hypothesis((beacons.at_places(position),), WRONG_LIST, "beacons", text, CHECK_LIST)
+    return Hypothesis((beacons.at_places(position),), WRONG_LIST, "beacons", text, CHECK_LIST, fresh=("b",))
 
 
 def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) -> Hypothesis:
@@ -426,7 +431,7 @@ def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) 
     unlisted = beacons.at_places(position)
     unlisted.prior[which, :2] = place
     price = WRONG_LIST + float(2 * np.log(ANYWHERE / beacons.listed.sigma[which]).sum())
-    return Hypothesis((unlisted,), price, "beacons", text, CHECK_LIST)
+    return Hypothesis((unlisted,), price, "beacons", text, CHECK_LIST, fresh=("b",))
 
 
 def _grid(track: Array) -> Array:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement
 from pdr_graph.estimation.factors.losses import GAUSSIAN, NOISE, Loss, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import dead_reckon, distance_walked, interpolate, pose_rotation
@@ -38,6 +38,8 @@ STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
 STILL, AWAY = 1.0, 10.0  # [m] within which a frozen receiver stays, from where the steps lead so far away
+DOUBTFUL = 4.0  # [σ] from the walk from which a fix, or one beside it, may be wrong
+WRONG_FIX = 3.0  # [nats] price of a wrong fix: the cost of an outlier by Geman and McClure's loss
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
 SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
 RAYLEIGH = 1.18  # median of a distance in the plane [σ]
@@ -197,6 +199,29 @@ class FixFactor(Measurement):
         reached = self.used & (self.keyframe >= 0)
         outlier = np.where(reached, far & self.consistent, self.outlier)
         return self.classified(outlier, np.where(reached, ~far | self.consistent, self.held))
+
+    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+        """A fix beside the one farthest from the walk, or that one, is wrong: the walk may have followed it."""
+        own = self.independent[np.argsort(self.fixes.time[self.independent], kind="stable")]
+        if self.approximate or self.flat or len(own) < 2:
+            return ()
+        sigmas = (self.distance(at) / self.sigma)[own]
+        worst = int(np.argmax(sigmas))
+        if sigmas[worst] < DOUBTFUL:
+            return ()
+        usual = float(np.median(self.sigma[own]))
+        beside = [n for n in range(max(worst - 1, 0), min(worst + 2, len(own))) if not self.outlier[own[n]]]
+        return [self._without(int(own[n]), own[max(n - 1, 0) : n + 2], usual) for n in beside]
+
+    def _without(self, n: int, near: Index, usual: float) -> Hypothesis:
+        """Fix ``n`` is wrong, and those near it in time are no outliers. usual: sigma [m]: surer ones are right."""
+        outlier, held = self.outlier.copy(), self.held.copy()
+        outlier[near], held[near] = False, self.used[near]
+        held[n] = False
+        price = WRONG_FIX + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))
+        x, y = self.fixes.position[n]
+        text = f"the fix at {self.fixes.time[n]:.0f} s, ({x:.0f}, {y:.0f}) m, is wrong"
+        return Hypothesis((self.classified(outlier, held),), price, self.name, text, "that position and its sigma")
 
     @property
     def instances(self) -> tuple[Index, Array]:

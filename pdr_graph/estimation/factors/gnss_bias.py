@@ -17,14 +17,14 @@ excess of worse ones among them is common to them as well.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import FactorBlock, Hypothesis, Measurement, Variables
-from pdr_graph.estimation.factors.fixes import ALONG, FixFactor, alike, by_source, drift
+from pdr_graph.estimation.factors.fixes import ALONG, OUTLIER, FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array, Complex, Index, Steps
@@ -41,6 +41,9 @@ SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that thos
 QUARTER = rotation(np.pi / 2)
 PLANE = np.array([1.0, 1.0, 0.0])  # the components of g that are a position
 THROUGHOUT = 1.0  # k of a receiver that is as good as it states
+SCATTERED = 1.1  # [σ] root mean square residual from which all errors may be larger than stated,
+LARGER = ((2.0, 1.5), (4.0, 3.0))  # by these factors, and the price of that assumption [nats]
+CHECK_RECEIVER = "its sigmas, as stated; leave it out, or give a position that is known"
 WORSE = ((2.0, 0.7), (5.0, 2.3))  # of a worse one, and the price of that assumption [nats]
 
 
@@ -114,12 +117,31 @@ class GnssBias(Measurement):
             return ()
         hypotheses = []
         for k, price in WORSE:
-            text = f"the receiver is off throughout by up to {k:.0f} times what it states"
-            check = "indoors GNSS states too little: leave it out, or give a position that is known" if k > 2 else ""
+            text = f"{self._names} is off throughout by up to {k:.0f} times what it states"
+            check = CHECK_RECEIVER if k > 2 else ""
             worse = replace(self, throughout=k)
             spread = 2 * float(np.log(k)) * len(self.usual)  # the normaliser of the wider prior
-            hypotheses.append(Hypothesis((worse,), price + spread, "GNSS", text, check, second_pass=True))
-        return hypotheses
+            hypotheses.append(Hypothesis((worse,), price + spread, self._names, text, check, second_pass=True))
+        return [*hypotheses, *self._larger_errors(at)]
+
+    @property
+    def _names(self) -> str:
+        """The names of the receivers."""
+        return " and ".join(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist()))
+
+    def _larger_errors(self, at: Evaluation) -> Iterator[Hypothesis]:
+        """All errors are several times what is stated, if the fixes lie accordingly about the walk and the offset."""
+        [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol]
+        if np.sqrt(np.mean(block.residual**2)) < SCATTERED:
+            return
+        for factor, price in LARGER:
+            normalisers = 2 * float(np.log(factor)) * (len(block) + len(self.sigma) + len(self.usual))
+            outlier = self.fixes.outlier & (self.fixes.distance(at) > OUTLIER * factor * self.fixes.sigma)
+            fixes = self.fixes.classified(outlier, self.fixes.held)
+            changes = {name: factor * getattr(self, name) for name in ("white", "sigma", "usual")}
+            text = f"the errors of {self._names} are about {factor:.0f} times what it states"
+            larger = replace(self, fixes=fixes, **changes)
+            yield Hypothesis((larger, fixes), price + normalisers, self._names, text, CHECK_RECEIVER, second_pass=True)
 
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""
