@@ -43,6 +43,12 @@ def length_along(line: Array) -> Array:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
 
 
+def distance_to_box(position: Array, low: Array, high: Array) -> Array:
+    """Distance ``(…,)`` [m] of positions ``(…, 2)`` from boxes with corners ``low`` and ``high (…, 2)``; 0 inside."""
+    beyond = np.maximum(np.maximum(low - position, position - high), 0.0)
+    return np.hypot(beyond[..., 0], beyond[..., 1])
+
+
 def turn_between(before: Array, after: Array) -> float:
     """The angle from vector ``before (2,)`` to vector ``after (2,)``, counter-clockwise. [rad]"""
     return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))

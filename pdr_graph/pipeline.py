@@ -20,7 +20,7 @@ from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
-from pdr_graph.estimation.results import FIRST_ONLY, missing_of, stated_probability
+from pdr_graph.estimation.results import FIRST_ONLY, missing_of
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import read_route
@@ -165,7 +165,6 @@ def estimate(evidence: Evidence, method: str = "graph") -> Result:
     walk = walk or kalman_filter(graph)
     if "headings" not in walk.reports:
         walk = _with_headings(walk, graph.headings.headings)
-    walk = replace(walk, probability=stated_probability(walk, evidence.building))
     missing = failed or (() if method == "pdr" else missing_of(walk, len(evidence.fixes)))
     return Result(
         estimate=walk,

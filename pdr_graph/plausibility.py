@@ -16,6 +16,7 @@ from pdr_graph.errors import InputError, count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FAR_FROM_PLAN
 from pdr_graph.frames import Frame
+from pdr_graph.geometry import distance_to_box
 from pdr_graph.io.tables import CLOCK_MARGIN, clock_hint
 from pdr_graph.types import Array, Beacons, Fixes, Recording, Trajectory
 
@@ -56,8 +57,8 @@ class Reach(OneLineRepr):
     @classmethod
     def of_plan(cls, building: Building, margin: float) -> Reach:
         """Places within `margin` [m] of a building's bounding box."""
-        corners = np.array([floor.corners for floor in building.floors])
-        return cls(corners[:, 0].min(axis=0)[None], corners[:, 1].max(axis=0)[None], np.array([margin]))
+        low, high = building.corners
+        return cls(low[None], high[None], np.array([margin]))
 
     def joined(self, other: Reach) -> Reach:
         """The boxes of both."""
@@ -65,8 +66,7 @@ class Reach(OneLineRepr):
 
     def distance(self, position: Array) -> Array:
         """Distance ``(n, k)`` [m] of positions ``(n, 2)`` from each box, without its margin."""
-        outside = np.maximum(self.low - position[:, None], position[:, None] - self.high)
-        return np.hypot(*np.moveaxis(np.maximum(outside, 0.0), -1, 0))
+        return distance_to_box(position[:, None], self.low, self.high)
 
 
 @dataclass(frozen=True)

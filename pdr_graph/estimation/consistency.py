@@ -19,6 +19,7 @@ from pdr_graph.estimation.gps_track import REPEATED
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.results import FIRST_ONLY, REJECTED, stride_scale, used_fixes
 from pdr_graph.floor.building import Building
+from pdr_graph.geometry import distance_to_box
 from pdr_graph.types import Array, Estimate, FixReport, Trajectory
 
 # Thresholds: chosen on simulated walks with honest and with lying sources (seeds of development) and on the development
@@ -29,7 +30,7 @@ HEADING_MEDIAN, HEADING_SPREAD = 0.67, 0.79  # [σ] the same of the residuals of
 DISTANT = 3.0  # sigmas of the median above the expected one
 ALIKE = 30.0  # [s] in which the errors of fixes are alike, as those of a receiver (STANDING, ALONG in `fixes.py`)
 CHECKED = 3  # fixes that determine a stride scale and check one another
-UNLIKELY = 0.3  # probability of a route below which it is one of several, or none that fits
+SELDOM_RIGHT = 0.3  # probability of a route below which it is one of several, or none that fits
 MOVED = 0.5  # share of the beacons, not where the list has them, at which the list is of another place
 CROSSED, LOST = 0.05, 0.5  # share of rows through walls of a doubtful and of a failed walk
 FEWEST_CROSSINGS = 3  # rows: a corner that is cut is no contradiction
@@ -73,7 +74,7 @@ def plan_placement(building: Building, walled: bool, places: Array) -> tuple[Con
         text = "no position says where on the floor plan the walk was: it starts at (0, 0), and no wall was used"
         check = "give one position on the plan (--fixes), or leave the plan out"
         return (Contradiction("plan", "start", float("nan"), "m", text, check, FAILED),)
-    away = _distance_from(building, places)
+    away = float(distance_to_box(places, *building.corners).min())
     text = f"all fixes lie outside the floor plan, the nearest by {away:.0f} m: its walls were not used"
     return (Contradiction("plan", "fixes", away, "m", text, "the floor plan and its position, and the fixes"),)
 
@@ -88,14 +89,6 @@ def wall_crossings(building: Building, trajectory: Trajectory) -> tuple[Contradi
     check = "the floor plan (another floor? an older one?), the fixes, and the floor where the walk starts"
     state = FAILED if share > LOST else DOUBTFUL
     return (Contradiction("plan", "steps and fixes", share, "share", text, check, state),)
-
-
-def _distance_from(building: Building, places: Array) -> float:
-    """Least distance [m] of places ``(n, 2)`` from the box around the floors."""
-    corners = np.array([floor.corners for floor in building.floors])
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    beyond = np.maximum(np.maximum(low - places, places - high), 0.0)
-    return float(np.hypot(*beyond.T).min())
 
 
 def _place(estimate: Estimate) -> Iterator[Contradiction]:
@@ -178,7 +171,8 @@ def _stride(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _probability(estimate: Estimate) -> Iterator[Contradiction]:
-    if estimate.probability < UNLIKELY:
+    """A route that is one of several; on a plan beside all fixes (`plan_placement`) its probability is 0."""
+    if 0 < estimate.probability < SELDOM_RIGHT:
         text = f"this route has a probability of {estimate.probability:.0%}: others are as likely, or none fits"
         check = "the report's map; another fix would decide"
         yield Contradiction(ROUTE, "other routes", estimate.probability, "probability", text, check)

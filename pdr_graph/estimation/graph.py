@@ -102,7 +102,7 @@ class WalkGraph:
         self.start = initial_state(initial.poses, initial.c, self._measurements)
         self.walled = False
         used = self.positions.fixes.position[self.positions.used]
-        if self.floor_sequence is not None and self.floor_sequence.near(used).any():
+        if self.floor_sequence is not None and self.floor_sequence.building.near(used).any():
             self._use_plan(self.floor_sequence.within(*reach(self.chain, self.positions, steps)))
 
     @classmethod

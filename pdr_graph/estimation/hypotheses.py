@@ -19,7 +19,8 @@ import numpy as np
 from pdr_graph.contradiction import Contradiction
 from pdr_graph.estimation.factors.base import Hypothesis, State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import Optimum, continued, corrected_solutions, optimize, solutions, solve_robust
+from pdr_graph.estimation.optimizer import Optimum, continued, optimize, solutions, solve_robust
+from pdr_graph.estimation.wrong_plan import solutions_on_plan
 from pdr_graph.types import Array
 
 PROBABLE = 0.5  # probability above which a user is told what a source gets wrong
@@ -29,16 +30,12 @@ UNLIKELY = 5.0  # [nats] above the best at which an assumption is dropped: 0.7 %
 def joint_solutions(graph: WalkGraph) -> list[Optimum]:
     """Distinct solutions under all assumptions about sources that remain, the most probable first.
 
-    With a plan, what the list of beacons gets wrong is decided by the walk without its walls.
+    With a plan, what the other sources get wrong is explained along the walk without its walls.
     """
     if not graph.walled:
         optima = solutions(graph)
         return sorted([*explanations(optima[0]), *optima[1:]], key=lambda optimum: optimum.surprise)
-    assumed = explanations(solve_robust(graph.without_plan()))[0].assumed
-    assumed = tuple(hypothesis for hypothesis in assumed if not hypothesis.second_pass)
-    for hypothesis in assumed:
-        graph = graph.assuming(hypothesis.measurements)
-    return [replace(optimum, assumed=assumed) for optimum in corrected_solutions(graph)]
+    return solutions_on_plan(graph, explanations(solve_robust(graph.without_plan())))
 
 
 def contradictions(optima: list[Optimum], probability: Array) -> tuple[Contradiction, ...]:

@@ -41,7 +41,7 @@ from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.results import calibration_of, warnings
+from pdr_graph.estimation.results import calibration_of, stated_probability, warnings
 from pdr_graph.geometry import interpolate, row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
@@ -168,7 +168,7 @@ def _apart(mean: Array, other: Array) -> Array:
 
 
 PATIENCE = 5  # rejected fixes in a row after which the filter is re-initialised
-UNLIKELY = 0.01  # probability below which another walk is not reported
+LEAST_REPORTED = 0.01  # probability below which another walk is not reported
 OF_POSITION, OF_HEADING = np.eye(2, 6), np.eye(1, 6, 2)
 
 
@@ -226,8 +226,8 @@ def estimate_of(
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
     of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
     calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
-    probability, walks = float(np.exp(last.log_weight.max())), int(np.sum(last.log_weight > np.log(UNLIKELY)))
-    return Estimate(
+    probability, walks = float(np.exp(last.log_weight.max())), int(np.sum(last.log_weight > np.log(LEAST_REPORTED)))
+    estimate = Estimate(
         trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.positions.fixes[graph.positions.consistent]),
         calibration=calibration,
@@ -239,6 +239,7 @@ def estimate_of(
         warnings=(*warnings(graph, walks, probability, True, calibration), *_lost(graph, met)),
         contradictions=plan_contradictions(graph),
     )
+    return replace(estimate, probability=stated_probability(estimate, graph.floor))
 
 
 def moments(graph: WalkGraph) -> Iterator[Moment]:

@@ -21,7 +21,7 @@ CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an 
 ROUGHLY = 1e-2  # the same where only the association with rooms and corridors is needed
 ALIKE = 30.0  # steps in a row with the same position error, between fixes
 LONGEST_MOVE = 2.0  # [m] of any pose in one iteration with walls, whose gradients are valid only nearby
-UNLIKELY = 12.0  # cost above the best at which another solution is dropped
+DROPPED = 12.0  # cost above the best at which another solution is dropped
 USUAL = 1.5  # usual ratio of the cost with walls to that without
 STRAINED = 3.0  # cost above the usual at which further paths are searched
 ATTEMPTS = 2  # of the particle filter
@@ -65,18 +65,21 @@ class Optimum:
         return self.at.surprise + self.burden
 
 
-def solutions(graph: WalkGraph) -> list[Optimum]:
+def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
     """Distinct solutions, the most probable first; much less probable ones are dropped.
 
     With a plan, the search starts on the paths that it admits; without, in several directions if the measurements do
-    not determine the direction (one fix; two at the ends of a loop).
+    not determine the direction (one fix; two at the ends of a loop). without_walls: the walk without the plan, solved
+    if missing.
     """
-    return _distinct(_in_the_building(graph) if graph.walled else [solve_robust(start) for start in _rotated(graph)])
+    if graph.walled:
+        return _distinct(_in_the_building(graph, without_walls or solve_robust(graph.without_plan())))
+    return _distinct([solve_robust(start) for start in _rotated(graph)])
 
 
-def corrected_solutions(graph: WalkGraph) -> list[Optimum]:
+def corrected_solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
     """As `solutions`, repeated without listed positions that the most probable walk contradicts (relocated beacons)."""
-    optima = solutions(graph)
+    optima = solutions(graph, without_walls)
     while corrected := optima[0].graph.corrected(optima[0].at):
         optima = solutions(corrected)
     return optima
@@ -86,6 +89,22 @@ def near_start(graph: WalkGraph) -> Optimum:
     """The local optimum near the start of ``graph``, with rooms and corridors associated along it."""
     first = solve_robust(graph)
     return _between_own_walls(first.graph, first)
+
+
+def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = None) -> Optimum:
+    """The local optimum between the walls near the walk without them, or near ``start``."""
+    robust = graph.classified_as(without_walls.graph)
+    if start is not None:
+        return _solve_tight_walls(_solve_loose_walls(robust, continued(robust.start, start)))
+    near = _paths_of_fixes(robust, without_walls)
+    near = near or [_solve_tight_walls(_solve_loose_walls(robust, continued(robust.start, without_walls.state)))]
+    return min(near, key=_negative_log_posterior)
+
+
+def different_directions(optimum: Optimum) -> list[Optimum]:
+    """The distinct optima near a walk, rotated if the measurements do not determine its direction."""
+    graph = optimum.graph
+    return _distinct([optimum, *(optimize(other, other.start) for other in _rotated(graph)[1:])])
 
 
 def probabilities(optima: list[Optimum], path: Index) -> Array:
@@ -186,12 +205,11 @@ def continued(start: State, optimum: State, fresh: Collection[str] = ()) -> Stat
     return start.replaced(**{symbol: rows for symbol, rows in old.items() if len(rows) == len(start[symbol])})
 
 
-def _in_the_building(graph: WalkGraph) -> list[Optimum]:
+def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
     """An optimum for each path that the plan admits, and near the walk aligned with the fixes.
 
     Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes.
     """
-    without_walls = solve_robust(graph.without_plan())
     robust, expected = graph.classified_as(without_walls.graph), USUAL * without_walls.cost
     optima = _distinct(_paths_of_fixes(robust, without_walls))
     if optima and optima[0].surprise < expected + STRAINED:
@@ -252,13 +270,13 @@ def _negative_log_posterior(optimum: Optimum) -> float:
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:
-    """Distinct solutions within UNLIKELY of the best, the most probable first."""
+    """Distinct solutions within DROPPED of the best, the most probable first."""
     kept: list[Optimum] = []
     for solution in sorted(
         solutions, key=lambda s: round(s.surprise, 3)
     ):  # of equals the first: heading 0 with one fix
         track = solution.at.ends[:, :2]
         apart = [np.abs(track - other.at.ends[:, :2]).max() for other in kept]
-        if all(a > DIFFERENT for a in apart) and (not kept or solution.surprise - kept[0].surprise < UNLIKELY):
+        if all(a > DIFFERENT for a in apart) and (not kept or solution.surprise - kept[0].surprise < DROPPED):
             kept.append(solution)
     return kept

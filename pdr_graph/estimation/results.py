@@ -11,6 +11,7 @@ from pdr_graph.estimation.factors.fixes import DUPLICATE, FROZEN, LOUD_BEACON, O
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Calibration, Estimate, FixReport, Index
 
 SURE = 0.9  # probability below which a user is warned
@@ -18,6 +19,7 @@ REJECTED = 0.1  # weight below which a fix counts as rejected
 MANY = 0.1  # share of rejected fixes at which a user is warned
 STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
+CROSSED_ANYWAY = 0.01  # share of rows, beside one, through walls on right routes: at most 1 of 15 to 222 real rows
 LOCATING = ("beacons", "ranges")  # kinds of measurement that determine a position, beside fixes
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 
@@ -164,29 +166,26 @@ def _rejected(fixes: Sequence[FixReport]) -> int:
     return sum(fix.weight < REJECTED and fix.reason != LOUD_BEACON for fix in used_fixes(fixes))
 
 
-CROSSED = (
-    0.01  # share of rows, beside one row, that go through a wall on right routes: at most 1 of 15 to 222 real rows
-)
-
-
 def is_located(estimate: Estimate) -> bool:
     """True if any measurement determined the position: fixes, beacons or ranges."""
     return bool(used_fixes(estimate.fixes)) or any(estimate.reports.get(kind) for kind in LOCATING)
 
 
-def stated_probability(estimate: Estimate, building: Building | None) -> float:
+def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *, fits: bool = True) -> float:
     """The probability of a route as stated: NaN without any position, near 0 if the route contradicts the plan.
 
     It is 0 if no fix lies near the plan, whose walls were not used then. Each row through a wall beyond the usual ones
-    divides it by e: on real walks with the right route at most one row does.
+    divides it by e: on real walks with the right route at most one row does. fits: the walls were used; those of a plan
+    that does not fit the walk are no evidence.
     """
     if not is_located(estimate):
         return float("nan")
-    if building is None:
+    if floor is None or not fits:
         return estimate.probability
+    building = Building.around(floor)
     places = np.array([(fix.x, fix.y) for fix in used_fixes(estimate.fixes)]).reshape(-1, 2)
-    if len(places) and not any(bool(floor.near(places).any()) for floor in building.floors):
+    if len(places) and not building.near(places).any():
         return 0.0
     track = estimate.trajectory
     crossed = int(building.crosses_wall(track.position, track.floor).sum())
-    return estimate.probability * float(np.exp(-max(0.0, crossed - 1 - CROSSED * len(track))))
+    return estimate.probability * float(np.exp(-max(0.0, crossed - 1 - CROSSED_ANYWAY * len(track))))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pdr_graph.errors import expect
@@ -10,10 +12,12 @@ from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.optimizer import Optimum, paths, probabilities
-from pdr_graph.estimation.results import calibration_of, contradiction_warnings, warnings
+from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, paths, probabilities
+from pdr_graph.estimation.results import calibration_of, contradiction_warnings, stated_probability, warnings
 from pdr_graph.geometry import row_times, wrap_angle
-from pdr_graph.types import Array, Estimate, Trajectory
+from pdr_graph.types import Array, Estimate, Index, Trajectory
+
+LEAST_REPORTED = 0.01  # probability below which another walk is not reported
 
 
 def smooth(graph: WalkGraph) -> Estimate:
@@ -33,8 +37,10 @@ def smooth(graph: WalkGraph) -> Estimate:
     rows = poses_of_rows(best)
     path = paths(optima)
     probability = probabilities(optima, path)
-    of_path = float(probability[path == 0].sum())
-    covariance, of_c = _mixture_covariance(optima, probability / probability.sum())
+    own, of_c = covariance_of_ends(best.at, best.net, best.at.pieces.row_end)
+    covariance = _mixture_covariance(optima, probability / probability.sum(), own)
+    fits = best.graph.walled == graph.walled
+    of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(own))
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
 
     # Calibration, reports, warnings
@@ -45,7 +51,7 @@ def smooth(graph: WalkGraph) -> Estimate:
         if (reports_of_kind := measurement.reports(best.at))
     }
     used = graph.positions
-    return Estimate(
+    estimate = Estimate(
         trajectory=trajectory,
         dead_reckoning=lay_dead_reckoning(graph.steps, used.fixes[used.consistent]),
         calibration=calibration,
@@ -55,11 +61,15 @@ def smooth(graph: WalkGraph) -> Estimate:
         converged=best.converged,
         probability=of_path,
         warnings=(
-            *warnings(graph, len(np.unique(path)), of_path, best.converged, calibration),
+            *warnings(graph, _walks(probability, path), of_path, best.converged, calibration),
             *contradiction_warnings(reports.get(used.name, ())),
         ),
-        contradictions=(*plan_contradictions(graph, trajectory), *contradictions(optima, probability)),
+        contradictions=(
+            *plan_contradictions(graph, trajectory if best.graph.walled else None),
+            *contradictions(optima, probability),
+        ),
     )
+    return replace(estimate, probability=stated_probability(estimate, graph.floor, fits=fits))
 
 
 def poses_of_rows(optimum: Optimum) -> Array:
@@ -68,15 +78,30 @@ def poses_of_rows(optimum: Optimum) -> Array:
     return np.concatenate([at.pose_i[:1], at.ends[at.pieces.row_end]])
 
 
-def _mixture_covariance(optima: list[Optimum], weight: Array) -> tuple[Array, Array]:
-    """Covariance of each row about the best solution, the others counted by their probability; that of c."""
+def _walks(probability: Array, path: Index) -> int:
+    """Number of different walks that are worth a warning. probability, path: ``(n,)`` of each solution."""
+    return sum(float(probability[path == n].sum()) > LEAST_REPORTED for n in np.unique(path).tolist())
+
+
+def _near(covariance: Array) -> float:
+    """Probability that a walk is within SAME_PATH of its estimate, by its covariances ``(n, 3, 3)``.
+
+    Between walls a route is right or wrong. Where a plan does not fit, nothing keeps the walk in one aisle.
+    """
+    variance = float(np.trace(covariance[:, :2, :2], axis1=1, axis2=2).mean()) / 2
+    return 1 - float(np.exp(-(SAME_PATH**2) / (2 * variance)))
+
+
+def _mixture_covariance(optima: list[Optimum], weight: Array, own: Array) -> Array:
+    """Covariance of each row about the best solution, the others counted by their probability.
+
+    weight: ``(n,)`` with sum 1; own: covariances of the rows of the best solution.
+    """
     rows = poses_of_rows(optima[0])
-    row_end = optima[0].at.pieces.row_end
-    covariance, of_c = covariance_of_ends(optima[0].at, optima[0].net, row_end)
-    total = weight[0] * covariance
+    total = weight[0] * own
     for w, other in zip(weight[1:], optima[1:], strict=True):
-        covariance, _ = covariance_of_ends(other.at, other.net, row_end)
+        covariance, _ = covariance_of_ends(other.at, other.net, other.at.pieces.row_end)
         apart = poses_of_rows(other) - rows
         apart[:, 2] = wrap_angle(apart[:, 2])
         total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
-    return total, of_c
+    return total

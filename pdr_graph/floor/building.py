@@ -88,6 +88,16 @@ class Building(OneLineRepr):
         """Crop each floor to a box from ``low (2,)`` to ``high (2,)`` [m]."""
         return Building(tuple(floor.within(low, high) for floor in self.floors))
 
+    def near(self, position: Array) -> Mask:
+        """``(n,)`` True for positions ``(n, 2)`` [m] on or near any floor plan."""
+        return np.any([floor.near(position) for floor in self.floors], axis=0)
+
+    @property
+    def corners(self) -> Array:
+        """Box around all floors: south-west and north-east corner ``(2, 2)`` [m]."""
+        corners = np.array([floor.corners for floor in self.floors])
+        return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
+
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the floors, lowest first."""
@@ -170,10 +180,6 @@ class FloorSequence(OneLineRepr):
     def within(self, low: Array, high: Array) -> FloorSequence:
         """Crop every floor to a box from ``low (2,)`` to ``high (2,)`` [m]."""
         return FloorSequence(self.building.within(low, high), self.level)
-
-    def near(self, position: Array) -> Mask:
-        """``(n,)`` True for positions ``(n, 2)`` [m] on or near any floor plan."""
-        return np.any([floor.near(position) for floor in self.building.floors], axis=0)
 
     @property
     def size(self) -> float:

@@ -270,7 +270,7 @@ class Navigator:
         """Whether walls are used, and the positions ``(n, 2)`` [m] of the fixes that are used."""
         places = np.array([(fix.x, fix.y) for fix in used_fixes(reports.get("fixes", ()))]).reshape(-1, 2)
         plan = self.building
-        return plan is not None and any(bool(floor.near(places).any()) for floor in plan.floors), places
+        return plan is not None and bool(plan.near(places).any()), places
 
     def _warnings(self, estimate: Estimate) -> tuple[str, ...]:
         """The warnings of the smoothed walk, as those of `smooth`."""

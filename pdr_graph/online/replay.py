@@ -18,7 +18,7 @@ import numpy as np
 from pdr_graph.errors import InputError
 from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, OUTSIDE, duplicates
 from pdr_graph.estimation.gps_track import follow
-from pdr_graph.estimation.results import missing_of, outside_warnings, stated_probability
+from pdr_graph.estimation.results import missing_of, outside_warnings
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.gait.signals import gait_signals
@@ -229,7 +229,6 @@ def _finished(nav: LiveEstimator, inputs: Inputs, outside: Fixes) -> Result:
     ]
     fixes = tuple(sorted((*estimate.fixes, *reports), key=lambda fix: fix.time)) if reports else estimate.fixes
     estimate = replace(estimate, reports={**estimate.reports, "fixes": fixes})
-    estimate = replace(estimate, probability=stated_probability(estimate, inputs.building))
     missing = (*status.unknown, *missing_of(estimate, len(inputs.fixes)))
     return Result(estimate, missing, step_count=steps, issues=issues)
 

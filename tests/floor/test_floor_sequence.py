@@ -91,7 +91,7 @@ def test_walls_of_another_floor_have_no_effect(office):
 
 def test_near_is_false_far_from_every_floor(office):
     floor_sequence = FloorSequence.of(office, ["1"])
-    assert floor_sequence.near(np.array([[10.0, 9.0], [1000.0, 9.0]])).tolist() == [True, False]
+    assert floor_sequence.building.near(np.array([[10.0, 9.0], [1000.0, 9.0]])).tolist() == [True, False]
 
 
 def test_a_cropped_plan_has_the_walls_of_the_whole():
