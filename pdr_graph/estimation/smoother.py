@@ -60,16 +60,17 @@ def smooth(graph: WalkGraph) -> Estimate:
         cost=best.cost,
         converged=best.converged,
         probability=of_path,
-        warnings=(
-            *warnings(graph, _walks(probability, path), of_path, best.converged, calibration),
-            *contradiction_warnings(reports.get(used.name, ())),
-        ),
         contradictions=(
             *plan_contradictions(graph, trajectory if best.graph.walled else None),
             *contradictions(optima, probability),
         ),
     )
-    return replace(estimate, probability=stated_probability(estimate, graph.floor, fits=fits))
+    stated = stated_probability(estimate, graph.floor, fits=fits)
+    warned = (
+        *warnings(graph, _walks(probability, path), stated, best.converged, calibration),
+        *contradiction_warnings(reports.get(used.name, ())),
+    )
+    return replace(estimate, probability=stated, warnings=warned)
 
 
 def poses_of_rows(optimum: Optimum) -> Array:

@@ -1,7 +1,8 @@
-"""Solutions of a walk between the walls of its plan, and without them in case that the plan does not fit.
+"""Solutions of a walk on a plan that may be wrong: between its walls, without them, and with the plan displaced.
 
 A plan may be of another floor, displaced, or lack a door. A walk between its walls then costs more than a right plan
-usually adds to the walk without it. So the walk without walls is a solution too, at that usual cost and a price.
+adds to the walk without it. So the walk without walls is a solution too, at a price. If a single position relates the
+walk to the plan, neither confirms the other: then the walk may also start some metres from that position.
 """
 
 from __future__ import annotations
@@ -13,22 +14,30 @@ import numpy as np
 from pdr_graph.estimation.factors.base import Hypothesis
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import (
+    DROPPED,
     SAME_PATH,
-    USUAL,
+    STRAINED,
     Optimum,
     corrected_solutions,
     different_directions,
     near_walk,
+    optimize,
 )
+from pdr_graph.types import Array
 
-WRONG_PLAN = 5.0  # [nats] price of a plan that does not fit the walk; chosen on simulated walks of development
+WRONG_PLAN = 6.0  # [nats] price of a plan that does not fit; between right walls a walk costs 0 to 4.5 nats more, on 60
+# simulated walks of development and 45 real ones; where the plan is wrong, mostly 5 to 140
+CORRELATED = 0.25  # share of the cost by which walls add more where the errors of fixes are correlated; IPIN21 at 1 Hz
+DISPLACED = 3.0  # [nats] price of a plan or a single position that is displaced: they then cost 0 to 5 nats, walks
+# on a plan of another floor 13; on the same simulated walks
+MISPLACED = 6.0  # [m] sigma of that displacement, per axis; chosen by hand
 CARRIED = 3.0  # [nats] above the best at which an explanation of the other sources is not tried between the walls
-TEXT = "the floor plan does not fit the walk: its walls were not used"
+TEXT = "the floor plan does not fit the walk and the positions on it"
 CHECK = "the floor plan (another floor, displaced, a door missing?) and the positions on it (start, fixes)"
 
 
 def solutions_on_plan(graph: WalkGraph, explained: list[Optimum]) -> list[Optimum]:
-    """Solutions between the walls, and those without walls, the most probable first.
+    """Solutions between the walls, and those with a plan that is wrong, the most probable first.
 
     explained: the walk without walls under each joint assumption about the other sources, the most probable first.
     """
@@ -37,25 +46,56 @@ def solutions_on_plan(graph: WalkGraph, explained: list[Optimum]) -> list[Optimu
     for other in likely[1:]:
         alike = _apart(other, likely[0]) < SAME_PATH
         optima.append(_assuming(near_walk(graph, other, optima[0].state if alike else None), other))
+    if optima[0].surprise > likely[0].surprise + STRAINED and _single_position(graph):
+        optima += _displaced(graph, likely[0])
     optima += [free for other in likely for free in _without_walls(other)]
-    return sorted(optima, key=lambda optimum: optimum.surprise)
+    ordered = sorted(optima, key=lambda optimum: optimum.surprise)
+    return [optimum for optimum in ordered if optimum.surprise < ordered[0].surprise + DROPPED]
 
 
-def _assuming(optimum: Optimum, free: Optimum) -> Optimum:
-    """A solution between the walls, with the assumptions of the walk ``free`` without them."""
-    return replace(optimum, assumed=free.assumed, burden=free.burden, unseen=np.inf)
+def _assuming(optimum: Optimum, free: Optimum, price: float = 0.0, *more: Hypothesis) -> Optimum:
+    """A solution with the assumptions of the walk ``free`` without walls, and more at a price [nats]."""
+    return replace(optimum, assumed=(*free.assumed, *more), burden=optimum.burden + free.burden + price, unseen=np.inf)
+
+
+def _wrong(price: float) -> Hypothesis:
+    return Hypothesis((), price, "plan", TEXT, CHECK)
 
 
 def _without_walls(free: Optimum) -> list[Optimum]:
-    """The walk if the plan does not fit; one for each direction if the other sources do not determine it."""
-    directions = different_directions(free)
-    price = WRONG_PLAN + float(np.log(len(directions)))
-    hypothesis = Hypothesis((), price, "plan", TEXT, CHECK)
-    assumed = (*free.assumed, hypothesis)
-    return [
-        replace(one, assumed=assumed, burden=free.burden + price + (USUAL - 1) * one.cost, unseen=np.inf)
-        for one in directions
-    ]
+    """The walk if the plan does not fit; in each direction if the other sources do not determine it."""
+    walks = different_directions(free)
+    price = WRONG_PLAN + float(np.log(len(walks)))
+    without = [replace(walk, burden=CORRELATED * walk.cost) for walk in walks]
+    return [_assuming(walk, free, price, _wrong(price)) for walk in without]
+
+
+def _single_position(graph: WalkGraph) -> bool:
+    """True if one fix is all that determines positions."""
+    kinds = [kind for kind in graph.measurements if kind.determines_position]
+    return kinds == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
+
+
+def _displaced(graph: WalkGraph, free: Optimum) -> list[Optimum]:
+    """Walks between the walls that start some metres from the only fix: it is misplaced, or the plan by as much."""
+    positions = free.graph.positions
+    wider = [np.hypot(sigma, MISPLACED) for sigma in (positions.sigma, positions.independent_sigma)]
+    wide = free.graph.assuming((replace(positions, sigma=wider[0], independent_sigma=wider[1]),))
+    price, found = DISPLACED + float(np.log(2)), list[Optimum]()
+    for walk in corrected_solutions(graph, optimize(wide, free.state)):
+        fix = int(np.argmax(positions.used))
+        by = positions.fixes.position[fix] - walk.state.poses[positions.keyframe[fix], :2]
+        text = f"the floor plan, or the only position on it, is displaced by about {np.hypot(*by):.0f} m"
+        assumed = (_wrong(price), Hypothesis((), 0.0, "plan", text, CHECK))
+        found += [_assuming(one, free, price, *assumed) for one in (walk, _moved(walk, by, free.graph))]
+    return found
+
+
+def _moved(walk: Optimum, by: Array, graph: WalkGraph) -> Optimum:
+    """A walk moved by ``by (2,)`` [m] together with its walls, as probable as before. graph: without walls."""
+    state = walk.state.replaced(x=walk.state.poses + np.append(by, 0.0))
+    at = graph.evaluate(state)
+    return replace(walk, graph=graph, at=at, burden=walk.surprise - at.surprise)
 
 
 def _apart(one: Optimum, other: Optimum) -> float:

@@ -1,0 +1,85 @@
+"""A floor plan that does not fit the walk is said, and its walls are not used."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from test_topology import aisles, straight
+from walks import fixes_at
+
+import pdr_graph as pdr
+from pdr_graph import Headings, smooth
+from pdr_graph.estimation.hypotheses import joint_solutions
+from pdr_graph.estimation.optimizer import probabilities
+from pdr_graph.geometry import interpolate
+
+ARCADE = Path(__file__).parents[2] / "maps" / "arcade.geojson"
+
+
+@pytest.fixture(scope="module")
+def arcade():
+    """A walk of 40 s through the arcade: its steps, true trajectory and plan."""
+    route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [27.6, 27.6], [27.9, 8.0]]}, {"stand": 2}]
+    made = pdr.simulate(pdr.Scenario.of({"route": route, "plan": str(ARCADE), "phone": {"rate": 50}}))
+    return pdr.detect_steps(made.recording("accelerometer", "gyroscope")), made.truth, pdr.FloorPlan.load(ARCADE)
+
+
+def fixes(truth, count=5):
+    time = np.linspace(1.0, truth.time[-1] - 2, count)
+    return fixes_at(time, interpolate(time, truth.time, truth.position), 1.0)
+
+
+def displaced(plan, east, north):
+    return replace(
+        plan,
+        areas=tuple(replace(area, shape=shapely.affinity.translate(area.shape, east, north)) for area in plan.areas),
+    )
+
+
+def error(estimate, truth):
+    track = estimate.trajectory
+    return np.hypot(*(track.position - interpolate(track.time, truth.time, truth.position)).T)
+
+
+def reasons(estimate, source):
+    return [reason for reason in pdr.verdict(estimate).reasons if reason.source == source]
+
+
+def test_between_right_walls_the_walk_without_them_has_less_than_a_hundredth(arcade):
+    steps, truth, plan = arcade
+    optima = joint_solutions(pdr.WalkGraph(steps, fixes(truth), floor=plan))
+    weight = probabilities(optima, np.arange(len(optima)))
+    assert optima[0].graph.walled
+    assert sum(w for w, optimum in zip(weight, optima, strict=True) if not optimum.graph.walled) < 0.01
+
+
+def test_a_plan_six_metres_off_is_named_and_its_walls_are_not_used(arcade):
+    steps, truth, plan = arcade
+    wrong = pdr.smooth(pdr.WalkGraph(steps, fixes(truth), floor=displaced(plan, 6.0, 0.0)))
+    without = pdr.smooth(pdr.WalkGraph(steps, fixes(truth)))
+    assert wrong.trajectory.position == pytest.approx(without.trajectory.position)
+    [reason] = reasons(wrong, "plan")
+    assert "does not fit the walk" in reason.text
+    assert reason.state == "doubtful"
+    assert reason.amount > 0.9
+
+
+def test_walls_that_are_not_used_do_not_lower_the_probability(arcade):
+    """The fixes determine the route, and five of them within a metre make it sure."""
+    steps, truth, plan = arcade
+    wrong = pdr.smooth(pdr.WalkGraph(steps, fixes(truth), floor=displaced(plan, 6.0, 0.0)))
+    assert wrong.probability > 0.9
+    assert error(wrong, truth).mean() < 2
+
+
+def test_from_one_fix_a_walk_that_does_not_fit_has_a_wide_region_and_a_low_probability():
+    """60 m straight on, where the plan has 20 m: plan or step count is incomplete."""
+    heading = Headings(np.array([10.0]), np.array([0.0]), np.array([0.2]))
+    walk = smooth(straight(60, aisles((20, 0), (0, 20)), heading))
+    end, spread = walk.trajectory.position[-1], np.sqrt(np.diagonal(walk.trajectory.covariance[-1])[:2])
+    assert reasons(walk, "plan")
+    assert walk.probability < 0.5
+    assert end == pytest.approx([60, 0], abs=3.0)
+    assert np.all(spread > [1.0, 4.0])
