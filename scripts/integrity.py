@@ -16,7 +16,7 @@ from pathlib import Path
 
 from integrity_recorded import recorded
 from integrity_scores import HEADER, cells, reliability, score
-from integrity_walks import INDOORS, OUTDOORS, measured, simulated_walk
+from integrity_walks import INDOORS, LOOPS, OUTDOORS, measured, simulated_walk
 from tables import publish, table
 
 from pdr_graph import smooth
@@ -71,7 +71,13 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
     ),
     "ends": (
         INDOORS,
-        [Row(("start",)), Row(("start", "end"), ("start",)), Row((NO_COMPASS, "start", "end"))],
+        [
+            Row(("start",)),
+            Row(("compass: 40° off", "start")),
+            Row(("start", "end"), ("start",)),
+            Row((NO_COMPASS, "start", "end")),
+            Row(("compass: 40° off", "start", "end"), (NO_COMPASS, "start", "end")),
+        ],
     ),
     "ranges": (INDOORS, rows_of(("ranges", "start"), ("8 m off",), ("ranges",))),
     "radio map": (
@@ -88,6 +94,10 @@ FAMILIES = {  # the setting and the rows of walks that are compared with each ot
             Row(("start: 8 m off", "plan"), ("start: 8 m off",)),
             Row(("stride: 40 % off", "user fixes", "plan")),
         ],
+    ),
+    "loops": (
+        LOOPS,
+        [Row(("start", "end")), Row((NO_COMPASS, "start", "end")), Row(("compass: 40° off", "start", "end"))],
     ),
 }
 LIE = ": "  # in the name of a source that lies

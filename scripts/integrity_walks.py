@@ -35,7 +35,8 @@ WAYS = (140.0, 260.0)  # [m] walked: two to four minutes
 STANDS = 2  # stops of 5 to 15 s
 EVERY = 100  # samples between two rows of the truth: 1 s
 LEG, TURN = (25.0, 80.0), 1.2  # [m] and [rad] (sigma) of the legs of a walk outdoors
-INDOORS, OUTDOORS = "indoors", "outdoors"
+LOOP, SIDES, NARROW, CLOSE = (100.0, 300.0), (3, 7), 0.4, (1.0, 6.0)  # [m] of a loop; its sides; width; [m] left open
+INDOORS, OUTDOORS, LOOPS = "indoors", "outdoors", "loops"
 RECEIVERS = {INDOORS: Receiver(accuracy=8.0), OUTDOORS: Receiver(accuracy=4.5)}
 BEACONS, BESIDE, POWER = 9, 4.0, 2.0  # of a museum; [m] around the walk; [dB] by which their powers differ
 HELD, USER, PERIOD = 0.5, 1.5, 30.0  # [m] sigma of a known start or end; [m], [s] of the user's fixes
@@ -79,7 +80,7 @@ def simulated_walk(setting, seed):
         corners = topology.route(plan, random, WAYS)
         content |= {"plan": str(path), "floor": plan.label}
     else:
-        plan, corners = None, route_outdoors(random)
+        plan, corners = None, (route_outdoors if setting == OUTDOORS else nearly_closed)(random)
     simulation = simulate(Scenario.of(content | {"route": with_stands(corners, random)}))
     gaits = gait_signals(simulation.recording())
     steps, factor = detect_steps(gaits), np.exp(topology.STRIDE * random.standard_normal())
@@ -97,6 +98,23 @@ def route_outdoors(random):
         corners.append(corners[-1] + leg * unit(np.array(course)))
         course, walked = course + random.normal(0, TURN), walked + leg
     return np.array(corners)
+
+
+def nearly_closed(random):
+    """Corners ``(k, 2)`` [m] of a walk without a plan that ends a few metres from its start: around, or back again."""
+    wanted = np.exp(random.uniform(*np.log(LOOP)))
+    if random.random() < 0.5:
+        sides = int(random.integers(*SIDES))
+        course = 2 * np.pi * (np.arange(sides) + random.uniform(-0.3, 0.3, sides)) / sides
+        around = random.uniform(0.6, 1.4, (sides, 1)) * unit(course) * [1.0, random.uniform(NARROW, 1.0)]
+        turned = rotation(random.uniform(-np.pi, np.pi))
+        corners = np.concatenate([around, around[:1]])[:: random.choice([-1, 1])] @ turned
+    else:
+        out = route_outdoors(random)
+        corners = np.concatenate([out, out[-2::-1]])
+    corners = corners * wanted / np.hypot(*np.diff(corners, axis=0).T).sum()
+    corners[-1] += random.uniform(*CLOSE) * unit(np.array(random.uniform(-np.pi, np.pi)))
+    return corners
 
 
 def with_stands(corners, random):

@@ -8,6 +8,7 @@ import calibration_walk
 import cart
 import compass
 import covariance
+import drift
 import every_recording
 import fingerprints
 import floors
@@ -62,6 +63,7 @@ MADE = {  # in the order of the page
     "floors": lambda: floors.floors(DATA),
     "steps": lambda: steps.steps(DATA),
     "compass": lambda: compass.compass(DATA),
+    "drift": lambda: drift.drift(DATA),
     "settings": lambda: settings.settings(DATA),
     "simulation": lambda: realism.simulation(DATA),
 }

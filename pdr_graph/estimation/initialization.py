@@ -114,16 +114,23 @@ def _solve(
     return x[0::2], x[1::2]
 
 
-def sigma_direction(at_fixes: Complex, sigma: Array, walked: float) -> float:
-    """Sigma [rad] of the direction of the whole track by its fixes; infinite with fewer than two.
+def sigma_direction(chain: Chain, fixes: FixFactor) -> float:
+    """Sigma [rad] of the direction of the whole walk by its consistent fixes; infinite with fewer than two.
 
-    It is the error of fixes and track over their spread. at_fixes: ``(f,)`` complex positions of the track at the
-    fixes; sigma: ``(f,)`` of the fixes [m]; walked: distance [m].
+    It is the error of fixes and track over their spread: that of the track, or of the fixes if it is smaller. A nearly
+    closed walk has no direction by its ends, however far the drift of the gyroscope opened its track.
     """
-    weight = 1.0 / (sigma**2 + (ROUGH_TRACK * walked) ** 2)
-    centre = np.average(at_fixes, weights=weight) if len(at_fixes) else 0.0
-    information = float(np.sum(weight * np.abs(at_fixes - centre) ** 2))
+    used, (track, _) = fixes.consistent, chain.track
+    weight = 1.0 / (fixes.independent_sigma[used] ** 2 + (ROUGH_TRACK * float(np.sum(chain.pieces.length))) ** 2)
+    at_fixes = track[fixes.keyframe[used]]
+    information = min(_spread(at_fixes, weight), _spread(as_complex(fixes.fixes.position[used]), weight))
     return 1.0 / np.sqrt(information) if information > 0 else np.inf
+
+
+def _spread(points: Complex, weight: Array) -> float:
+    """Weighted sum of the squared distances of points ``(n,)`` from their mean."""
+    centre = np.average(points, weights=weight) if len(points) else 0.0
+    return float(np.sum(weight * np.abs(points - centre) ** 2))
 
 
 def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
@@ -195,7 +202,7 @@ def _on_fixes(chain: Chain, fixes: FixFactor, steps: Steps, c: Array, sigma_stri
     (track, heading), used = chain.track, fixes.consistent
     at, sigma = fixes.keyframe[used], fixes.independent_sigma[used]
     fix = as_complex(fixes.fixes.position[used])
-    uncertain = sigma_direction(track[at], sigma, float(np.sum(chain.pieces.length)))
+    uncertain = sigma_direction(chain, fixes)
     if len(fix) < 2:
         track = track + (fix - track[at] if len(fix) else 0.0)
         return InitialWalk(np.stack([track.real, track.imag, heading], axis=1), c, uncertain)

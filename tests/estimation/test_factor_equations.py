@@ -483,7 +483,7 @@ def test_calibration_is_a_prior_and_a_random_walk():
     (factor,) = factors_with(graph, state, "calibration.begin", ("c", 0))
     off = state.c[0] - [1, 1, 0]
     correlation = np.array([[1, 0.3, -0.2], [0.3, 1, 0.1], [-0.2, 0.1, 1]])
-    S = np.diag([0.15, 0.03, 0.002]) @ correlation @ np.diag([0.15, 0.03, 0.002])
+    S = np.diag([0.15, 0.03, 0.003]) @ correlation @ np.diag([0.15, 0.03, 0.003])
     assert factor.residual @ factor.residual == pytest.approx(off @ np.linalg.solve(S, off))
     assert factor.cost == pytest.approx(off @ np.linalg.solve(S, off) / 2)
     (factor,) = factors_with(graph, state, "calibration.change", ("c", 0), ("c", 1))

@@ -1,5 +1,7 @@
 """Directions from a compass, and from the corridors of a plan."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from walks import dead_reckon, fixes_at, square_walk, steps_of, wandering_walk
 
 from pdr_graph import Headings, kalman_filter, smooth
 from pdr_graph.estimation.factors.base import extract
+from pdr_graph.estimation.factors.heading_prior import OFF, SHARE
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import solutions
 from pdr_graph.floor.cells import Area
@@ -20,16 +23,16 @@ def told(time, heading, sigma=0.2):
     return Headings(time, np.resize(heading, len(time)).astype(float), np.full(len(time), sigma))
 
 
-@pytest.mark.parametrize(("estimate_by", "within"), [(smooth, 0.2), (kalman_filter, 1.2)])
-def test_a_fix_and_a_heading_determine_a_walk(estimate_by, within):
-    """The track starts at the fix in the measured direction, also by the filter."""
+@pytest.mark.parametrize(("estimate_by", "within", "sigma"), [(smooth, 0.2, 0.34), (kalman_filter, 1.2, 0.24)])
+def test_a_fix_and_a_heading_determine_a_walk(estimate_by, within, sigma):
+    """The track starts at the fix in the measured direction, also by the filter, which trusts the compass."""
     steps = wandering_walk(40)
     heading = dead_reckon(steps, heading=2.0).heading
     headings = told(steps.time[20], heading[21])
     truth = dead_reckon(steps, fixes_at([0.0], [[5.0, 5.0]]), heading=2.0)
     track = estimate_by(WalkGraph(steps, fixes_at([0.0], [[5.0, 5.0]], 0.5), headings=headings)).trajectory
     assert track.position[-1] == pytest.approx(truth.position[-1], abs=within)
-    assert np.sqrt(track.covariance[-1, 2, 2]) == pytest.approx(0.24, abs=0.05)
+    assert np.sqrt(track.covariance[-1, 2, 2]) == pytest.approx(sigma, abs=0.05)
 
 
 def test_headings_are_weighted_by_their_sigmas():
@@ -46,6 +49,30 @@ def test_good_fixes_outvote_a_wrong_compass():
     fixes = fixes_at(truth.time[::10], truth.position[::10], 0.5)
     estimate = smooth(WalkGraph(steps, fixes, headings=told(steps.time[40], truth.heading[41] + np.pi)))
     assert np.hypot(*(estimate.trajectory.position - truth.position).T).max() < 0.5
+
+
+def test_a_compass_that_fixes_contradict_is_named():
+    """45° off with a sigma of 11°: the walk is that of the fixes, and the estimate says to which side."""
+    steps = wandering_walk(80)
+    truth = dead_reckon(steps)
+    fixes = fixes_at(truth.time[::10], truth.position[::10], 0.5)
+    estimate = smooth(WalkGraph(steps, fixes, headings=told(steps.time[40], truth.heading[41] + np.pi / 4)))
+    assert [reason.source for reason in estimate.contradictions] == ["headings"]
+    assert "to the left" in estimate.contradictions[0].text
+    honest = smooth(WalkGraph(steps, fixes, headings=told(steps.time[40], truth.heading[41])))
+    assert not honest.contradictions
+
+
+def test_a_compass_that_nothing_contradicts_may_still_be_off():
+    """One fix: the walk follows the compass; that one in eight is 45° off to either side widens its direction."""
+    steps = wandering_walk(80)
+    graph = WalkGraph(steps, fixes_at([0.0], [[0.0, 0.0]], 0.5), headings=told(steps.time[1], 1.0))
+    estimate = smooth(graph)
+    [optimum] = solutions(graph)
+    assert estimate.trajectory.position[-1] == pytest.approx(optimum.at.ends[-1, :2], abs=1e-6)
+    assert not estimate.contradictions
+    variance = 0.2**2 + SHARE / (1 + SHARE) * OFF**2
+    assert np.sqrt(estimate.trajectory.covariance[2, 2, 2]) == pytest.approx(np.sqrt(variance), rel=0.1)
 
 
 def test_gtsam_and_our_loop_agree_on_headings():
@@ -100,3 +127,15 @@ def test_several_directions_start_the_search_unless_fixes_determine_one():
     track = dead_reckon(steps)
     assert len(solutions(WalkGraph(steps, fixes_at(track.time[::10], track.position[::10])))) == 1
     assert len(solutions(WalkGraph(steps))) == 1
+
+
+def test_the_ends_of_a_nearly_closed_walk_determine_no_direction():
+    """However far drift opened its track: it starts in several directions, and its region has the truth."""
+    steps = square_walk(20)
+    truth = dead_reckon(steps)
+    ends = fixes_at(truth.time[[0, -1]], truth.position[[0, -1]] + [[0.0, 0.0], [2.0, 0.0]], 0.5)
+    drifting = replace(steps, turn=steps.turn + 0.04)
+    assert np.hypot(*(dead_reckon(drifting).position[-1] - truth.position[-1])) > 12
+    assert len(solutions(WalkGraph(drifting, ends))) > 1
+    apart = fixes_at(truth.time[[0, 40]], truth.position[[0, 40]], 0.5)
+    assert len(solutions(WalkGraph(drifting, apart))) == 1

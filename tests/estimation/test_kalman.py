@@ -46,7 +46,7 @@ def test_inconsistent_fixes_lose_weight_and_outliers_are_rejected():
     def moved_by(metres):
         return kalman_filter(WalkGraph(steps, replace(fixes, position=fixes.position + np.outer(sixth, [metres, 0.0]))))
 
-    near, far, farther = moved_by(7.0), moved_by(50.0), moved_by(5000.0)
+    near, far, farther = moved_by(9.0), moved_by(50.0), moved_by(5000.0)
     assert 0.3 < near.fixes[5].weight < 1.0
     assert "reduced weight" in near.fixes[5].reason
     assert far.fixes[5].weight == 0.0
@@ -101,7 +101,8 @@ def test_the_first_magnetic_heading_acts_at_the_start():
     late = Headings(steps.time[[60]], truth.heading[[61]], np.full(1, 0.05))
     track = kalman_filter(WalkGraph(steps, fixes_at([0.0], [[5.0, 5.0]], 0.5), headings=late)).trajectory
     assert np.hypot(*(track.position - truth.position).T).max() < 0.5
-    assert np.sqrt(track.covariance[0, 2, 2]) == pytest.approx(np.hypot(0.05, 0.02 * np.sqrt(61)), rel=0.2)
+    back = np.hypot(0.02 * np.sqrt(61), 0.003 * steps.time[60])  # turns and drift until then
+    assert np.sqrt(track.covariance[0, 2, 2]) == pytest.approx(np.hypot(0.05, back), rel=0.2)
 
 
 def test_without_fixes_it_is_dead_reckoning():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Measurement
+from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Hypothesis, Measurement
 from pdr_graph.estimation.factors.losses import NOISE, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import wrap_angle
@@ -18,6 +18,8 @@ from pdr_graph.types import Array, Headings, Index, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
+
+OFF, SHARE = np.pi / 4, 0.14  # [rad] of a compass that is off throughout; share of such (none of 21 real headings)
 
 
 @dataclass(frozen=True)
@@ -38,14 +40,16 @@ class HeadingReport:
 
 @dataclass(frozen=True, eq=False)
 class HeadingFactor(Measurement):
-    """Walking directions: r = wrap(θ − z) / σ, under Huber's loss. [heading] Sec. 3
+    """Walking directions: r = wrap(θ − z + off) / σ, under Huber's loss. [heading] Sec. 3
 
-    headings: ``h`` of them; number: ``(h,)`` permanent numbers; keyframe: ``(h,)``.
+    headings: ``h`` of them; number: ``(h,)`` permanent numbers; keyframe: ``(h,)``; off: by which all are assumed to be
+    wrong [rad].
     """
 
     headings: Headings
     number: Index
     keyframe: Index
+    off: float = 0.0
 
     name: ClassVar[str] = "headings"
 
@@ -67,7 +71,24 @@ class HeadingFactor(Measurement):
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """One factor for each heading."""
         which = np.flatnonzero(self.keyframe >= 0)
-        return [heading_block(self.name, at, self.keyframe[which], take(self.headings, which), self.number[which])]
+        headings = take(self.headings, which)
+        headings = replace(headings, heading=wrap_angle(headings.heading - self.off))
+        return [heading_block(self.name, at, self.keyframe[which], headings, self.number[which])]
+
+    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+        """All headings are off by the same large angle, by iron in the building or near the phone.
+
+        They share most of their error (`gait.compass`).
+        """
+        if not np.any(self.keyframe >= 0):
+            return ()
+        return [self._off(angle) for angle in (OFF, -OFF)]
+
+    def _off(self, angle: float) -> Hypothesis:
+        """The assumption that all headings are off by ``angle`` [rad]."""
+        text = f"the compass is off by about {np.degrees(OFF):.0f}° to the {'left' if angle > 0 else 'right'}"
+        check = "magnets and iron near the phone"
+        return Hypothesis((replace(self, off=angle),), -float(np.log(SHARE / 2)), self.name, text, check)
 
     @property
     def instances(self) -> tuple[Index, Array]:

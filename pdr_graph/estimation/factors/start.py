@@ -33,7 +33,8 @@ class CorridorUse:
 class Prior:
     """Prior of walker, gyro and walls.
 
-    mean, sigma: of R_s [-], R_d [-], b [rad/s] (design section 3: a tighter R_s bends walks instead of scaling them).
+    mean, sigma: of R_s [-], R_d [-], b [rad/s]. A tighter R_s bends walks instead of scaling them (design section 3);
+        the sigma of b covers the phones of `scripts/reproduce drift`, real and simulated.
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m]; corridors: see ``CorridorUse``.
@@ -42,7 +43,7 @@ class Prior:
     """
 
     mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
-    sigma: tuple[float, float, float] = (0.15, 0.03, 0.002)
+    sigma: tuple[float, float, float] = (0.15, 0.03, 0.003)
     change: tuple[float, float, float] = (0.03, 0.005, 0.0005)
     correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wall_margin: float = 0.8

@@ -49,16 +49,8 @@ def solve_batch(graph: WalkGraph) -> BatchSolution:
     best, path = optima[0], paths(optima)
     certain = float(probabilities(optima, path)[path == 0].sum()) > SURE
     long = graph.steps.end - graph.steps.start > LEAST_DURATION
-    determined = not best.graph.walled or _sigma_by_fixes(graph) < AMBIGUOUS or long
+    determined = not best.graph.walled or sigma_direction(graph.chain, graph.positions) < AMBIGUOUS or long
     return _solution(best, certain and determined)
-
-
-def _sigma_by_fixes(graph: WalkGraph) -> float:
-    """Sigma [rad] of the direction of the walk by its fixes alone."""
-    fixes, (track, _) = graph.positions, graph.chain.track
-    used = fixes.consistent
-    length = float(np.sum(graph.pieces.length))
-    return sigma_direction(track[fixes.keyframe[used]], fixes.independent_sigma[used], length)
 
 
 def _solution(best: Optimum, certain: bool) -> BatchSolution:
