@@ -8,10 +8,6 @@ d metres aside is received with
 on average over a stretch of the walk; the last term is shadowing by the walker's body. Variables: q = (P, n, k) of
 phone and building, b_m = (x, y, a_m) of each beacon, surveyed to a metre or unknown. Fading depends on the place and
 stays the same where nobody moves, so levels are averaged over metres walked, not over seconds.
-
-A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels,
-received and *not* received, with those expected at every possible place: that a near beacon is not received is stronger
-evidence than the level of a far one.
 """
 
 from __future__ import annotations
@@ -22,9 +18,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
+from pdr_graph.estimation.factors.beacon_list import (
+    HEIGHT,
+    LEVEL_SIGMA,
+    POWER_SIGMA,
+    placement_costs,
+    relocated_beacons,
+)
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
@@ -36,26 +38,20 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 STRETCH = 2.0  # [m] of the walk over which levels are averaged
-LEVEL_SIGMA = 7.0  # [dB] of such a mean: reflections, people, furniture
-HEIGHT = 1.5  # [m] of a beacon above the phone
 PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
 BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
 LONGEST = 6.0  # [s] that a stretch may take while a walk is under way
-POWER_SIGMA = 4.0  # [dB] of a beacon's power
 ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
 
-# Relocated beacons
-WEAKEST = -97.0  # [dBm] that phones receive
-MOST_EVIDENCE = 4.5  # log-odds of one level at most
-RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
-GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
+# A wrong list
 MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are assumed and solved
 WRONG_LIST = 5.5  # [nats] price of a wrong list, see `Hypothesis`
 SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
-WRONG_ORIGIN = 5.0  # [nats] price of a displaced list: as probable as a receiver that is as far off throughout
+ORIGIN_SIGMA = 30.0  # [m] of the displacement of a whole list, and
+WRONG_ORIGIN = 1.0  # [nats] its price: as probable as a receiver that is as far off throughout
+PLANE = np.array([1.0, 1.0, 0.0])  # components of a beacon's variable that are a position
 DISPLACED = 8.0  # [m] between the walks by the list and by all else, from which that is assumed
 CHECK_LIST = "the positions in the list of beacons"
-POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +61,7 @@ class BeaconRssiFactor(Measurement):
     listed: the levels, with the listed positions; position: ``(m, 2)`` as used, NaN where unknown [m]; prior:
     ``(m, 3)`` mean of each beacon's variable, the place of its strongest level where unknown.
     beacon_number: ``(m,)``, number: ``(l,)``: permanent numbers; keyframe: ``(l,)``.
+    origin: ``(2,)`` by which a displaced list was moved [m], None for others.
     """
 
     listed: Levels
@@ -73,6 +70,7 @@ class BeaconRssiFactor(Measurement):
     beacon_number: Index
     number: Index
     keyframe: Index
+    origin: Array | None = None
 
     name: ClassVar[str] = "beacons"
     determines_position: ClassVar[bool] = True
@@ -123,8 +121,9 @@ class BeaconRssiFactor(Measurement):
     def variables(self, poses: Array) -> Sequence[Variables]:
         """Place and power (x, y [m], a [dB]) of each beacon; the path loss (P [dBm], n, k [dB]) of all."""
         needed = np.full(len(self.prior), np.inf)
-        beacons = Variables("b", self.beacon_number, self.prior, needed)
-        return beacons, Variables("q", np.zeros(1, dtype=np.intp), PATH_LOSS[None], np.full(1, np.inf))
+        beacons, single = Variables("b", self.beacon_number, self.prior, needed), np.zeros(1, dtype=np.intp)
+        displacement = () if self.origin is None else (Variables("d", single, np.zeros((1, 3)), needed[:1]),)
+        return beacons, Variables("q", single, PATH_LOSS[None], np.full(1, np.inf)), *displacement
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """Factors of the levels, and priors of beacons and path loss."""
@@ -159,12 +158,15 @@ class BeaconRssiFactor(Measurement):
         place = np.where(np.isnan(self.position[:, 0]), ANYWHERE, self.listed.sigma)
         root = 1 / np.stack([place, place, np.full(len(b), POWER_SIGMA)], axis=1)
         beacons, single = np.arange(len(b)), np.zeros(1, dtype=np.intp)
+        moved = [] if self.origin is None else [self._displacement(at)]
+        displacement = at.state["d"][0] * PLANE if moved else np.zeros(3)
         return [
+            *moved,
             FactorBlock.uniform(
                 f"{self.name}.place",
-                (b - self.prior) * root,
-                [("b", beacons)],
-                lambda: [np.eye(3) * root[:, :, None]],
+                (b - displacement - self.prior) * root,
+                [("b", beacons), *(("d", 0 * beacons) for _ in moved)],
+                lambda: [np.eye(3) * root[:, :, None], *(-np.diag(PLANE) * root[:, :, None] for _ in moved)],
                 self.beacon_number,
                 tolerance=None,
                 signature=EXACT * np.nan_to_num(self.prior[:, :2].sum(axis=1)),
@@ -180,6 +182,13 @@ class BeaconRssiFactor(Measurement):
                 prior=True,
             ),
         ]
+
+    def _displacement(self, at: Evaluation) -> FactorBlock:
+        """The prior of how far the whole list is displaced: ``origin``, and what ``d`` adds to it."""
+        single, root = np.zeros(1, dtype=np.intp), np.diag([1 / ORIGIN_SIGMA, 1 / ORIGIN_SIGMA, 1.0])
+        off = (at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)) @ root
+        name = f"{self.name}.displacement"
+        return FactorBlock.uniform(name, off, [("d", single)], lambda: [root[None]], single, tolerance=None, prior=True)
 
     def rough_fixes(self) -> Fixes:
         """A rough fix at the strongest surveyed beacon in every BIN seconds."""
@@ -218,9 +227,9 @@ class BeaconRssiFactor(Measurement):
         if np.hypot(*by) < DISPLACED:
             return None
         text = f"all positions in the list of beacons are off by about {np.hypot(*by):.0f} m"
-        return Hypothesis(
-            (self.at_places(self.position + by),), WRONG_ORIGIN, "beacons", text, CHECK_LIST, fresh=("b",)
-        )
+        displaced = replace(self.at_places(self.position + by), origin=by)
+        price = WRONG_ORIGIN + 2 * float(np.log(ORIGIN_SIGMA))
+        return Hypothesis((displaced,), price, "beacons", text, CHECK_LIST, fresh=("b",))
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
@@ -350,43 +359,6 @@ class LevelCollector:
         self._met = checkpoint["met"].astype(int).tolist()
 
 
-def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
-    """Indices of surveyed beacons that are not at their listed positions.
-
-    position: ``(k, 2)`` of the walk at its keyframes [m]; q: (P, n, k).
-    """
-    surveyed, places, cost = placement_costs(levels, keyframe_time, position, q)
-    relocated = list[int]()
-    for m, of_beacon in zip(surveyed.tolist(), cost, strict=True):
-        near = np.hypot(*(places - levels.position[m]).T) < APART
-        if of_beacon[near].min() - of_beacon.min() > RELOCATED:
-            relocated.append(m)
-    return relocated
-
-
-def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> tuple[Index, Array, Array]:
-    """How well the levels of each surveyed beacon fit each place.
-
-    Returns the ``m`` surveyed beacons; places ``(p, 2)`` [m], first those listed for them; costs ``(m, p)`` [nats].
-    """
-    track, table = level_table(levels, keyframe_time, position)
-    surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
-    places = np.concatenate([levels.position[surveyed], _grid(track)])
-    square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
-    expected = q[0] - 5 * q[1] * np.log10(square)
-    cost = [[_negative_log_likelihood(table[m], at) for at in expected] for m in surveyed.tolist()]
-    return surveyed, places, np.array(cost).reshape(len(surveyed), len(places))
-
-
-def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
-    """Places ``(s, 2)`` [m] of the stretches of a walk; levels ``(m, s)`` of the beacons, NaN where not received."""
-    stretch, of = np.unique(levels.time, return_inverse=True)
-    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
-    table = np.full((len(levels.position), len(stretch)), np.nan)
-    table[levels.beacon, of] = levels.rssi
-    return track, table
-
-
 def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesis]:
     """What may be wrong with the listed positions, screened along the walk ``at``."""
     q = at.state.arrays.get("q", PATH_LOSS[None])[0]
@@ -432,19 +404,3 @@ def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) 
     unlisted.prior[which, :2] = place
     price = WRONG_LIST + float(2 * np.log(ANYWHERE / beacons.listed.sigma[which]).sum())
     return Hypothesis((unlisted,), price, "beacons", text, CHECK_LIST, fresh=("b",))
-
-
-def _grid(track: Array) -> Array:
-    """Candidate positions ``(n, 2)`` [m] around a walk."""
-    low, high = track.min(axis=0) - BESIDE, track.max(axis=0) + BESIDE
-    axes = (np.arange(a, b, GRID) for a, b in zip(low, high, strict=True))
-    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-
-
-def _negative_log_likelihood(level: Array, expected: Array) -> float:
-    """Negative log-likelihood of levels ``(n,)``, NaN where not received, at the most likely power of the beacon."""
-    received = np.isfinite(level)
-    off = (level[received] - expected[received] - POWERS[:, None]) / LEVEL_SIGMA
-    silent = -log_ndtr((WEAKEST - expected[~received] - POWERS[:, None]) / LEVEL_SIGMA)
-    total = np.minimum(0.5 * off**2, MOST_EVIDENCE).sum(axis=1) + np.minimum(silent, MOST_EVIDENCE).sum(axis=1)
-    return float(np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2))

@@ -38,8 +38,8 @@ STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
 STILL, AWAY = 1.0, 10.0  # [m] within which a frozen receiver stays, from where the steps lead so far away
-DOUBTFUL = 4.0  # [σ] from the walk from which a fix, or one beside it, may be wrong
-WRONG_FIX = 3.0  # [nats] price of a wrong fix: the cost of an outlier by Geman and McClure's loss
+DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, below which one may be wrong
+WRONG_FIX = 6.0  # [nats] price of a wrong fix: one in a hundred, that lies anywhere within about 5 sigma
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
 SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
 RAYLEIGH = 1.18  # median of a distance in the plane [σ]
@@ -207,7 +207,7 @@ class FixFactor(Measurement):
             return ()
         sigmas = (self.distance(at) / self.sigma)[own]
         worst = int(np.argmax(sigmas))
-        if sigmas[worst] < DOUBTFUL:
+        if len(own) * np.exp(-(sigmas[worst] ** 2) / 2) > DOUBTFUL:
             return ()
         usual = float(np.median(self.sigma[own]))
         beside = [n for n in range(max(worst - 1, 0), min(worst + 2, len(own))) if not self.outlier[own[n]]]

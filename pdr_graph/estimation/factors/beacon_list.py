@@ -1,0 +1,76 @@
+"""How well the levels of listed beacons fit their places: which are not where the list has them.
+
+A beacon that is not at its listed position, moved or swapped with another, is detected by comparing its levels,
+received and *not* received, with those expected at every possible place: that a near beacon is not received is stronger
+evidence than the level of a far one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import log_ndtr
+
+from pdr_graph.measurements import Levels
+from pdr_graph.types import Array, Index
+
+LEVEL_SIGMA = 7.0  # [dB] of such a mean: reflections, people, furniture
+HEIGHT = 1.5  # [m] of a beacon above the phone
+POWER_SIGMA = 4.0  # [dB] of a beacon's power
+WEAKEST = -97.0  # [dBm] that phones receive
+MOST_EVIDENCE = 4.5  # log-odds of one level at most
+RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
+GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
+POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
+
+
+def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
+    """Indices of surveyed beacons that are not at their listed positions.
+
+    position: ``(k, 2)`` of the walk at its keyframes [m]; q: (P, n, k).
+    """
+    surveyed, places, cost = placement_costs(levels, keyframe_time, position, q)
+    relocated = list[int]()
+    for m, of_beacon in zip(surveyed.tolist(), cost, strict=True):
+        near = np.hypot(*(places - levels.position[m]).T) < APART
+        if of_beacon[near].min() - of_beacon.min() > RELOCATED:
+            relocated.append(m)
+    return relocated
+
+
+def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> tuple[Index, Array, Array]:
+    """How well the levels of each surveyed beacon fit each place.
+
+    Returns the ``m`` surveyed beacons; places ``(p, 2)`` [m], first those listed for them; costs ``(m, p)`` [nats].
+    """
+    track, table = level_table(levels, keyframe_time, position)
+    surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
+    places = np.concatenate([levels.position[surveyed], _grid(track)])
+    square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
+    expected = q[0] - 5 * q[1] * np.log10(square)
+    cost = [[_negative_log_likelihood(table[m], at) for at in expected] for m in surveyed.tolist()]
+    return surveyed, places, np.array(cost).reshape(len(surveyed), len(places))
+
+
+def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
+    """Places ``(s, 2)`` [m] of the stretches of a walk; levels ``(m, s)`` of the beacons, NaN where not received."""
+    stretch, of = np.unique(levels.time, return_inverse=True)
+    track = np.stack([np.interp(stretch, keyframe_time, axis) for axis in position.T], axis=1)
+    table = np.full((len(levels.position), len(stretch)), np.nan)
+    table[levels.beacon, of] = levels.rssi
+    return track, table
+
+
+def _grid(track: Array) -> Array:
+    """Candidate positions ``(n, 2)`` [m] around a walk."""
+    low, high = track.min(axis=0) - BESIDE, track.max(axis=0) + BESIDE
+    axes = (np.arange(a, b, GRID) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+
+
+def _negative_log_likelihood(level: Array, expected: Array) -> float:
+    """Negative log-likelihood of levels ``(n,)``, NaN where not received, at the most likely power of the beacon."""
+    received = np.isfinite(level)
+    off = (level[received] - expected[received] - POWERS[:, None]) / LEVEL_SIGMA
+    silent = -log_ndtr((WEAKEST - expected[~received] - POWERS[:, None]) / LEVEL_SIGMA)
+    total = np.minimum(0.5 * off**2, MOST_EVIDENCE).sum(axis=1) + np.minimum(silent, MOST_EVIDENCE).sum(axis=1)
+    return float(np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2))
