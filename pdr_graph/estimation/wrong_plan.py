@@ -16,7 +16,6 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import (
     DROPPED,
     SAME_PATH,
-    STRAINED,
     Optimum,
     corrected_solutions,
     different_directions,
@@ -28,6 +27,7 @@ from pdr_graph.types import Array
 WRONG_PLAN = 6.0  # [nats] price of a plan that does not fit; between right walls a walk costs 0 to 4.5 nats more, on 60
 # simulated walks of development and 45 real ones; where the plan is wrong, mostly 5 to 140
 CORRELATED = 0.25  # share of the cost by which walls add more where the errors of fixes are correlated; IPIN21 at 1 Hz
+MOST_ADDED = 5.0  # [nats] that right walls hardly add: beyond it a displaced plan or position is tried
 DISPLACED = 3.0  # [nats] price of a plan or a single position that is displaced: they then cost 0 to 5 nats, walks
 # on a plan of another floor 13; on the same simulated walks
 MISPLACED = 6.0  # [m] sigma of that displacement, per axis; chosen by hand
@@ -46,7 +46,7 @@ def solutions_on_plan(graph: WalkGraph, explained: list[Optimum]) -> list[Optimu
     for other in likely[1:]:
         alike = _apart(other, likely[0]) < SAME_PATH
         optima.append(_assuming(near_walk(graph, other, optima[0].state if alike else None), other))
-    if optima[0].surprise > likely[0].surprise + STRAINED and _single_position(graph):
+    if optima[0].surprise > likely[0].surprise + MOST_ADDED and _single_position(graph):
         optima += _displaced(graph, likely[0])
     optima += [free for other in likely for free in _without_walls(other)]
     ordered = sorted(optima, key=lambda optimum: optimum.surprise)
