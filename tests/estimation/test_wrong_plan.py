@@ -83,3 +83,24 @@ def test_from_one_fix_a_walk_that_does_not_fit_has_a_wide_region_and_a_low_proba
     assert walk.probability < 0.5
     assert end == pytest.approx([60, 0], abs=3.0)
     assert np.all(spread > [1.0, 4.0])
+
+
+def test_a_start_seven_metres_off_may_be_the_plan_s_displacement_as_well(arcade):
+    """Nothing else says which of the two is wrong: the region holds both."""
+    steps, truth, plan = arcade
+    at = np.array([4.0, 20.0])
+    headings = Headings(at, np.interp(at, truth.time, np.unwrap(truth.heading)), np.full(2, 0.2))
+    start = fixes(truth, 1)
+    away = replace(start, position=start.position + np.array([0.0, 7.0]))
+    walk = smooth(pdr.WalkGraph(steps, away, headings=headings, floor=plan))
+    assert reasons(walk, "plan")
+    gap = walk.trajectory.position - interpolate(walk.trajectory.time, truth.time, truth.position)
+    inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(walk.trajectory.covariance[:, :2, :2]), gap) < 4.6
+    assert inside.mean() > 0.85
+
+
+@pytest.mark.parametrize("method", [smooth, pdr.kalman_filter])
+def test_the_probability_of_a_walk_beside_the_plan_is_zero_in_python_too(arcade, method):
+    steps, truth, plan = arcade
+    assert method(pdr.WalkGraph(steps, fixes(truth), floor=displaced(plan, 900.0, 0.0))).probability == 0
+    assert method(pdr.WalkGraph(steps, fixes(truth), floor=plan)).probability > 0.9
