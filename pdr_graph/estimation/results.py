@@ -75,10 +75,12 @@ def warnings(
         ),
         "the optimiser had not converged": not converged,
     }
-    outside = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still]
+    outside, frozen = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still], int(fixes.still.sum())
+    held = f"{frozen} fixes of a receiver that held its position while the walk went on were not used"
     return (
         *placement.warnings(),
         *outside_warnings(outside, graph.steps.start, graph.steps.end),
+        *((held,) if frozen else ()),
         *(text for text, holds in warned.items() if holds),
         *calibration_warnings(calibration),
     )

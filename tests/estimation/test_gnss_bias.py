@@ -179,6 +179,7 @@ def test_a_frozen_receiver_is_not_used_until_it_moves_again():
     place[held] = place[np.argmax(held)] + random.normal(0, 0.2, (held.sum(), 2))
     estimate = smooth(WalkGraph(steps, named(fixes_at(time, place, 3.0))))
     unused = [fix for fix in estimate.fixes if "held its position" in fix.reason]
+    assert any("held its position" in warning for warning in estimate.warnings)
     assert {fix.time for fix in unused} == set(np.arange(32.0, 80.0))
     assert all(fix.weight == 0 for fix in unused)
     assert np.abs(estimate.trajectory.position[-1] - dead_reckon(steps).position[-1]).max() < 8.0
