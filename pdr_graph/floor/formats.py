@@ -219,6 +219,8 @@ def read(path: Path) -> Drawing:
         return read_microsoft(path)
     collection, notes, repairs = read_json(path), list[str](), list[str]()
     features = list(features_of(path, collection, notes, repairs))
+    if not features:
+        raise InputError(path, "features", "none with a geometry", "rooms, corridors or walls")
     is_ipin21 = any("Type" in properties and "kind" not in properties for _, _, properties in features)
     read_format = read_ipin21 if is_ipin21 else read_own_format
     return replace(read_format(path, collection, features, notes), repairs=tuple(repairs))

@@ -95,6 +95,14 @@ def test_own_geojson(tmp_path):
         FloorPlan.load(path)
 
 
+def test_a_plan_without_features_is_refused(tmp_path):
+    """An empty collection has no bounds."""
+    path = tmp_path / "plan.geojson"
+    path.write_text('{"type": "FeatureCollection", "features": []}')
+    with pytest.raises(InputError, match="found none with a geometry"):
+        FloorPlan.load(path)
+
+
 def irregular_area():
     """A star-shaped hall with a pillar: slanted walls, convex and concave corners."""
     angle = np.linspace(0, 2 * np.pi, 15)[:-1]
