@@ -36,8 +36,10 @@ SPUN = 2e-3  # [s] of CPU time, of a loop that does nothing: what the machine ad
 
 @dataclass
 class Run:
-    """A walk that was pushed. took: per step, CPU and wall time of the pushes since the one before and of its pose
-    ``(n, 4)`` [s]; memory: resident at SHARES of the walk [MB]; nav: as it was before the end.
+    """A walk that was pushed; reviews in idle moments are not counted.
+
+    took: per step, CPU and wall time of the pushes since the one before and of its pose ``(n, 4)`` [s]; memory:
+    resident at SHARES of the walk [MB]; nav: as it was before the end.
     """
 
     nav: Navigator
@@ -128,6 +130,7 @@ def pushed(nav, events, steps):
         before = clocks()
         nav.push(event)
         since += clocks() - before
+        nav.review()  # an idle moment
         if nav.steps <= most:  # more than ever: the last ones may have been taken back
             continue
         most, before = nav.steps, clocks()

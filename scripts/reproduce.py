@@ -15,6 +15,7 @@ import floors
 import gps_outage
 import heading
 import integrity
+import integrity_live
 import lifelog_chains
 import lifelog_days
 import lifelog_visits
@@ -56,6 +57,7 @@ MADE = {  # in the order of the page
     "live": lambda: live.live(DATA),
     "covariance": lambda: covariance.covariance(DATA, microsoft.microsoft_walks(DATA)),
     "integrity": lambda: integrity.integrity(DATA),
+    "integrity-live": integrity_live.integrity_live,
     "protection": lambda: protection.protection(DATA),
     "outliers": lambda: outliers.outliers(DATA, dict(microsoft.microsoft_walks(DATA))["every second waypoint"]),
     "topology": lambda: topology.topology(DATA),

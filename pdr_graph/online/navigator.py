@@ -143,19 +143,14 @@ class Navigator:
         self._beacons = beacons
         self._tail: Steps | None = None
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
-        self._accepted, self._early, self._absurd, self._certain = 0, 0, 0, 0
+        self._accepted, self._early, self._absurd, self._certain, self._gaps = 0, 0, 0, 0, 0
         self._unknown = dict[str, None]()  # what the sensors do not measure, each line once
-        self._gaps = 0
         common_frame = frame or (self.building.floors[0].frame if self.building else None)
         if radio_map is not None:
             common_frame = common_frame or Frame.from_description(radio_map.frame)
-            if common_frame.describe() != radio_map.frame:
-                raise ValueError(
-                    f"Navigator, radio_map: found the frame {radio_map.frame}, expected {common_frame.describe()}"
-                )
-            from pdr_graph.estimation.live.scan_collector import (
-                ScanCollector,
-            )  # it takes scipy.optimize, long to import
+            if (expected := common_frame.describe()) != radio_map.frame:
+                raise ValueError(f"Navigator, radio_map: found the frame {radio_map.frame}, expected {expected}")
+            from pdr_graph.estimation.live.scan_collector import ScanCollector  # imports scipy.optimize, slowly
 
             self._graph.graph.collectors.append(ScanCollector(radio_map, self._use_radio_fixes))
         if common_frame is not None:
@@ -174,6 +169,10 @@ class Navigator:
             self._graph.collect(replace(event.heard, time=self._on_clock(event.heard.time)))
         else:
             self._graph.append(replace(event, time=self._on_clock(event.time)))
+
+    def review(self) -> None:
+        """Compare the sources, if that is due, in an idle moment between pushes; the results are the same without."""
+        self._graph.review()
 
     @property
     def steps(self) -> int:
@@ -257,14 +256,16 @@ class Navigator:
         )
 
     def _contradictions(self, rows: Trajectory, reports: Mapping[str, Sequence[Any]]) -> tuple[Contradiction, ...]:
-        """Contradictions of the walk with the plan, and an open direction."""
+        """What sources get wrong; an open direction, or else contradictions of the walk with the plan."""
+        found, plan = self._graph.findings.contradictions, self.building
         if self._graph.graph.has_position and not self._graph.sure:
-            return (Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"),)
+            return (*found, Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"))
+        if plan is None:
+            return found
         walled, places = self._placed(reports)
         if not len(places) and self._graph.graph.has_position:  # by beacons, ranges or the radio map
             places, walled = rows.position[-1:], True
-        plan = self.building
-        return () if plan is None else plan_placement(plan, walled, places) or wall_crossings(plan, rows)
+        return (*found, *(plan_placement(plan, walled, places) or wall_crossings(plan, rows)))
 
     def _placed(self, reports: Mapping[str, Sequence[Any]]) -> tuple[bool, Array]:
         """Whether walls are used, and the positions ``(n, 2)`` [m] of the fixes that are used."""

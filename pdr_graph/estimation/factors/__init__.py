@@ -36,14 +36,21 @@ def kind_of(data: Any) -> type[Measurement]:
 
 
 def measurements_of(
-    data: Any, steps: Steps, prior: Prior, number: Index | None = None, decisions: Mapping[str, AnyArray] | None = None
+    data: Any,
+    steps: Steps,
+    prior: Prior,
+    number: Index | None = None,
+    decisions: Mapping[str, Mapping[str, AnyArray]] | None = None,
 ) -> list[Measurement]:
     """The measurement kinds of one walk from data of one type.
 
-    number: ``(n,)`` permanent numbers of the instances, 0, 1, … by default; decisions: earlier decisions about
-    instances, for a walk under way.
+    number: ``(n,)`` permanent numbers of the instances, 0, 1, … by default; decisions: earlier decisions, by
+    kind, for a walk under way.
     """
     kind: Any = kind_of(data)
-    measurement = kind.of(data, steps, prior, number)
-    measurement = measurement if decisions is None else measurement.continued(decisions)
-    return [measurement, *(beside.of(measurement, steps) for beside in KINDS[type(data)][1:])]
+    measurement = _continued(kind.of(data, steps, prior, number), decisions)
+    return [measurement, *(_continued(beside.of(measurement, steps), decisions) for beside in KINDS[type(data)][1:])]
+
+
+def _continued(kind: Measurement, decisions: Mapping[str, Mapping[str, AnyArray]] | None) -> Measurement:
+    return kind if decisions is None else kind.continued(decisions.get(kind.name, {}))

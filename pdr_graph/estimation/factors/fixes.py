@@ -59,6 +59,7 @@ class FixFactor(Measurement):
     outlier: ``(f,)`` far from the first optimum; held: ``(f,)`` with a factor, here or in `GnssBias`.
     biased: ``(f,)`` with a factor in `GnssBias`, which models their common error, and none here.
     keyframe: ``(f,)``; flat: see `Prior.fix_flat`; approximate: the fixes only initialise the search.
+    widened: ``(f,)`` factor by which sigmas are wider than stated; wrong: ``(f,)`` assumed to be.
     """
 
     fixes: Fixes
@@ -76,6 +77,8 @@ class FixFactor(Measurement):
     keyframe: Index
     flat: float = 0.0
     approximate: bool = False
+    widened: Array | float = 1.0
+    wrong: Mask | bool = False
 
     name: ClassVar[str] = "fixes"
     determines_position: ClassVar[bool] = True
@@ -163,14 +166,18 @@ class FixFactor(Measurement):
         """
         too_small = self._too_small(at)
         if (too_small > 1).any():
-            wider = (too_small * sigma for sigma in (self.sigma, self.independent_sigma))
-            return replace(self, **dict(zip(("sigma", "independent_sigma"), wider, strict=True))).refined(at)
+            return self._wider(too_small).refined(at)
         far = self.used & (self.distance(at) > OUTLIER * self.sigma)
         held = self.used & (self.consistent | ~_mostly(far, self.run))
         sourced = _sourced(self.fixes)
         if not (far.any() or sourced.any() or self.approximate) and (held == self.held).all():
             return self
         return self.classified(far, held & (not self.approximate))
+
+    def _wider(self, factor: Array) -> Self:
+        """Multiply the sigmas by a factor ``(f,)``."""
+        sigma, independent = factor * self.sigma, factor * self.independent_sigma
+        return replace(self, sigma=sigma, independent_sigma=independent, widened=factor * self.widened)
 
     def _too_small(self, at: Evaluation) -> Array:
         """The factors ``(f,)`` by which stated sigmas are too small, by the scatter of a receiver's fixes in a second.
@@ -194,11 +201,18 @@ class FixFactor(Measurement):
         return replace(self, outlier=outlier, held=held, biased=held & sourced & (self.flat == 0))
 
     def reclassified(self, at: Evaluation) -> Self:
-        """Mark fixes far from the walk as outliers, or drop them if inconsistent; restore near ones."""
+        """Mark fixes far from the walk as outliers, or drop them if inconsistent; restore near ones.
+
+        Receivers that state too little get wider sigmas.
+        """
+        too_small = self._too_small(at)
+        if (too_small > 1).any():
+            return self._wider(too_small).reclassified(at)
         far = self.distance(at) > OUTLIER * self.sigma
         reached = self.used & (self.keyframe >= 0)
         outlier = np.where(reached, far & self.consistent, self.outlier)
-        return self.classified(outlier, np.where(reached, ~far | self.consistent, self.held))
+        held = np.where(reached, ~far | self.consistent, self.held)
+        return self.classified(outlier, held & np.logical_not(self.wrong))
 
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
         """A fix beside the one farthest from the walk, or that one, is wrong: the walk may have followed it."""
@@ -221,7 +235,8 @@ class FixFactor(Measurement):
         price = WRONG_FIX + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))
         x, y = self.fixes.position[n]
         text = f"the fix at {self.fixes.time[n]:.0f} s, ({x:.0f}, {y:.0f}) m, is wrong"
-        return Hypothesis((self.classified(outlier, held),), price, self.name, text, "that position and its sigma")
+        without = replace(self.classified(outlier, held), wrong=self.wrong | (self.number == self.number[n]))
+        return Hypothesis((without,), price, self.name, text, "that position and its sigma")
 
     @property
     def instances(self) -> tuple[Index, Array]:
@@ -244,9 +259,11 @@ class FixFactor(Measurement):
         return any(was.get(number, False) for number in self.number[lost].tolist())
 
     def decisions(self) -> dict[str, AnyArray]:
-        """The masks of outliers, of fixes with a factor, and of the consistent chain."""
+        """The masks of outliers, of fixes with a factor, and of the consistent chain; factors of sigmas."""
         masks = {"outlier": self.outlier, "held": self.held, "consistent": self.consistent}
-        return {"number": self.number, **{name: np.asarray(mask) for name, mask in masks.items()}}
+        every = np.ones(len(self))
+        numbers = {"number": self.number, "widened": self.widened * every, "wrong": (self.wrong * every) > 0}
+        return numbers | {name: np.asarray(mask) for name, mask in masks.items()}
 
     def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Keep outliers; release fixes that are no longer consistent with the others."""
@@ -259,7 +276,13 @@ class FixFactor(Measurement):
         decided = stored[place] == self.number if len(stored) else np.zeros(len(self), dtype=bool)
         outlier = np.where(decided, decisions["outlier"][was], self.outlier)
         still = decisions["held"][was] & (self.consistent | outlier)
-        return self.classified(outlier, np.where(decided, still, self.held) & self.used)
+        factor = np.where(decided, decisions["widened"][was], 1.0)
+        for indices in by_source(self.fixes, np.ones(len(self), dtype=bool)):  # new fixes err as those before
+            last = np.maximum.accumulate(np.where(decided[indices], np.arange(len(indices)), -1))
+            factor[indices] = np.where(last >= 0, factor[indices[last]], 1.0)
+        wrong = decided & decisions["wrong"][was]
+        same = replace(self._wider(factor / self.widened), wrong=wrong)
+        return same.classified(outlier, np.where(decided, still, self.held) & self.used & ~wrong)
 
     def weight(self, at: Evaluation) -> Array:
         """The share ``(f,)`` of each fix's information that is used."""

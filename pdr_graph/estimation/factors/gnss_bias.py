@@ -17,13 +17,13 @@ excess of worse ones among them is common to them as well.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import FactorBlock, Hypothesis, Measurement, Variables
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement, Variables
 from pdr_graph.estimation.factors.fixes import ALONG, OUTLIER, FixFactor, alike, by_source, drift
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.geometry import pose_rotation, rotation
@@ -57,6 +57,7 @@ class GnssBias(Measurement):
     node_number: ``(m,)``; sigma: ``(m,)`` σ₀ there [m]; keep: ``(m,)`` correlation with the node before, 0 for the
     first of a source; elapsed: ``(m,)`` time since the node before [s].
     receiver: ``(m,)`` of each node; receiver_number: ``(r,)``; usual: ``(r,)`` median σ₀ [m]; throughout: k.
+    larger: factor by which all sigmas are larger than of the fixes.
     """
 
     fixes: FixFactor
@@ -74,6 +75,7 @@ class GnssBias(Measurement):
     receiver_number: Index
     usual: Array
     throughout: float = THROUGHOUT
+    larger: float = 1.0
 
     name: ClassVar[str] = "gnss_bias"
     symbol: ClassVar[str] = "g"
@@ -109,7 +111,7 @@ class GnssBias(Measurement):
     def refined(self, at: Evaluation) -> GnssBias:
         """Model the common errors of the fixes that the second pass marks as biased."""
         fixes = self.fixes.refined(at)
-        return self if fixes is self.fixes else replace(self.of(fixes, self.steps), throughout=self.throughout)
+        return self if fixes is self.fixes else self.of(fixes, self.steps).continued(self.decisions())
 
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
         """All receivers are off throughout by several times what they state."""
@@ -138,10 +140,26 @@ class GnssBias(Measurement):
             normalisers = 2 * float(np.log(factor)) * (len(block) + len(self.sigma) + len(self.usual))
             outlier = self.fixes.outlier & (self.fixes.distance(at) > OUTLIER * factor * self.fixes.sigma)
             fixes = self.fixes.classified(outlier, self.fixes.held)
-            changes = {name: factor * getattr(self, name) for name in ("white", "sigma", "usual")}
             text = f"the errors of {self._names} are about {factor:.0f} times what it states"
-            larger = replace(self, fixes=fixes, **changes)
+            larger = replace(self._times(factor), fixes=fixes)
             yield Hypothesis((larger, fixes), price + normalisers, self._names, text, CHECK_RECEIVER, second_pass=True)
+
+    def _times(self, factor: float) -> Self:
+        """Multiply the sigmas of all errors."""
+        changes = {name: factor * getattr(self, name) for name in ("white", "sigma", "usual", "larger")}
+        return replace(self, **changes)
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """The offset and the sigmas of receivers that are worse than they state."""
+        if self.throughout == THROUGHOUT and self.larger == 1.0:
+            return {}
+        return {"throughout": np.array([self.throughout]), "larger": np.array([self.larger])}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Apply an earlier decision about the errors of receivers."""
+        if not decisions:
+            return self
+        return replace(self._times(float(decisions["larger"][0])), throughout=float(decisions["throughout"][0]))
 
     def bind(self, chain: Chain) -> Self:
         """Bind every fix to its keyframe, and compute the velocity there."""

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from pdr_graph.estimation.factors.base import AnyArray, Measurement, State, insert
+from pdr_graph.estimation.factors.base import Measurement, State, insert
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
@@ -22,7 +22,15 @@ from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.isam import IsamCheckpoint, Linear, Name, TransactionalISAM
-from pdr_graph.estimation.live.measurement_log import Collector, MeasurementLog, TableCheckpoint
+from pdr_graph.estimation.live.measurement_log import (
+    Collector,
+    Decisions,
+    MeasurementLog,
+    TableCheckpoint,
+    merged_decisions,
+    same_decisions,
+)
+from pdr_graph.estimation.live.review import Excess
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL, Part, Window, WindowCheckpoint
 from pdr_graph.floor.building import Building, FloorSequence
@@ -32,7 +40,6 @@ from pdr_graph.types import Array, Index
 RECENT = 150  # intervals that each update evaluates, chosen by hand
 FULL_CHECK = 25  # keyframes after which a relinearisation evaluates all intervals, chosen by hand
 UNMOVED = np.array([0.05, 0.05, 0.005])  # [m, m, rad] a move below the tolerance of every factor
-Decisions = dict[str, dict[str, AnyArray]]
 
 
 @dataclass(frozen=True)
@@ -65,7 +72,7 @@ class LiveGraph:
     prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the first
     floor.
     c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind;
-    too_late: number of measurements from before the window.
+    too_late: number of measurements from before the window; excess: what the stated covariance has beside the solver's.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
@@ -76,7 +83,7 @@ class LiveGraph:
         self.isam, self.collectors = TransactionalISAM(lag), list[Collector]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
-        self.too_late = 0
+        self.too_late, self.excess = 0, Excess.none()
         self._arrivals = list[float]()
         self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
         self._current: tuple[Part, list[Measurement]] | None = None
@@ -356,7 +363,11 @@ class LiveGraph:
                 self.finalized.reports.setdefault(measurement.name, {}).update(reports)
 
     def covariance(self, n: int) -> Array:
-        """Covariance ``(3, 3)`` of the n-th keyframe of the window, in the output axes."""
+        """Stated covariance ``(3, 3)`` of the n-th keyframe of the window, in the output axes."""
+        return self.solved_covariance(n) + self.excess.at(np.array([self.window.times[n]]))[0]
+
+    def solved_covariance(self, n: int) -> Array:
+        """Covariance ``(3, 3)`` of the n-th keyframe by the solver, in the output axes."""
         R = pose_rotation(self.window.pose[[n], 2])[0]
         return R @ self.isam.covariance([X(self.window.keyframes[n])]) @ R.T
 
@@ -366,13 +377,13 @@ class LiveGraph:
         for measurement in measurements:
             if decided := measurement.decisions():
                 stored = self.decisions.get(measurement.name, {})
-                merged = _merged(stored, decided)
-                changed |= not _same(stored, merged)
+                merged = merged_decisions(stored, decided)
+                changed |= not same_decisions(stored, merged)
                 self.decisions[measurement.name] = merged
         return changed
 
-    def batch_graph(self) -> WalkGraph:
-        """The batch's graph of the window."""
+    def batch_graph(self, decided: bool = True) -> WalkGraph:
+        """The batch's graph of the window. decided: with the decisions about whole kinds (relocated beacons)."""
         window, steps = self.window, self.window.steps.steps
         raw = [data for collector in self.collectors for data in collector.complete(steps)]
         data = [
@@ -383,7 +394,8 @@ class LiveGraph:
         prior = Prior(**{**vars(self.prior), "mean": tuple(self.c_prior[0].tolist())})
         labels = None if window.located_plan is None else window.row_labels()
         graph = WalkGraph.of(steps, [*data, *raw], floor=window.located_plan, floors=labels, prior=prior)
-        return graph.decided({name: rows for name, rows in self.decisions.items() if "number" not in rows})
+        of_kinds = {name: rows for name, rows in self.decisions.items() if "number" not in rows}
+        return graph.decided(of_kinds if decided else {})
 
     def checkpoint(self) -> LiveGraphCheckpoint:
         """Return the state, from which the walk continues bit by bit the same."""
@@ -424,22 +436,3 @@ class LiveGraph:
             self.window.read(isam.values)
             self.window.associate_walls(ALL)
             self.restart_solver(isam, [(name, number) for name, number in checkpoint.brought])
-
-
-def _same(old: Mapping[str, AnyArray], new: Mapping[str, AnyArray]) -> bool:
-    """True if two sets of decisions are the same."""
-    if old.keys() != new.keys():
-        return False
-    return all(np.array_equal(old[name], rows, equal_nan=rows.dtype == float) for name, rows in new.items())
-
-
-def _merged(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
-    """The new decisions, and the old ones about instances that have no new one."""
-    if "number" not in new or not old:
-        return new
-    if np.array_equal(old["number"], new["number"]):
-        return new
-    kept = ~np.isin(old["number"], new["number"])
-    joined = {name: np.concatenate([old[name][kept], column]) for name, column in new.items()}
-    order = np.argsort(joined["number"])
-    return {name: column[order] for name, column in joined.items()}

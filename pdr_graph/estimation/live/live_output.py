@@ -43,7 +43,10 @@ class LiveOutput:
         fixes, belief = self._fixes_between(at, end), self.keyframe_belief()
         if fixes and not self.graph.has_position:
             belief = belief.with_unknown_position(fixes[0].position)
-        return predict(belief, whole, window.steps.start, at, end, fixes, self.sure)
+        predicted = predict(belief, whole, window.steps.start, at, end, fixes, self.sure)
+        stated = predicted.covariance.copy()
+        stated[:3, :3] += self.graph.excess.at(np.array([end]))[0]
+        return Belief(predicted.mean, stated)
 
     def keyframe_belief(self) -> Belief:
         """State of the last keyframe and its calibration."""
@@ -95,8 +98,8 @@ class LiveOutput:
         which = np.concatenate(
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
         )
-        covariance = covariance_of_pieces(CovarianceBlocks(net), keys, at, which)
         time = np.concatenate([interval.row_time for interval in window.intervals])
+        covariance = covariance_of_pieces(CovarianceBlocks(net), keys, at, which) + graph.excess.at(time)
         labels = [interval.label for interval in window.intervals for _ in interval.row_time]
         parts = [first] * window.complete + [TrajectoryRows(time, at.ends[which], covariance, labels)]
         if self.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):

@@ -16,12 +16,13 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.factors.base import AnyArray
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.batch_start import BatchSolution, solve_batch
+from pdr_graph.estimation.live.history import History, HistoryCheckpoint
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
+from pdr_graph.estimation.live.review import Excess, Findings, Question, Review
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
@@ -40,8 +41,9 @@ class Schedule:
     the cost by which a final round must lower it for another to follow.
     batch_interval [s], batch_share: the batch solves an ambiguous walk again after this time and this share of the
     walk's duration, whichever is longer; longest_ambiguous: time [s] after which the most probable path is accepted.
-    correction_interval: time [s] between searches for wrongly listed positions; review_after: time [s] after which the
-    batch solves a walk on a plan once more, while all of it is in the window.
+    comparison_interval [s], comparison_share: the sources are compared again after this share of the walk's duration,
+    between 5 s and comparison_interval, and the result is adopted comparison_time [s] later.
+    review_after: time [s] after which the batch solves a walk on a plan once more, while all of it is in the window.
     cost_interval: keyframes between checks of the cost; cost_base, cost_per_keyframe, cost_per_fix: the limit of the
     cost, twice that of correct walks.
     """
@@ -53,7 +55,9 @@ class Schedule:
     batch_interval: float = 3.0
     batch_share: float = 0.2
     longest_ambiguous: float = 180.0
-    correction_interval: float = 30.0
+    comparison_interval: float = 30.0
+    comparison_share: float = 0.5
+    comparison_time: float = 2.0
     review_after: float = 50.0
     cost_interval: int = 5
     cost_base: float = 8.0
@@ -63,6 +67,10 @@ class Schedule:
     def batch_delay(self, duration: float) -> float:
         """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
         return max(self.batch_interval, self.batch_share * duration)
+
+    def comparison_delay(self, duration: float) -> float:
+        """Time [s] until the sources of a walk of this duration [s] are compared again."""
+        return min(max(5.0, self.comparison_share * duration), self.comparison_interval)
 
     def cost_limit(self, keyframes: int, fixes: int) -> float:
         """Cost above which a window with so many keyframes and fixes cannot be on the correct path."""
@@ -79,7 +87,12 @@ class SmootherCheckpoint:
     graph: LiveGraphCheckpoint
     sure: bool
     next_batch: float
-    next_correction: float
+    next_comparison: float
+    adoption: float
+    history: HistoryCheckpoint
+    pending: Review | None
+    findings: Findings
+    excess: Excess
     restarts: int
     reviewed: bool
     tried: int
@@ -90,18 +103,22 @@ class LiveSmoother(LiveOutput):
     """Estimates a walk under way from all its measurements; arguments as of ``LiveGraph``.
 
     sure: position and direction of the walk are certain; restarts: how often measurements contradicted the estimate;
-    next_batch, next_correction: times [s] before which neither is repeated; reviewed: the batch has solved the walk
+    next_batch, next_comparison: times [s] before which neither is repeated; reviewed: the batch has solved the walk
     once more; alternatives_tried, alternatives_accepted: numbers of other paths.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
         self.graph = LiveGraph(prior, lag, plan, floor)
         self.sure, self.finished = False, False
-        self.next_batch, self.next_correction, self.restarts = -np.inf, -np.inf, 0
+        self.next_batch, self.next_comparison, self.restarts = -np.inf, -np.inf, 0
         self.reviewed = False
         self.alternatives_tried, self.alternatives_accepted = 0, 0
         self._walls_due, self._rounds_due = False, 0
         self._particles: ParallelParticleFilter | None = None
+        self.history, self.findings, self.adoption = History(), Findings(), np.inf
+        self._question: Question | None = None
+        self._review: Review | None = None
+        self.graph.log.longer = self.history.log
         self._final: Estimate | None = None
         super().__init__()
 
@@ -109,6 +126,7 @@ class LiveSmoother(LiveOutput):
         """Append the next steps of the walk. floor: label of their floor, by default that of the steps before."""
         window = self.graph.window
         window.steps.append(steps)
+        self.history.extend(steps)
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
@@ -149,8 +167,10 @@ class LiveSmoother(LiveOutput):
         if not self.sure and graph.has_position:
             self._solve_again()
         if graph.window.complete:
-            self._final = smooth(graph.batch_graph())
+            self._final = smooth(graph.batch_graph(decided=False))
             return
+        self._question, self._review, self.next_comparison = None, None, -np.inf
+        self._compare_sources(0.0)
         best, least = graph.isam, graph.total_cost
         graph.restart_solver(best.with_values(gtsam.Values(best.values), relinearize=0.0), best.factors)
         enough = 1 - SCHEDULE.final_decrease
@@ -175,7 +195,7 @@ class LiveSmoother(LiveOutput):
             graph.update()
         if reached and self.sure:
             self._reclassify()
-            self._correct()
+        self._compare_sources(SCHEDULE.comparison_time)
         self._follow(new)
         graph.finalize_leaving()
         self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
@@ -217,6 +237,7 @@ class LiveSmoother(LiveOutput):
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= self.sure
+        self.next_comparison = -np.inf if self.sure else self.next_comparison
         self.next_batch = window.times[-1] + SCHEDULE.batch_delay(window.times[-1] - window.times[0])
         graph.rebuild(graph.lag if self.sure else np.inf)
         self._associate_walls(ALL)
@@ -227,28 +248,25 @@ class LiveSmoother(LiveOutput):
         """Copy poses, calibrations and decisions of the batch into the window."""
         graph, window = self.graph, self.graph.window
         for name, decisions in solution.decisions.items():
-            graph.decisions[name] = self._numbered(name, decisions)
+            graph.decisions[name] = graph.log.numbered(name, decisions)
         window.pose = solution.poses(np.array(window.times))
         for interval in window.intervals:
             window.c[interval.segment] = solution.calibration(interval.end)
             interval.fields = [None] * len(interval.fields)
 
-    def _numbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
-        """Decisions of the batch with the row numbers of the measurement log."""
-        numbers = self.graph.log.numbers(name)
-        if "number" not in decisions or numbers is None:
-            return decisions
-        return {**decisions, "number": numbers[decisions["number"].astype(np.intp)]}
-
     def _restart(self) -> None:
         """Restart because measurements contradict the walk; drop the information from before the window."""
+        self._forget_before()
+        self.restarts += 1
+        self.sure, self.next_batch = False, -np.inf
+
+    def _forget_before(self) -> None:
+        """Keep the calibration alone of what the walk knows from before the window, for `LiveGraph.rebuild`."""
         graph = self.graph
         first = graph.window.segments[0]
         if C(first) in graph.isam:
             covariance = graph.isam.covariance([C(first)]) + np.diag(np.square(graph.prior.change))
             graph.c_prior = graph.window.c[first], covariance
-        self.restarts += 1
-        self.sure, self.next_batch = False, -np.inf
 
     def _reclassify(self) -> None:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
@@ -263,18 +281,54 @@ class LiveSmoother(LiveOutput):
             self._restart()
             self._solve_again()
 
-    def _correct(self) -> None:
-        """At intervals, drop listed positions that contradict the walk (relocated beacons)."""
-        window = self.graph.window
-        if window.times[-1] < self.next_correction:
+    def review(self) -> None:
+        """Compare the sources now if that is due, in an idle moment; else it is done soon after, with equal results."""
+        if self._question is not None and self._review is None:
+            self._review = self._question.answer()
+
+    def _compare_sources(self, waiting: float) -> None:
+        """At intervals, compare the sources over the recent past, and adopt the result ``waiting`` [s] later.
+
+        That is the most probable of what they get wrong; what else remains possible widens the stated covariance.
+        """
+        now = self.graph.window.times[-1]
+        idle = self._question is None and self._review is None
+        if idle and now >= self.next_comparison and self.history.has_position(now):
+            self.next_comparison = now + SCHEDULE.comparison_delay(now - self.graph.window.times[0])
+            self.adoption = now + waiting
+            walled = self.graph.window.located_plan is not None
+            self._question = self.history.question(now, self.graph.prior, self.findings, self.graph.decisions, walled)
+        if now < self.adoption:
             return
-        self.next_correction = window.times[-1] + SCHEDULE.correction_interval
-        at = self.graph.evaluate(everything=True)
-        corrected = [new for kind in at.measurements if (new := kind.corrected(at)) is not None]
-        if corrected:
-            self.graph.store_decisions(corrected)
-            self.graph.log.version += 1
-            self.graph.update(everything=True)
+        self.review()
+        if self._review is not None:
+            self._adopt_review(self._review)
+        self._question, self._review, self.adoption = None, None, np.inf
+
+    def _adopt_review(self, review: Review) -> None:
+        """Adopt what sources get wrong, and the covariance of what remains possible."""
+        graph = self.graph
+        before, self.findings = self.findings, review.findings
+        if self.findings.texts != before.texts:
+            self._assume(review)
+        graph.excess = review.excess
+
+    def _assume(self, review: Review) -> None:
+        """Adopt the decisions of a review, and its walk where no plan holds ours."""
+        graph, window = self.graph, self.graph.window
+        graph.decisions |= {name: self.history.log.numbered(name, rows) for name, rows in review.decisions.items()}
+        if window.located_plan is not None or not self.sure:
+            graph.log.version += 1
+            graph.update(everything=True)
+            return
+        graph.finalize_leaving()
+        self._forget_before()
+        window.pose = review.poses(np.array(window.times), window.pose)
+        for interval in window.intervals:
+            window.c[interval.segment] = review.calibration(interval.end)
+        graph.rebuild(graph.lag)
+        for _ in range(SCHEDULE.rounds):
+            graph.relinearize()
 
     def _follow(self, new: list[Interval]) -> None:
         """Pass new intervals to the particle filter, which starts at the estimate as soon as that is certain."""
@@ -366,11 +420,17 @@ class LiveSmoother(LiveOutput):
 
     def checkpoint(self) -> SmootherCheckpoint:
         """Return the state, without the rows that `pop_finalized` returned."""
+        self.review()
         return SmootherCheckpoint(
             graph=self.graph.checkpoint(),
             sure=self.sure,
             next_batch=self.next_batch,
-            next_correction=self.next_correction,
+            next_comparison=self.next_comparison,
+            adoption=self.adoption,
+            history=self.history.checkpoint(),
+            pending=self._review,
+            findings=self.findings,
+            excess=self.graph.excess,
             restarts=self.restarts,
             reviewed=self.reviewed,
             tried=self.alternatives_tried,
@@ -380,7 +440,10 @@ class LiveSmoother(LiveOutput):
     def restore(self, checkpoint: SmootherCheckpoint) -> None:
         """Set the state to a checkpoint of a smoother with the same prior, lag, plan and collectors."""
         self.sure, self.next_batch, self.restarts = checkpoint.sure, checkpoint.next_batch, checkpoint.restarts
-        self.next_correction = checkpoint.next_correction
+        self.next_comparison = checkpoint.next_comparison
         self.reviewed = checkpoint.reviewed
         self.alternatives_tried, self.alternatives_accepted = checkpoint.tried, checkpoint.taken
+        self.history.restore(checkpoint.history)
+        self.adoption, self._review = checkpoint.adoption, checkpoint.pending
+        self.findings, self.graph.excess = checkpoint.findings, checkpoint.excess
         self.graph.restore(checkpoint.graph)

@@ -16,6 +16,8 @@ from pdr_graph.measurements import appended, last_time, take
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import INSTANT, Array, Index, Mask, Steps
 
+Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
+
 
 class Collector(Protocol):
     """Makes measurements from raw data that arrive piecemeal (advertisements, scans)."""
@@ -72,6 +74,7 @@ class MeasurementLog:
     def __init__(self) -> None:
         self._tables: dict[type, Table] = {}
         self.version = 0  # increases when `measurements` would return others
+        self.longer: MeasurementLog | None = None  # another log that gets the same rows, and keeps them longer
 
     def append(self, data: Any, number: Index | None = None) -> None:
         """Append rows. number: ``(n,)``, the next numbers by default; stored rows with these numbers are replaced."""
@@ -80,6 +83,8 @@ class MeasurementLog:
         count = 0 if table is None else table.count
         number = count + np.arange(len(data)) if number is None else number
         self.version += 1
+        if self.longer is not None:
+            self.longer.append(data, number)
         if table is not None:
             kept = np.flatnonzero(~np.isin(table.number, number))
             number = np.concatenate([table.number[kept], number])
@@ -113,6 +118,21 @@ class MeasurementLog:
         """Row numbers of one kind, in order of time; None without rows."""
         return next((table.number for table in self._tables.values() if kind_of(table.data).name == name), None)
 
+    def numbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
+        """Decisions of a batch of all rows about one kind, with the permanent numbers of the rows."""
+        numbers = self.numbers(name)
+        if "number" not in decisions or numbers is None:
+            return decisions
+        return {**decisions, "number": numbers[decisions["number"].astype(np.intp)]}
+
+    def renumbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
+        """Decisions about one kind for a batch of all rows: the inverse of `numbered`, without rows that are gone."""
+        numbers = self.numbers(name)
+        if "number" not in decisions or numbers is None:
+            return decisions
+        row, old = np.nonzero(numbers[:, None] == decisions["number"])
+        return {**{column: values[old] for column, values in decisions.items()}, "number": row}
+
     def position_times(self) -> Array:
         """Times ``(n,)`` [s] of the rows that determine positions."""
         times = [last_time(table.data) for table in self._tables.values() if kind_of(table.data).determines_position]
@@ -125,6 +145,8 @@ class MeasurementLog:
 
     def remove(self, kind: type, number: int) -> None:
         """Remove the row with this number, if there is one."""
+        if self.longer is not None:
+            self.longer.remove(kind, number)
         table = self._tables.get(kind)
         if table is not None:
             self._keep(kind, table, table.number != number)
@@ -147,8 +169,8 @@ class MeasurementLog:
             time, slack = last_time(table.data), kind_of(table.data).overhang + INSTANT
             which = np.flatnonzero((time >= begin - slack) & (time <= end + INSTANT))
             if len(which):
-                stored = decisions.get(kind_of(table.data).name, {})
-                measurements += measurements_of(take(table.data, which), steps, prior, table.number[which], stored)
+                rows, number = take(table.data, which), table.number[which]
+                measurements += measurements_of(rows, steps, prior, number, decisions)
         return measurements
 
     def forget(self, before: float) -> None:
@@ -172,3 +194,22 @@ class MeasurementLog:
     def _keep(self, kind: type, table: Table, kept: Any) -> None:
         which = np.flatnonzero(kept)
         self._tables[kind] = Table(take(table.data, which), table.number[which], table.count)
+
+
+def same_decisions(old: Mapping[str, AnyArray], new: Mapping[str, AnyArray]) -> bool:
+    """True if two sets of decisions are the same."""
+    if old.keys() != new.keys():
+        return False
+    return all(np.array_equal(old[name], rows, equal_nan=rows.dtype == float) for name, rows in new.items())
+
+
+def merged_decisions(old: Mapping[str, AnyArray], new: dict[str, AnyArray]) -> dict[str, AnyArray]:
+    """The new decisions, and the old ones about instances that have no new one."""
+    if "number" not in new or not old:
+        return new
+    if np.array_equal(old["number"], new["number"]):
+        return new
+    kept = ~np.isin(old["number"], new["number"])
+    joined = {name: np.concatenate([old[name][kept], column]) for name, column in new.items()}
+    order = np.argsort(joined["number"])
+    return {name: column[order] for name, column in joined.items()}

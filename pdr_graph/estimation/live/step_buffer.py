@@ -137,7 +137,7 @@ class StepBuffer:
         if count:
             start = float(self.whole[count - 1, END])
             self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[count:]
-        self.chunks = [_later(steps, before) for steps in self.chunks if steps.end > before] or self.chunks[-1:]
+        self.chunks = [later_steps(steps, before) for steps in self.chunks if steps.end > before] or self.chunks[-1:]
 
     def checkpoint(self) -> StepCheckpoint:
         """Return the state."""
@@ -162,7 +162,7 @@ class StepCheckpoint:
     steps: Steps | None
 
 
-def _later(steps: Steps, before: float) -> Steps:
+def later_steps(steps: Steps, before: float) -> Steps:
     """The steps that end after ``before`` [s]; they start where the step before them ended."""
     count = int(np.searchsorted(steps.time, before))
     if not count:

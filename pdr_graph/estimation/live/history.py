@@ -1,0 +1,58 @@
+"""The recent past of a walk under way: its steps and measurements, for longer than the window holds them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, TableCheckpoint
+from pdr_graph.estimation.live.review import Findings, Question
+from pdr_graph.estimation.live.step_buffer import later_steps
+from pdr_graph.gait.steps import concatenate_steps
+from pdr_graph.types import Steps
+
+SPAN = 120.0  # [s] of the walk in which sources are compared: twice the usual lag; chosen by hand
+
+
+@dataclass(frozen=True)
+class HistoryCheckpoint:
+    """State of a `History`."""
+
+    steps: Steps | None
+    tables: list[TableCheckpoint]
+
+
+class History:
+    """The steps and measurements of the last SPAN seconds; log: gets the rows of the window's log."""
+
+    def __init__(self) -> None:
+        self.log = MeasurementLog()
+        self._chunks = list[Steps]()
+
+    def extend(self, steps: Steps) -> None:
+        """Append the next steps."""
+        self._chunks.append(steps)
+
+    def has_position(self, now: float) -> bool:
+        """True if a measurement of the last SPAN seconds before ``now`` [s] determines a position."""
+        times = self.log.position_times()
+        return bool(((times > now - SPAN) & (times <= now)).any())
+
+    def question(self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool) -> Question:
+        """The review of the last SPAN seconds before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
+        steps = later_steps(concatenate_steps(self._chunks), now - SPAN)
+        self._chunks = [steps]
+        self.log.forget(steps.start - max(self.log.overhangs.values(), default=0.0))
+        graph = WalkGraph.of(steps, self.log.until(steps.end), prior=prior)
+        kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.kinds}
+        return Question(graph, before, kept, walled)
+
+    def checkpoint(self) -> HistoryCheckpoint:
+        """Return the state."""
+        return HistoryCheckpoint(concatenate_steps(self._chunks) if self._chunks else None, self.log.checkpoint())
+
+    def restore(self, checkpoint: HistoryCheckpoint) -> None:
+        """Set the state to a checkpoint."""
+        self._chunks = [] if checkpoint.steps is None else [checkpoint.steps]
+        self.log.restore(checkpoint.tables)

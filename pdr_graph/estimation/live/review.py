@@ -1,0 +1,218 @@
+"""Review of a walk under way: what its sources get wrong, by the batch's joint hypotheses over its recent past.
+
+A review solves the last minutes of the walk under each hypothesis (`explanations`). The window adopts the decisions
+of the best (which beacons are where, how far off a receiver is); the others widen the covariance that is stated.
+
+A hypothesis holds for the whole walk. Its evidence may be older than the history, so one that was adopted is kept until
+evidence speaks against it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_graph.contradiction import Contradiction
+from pdr_graph.estimation.covariance import CovarianceBlocks
+from pdr_graph.estimation.factors.base import Hypothesis, poses_at
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.hypotheses import contradictions, explanations
+from pdr_graph.estimation.live.measurement_log import Decisions
+from pdr_graph.estimation.optimizer import Optimum, optimize, paths, probabilities, solve_robust
+from pdr_graph.geometry import interpolate, nearest, pose_rotation, rotation, wrap_angle
+from pdr_graph.types import Array
+
+LEAD = 1.0  # [nats] by which other assumptions must be better than those adopted; chosen by hand
+KEPT = 8.0  # [nats] the same per adopted assumption: its price, 5.5, and 2.5 of evidence that may be older
+SPACING = 10.0  # [s] between the times at which the covariance of a review is computed
+
+
+@dataclass(frozen=True)
+class Excess:
+    """Covariance ``(n, 3, 3)`` at times ``(n,)`` [s] to add to that of the solver, in the output axes."""
+
+    time: Array
+    covariance: Array
+
+    @classmethod
+    def none(cls) -> Excess:
+        """Nothing to add."""
+        return cls(np.zeros(1), np.zeros((1, 3, 3)))
+
+    def at(self, time: Array) -> Array:
+        """The covariances ``(n, 3, 3)`` at times ``(n,)`` [s]; constant before the first and after the last."""
+        return interpolate(time, self.time, self.covariance.reshape(-1, 9)).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """An adopted `Hypothesis`, with the names of its kinds instead of the measurements."""
+
+    kinds: tuple[str, ...]
+    price: float
+    source: str
+    text: str
+    check: str
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis) -> Assumption:
+        """The assumption of a hypothesis."""
+        names = tuple(kind.name for kind in hypothesis.measurements)
+        return cls(names, hypothesis.price, hypothesis.source, hypothesis.text, hypothesis.check)
+
+    def hypothesis(self, graph: WalkGraph) -> Hypothesis:
+        """The hypothesis about the measurements of ``graph``, which has the decisions."""
+        kinds = tuple(kind for kind in graph.measurements if kind.name in self.kinds)
+        return Hypothesis(kinds, self.price, self.source, self.text, self.check)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a review found. assumed: the adopted assumptions; contradictions: what sources probably get wrong."""
+
+    assumed: tuple[Assumption, ...] = ()
+    contradictions: tuple[Contradiction, ...] = ()
+
+    @property
+    def texts(self) -> frozenset[str]:
+        """The texts of the adopted assumptions."""
+        return frozenset(assumption.text for assumption in self.assumed)
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The names of the kinds that the assumptions are about."""
+        return frozenset(name for assumption in self.assumed for name in assumption.kinds)
+
+
+@dataclass(frozen=True)
+class Review:
+    """What joint hypotheses say of the recent past of a walk.
+
+    findings, decisions: to adopt, of the best walk; time: ``(k,)`` of its keyframes [s], pose: ``(k, 3)``; begins:
+    ``(s,)`` of its calibrations [s], c: ``(s, 3)``; excess: for the covariance that is stated, by the other walks that
+    remain, none under a plan.
+    """
+
+    findings: Findings
+    decisions: Decisions
+    time: Array
+    pose: Array
+    begins: Array
+    c: Array
+    excess: Excess
+
+    def poses(self, time: Array, pose: Array) -> Array:
+        """Poses ``(n, 3)`` of the best walk at times ``(n,)`` [s].
+
+        Those from before the recent past are ``pose (n, 3)``, moved rigidly with its beginning; those after its end
+        with its end.
+        """
+        there = poses_at(time, self.time, self.pose)
+        for beyond, edge in ((time < self.time[0], 0), (time > self.time[-1], -1)):
+            if beyond.any():
+                (old,), new = poses_at(self.time[[edge]], time, pose), self.pose[edge]
+                turn = new[2] - old[2]
+                there[beyond, :2] = (pose[beyond, :2] - old[:2]) @ rotation(turn).T + new[:2]
+                there[beyond, 2] = pose[beyond, 2] + turn
+        return there
+
+    def calibration(self, time: float) -> Array:
+        """(R_s, R_d, b) ``(3,)`` of the best walk at a time [s]."""
+        return self.c[max(int(np.searchsorted(self.begins, time)) - 1, 0)]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A review that is due. graph: of the recent past, without its plan; before: what the last review found.
+
+    decisions: about the kinds that this adopted; walled: the walk has a plan, under which receivers are not judged, as
+    in the batch.
+    """
+
+    graph: WalkGraph
+    before: Findings
+    decisions: Decisions
+    walled: bool
+
+    def answer(self) -> Review:
+        """The review."""
+        optima = self._optima()
+        probability, best = probabilities(optima, paths(optima)), optima[0]
+        found = Findings(tuple(Assumption.of(h) for h in best.assumed), contradictions(optima, probability))
+        kinds, chain = self.before.kinds | found.kinds, best.at.chain
+        times = np.arange(chain.time[-1], chain.time[0], -SPACING)[::-1]
+        return Review(
+            findings=found,
+            decisions={kind.name: kind.decisions() for kind in best.graph.measurements if kind.name in kinds},
+            time=chain.time,
+            pose=best.state.poses,
+            begins=chain.time[chain.segment_first],
+            c=best.state.c,
+            excess=Excess.none() if self.walled else _excess(optima, probability / probability.sum(), times),
+        )
+
+    def _optima(self) -> list[Optimum]:
+        """The walks that remain; first the best, or that under the adopted assumptions if it is about as good."""
+        optima = explanations(solve_robust(self.graph))
+        if self.walled:
+            optima = [replace(one, assumed=tuple(h for h in one.assumed if not h.second_pass)) for one in optima]
+        adopted = [n for n, one in enumerate(optima) if _texts(one) == self.before.texts]
+        if adopted and adopted[0] > 0:
+            one = optima[adopted[0]]
+            optima[adopted[0]] = replace(one, burden=one.burden - KEPT * len(one.assumed))
+        if not adopted and (kept := self._kept(optima)) is not None:
+            optima, adopted = [*optima, kept], [len(optima)]
+        lead = [one.surprise - LEAD * (n in adopted) if _adoptable(one) else np.inf for n, one in enumerate(optima)]
+        return [optima[n] for n in np.argsort(lead, kind="stable").tolist()]
+
+    def _kept(self, optima: list[Optimum]) -> Optimum | None:
+        """The walk under the adopted assumptions, although no source suggests them any more; None without any.
+
+        Compared with the walk without assumptions; None if that is unlikely by itself.
+        """
+        plain = next((optimum for optimum in optima if not optimum.assumed), None)
+        if plain is None or not self.before.assumed:
+            return None
+        decided = plain.graph.decided(self.decisions)
+        optimum = optimize(decided, decided.start)
+        assumed = tuple(assumption.hypothesis(optimum.graph) for assumption in self.before.assumed)
+        information = optimum.net.logDeterminant() - plain.net.logDeterminant()
+        burden = information + sum(hypothesis.price for hypothesis in assumed) - KEPT * len(assumed)
+        return replace(optimum, assumed=assumed, burden=plain.burden + burden, unseen=plain.unseen)
+
+
+def _texts(optimum: Optimum) -> frozenset[str]:
+    return frozenset(hypothesis.text for hypothesis in optimum.assumed)
+
+
+def _adoptable(optimum: Optimum) -> bool:
+    """True if a window can adopt all assumptions: their kinds have decisions."""
+    kinds = {kind.name for hypothesis in optimum.assumed for kind in hypothesis.measurements}
+    return all(kind.decisions() for kind in optimum.graph.measurements if kind.name in kinds)
+
+
+def _excess(optima: list[Optimum], weight: Array, time: Array) -> Excess:
+    """What the covariance of the first walk lacks to that of all, with weights, at times ``(n,)`` [s].
+
+    Negative parts of the difference are left out.
+    """
+    poses, solved = _keyframes(optima[0], time)
+    total = np.zeros_like(solved)
+    for share, optimum in zip(weight[1:].tolist(), optima[1:], strict=True):
+        there, covariance = _keyframes(optimum, time)
+        apart = there - poses
+        apart[:, 2] = wrap_angle(apart[:, 2])
+        total += share * (covariance - solved + apart[:, :, None] * apart[:, None, :])
+    value, vector = np.linalg.eigh(total)
+    return Excess(time, (vector * np.maximum(value, 0.0)[:, None, :]) @ vector.transpose(0, 2, 1))
+
+
+def _keyframes(optimum: Optimum, time: Array) -> tuple[Array, Array]:
+    """Poses ``(n, 3)`` of a solution at times ``(n,)`` [s], and covariances ``(n, 3, 3)`` of the nearest keyframes."""
+    chain, poses = optimum.at.chain, optimum.state.poses
+    which = nearest(chain.time, time)
+    keys = optimum.state.keys("x", which).tolist()
+    R = pose_rotation(poses[which, 2])
+    spread = R @ CovarianceBlocks(optimum.net).joint([(key,) for key in keys]) @ R.transpose(0, 2, 1)
+    return poses_at(time, chain.time, poses), spread
