@@ -308,9 +308,9 @@ class Hypothesis:
     """An assumption about how a source errs beyond what it states.
 
     measurements: its kind under this assumption; price: negative log probability of it in advance, relative to a source
-    without such an error [nats]; text: what errs, for the user; source: its name; check: what the user should
-    check, "" if nothing; place_lost: True if the kind measures no absolute position then; second_pass: only after the
-    second pass; fresh: symbols of the variables that do not keep their values.
+    without such an error [nats]; text: what errs, for the user; source: its name; check: what the user should check, ""
+    if nothing; place_lost: True if the kind measures no absolute position then; fresh: symbols of the variables that do
+    not keep their values.
     """
 
     measurements: tuple[Measurement, ...]
@@ -319,7 +319,6 @@ class Hypothesis:
     text: str
     check: str = ""
     place_lost: bool = False
-    second_pass: bool = False
     fresh: tuple[str, ...] = ()
 
 

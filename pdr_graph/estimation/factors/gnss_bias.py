@@ -123,7 +123,7 @@ class GnssBias(Measurement):
             check = CHECK_RECEIVER if k > 2 else ""
             worse = replace(self, throughout=k)
             spread = 2 * float(np.log(k)) * len(self.usual)  # the normaliser of the wider prior
-            hypotheses.append(Hypothesis((worse,), price + spread, self._names, text, check, second_pass=True))
+            hypotheses.append(Hypothesis((worse,), price + spread, self._names, text, check))
         return [*hypotheses, *self._larger_errors(at)]
 
     @property
@@ -142,7 +142,7 @@ class GnssBias(Measurement):
             fixes = self.fixes.classified(outlier, self.fixes.held)
             text = f"the errors of {self._names} are about {factor:.0f} times what it states"
             larger = replace(self._times(factor), fixes=fixes)
-            yield Hypothesis((larger, fixes), price + normalisers, self._names, text, CHECK_RECEIVER, second_pass=True)
+            yield Hypothesis((larger, fixes), price + normalisers, self._names, text, CHECK_RECEIVER)
 
     def _times(self, factor: float) -> Self:
         """Multiply the sigmas of all errors."""
