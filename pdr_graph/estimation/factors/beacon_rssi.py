@@ -41,6 +41,7 @@ STRETCH = 2.0  # [m] of the walk over which levels are averaged
 PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
 BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
 LONGEST = 6.0  # [s] that a stretch may take while a walk is under way
+RANGE = 60.0  # [m] from which no phone receives a beacon; at half of it the usual level is the weakest
 ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
 
 # A wrong list
@@ -234,11 +235,16 @@ class BeaconRssiFactor(Measurement):
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
         [block] = at.blocks_of(self.name)
-        off, of_beacon = np.abs(LEVEL_SIGMA * block.residual), self.listed.beacon[self.keyframe >= 0]
-        return tuple(self._report(m, at.state["b"][m], off[of_beacon == m]) for m in np.unique(of_beacon).tolist())
+        reached = self.keyframe >= 0
+        off, of_beacon = np.abs(LEVEL_SIGMA * block.residual), self.listed.beacon[reached]
+        place = at.state["b"][:, :2]
+        away = np.hypot(*(at.state.poses[self.keyframe[reached], :2] - place[of_beacon]).T)
+        received = [(m, of_beacon == m) for m in np.unique(of_beacon).tolist()]
+        return tuple(self._report(m, place[m], off[rows], float(away[rows].min())) for m, rows in received)
 
-    def _report(self, m: int, variable: Array, off: Array) -> BeaconReport:
-        x, y = variable[:2].tolist()
+    def _report(self, m: int, place: Array, off: Array, away: float) -> BeaconReport:
+        """The report of one beacon. away: least distance of the walk where it was received [m]."""
+        x, y = place.tolist()
         listed, used, label = self.listed.position[m], self.position[m], self.listed.label
         moved = bool(np.isfinite(listed[0]) and (listed != used).any())
         reason = "heard where it is listed"
@@ -252,6 +258,8 @@ class BeaconRssiFactor(Measurement):
                 reason += f"at the place of {nearest}: swapped, that place was used"
             else:
                 reason += f"nearest to the place of {nearest}: moved or swapped, its place was not used"
+        elif away > RANGE:
+            moved, reason = True, f"received, although the walk is {away:.0f} m or more from where it is listed"
         return BeaconReport(label[m], len(off), float(off.mean()), x, y, moved, reason)
 
 

@@ -126,8 +126,7 @@ class Review:
 class Question:
     """A review that is due. graph: of the recent past, without its plan; before: what the last review found.
 
-    decisions: about the kinds that this adopted; walled: the walk has a plan, under which receivers are not judged, as
-    in the batch.
+    decisions: about the kinds that this adopted; walled: the walk has a plan, for which no other walk is added.
     """
 
     graph: WalkGraph
@@ -155,8 +154,6 @@ class Question:
     def _optima(self) -> list[Optimum]:
         """The walks that remain; first the best, or that under the adopted assumptions if it is about as good."""
         optima = explanations(solve_robust(self.graph))
-        if self.walled:
-            optima = [replace(one, assumed=tuple(h for h in one.assumed if not h.second_pass)) for one in optima]
         adopted = [n for n, one in enumerate(optima) if _texts(one) == self.before.texts]
         if adopted and adopted[0] > 0:
             one = optima[adopted[0]]
