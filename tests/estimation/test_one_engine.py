@@ -191,7 +191,7 @@ def test_the_windows_factors_are_those_of_the_batch():
 def test_a_checkpoint_in_mid_walk_leads_to_the_same_result(drawn, lag):
     """Two restored of one checkpoint, one of which is written down once more: to 1e-6 m with all of the walk open.
 
-    With a lag to 0.2 m, where a receiver's fixes leave 2 m: what was linearised where stays behind in the marginal.
+    With a lag to 0.6 m, where a receiver's fixes leave 5 m: what was linearised where stays behind in the marginal.
     """
     steps, data, floor = drawn(1)
     begun = walking(started(floor, lag), steps, data, end=60)
@@ -207,7 +207,7 @@ def test_a_checkpoint_in_mid_walk_leads_to_the_same_result(drawn, lag):
         live.finish()
         ends.append(live)
     first, second = ends
-    assert second.graph.window.pose[-1] == pytest.approx(first.graph.window.pose[-1], abs=0.2)
+    assert second.graph.window.pose[-1] == pytest.approx(first.graph.window.pose[-1], abs=0.6)
     if np.isinf(lag):
         assert from_batch(first.final, second.final) < 1e-6
         uninterrupted = walking(begun, steps, data, begin=60)
