@@ -341,8 +341,10 @@ def frozen(fixes: Fixes, steps: Steps) -> Mask:
     """
     result = np.zeros(len(fixes), dtype=bool)
     sources = by_source(fixes, np.ones(len(fixes), dtype=bool))
-    track = dead_reckon(steps) if sources else None
-    for indices in sources if track else []:
+    if not sources:
+        return result
+    track = dead_reckon(steps)
+    for indices in sources:
         place, walked = fixes.position[indices], interpolate(fixes.time[indices], track.time, track.position)
         first = 0
         for n in range(1, len(indices) + 1):
