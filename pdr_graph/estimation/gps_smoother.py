@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from pdr_graph.estimation.factors.fixes import STANDING as CORRELATED
 from pdr_graph.estimation.factors.losses import geman_mcclure_weight
+from pdr_graph.estimation.factors.receivers import STANDING as CORRELATED
 from pdr_graph.types import Array, Index, Mask
 
 SHORTEST = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned

@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import maximum_filter1d, percentile_filter
 
-from pdr_graph.estimation.factors.fixes import STANDING as CORRELATED
+from pdr_graph.estimation.factors.receivers import STANDING as CORRELATED
 from pdr_graph.estimation.gps_smoother import GpsKnots
 from pdr_graph.geometry import interpolate, length_along, viterbi
 from pdr_graph.types import Array, Index, Mask

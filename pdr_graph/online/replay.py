@@ -16,7 +16,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, OUTSIDE, duplicates
+from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, OUTSIDE
+from pdr_graph.estimation.factors.receivers import duplicates
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.results import missing_of, outside_warnings
 from pdr_graph.floor.building import Building

@@ -13,8 +13,7 @@ import shapely
 from gtsam.symbol_shorthand import X
 from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
-from pdr_graph.estimation.factors import fixes as fix_factors
-from pdr_graph.estimation.factors import losses
+from pdr_graph.estimation.factors import losses, receivers
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
@@ -415,7 +414,7 @@ def test_an_offset_is_a_gauss_markov_process(seed):
         (factor,) = factors_with(graph, state, "gnss_bias.change", ("g", m), ("g", m - 1), ("o", receiver))
         assert factor.residual == pytest.approx(r, rel=1e-6)
     assert receiver == 1
-    assert (fix_factors.STANDING, fix_factors.ALONG) == (120.0, 30.0)
+    assert (receivers.STANDING, receivers.ALONG) == (120.0, 30.0)
 
 
 def beside_beacons(seed=0):

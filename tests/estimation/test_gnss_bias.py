@@ -7,8 +7,9 @@ import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
 from pdr_graph.estimation.factors import gnss_bias
-from pdr_graph.estimation.factors.fixes import STANDING, FixFactor, drift, independent_sigmas
+from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import NODE, THROUGHOUT, WHITE, GnssBias
+from pdr_graph.estimation.factors.receivers import STANDING, drift, independent_sigmas
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize

@@ -17,8 +17,9 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement
 from pdr_graph.estimation.factors.losses import GAUSSIAN, NOISE, Loss, RobustLoss
+from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.geometry import dead_reckon, distance_walked, interpolate, pose_rotation
+from pdr_graph.geometry import distance_walked, pose_rotation
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -34,10 +35,8 @@ MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 LOOSELY = 5.0  # scale of the sigma in the second factor of a fix that states only a radius
 PATIENCE = 4  # consistent fixes in a row, all far from the walk, at which the estimate has diverged
-STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of a receiver's errors
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
-STILL, AWAY = 1.0, 10.0  # [m] within which a frozen receiver stays, from where the steps lead so far away
 DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, below which one may be wrong
 WRONG_FIX = 6.0  # [nats] price of a wrong fix: one in a hundred, that lies anywhere within about 5 sigma
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
@@ -169,8 +168,8 @@ class FixFactor(Measurement):
             return self._wider(too_small).refined(at)
         far = self.used & (self.distance(at) > OUTLIER * self.sigma)
         held = self.used & (self.consistent | ~_mostly(far, self.run))
-        sourced = _sourced(self.fixes)
-        if not (far.any() or sourced.any() or self.approximate) and (held == self.held).all():
+        of_receiver = sourced(self.fixes)
+        if not (far.any() or of_receiver.any() or self.approximate) and (held == self.held).all():
             return self
         return self.classified(far, held & (not self.approximate))
 
@@ -197,8 +196,8 @@ class FixFactor(Measurement):
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
-        sourced = _sourced(self.fixes)
-        return replace(self, outlier=outlier, held=held, biased=held & sourced & (self.flat == 0))
+        of_receiver = sourced(self.fixes)
+        return replace(self, outlier=outlier, held=held, biased=held & of_receiver & (self.flat == 0))
 
     def reclassified(self, at: Evaluation) -> Self:
         """Mark fixes far from the walk as outliers, or drop them if inconsistent; restore near ones.
@@ -324,72 +323,6 @@ def fix_reason(sigmas: float, weight: float, outlier: bool, origin: str = "the w
     """The reason, as text, for the weight of a fix that lies so many sigmas from ``origin``."""
     trust = {0.0: "rejected", 1.0: "full weight"}.get(weight, "reduced weight")
     return f"{sigmas:.1f} sigma from {origin}: {'outlier' if outlier else trust}"
-
-
-def duplicates(fixes: Fixes) -> Mask:
-    """True ``(f,)`` where a receiver repeats its last position, as receivers do while they detect no motion."""
-    result = np.zeros(len(fixes), dtype=bool)
-    for indices in by_source(fixes, np.ones(len(fixes), dtype=bool)):
-        result[indices[1:]] = (np.diff(fixes.position[indices], axis=0) == 0).all(axis=1)
-    return result
-
-
-def frozen(fixes: Fixes, steps: Steps) -> Mask:
-    """True ``(f,)`` for the fixes of a receiver that holds its position while the steps lead away, but the first.
-
-    Receivers do so where signals are weak (static navigation): the fixes agree with one another, and are sure.
-    """
-    result = np.zeros(len(fixes), dtype=bool)
-    sources = by_source(fixes, np.ones(len(fixes), dtype=bool))
-    if not sources:
-        return result
-    track = dead_reckon(steps)
-    for indices in sources:
-        place, walked = fixes.position[indices], interpolate(fixes.time[indices], track.time, track.position)
-        first = 0
-        for n in range(1, len(indices) + 1):
-            if n < len(indices) and np.hypot(*(place[n] - place[first])) < STILL:
-                continue
-            if np.hypot(*(walked[first:n] - walked[first]).T).max() > AWAY:
-                result[indices[first + 1 : n]] = True
-            first = n
-    return result
-
-
-def _sourced(fixes: Fixes) -> Mask:
-    """True ``(f,)`` for fixes of a receiver."""
-    return np.array([bool(source) for source in fixes.source], dtype=bool)
-
-
-def by_source(fixes: Fixes, used: Mask) -> list[Index]:
-    """The used fixes of each source that has a name, in order of time."""
-    if not any(fixes.source):
-        return []
-    names = np.where(used, np.array(fixes.source, dtype=str), "")
-    order = np.argsort(fixes.time, kind="stable")
-    return [order[names[order] == name] for name in np.unique(names[names != ""])]
-
-
-def drift(steps: Steps, time: Array) -> Array:
-    """Drift ``(n,)`` of a receiver's errors by times ``(n,)`` [s]: at a difference of 1 their correlation is 1/e.
-
-    Signal paths change with the place, and little where nobody moves.
-    """
-    return time / STANDING + distance_walked(steps, time) / ALONG
-
-
-def alike(drifted: Array) -> tuple[Index, Index]:
-    """Begin and end ``(f,)`` of the range of fixes with about the same error as each, from their drift ``(f,)``."""
-    return np.searchsorted(drifted, drifted - 1.0, side="right"), np.searchsorted(drifted, drifted + 1.0)
-
-
-def independent_sigmas(fixes: Fixes, sigma: Array, used: Mask, steps: Steps) -> Array:
-    """Sigmas ``(f,)`` [m] with which n fixes of the same error have the information of one."""
-    result = sigma.copy()
-    for indices in by_source(fixes, used):
-        first, after = alike(drift(steps, fixes.time[indices]))
-        result[indices] *= np.sqrt(after - first)
-    return result
 
 
 def consistent_chains(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[Index, Mask]:

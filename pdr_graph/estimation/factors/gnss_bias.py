@@ -24,8 +24,9 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement, Variables
-from pdr_graph.estimation.factors.fixes import ALONG, OUTLIER, FixFactor, alike, by_source, drift
+from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
+from pdr_graph.estimation.factors.receivers import ALONG, alike, by_source, drift
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array, Complex, Index, Steps
 
