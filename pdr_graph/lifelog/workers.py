@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 MAX_TASK_SIZE = 20  # person-days or recordings: a task takes seconds, its transfer milliseconds
 TASKS_PER_WORKER = 4  # at least, so that all workers finish at about the same time
 CONNECT_TIMEOUT = 15  # [s] for a scheduler to answer
+PATIENCE = 30.0  # [s] after which a task without a result is asked whether a worker is left
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 Item = TypeVar("Item")
 Tasks = Sequence[tuple[Any, ...]]
@@ -145,13 +146,26 @@ def _on_cluster(client: Client, scheduler: str, work: Work, tasks: Tasks) -> Res
     futures = [client.submit(_collected, work, number, task, pure=False) for number, task in enumerate(tasks)]
     for future in as_completed(futures, loop=client.loop):
         try:
-            yield future.result()
+            yield _result(client, scheduler, future)
         except KilledWorker:
             continue
         except FutureCancelledError:
             raise InputError("--scheduler", scheduler, "no answer any more", "a running scheduler") from None
         finally:
             future.release()  # otherwise it is repeated if its worker ends
+
+
+def _result(client: Client, scheduler: str, future: Any) -> Any:
+    """The result of a task, which Dask computes again if the worker that holds it has died.
+
+    Raises InputError if no worker is left to do so.
+    """
+    while True:
+        try:
+            return future.result(timeout=PATIENCE)
+        except TimeoutError:
+            if not client.scheduler_info()["workers"]:
+                raise InputError("--scheduler", scheduler, "no worker any more", "a running worker") from None
 
 
 def _collected(work: Work, number: int, task: tuple[Any, ...]) -> tuple[int, list[Any]]:
