@@ -10,7 +10,7 @@ A phone's sensor log, a floor plan and a few position fixes in; the most probabl
 read       load  read_fixes  read_trajectory  FloorPlan  Building  Walker  Frame  frame_of
 walk       detect_steps  magnetic_headings  dead_reckon  floors_of
 estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother  verdict
-live       Navigator  Journal  Samples  Scan  Pose  events_of
+live       Navigator  Journal  Samples  Scan  Pose  Mode  events_of
 look       plot  evaluate
 simulate   Scenario  simulate
 data       Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError

@@ -22,6 +22,7 @@ from .geometry import dead_reckon as dead_reckon
 from .io import load as load
 from .io.tables import read_fixes as read_fixes
 from .io.tables import read_trajectory as read_trajectory
+from .online.interface import Mode as Mode
 from .online.interface import Pose as Pose
 from .online.interface import Samples as Samples
 from .online.interface import Scan as Scan

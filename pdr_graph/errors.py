@@ -21,6 +21,11 @@ class InputError(ValueError):
         super().__init__(f"{where}: found {one_line(found)}, expected {one_line(expected)}")
         self._parts = str(source), place, found, expected
 
+    def renamed(self, old: str, new: str) -> InputError:
+        """The same error with a file's name in the source replaced."""
+        source, *rest = self._parts
+        return InputError(source.replace(old, new), *rest)
+
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         return InputError, self._parts  # pickling: workers raise it in another process
 
@@ -47,6 +52,11 @@ def one_line(text: str) -> str:
     plain = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     half = LONGEST_PART // 2
     return plain if len(plain) <= LONGEST_PART else f"{plain[:half]} … {plain[-half:]}"
+
+
+def printable(text: str) -> str:
+    """`text` with � for each character that is not printable: control characters, and bytes that are not UTF-8."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def count(number: int, noun: str) -> str:

@@ -6,6 +6,7 @@ Each metric is one function of paired samples. CE, HE, EAG and VE equal the comm
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -226,6 +227,36 @@ def _median(values: Array) -> float | None:
 
 def _or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+REGION_90 = 4.605  # 90 % quantile of χ² with two degrees of freedom
+
+
+def coverage(estimate: Trajectory, truth: Trajectory) -> float | None:
+    """Share 0-1 of the truth's samples inside the stated 90 % region; None without samples or covariance."""
+    pairs = pair(estimate, truth)
+    pairs = pairs.where(pairs.same_floor)
+    if estimate.covariance is None or not len(pairs.time):
+        return None
+    return float(np.mean(in_region(pairs, stated_covariance(estimate, pairs.time))))
+
+
+def stated_covariance(estimate: Trajectory, time: Array) -> Array:
+    """Covariance ``(n, 2, 2)`` [m²] of the positions of an estimate that has one, at times ``(n,)`` [s]."""
+    assert estimate.covariance is not None, "asked for with a covariance"
+    return interpolate(time, estimate.time, estimate.covariance[:, :2, :2].reshape(-1, 4)).reshape(-1, 2, 2)
+
+
+def in_region(pairs: Pairs, covariance: Array) -> Mask:
+    """``(n,)`` True where the truth is in the 90 % region of ``covariance (n, 2, 2)`` about the estimate."""
+    error = pairs.estimate - pairs.truth
+    return np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error) < REGION_90
+
+
+def error_text(error: Mapping[str, float | None]) -> str:
+    """Percentiles of an error in `live` of ``summary.json``, and how often the truth was in the 90 % region."""
+    text = " / ".join(f"{error[name]:.1f}" for name in ("p50", "p75", "p95")) + " m"
+    return text if error["in_90"] is None else f"{text}, {100 * error['in_90']:.0f} % in the 90 % region"
 
 
 def table(scores: dict[str, Any]) -> str:

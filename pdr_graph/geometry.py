@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
 from pdr_graph.errors import expect
-from pdr_graph.types import LARGEST_HEADING, Array, Fixes, Index, Mask, Steps, Trajectory
+from pdr_graph.types import LARGEST_HEADING, Array, Complex, Fixes, Index, Mask, Steps, Trajectory
 
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a uniformly distributed direction
 
@@ -69,6 +69,18 @@ def pose_rotation(heading: Array) -> Array:
     R[:, :2, :2] = rotation(heading)
     R[:, 2, 2] = 1.0
     return R
+
+
+def as_complex(xy: Array) -> Complex:
+    """Points ``(n, 2)`` as complex numbers ``(n,)``."""
+    return xy[:, 0] + 1j * xy[:, 1]
+
+
+def differences(poses: Array, others: Array) -> Array:
+    """Differences ``(n, m)`` of poses or states, that of headings, the third column, wrapped."""
+    apart = poses - others
+    apart[:, 2] = wrap_angle(apart[:, 2])
+    return apart
 
 
 def compose(first: Rotation, second: Rotation) -> Rotation:

@@ -14,10 +14,11 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.io.beacons import SURVEY_SIGMA, beside, drawn_beacons, read_beacons
 from pdr_graph.io.ranges import ANCHOR_SIGMA, read_ranges
 from pdr_graph.io.tables import read_fixes, read_trajectory
-from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility
+from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
 from pdr_graph.types import LONLAT, Array, Beacons, Fixes, Recording
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ class Options:
 
     plan: Path | None = None
     """Floor plan; its frame is the output's."""
+    scale: float | None = None
+    """Metres per unit of the plan, for a drawing or a picture that does not state it [m]."""
     fixes: Path | None = None
     """CSV of positions, `time,x,y,sigma[,floor]` or `time,lat,lon,sigma[,floor]`."""
     beacons: Path | None = None
@@ -56,15 +59,20 @@ class Options:
     """Delay of the phone's own positions [s]."""
     floor: str | None = None
     """Label of the floor on which the walk begins; None: as the fixes say."""
+    start_heading: float | None = None
+    """Direction of the first step, clockwise from north (from +y in a frame without latitude) [deg]."""
     lag: float | None = 60.0
     """Time after which a live navigator finalizes a step [s]; None: never."""
     journal: Path | None = None
     """File that stores a live walk, and from which it is resumed."""
 
     def __post_init__(self) -> None:
-        """Raise InputError if the rate is out of range."""
+        """Raise InputError if the rate or the start heading is out of range."""
         if self.rate is not None and not 0 < self.rate <= FASTEST_RATE:
             raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
+        if self.start_heading is not None and not abs(self.start_heading) <= 360:
+            expected = "degrees clockwise from north, -360 to 360"
+            raise InputError("--start-heading", "", f"{self.start_heading}", expected)
 
     def describe(self) -> dict[str, Any]:
         """Return the options for `summary.json`, with the names of the command line."""
@@ -79,7 +87,8 @@ class Inputs:
 
     walk; walker; building: None without a plan; frame: of the output; fixes: all that are used, in this frame and in
     order of time; notes: what was left out or assumed, one line each; beacons: in this frame, None if none was
-    received; radio_map: the fixes include those from it.
+    received; radio_map: the fixes include those from it; start_heading: of the first step, counter-clockwise from +x
+    [rad].
     """
 
     walk: Recording
@@ -90,6 +99,7 @@ class Inputs:
     notes: tuple[str, ...]
     beacons: Beacons | None = None
     radio_map: RadioMap | None = None
+    start_heading: float | None = None
 
     @property
     def near(self) -> Array:
@@ -117,17 +127,20 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
     notes = list(walk.notes)
     walker = Walker.load(options.walker) if options.walker else Walker()
     listed_fixes = read_fixes(options.fixes, walk, notes=notes) if options.fixes else Fixes.none()
-    building = Building.load(options.plan) if options.plan else None
+    building = Building.load(options.plan, options.scale) if options.plan else None
+    if building is not None and options.plan is not None:
+        check_floors(options.plan, building, options.floor, options.fixes, listed_fixes.floor)
     listed = beside(recording) if options.recorded_fixes else None
     walk = replace(walk, beacons=_beacons(walk, options, listed, building, notes))
     radio_map = load_radio_map(options.radio_map, building) if options.radio_map else None
     recorded = walk.fixes if options.recorded_fixes else Fixes.none()
-    frame, listed_fixes, recorded = _in_one_frame(building, radio_map, listed_fixes, recorded, notes)
+    metric = listed_fixes.epsg is None
+    frame, listed_fixes, recorded = _in_one_frame(building, radio_map, listed_fixes, recorded, notes, options.fixes)
     fixes = Fixes.concatenate([listed_fixes, recorded])
     if radio_map is not None:
         fixes = Fixes.concatenate([fixes, _radio_fixes(radio_map, walk, frame, options.radio_map, notes)])
     places = Plausibility.of(walk, frame, fixes, building, fastest)
-    places.check_fixes(options.plan, options.fixes, listed_fixes, recorded)
+    places.check_fixes(options.plan, options.fixes, listed_fixes, recorded, metric)
     beacons = _placed_beacons(walk, frame, notes)
     beacons = _plausible(beacons, walk, options.beacons, listed, places, notes)
     if options.ranges is not None:
@@ -139,7 +152,18 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         truth = read_trajectory(options.truth, walk)
         places.check_truth(options.truth, truth)
         walk = replace(walk, truth=truth)
-    return Inputs(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map)
+    inputs = Inputs(walk, walker, building, frame, fixes, tuple(notes), beacons, radio_map)
+    return (
+        inputs
+        if options.start_heading is None
+        else replace(inputs, start_heading=_in_frame(inputs, options.start_heading))
+    )
+
+
+def _in_frame(inputs: Inputs, bearing: float) -> float:
+    """A compass bearing [deg] as a heading in the output frame. [rad]"""
+    east = inputs.frame.bearing_of_east(inputs.near) if inputs.frame.georeferenced else 0.0
+    return float(wrap_angle(np.pi / 2 - np.radians(bearing) + east))
 
 
 def _plausible(
@@ -173,7 +197,7 @@ def _placed_beacons(walk: Recording, frame: Frame, notes: list[str]) -> Beacons 
     if walk.beacons is None or walk.bluetooth is None:
         return None
     if walk.beacons.epsg is not None and not frame.georeferenced:
-        notes.append(f"{len(walk.beacons)} beacons were left out: the frame of --fixes has no latitude")
+        notes.append(f"{len(walk.beacons)} beacons were left out: no latitude in the plan or in --fixes")
         return None
     return frame.place(walk.beacons)
 
@@ -227,11 +251,17 @@ def _radio_fixes(radio_map: RadioMap, walk: Recording, frame: Frame, path: Path 
 
 
 def _in_one_frame(
-    building: Building | None, radio_map: RadioMap | None, listed: Fixes, recorded: Fixes, notes: list[str]
+    building: Building | None,
+    radio_map: RadioMap | None,
+    listed: Fixes,
+    recorded: Fixes,
+    notes: list[str],
+    source: Path | None,
 ) -> tuple[Frame, Fixes, Fixes]:
     """The output frame, and the listed and the recorded fixes in it; adds a note on fixes that cannot be placed in it.
 
     It is the frame of the plan; else of the radio map; else of metric fixes; else east-north at the first geodetic fix.
+    source: file of the listed fixes. Raises InputError for listed fixes by latitude in a plan's frame without any.
     """
     if building is not None:
         frame = building.floors[0].frame
@@ -243,7 +273,11 @@ def _in_one_frame(
         frame = Frame()
     else:
         frame = frame_of(min((f for f in (listed, recorded) if len(f)), key=lambda f: f.time[0]))
+    if not frame.georeferenced and listed.epsg is not None and len(listed):
+        expected = "time,x,y,sigma in metres of the plan, which has no latitude (map convert --georeference)"
+        raise InputError(source or "--fixes", "", "positions by latitude and longitude", expected)
     if not frame.georeferenced and len(recorded):
-        notes.append(f"{len(recorded)} fixes inside the recording were left out: the frame of --fixes has no latitude")
+        noun = f"{len(recorded)} fixes inside the recording"
+        notes.append(f"{noun} were left out: no latitude in the plan or in --fixes")
         recorded = Fixes.none()
     return frame, frame.place(listed), frame.place(recorded)

@@ -21,9 +21,10 @@ from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.results import is_located
 from pdr_graph.estimation.sources import position_sources
+from pdr_graph.evaluation import circular_error, coverage, error_text, pair
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import protection_level, resample
-from pdr_graph.inputs import LIVE, Inputs, Options
+from pdr_graph.inputs import Inputs, Options
 from pdr_graph.io import gpx, writers
 from pdr_graph.types import Estimate, Steps, Trajectory
 
@@ -32,6 +33,7 @@ LONGEST_SOURCES = (
 )
 LEAST_SOURCES = 1.0  # [s] that these tracks may always take
 PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its probability
+KNOWN_AT_ONCE = "live, known at once"  # name of the track of current poses in reports
 REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, even without measurements
 
 
@@ -61,7 +63,7 @@ class Result:
 
     missing: what could not be estimated, a line each; graph, steps, floors: None if not available; profile: that
     corrected the steps; step_count: number of steps if ``steps`` is None; issues: warnings in addition to those of the
-    estimate; causal: returns causal tracks by name.
+    estimate; causal: returns causal tracks by name; live: the current poses of a live walk.
     """
 
     estimate: Estimate
@@ -73,9 +75,12 @@ class Result:
     step_count: int = 0
     issues: tuple[str, ...] = ()
     causal: Callable[[Any], Mapping[str, Trajectory]] | None = None
+    live: Trajectory | None = None
 
     def tracks(self) -> Mapping[str, Trajectory]:
         """The causal tracks."""
+        if self.live is not None:
+            return {KNOWN_AT_ONCE: self.live}
         return self.causal(self.graph) if self.causal else {}
 
     @property
@@ -93,7 +98,7 @@ def write(out: Path, inputs: Inputs, result: Result, options: Options, stage: St
             walker = replace(inputs.walker, profile=posterior_profile(estimate, result.steps, result.profile))
             origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
-    summary = summarize(inputs, result) | {"seconds": stage.seconds}
+    summary = summarize(inputs, result) | live_scores(inputs, result) | {"seconds": stage.seconds}
     summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
     with stage("report"):
         missing += write_report(out, inputs, result, options.method, summary, stage.seconds.get("estimate", 0.0))
@@ -108,6 +113,8 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
     writers.write_tum(out / "trajectory.tum", trajectory, walk.clock_origin)
+    if len(estimate.routes) > 1:
+        writers.write_routes(out / "routes.csv", estimate.routes, walk.clock_origin)
     if frame.georeferenced:
         writers.write_geojson(
             out / "trajectory.geojson", replace(estimate, trajectory=trajectory), frame, walk.clock_origin
@@ -134,7 +141,6 @@ def write_report(
         from pdr_graph.report.walk import WalkReport, content
 
         estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
-        method = "graph" if method == LIVE else method
         tracks = result.tracks()
         longest = max(LONGEST_SOURCES * seconds, LEAST_SOURCES)
         sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
@@ -169,11 +175,57 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         },
         "wall_crossings": crossings,
         **_finite({"probability": round(estimate.probability, 3)}),
+        "routes": [_route(share, path) for share, path in estimate.routes],
         "protection": protection_of(estimate),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
         "warnings": list(dict.fromkeys([*inputs.notes, *estimate.warnings, *result.issues])),
         "versions": packages | {"python": platform.python_version()},
     }
+
+
+def live_scores(inputs: Inputs, result: Result) -> dict[str, Any]:
+    """Return the part of ``summary.json`` about the current poses of a live walk; empty for other walks."""
+    live, walk = result.live, inputs.walk
+    if live is None or live.covariance is None:
+        return {}
+    truth, track = _truth_beside(inputs, result.estimate), result.estimate.trajectory
+    start = min((float(signal.time[0]) for signal in walk.signals.values()), default=float(track.time[0]))
+    variance = np.trace(live.covariance[:, :2, :2], axis1=1, axis2=2) / 2
+    return {
+        "live": {
+            "poses": len(live),
+            "first_pose": round(max(0.0, float(live.time[0]) - start), 3),
+            "sigma": round(float(np.median(np.sqrt(variance))), 3),
+            "error": _error(live, truth),
+            "hindsight": {"error": _error(track, truth)},
+        }
+    }
+
+
+def live_lines(live: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield ``live`` of ``summary.json`` as text; without truth the sigma of the current poses."""
+    if live is None:
+        return
+    error, smoothed = live["error"], live["hindsight"]["error"]
+    first = f"first pose after {live['first_pose']:.1f} s"
+    if error is None:
+        yield f"{KNOWN_AT_ONCE}: {first}, median sigma {live['sigma']:.1f} m"
+        return
+    yield f"{KNOWN_AT_ONCE}: error 50 / 75 / 95 %: {error_text(error)}; {first}"
+    if smoothed is not None:
+        yield f"in hindsight, smoothed: error 50 / 75 / 95 %: {error_text(smoothed)}"
+
+
+def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | None] | None:
+    """Percentiles of the horizontal error [m], and the share of the truth in the 90 % region; None without truth."""
+    if truth is None:
+        return None
+    pairs = pair(track, truth)
+    if not pairs.same_floor.any():
+        return None
+    values = np.percentile(circular_error(pairs.where(pairs.same_floor)), [50, 75, 95]).round(3).tolist()
+    share = coverage(track, truth)
+    return dict(zip(("p50", "p75", "p95"), values, strict=True)) | {"in_90": None if share is None else round(share, 3)}
 
 
 def _reports(reports: tuple[Any, ...], clock_origin: float) -> list[dict[str, Any]]:
@@ -194,7 +246,8 @@ def _unscored(truth: Path | None, inputs: Inputs, estimate: Estimate) -> tuple[s
 def _truth_beside(inputs: Inputs, estimate: Estimate) -> Trajectory | None:
     """The truth in the output frame; None if it cannot be placed there, or lies elsewhere than the walk."""
     truth, frame = inputs.walk.truth, inputs.frame
-    if truth is None or not estimate.fixes or (truth.epsg is not None and not frame.georeferenced):
+    located = estimate.fixes or estimate.routes
+    if truth is None or not located or (truth.epsg is not None and not frame.georeferenced):
         return None
     truth = frame.place(truth)
     apart = np.abs(truth.position.mean(axis=0) - estimate.trajectory.position.mean(axis=0))
@@ -248,6 +301,12 @@ def protection_of(estimate: Estimate) -> dict[str, dict[str, float]] | None:
                 "worst": round(float(values.max()), 2),
             }
     return found
+
+
+def _route(probability: float, path: Trajectory) -> dict[str, Any]:
+    """Probability of a route, and where it begins and ends [m]."""
+    begin, end = path.position[[0, -1]].round(2).tolist()
+    return {"probability": round(probability, 3), "begin": begin, "end": end}
 
 
 def _length(estimate: Estimate) -> float:

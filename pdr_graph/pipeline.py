@@ -15,13 +15,14 @@ from pdr_graph.contradiction import OK, Contradiction
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.calibration import calibrate, prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
-from pdr_graph.estimation.factors.heading_prior import heading_reports
+from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA, heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
+from pdr_graph.estimation.global_localization import begun_on
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import FIRST_ONLY, missing_of
-from pdr_graph.estimation.smoother import smooth
+from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import read_route
 from pdr_graph.gait.compass import magnetic_headings
@@ -33,6 +34,7 @@ from pdr_graph.inputs import Inputs, Options, read
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.measurements import by_type
 from pdr_graph.outputs import Result, Stages, write
+from pdr_graph.plausibility import check_floors
 from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Signal, Steps, Trajectory
 
 if TYPE_CHECKING:
@@ -64,7 +66,8 @@ class Evidence:
     """All measurements of one walk, in one frame.
 
     steps: None without an accelerometer; floors: of every step, None if unknown; measurements: tables of any other
-    kinds; profile: of the walker, which has already corrected the steps.
+    kinds; profile: of the walker, which has already corrected the steps; others: the same walk begun on other floors,
+    if nothing says on which.
     """
 
     steps: Steps | None
@@ -74,6 +77,7 @@ class Evidence:
     floors: Floors | None = None
     measurements: tuple[Any, ...] = ()
     profile: Profile | None = None
+    others: tuple[Evidence, ...] = ()
 
     def graph(self) -> WalkGraph | None:
         """Build the factor graph of the walk; None without steps."""
@@ -101,6 +105,9 @@ def observe(inputs: Inputs, options: Options | None = None) -> Evidence:
         gaits = gait_signals(walk)
         steps = detect_steps(gaits, inputs.walker)
         headings = magnetic_headings(gaits, inputs.frame, inputs.near)
+        if inputs.start_heading is not None and len(steps):
+            row = (steps.time[:1], np.array([inputs.start_heading]), np.array([START_HEADING_SIGMA]), (START,))
+            headings = Headings.concatenate([Headings(*row), headings])
     evidence = Evidence(steps, inputs.fixes, headings, inputs.building, profile=inputs.walker.profile)
     evidence = with_measurements(evidence, walk.measurements)
     evidence = with_floors(evidence, walk.barometer, options.floor, options.plan)
@@ -125,17 +132,26 @@ def with_floors(evidence: Evidence, barometer: Signal | None, start_floor: str |
     has no such floor, or if it has several and that of the walk is unknown.
     """
     building, steps, fixes = evidence.building, evidence.steps, evidence.fixes
-    if building is not None and len(building.labels) > 1 and start_floor not in (None, *building.labels):
-        floors = f"the floors {', '.join(building.labels)[:80]}"
-        raise InputError(plan or "--map", "", floors, f"a floor {start_floor!r}")
+    if building is not None:
+        check_floors(plan or Path("--map"), building, start_floor)
     if steps is None:
         return evidence
     only = building.labels[0] if building is not None and len(building.labels) == 1 else ""
     start = only or start_floor or next((label for label in fixes.floor if label), "")
-    floors = floors_along(steps, barometer, start, fixes, building)
-    if building is not None and len(building.labels) > 1 and not all(floors.labels):
+    begun = [_begun_on(evidence, steps, barometer, start)]
+    if building is not None and not start and not len(fixes) and not evidence.measurements:
+        every = {label: _begun_on(evidence, steps, barometer, label) for label in building.labels}
+        begun = [one for label, one in every.items() if one.floors and one.floors.labels[0] == label] or begun
+    floors = begun[0].floors
+    if building is not None and len(building.labels) > 1 and (floors is None or not all(floors.labels)):
         several = f"{len(building.labels)} floors, {', '.join(building.labels)[:80]}"
         raise InputError(plan or "--map", "", several, "--floor, the label of the one on which the walk begins")
+    return replace(begun[0], others=tuple(begun[1:]))
+
+
+def _begun_on(evidence: Evidence, steps: Steps, barometer: Signal | None, start: str) -> Evidence:
+    """The walk with the floor of every step, if it began on the one with the label ``start``."""
+    floors = floors_along(steps, barometer, start, evidence.fixes, evidence.building)
     return replace(evidence, steps=with_stair_lengths(steps, floors.climbs, floors.kinds), floors=floors)
 
 
@@ -149,13 +165,17 @@ def with_beacon_levels(evidence: Evidence, heard: Sightings | None, beacons: Bea
 
 def estimate(evidence: Evidence, method: str = "graph") -> Result:
     """Estimate the walk by ``graph``, ``filter``, ``rts`` or ``pdr``; without steps, smooth the fixes alone."""
-    graph = evidence.graph()
+    graph, found = evidence.graph(), None
     if graph is None:
         return Result(follow(evidence.fixes), (NO_ACCELEROMETER,))
+    if evidence.others:
+        possible = {graph: evidence, **{other.graph(): other for other in evidence.others}}
+        graph, found = begun_on([graph for graph in possible if graph is not None])
+        evidence = possible[graph]
     failed, walk = (), None
     if method == "graph":
         try:
-            walk = smooth(graph)
+            walk = smooth(graph) if found is None else estimated(graph, found)
         except RuntimeError as error:  # by GTSAM, for a system that it cannot solve
             failed = (f"the graph ({str(error).splitlines()[0]}): this is the filter's walk",)
     elif method == "pdr":

@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 import shapely
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
-from pdr_graph.errors import expect
+from pdr_graph.errors import expect, printable
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
@@ -25,6 +27,7 @@ SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "
 ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
 CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # colours of kinds of cells
 TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
+OTHER = "#b0458a"  # other routes
 SURROUNDINGS = 0.12  # share of the walk's size shown around it
 MANY = 50  # points above which marks are smaller, so that the track stays visible
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
@@ -33,7 +36,7 @@ LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 def plot(
     estimate: Estimate, floor: FloorPlan | Building | None = None, truth: Trajectory | None = None, title: str = ""
 ) -> Figure:
-    """Draw a walk: dead reckoning in grey, the estimate with its 95 % region, fixes by weight.
+    """Draw a walk: dead reckoning in grey, the estimate with its 95 % region, other routes, fixes by weight.
 
     floor: the plan, drawn below; truth: drawn on top; title: above the picture. Returns a `matplotlib.figure.Figure`;
     a walk over several floors of a building has axes for each, the lowest at the lower left.
@@ -45,7 +48,8 @@ def plot(
     surveyed = track if truth is None else truth.position
     close = 0.5 * np.ptp(track, axis=0).max()
     near = [(f.x, f.y) for f in estimate.fixes if f.residual < close]
-    shown = np.concatenate([track, grey, surveyed, np.reshape(near, (-1, 2))])
+    others = [route.position for _, route in estimate.routes[1:]]
+    shown = np.concatenate([track, grey, surveyed, *others, np.reshape(near, (-1, 2))])
     floors = _visited(floor, estimate.trajectory)
     figure, canvases = _canvas(shown, SURROUNDINGS, 1.05, max(1, len(floors)))
     for n, axes in enumerate(canvases):
@@ -53,7 +57,7 @@ def plot(
             draw_plan(axes, floors[n])
         several = len(floors) > 1
         _draw_walk(axes, estimate, truth, floors[n].label if several else None)
-        axes.set_title(f"{floors[n].label}   {title}" if several else title, loc="left", fontsize=10)
+        _title(axes, f"{floors[n].label}   {title}" if several else title)
     columns = max(2, int(figure.get_figwidth() / 1.9))
     named = {text: mark for axes in canvases for mark, text in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(named.values(), named.keys(), loc="lower center", ncols=columns, frameon=False, fontsize=9)
@@ -80,6 +84,11 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
         zorder=3,
     )
     draw_uncertainty(axes, estimate.trajectory, label)
+    for number, (probability, route) in enumerate(estimate.routes[1:]):
+        named = "other routes, with probability" if number == 0 else None
+        path = _on(route, label)
+        axes.plot(*path.T, color=OTHER, lw=1.2, alpha=0.8, label=named, zorder=4)
+        axes.annotate(f"{probability:.0%}", path[-1], color=OTHER, fontsize=8, zorder=4, clip_on=True)
     axes.plot(*track.T, color=TRACK, lw=2.2, label="most probable walk", zorder=5, solid_joinstyle="round")
     axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
     axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
@@ -105,7 +114,28 @@ def plot_plan(*floors: FloorPlan) -> Figure:
     )
     for axes, floor in zip(canvases, floors, strict=True):
         draw_plan(axes, floor)
-        axes.set_title(f"{floor.label}   walkable {floor.walkable_area:.0f} m²", loc="left", fontsize=10)
+        _title(axes, f"{floor.label}   walkable {floor.walkable_area:.0f} m²")
+    return figure
+
+
+def plot_conversion(ignored: shapely.Geometry, *floors: FloorPlan) -> Figure:
+    """Draw what was understood of a plan, floor by floor: kinds of areas, and in red the lines that were ignored."""
+    corners = np.concatenate([floor.corners for floor in floors])
+    figure, canvases = _canvas(corners, around=0.02, bottom=0.9, count=len(floors))
+    for axes, floor in zip(canvases, floors, strict=True):
+        draw_plan(axes, floor)
+        _title(axes, f"{floor.label}   walkable {floor.walkable_area:.0f} m²")
+    _lines(canvases[0], ignored, color=FIX, lw=0.8, ls="--", zorder=2.6)
+    fills = {
+        "corridor, free space": WALKABLE,
+        "room, lift": ROOM,
+        "door": OPENING,
+        "stairs": STAIRS,
+        "solid": SOLID_FILL,
+    }
+    marks: list[Artist] = [Patch(facecolor=colour, edgecolor=EDGE, label=name) for name, colour in fills.items()]
+    marks += [Line2D([], [], color=EDGE, lw=0.9, label="wall"), Line2D([], [], color=FIX, ls="--", label="ignored")]
+    figure.legend(handles=marks, loc="lower center", ncols=4, frameon=False, fontsize=8)
     return figure
 
 
@@ -126,8 +156,13 @@ def draw_plan(axes: Axes, floor: FloorPlan) -> None:
     for beacon in floor.of_kind(BEACON):
         axes.plot(*shapely.get_coordinates(beacon.shape)[:1].T, marker="^", ms=5, color=FIX, ls="none", zorder=2.4)
     for area in (*solid, *floor.of_kind(*CLOSED, *OPEN)):
-        if area.name.isascii() and area.is_polygon:
+        if area.name.isascii() and area.name.isprintable() and area.is_polygon:
             _name(axes, area.name, area.shape)
+
+
+def _title(axes: Axes, text: str) -> None:
+    """Write a text above the axes, in which names of files and floors mean nothing to matplotlib."""
+    axes.set_title(printable(text), loc="left", fontsize=10, parse_math=False)
 
 
 def _lines(axes: Axes, geometry: shapely.Geometry, **style: Any) -> None:
@@ -155,7 +190,8 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
     if shapely.area(shown) > 0 and len(name) * letter < x1 - x0 and 2 * letter < y1 - y0:
         place = shapely.point_on_surface(shown)
         x, y = shapely.get_x(place), shapely.get_y(place)
-        axes.annotate(name, (x, y), ha="center", va="center", fontsize=6, color="#6b655b", zorder=2.5)
+        style: dict[str, Any] = {"fontsize": 6, "color": "#6b655b", "zorder": 2.5, "parse_math": False}
+        axes.annotate(name, (x, y), ha="center", va="center", **style)
 
 
 def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
@@ -193,7 +229,8 @@ def _draw_beacons(axes: Axes, estimate: Estimate) -> None:
                 *place.T, s=46, marker="D", c="white", edgecolors=colour, linewidths=1.4, zorder=4.6, label=label
             )
             for b in group:
-                axes.annotate(b.label, (b.x, b.y), (5, 5), textcoords="offset points", fontsize=7, color=colour)
+                style: dict[str, Any] = {"fontsize": 7, "color": colour, "parse_math": False}
+                axes.annotate(printable(b.label), (b.x, b.y), (5, 5), textcoords="offset points", **style)
 
 
 def _canvas(points: Array, around: float, bottom: float, count: int = 1) -> tuple[Figure, list[Axes]]:

@@ -230,6 +230,11 @@ def fingerprint(path: Path, files: Sequence[Path] = ()) -> str:
     return f"{path.resolve().name}, sha256 {digest.hexdigest()}"
 
 
+def write_text(path: Path, text: str) -> None:
+    r"""Write a text as UTF-8; bytes of a file name that are not UTF-8 become escapes, which JSON reads back: \udcff."""
+    path.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
 WAL_LIMIT = 16 << 20  # [bytes] size of the write-ahead log that is kept for reuse
 PATIENCE = 1.0  # [s] to wait for another process to close the file
 OWNER_ONLY = 0o600  # positions are private; SQLite gives its -wal the mode of the file itself

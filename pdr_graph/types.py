@@ -28,17 +28,15 @@ Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
 SENSORS = ("accelerometer", "gyroscope", "magnetometer", "linear_acceleration", "barometer")
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
-STANDARD_GRAVITY = 9.80665  # [m/s²]
-LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
+STANDARD_GRAVITY, LONLAT = 9.80665, 4326  # [m/s²]; EPSG code of longitude and latitude on WGS 84 [deg]
 
 
 @dataclass(frozen=True)
 class Signal(OneLineRepr):
     """The samples of one sensor.
 
-    time: ``(n,)`` [s], increasing.
-    values: ``(n, 3)``, in the unit of the sensor (m/s² with gravity, rad/s, µT), on the Android device axes
-        (x right, y up, z out of the screen); a barometer's are ``(n, 1)`` [hPa].
+    time: ``(n,)`` [s], increasing; values: ``(n, 3)``, in the unit of the sensor (m/s² with gravity, rad/s, µT), on the
+    Android device axes (x right, y up, z out of the screen); a barometer's are ``(n, 1)`` [hPa].
     """
 
     time: Array
@@ -47,8 +45,8 @@ class Signal(OneLineRepr):
     def __post_init__(self) -> None:
         """Raise ValueError unless there is a row of values for each time."""
         if np.ndim(self.time) != 1 or np.ndim(self.values) != 2 or len(self.time) != len(self.values):
-            found = f"shapes {np.shape(self.time)} and {np.shape(self.values)}"
-            raise ValueError(f"Signal: found times and values of {found}, expected (n,) and (n, 3) or (n, 1)")
+            shapes = f"{np.shape(self.time)} and {np.shape(self.values)}"
+            raise ValueError(f"Signal: found times and values of shapes {shapes}, expected (n,) and (n, 3) or (n, 1)")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -158,17 +156,20 @@ class Fixes(OneLineRepr, row="fix"):
 class Headings(OneLineRepr, row="heading"):
     """Measured walking directions: from a compass or the user.
 
-    time: ``(n,)`` [s], increasing.
-    heading: ``(n,)`` counter-clockwise from +x of the output frame [rad].
-    sigma: ``(n,)`` standard deviation [rad]; errors of different headings are independent.
+    time: ``(n,)`` [s], increasing; heading: ``(n,)`` counter-clockwise from +x of the output frame [rad].
+    sigma: ``(n,)`` of independent errors [rad]; source: of each, "start" if the user states it, "" for the compass.
     """
 
     time: Array
     heading: Array
     sigma: Array
+    source: tuple[str, ...] = ()
+    added: ClassVar = ("source",)  # bytes of earlier versions have none
 
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""
+        if "source" in vars(self):  # else decoded from such bytes
+            object.__setattr__(self, "source", self.source or ("",) * len(self.time))
         check_finite(self, "time", "heading", "sigma")
         check_each("Headings.heading", np.abs(self.heading) <= LARGEST_HEADING, self.heading, "radians, not degrees")
         check_each("Headings.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 rad")
@@ -181,8 +182,8 @@ class Headings(OneLineRepr, row="heading"):
     @classmethod
     def concatenate(cls, parts: Sequence[Headings]) -> Headings:
         """The headings of all parts, in the order of the parts."""
-        columns = ([getattr(part, name) for part in (cls.none(), *parts)] for name in ("time", "heading", "sigma"))
-        return cls(*(np.concatenate(column) for column in columns))
+        of = ([getattr(part, name) for part in (cls.none(), *parts)] for name in ("time", "heading", "sigma"))
+        return cls(*map(np.concatenate, of), source=sum((part.source for part in parts), ()))
 
     def shifted(self, seconds: float) -> Headings:
         """The headings at times that are `seconds` later."""
@@ -196,8 +197,7 @@ class Headings(OneLineRepr, row="heading"):
 class Trajectory(OneLineRepr):
     """A path over time: an estimate or ground truth.
 
-    time: ``(n,)`` [s].
-    position: ``(n, 2)`` [m].
+    time: ``(n,)`` [s]; position: ``(n, 2)`` [m].
     heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
     floor: the plan's label per row, empty where unknown; optional.
     covariance: ``(n, 3, 3)`` of (x, y, heading) in the output axes [m, m, rad], or None.
@@ -414,11 +414,11 @@ class Estimate(OneLineRepr):
 
     trajectory: start pose, one row per step at its end, last pose.
     dead_reckoning: the same rows from the steps alone, rigidly aligned to the fixes.
-    calibration: None if the method estimates none.
-    reports: residual and weight of each measurement, by kind: "fixes" in input order, "beacons" one each.
-    iterations: of the optimiser; cost: half the sum of squared, robustly weighted residuals, NaN if not defined.
+    calibration: None if the method has none; reports: of each measurement by kind: "fixes" in input order, "beacons".
+    iterations: of the optimiser; cost: half the sum of squared, robustly weighted residuals, NaN if not defined;
     converged: False if the optimiser stopped before the cost converged.
     probability: of this route, against other routes that also explain the measurements; NaN if it is unknown.
+    routes: probability and path of each route, this one first; empty if nothing but the fixes determines it.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`.
     """
 
@@ -432,6 +432,7 @@ class Estimate(OneLineRepr):
     probability: float = np.nan
     warnings: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
+    routes: tuple[tuple[float, Trajectory], ...] = ()
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:
@@ -444,6 +445,6 @@ class Estimate(OneLineRepr):
         return self.reports.get("beacons", ())
 
     def _summary(self) -> list[str]:
-        state = "converged" if self.converged else "not converged"
-        counts = [f"{len(rows)} {kind}" for kind, rows in self.reports.items() if rows]
+        state, kinds = "converged" if self.converged else "not converged", self.reports.items()
+        counts = [f"{len(rows)} {kind}" for kind, rows in kinds if rows]
         return [count(len(self.trajectory), "pose"), *time_span(self.trajectory), *counts, state]

@@ -1,5 +1,6 @@
 """Absolute directions: what the compass says of real walks, where gait says ahead is, and re-holds put into walks."""
 
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -8,11 +9,14 @@ from tables import publish, table
 
 from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.frames import enu
+from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.heading import braking_axis, forward_axis, reading_axis, walking_direction
 from pdr_graph.gait.signals import gait_signals
+from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io import load
+from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.papers.heading_methods import principal_axis
 from pdr_graph.simulation.carrying import with_grip_change
 from pdr_graph.simulation.scenario import Scenario
@@ -26,6 +30,8 @@ AXES = {
     "the y axis of a phone that is read": reading_axis,
     "**both, our default**": forward_axis,
 }
+LIVE_WALKS, EARLY = 12, 45.0  # per hold; [s] since the first step
+SENSORS = ("accelerometer", "gyroscope", "magnetometer")
 ROUGHLY = 40  # [deg]
 SHARES, TURN = (0.3, 0.4, 0.5, 0.6, 0.7), np.pi / 2  # of the walk; [rad]
 
@@ -51,26 +57,101 @@ def compass(data):
         rows.append([name, len(paths), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
     header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
     publish("accuracy.md", "compass", table(header, rows))
+    live(groups)
     ahead([path for paths in groups.values() for path in paths])
     reheld([path for paths in groups.values() for path in paths])
     put_away()
 
 
 def heading_errors(path):
-    """Errors and sigmas of a walk's headings [rad]: the walked way, turned as they say, against the truth."""
+    """Errors and sigmas of a walk's headings [rad]."""
+    walk, frame, truth = with_truth(path)
+    gaits = gait_signals(walk)
+    headings = magnetic_headings(gaits, frame, np.zeros(2))
+    return np.array([errors_of(headings.time, headings.heading, detect_steps(gaits), truth), headings.sigma])
+
+
+def with_truth(path):
+    """A recording, the frame of its truth, and the truth in it."""
     walk = load(path)
     truth = walk.truth if walk.truth is not None else walk.fixes[::12]
     frame = enu(*(truth.position[0][::-1] if truth.epsg else HANGZHOU))
-    gaits, truth = gait_signals(walk), frame.place(truth)
-    headings, steps = magnetic_headings(gaits, frame, np.zeros(2)), detect_steps(gaits)
+    return walk, frame, frame.place(truth)
+
+
+def errors_of(times, headings, steps, truth):
+    """Errors of headings [rad]: the walked way, turned as they say, against the truth."""
     heading = np.cumsum(steps.turn)
     way, errors = np.cumsum(steps.length * np.exp(1j * (heading - steps.turn / 2))), []
-    for time, said in zip(headings.time, headings.heading, strict=True):
+    for time, said in zip(times, headings, strict=True):
         near = np.abs(truth.time - time) < NEAR
         walked_, true = np.diff(np.interp(truth.time[near], steps.time, way)), np.diff(truth.position[near] @ [1, 1j])
         turned = np.angle(np.sum(true * walked_.conj()))
-        errors.append(wrap_angle(said - np.interp(time, steps.time, heading) - turned))
-    return np.array([errors, headings.sigma])
+        since_start = np.interp(time, [steps.start, *steps.time], [0.0, *heading])
+        errors.append(wrap_angle(said - since_start - turned))
+    return np.array(errors)
+
+
+def live(groups):
+    """The first headings of the live compass: when, and how honest, on real walks and simulated ones in five holds."""
+    rows = [live_row(name, [live_recorded(path) for path in paths]) for name, paths in groups.items()]
+    rows += [
+        live_row(f"simulated, {hold}", [live_simulated(hold, seed) for seed in range(LIVE_WALKS)]) for hold in HOLDS
+    ]
+    first = [
+        "first heading after [s]: median",
+        "90 %",
+        "error [deg]: median",
+        "largest",
+        "sigma: median",
+        "rms error / sigma",
+    ]
+    early = ["headings of the first 45 s", "error: largest [deg]", "rms error / sigma", "beyond 2 sigma"]
+    publish("accuracy.md", "live compass", table(["walks", "", "with a heading", *first, *early], rows))
+
+
+def live_row(name, walks):
+    """A row of the table from the headings of each walk: seconds since the first step, error and sigma [rad]."""
+    first, early = np.array([walk[0] for walk in walks if len(walk)]), np.concatenate(walks)
+    early = early[early[:, 0] < EARLY]
+    error, z = np.degrees(np.abs(first[:, 1])), first[:, 1] / first[:, 2]
+    later = early[:, 1] / early[:, 2]
+    when = [f"{np.percentile(first[:, 0], share):.0f}" for share in (50, 90)]
+    cells = [f"{np.median(error):.0f}", f"{error.max():.0f}", f"{np.degrees(np.median(first[:, 2])):.0f}"]
+    largest = f"{np.degrees(np.abs(early[:, 1]).max()):.0f}"
+    honest = [f"{np.sqrt(np.mean(later**2)):.2f}", f"{100 * np.mean(np.abs(later) > 2):.0f} %"]
+    return [name, len(walks), len(first), *when, *cells, f"{np.sqrt(np.mean(z**2)):.2f}", len(early), largest, *honest]
+
+
+def live_headings(recording, frame):
+    """The headings as they are reported: moment of the report [s], time [s], heading and sigma [rad]."""
+    compass, found = LiveCompass(), []
+    compass.locate(frame, np.zeros(2), recording.epoch)
+    gait = StepStream(listener=compass.update, preview=compass.preview)
+    for event in events_of(recording):
+        if isinstance(event, Samples):
+            push = compass.push if event.sensor == "magnetometer" else partial(gait.push, event.sensor)
+            push(event.time, event.values)
+            gait.advance()
+            found += [(event.time[-1], one.time, one.heading, one.sigma) for one in compass.advance()]
+    return np.array([row for row in found if np.isfinite(row[3])]).reshape(-1, 4)
+
+
+def live_recorded(path):
+    """Of a real walk: seconds since the first step, error and sigma of each heading."""
+    walk, frame, truth = with_truth(path)
+    (moment, time, heading, sigma), steps = live_headings(walk, frame).T, detect_steps(walk)
+    start = steps.time[0] - steps.duration[0]
+    return np.column_stack([moment - start, errors_of(time, heading, steps, truth), sigma])
+
+
+def live_simulated(hold, seed):
+    """The same of a simulated walk: 110 m with two corners, after three seconds of standing."""
+    route = [[0, 0], {"stand": 3}, {"to": [[40, 0], [40, 30], [0, 30]]}]
+    walk = simulate(Scenario.of({"seed": seed, "route": route, "phone": {"hold": hold, "rate": 50}}))
+    moment, time, heading, sigma = live_headings(walk.recording(*SENSORS), walk.frame).T
+    error = wrap_angle(heading - np.interp(time, walk.body.time, walk.body.heading))
+    return np.column_stack([moment - 3, error, sigma])
 
 
 def ahead(paths):

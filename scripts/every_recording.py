@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from lifelog_chains import as_one
 from lifelog_days import days, km, lengths, name, off
-from live import LAG, campus, eight, followed, mall, museum, on_campus
+from live_cases import campus, eight, mall, museum, on_campus
+from live_runs import followed
 from microsoft import HELP, graph_of
 from recorded import WAYPOINT_NOISE, gaps, helped, ipin21_landmarks, nju_walk, withheld
 from steps import beside, oxford
@@ -128,7 +129,7 @@ def scored(group, help_, recording, case):
     """A case by all methods."""
     walk = case.walk
     graph = graph_of(walk, levels=walk.levels, floor=case.plan)
-    tracks = offline(graph, smooth(graph)) | {ONLINE: followed(case, LAG).causal}
+    tracks = offline(graph, smooth(graph)) | {ONLINE: followed(case).causal}
     return row(group, help_, recording, case.given, tracks, walk.truth, case.noise)
 
 

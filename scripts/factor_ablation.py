@@ -114,7 +114,7 @@ def losses():
     return f"one in five of the given waypoints moved by 50 to 500 m: {gaussian}; with both losses {robust}."
 
 
-def all_believed(steps, fixes, sigma, used):
+def all_believed(steps, fixes, sigma, used, share=None):
     """No doubt about any fix."""
     return np.where(used, 0, -1), used
 

@@ -1,11 +1,12 @@
 """Walks with no waypoint given, only what other walks of the floor heard: for docs/accuracy.md."""
 
 import numpy as np
-from recorded import INSIDE_90, WAYPOINT_NOISE, gaps
+from recorded import WAYPOINT_NOISE, gaps
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
 from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
+from pdr_graph.evaluation import REGION_90
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.types import Fixes
@@ -79,7 +80,7 @@ def fingerprints(data):
         coverage = "—" if within[0] is None else f"{100 * np.concatenate(within).mean():.0f} %"
         rows.append([method, len(errors), *percentiles(errors), coverage])
     header = ["walks with fixes, no waypoint given", "waypoints", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region"]
-    one, ninety = (np.abs(shares) < 1).mean(), ((shares**2).sum(axis=1) < INSIDE_90).mean()
+    one, ninety = (np.abs(shares) < 1).mean(), ((shares**2).sum(axis=1) < REGION_90).mean()
     said = f"Of {len(shares)} fixes {100 * one:.0f} % are, per axis, within their own sigma of the walk smoothed with"
     said += f" its waypoints (68 % if normal), {100 * ninety:.0f} % in their 90 % region; rms {rms(shares):.2f} sigma."
     by_walk = ["walk", "waypoints", "fixes", "their sigma [m]", "error / sigma (rms)"]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from mutations import inputs, mutated, simulated_if_short
+from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
 
 from pdr_graph import InputError, detect_steps, io, read_fixes, read_trajectory
 from pdr_graph.floor.building import Building
@@ -30,8 +30,8 @@ def record(path):
         detect_steps(walk)
 
 
-def plan(path):
-    problems(Building.load(path))
+def plan(name):
+    return lambda path: problems(Building.load(path, PLAN_SCALES.get(name)))
 
 
 def fixes(path):
@@ -83,7 +83,7 @@ def main():
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     recordings, tables, plans = inputs()
     cases = [(name, *given, record) for name, given in recordings.items()]
-    cases += [(name, *given, plan) for name, given in plans.items()]
+    cases += [(name, *given, plan(name)) for name, given in plans.items()]
     cases += [("scenario", *tables["scenario"], simulated_if_short)]
     cases += [("fixes", *tables["fixes"], fixes), ("trajectory", *tables["trajectory"], read_trajectory)]
     wanted = sys.argv[2:]

@@ -5,16 +5,15 @@ some words, separated by commas: ``beacons:`` of a family, ``swapped,moved`` of 
 without words, all. Tune on the walks of development; the published table has those held back.
 """
 
-import argparse
 import os
 import sys
-import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 from integrity_recorded import recorded
+from integrity_rows import HELD_BACK, is_wanted, make_rows
 from integrity_scores import HEADER, cells, reliability, score
 from integrity_walks import INDOORS, LOOPS, OUTDOORS, measured, simulated_walk
 from tables import publish, table
@@ -23,7 +22,6 @@ from pdr_graph import smooth
 
 WALKS, FEWER = 80, 15  # of each family; of those in which a walk takes 10 to 60 s:
 LONG = ("GNSS, beacons", "beacons, GNSS", "beacons", "plan")
-DEVELOPMENT, HELD_BACK = 0, 100_000  # first seed; tuning is done on the former alone
 DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 
 
@@ -106,7 +104,9 @@ LIE = ": "  # in the name of a source that lies
 
 def integrity(data, wanted=(), walks=None, first=HELD_BACK):
     """The tables. wanted: words of which a row's name has one; walks: of each family; first: seed of the first walk."""
-    rows = [(name, row) for name, (_, some) in FAMILIES.items() for row in some if matches(name, row, wanted)]
+    rows = [
+        (name, row) for name, (_, some) in FAMILIES.items() for row in some if is_wanted(f"{name}: {row.name}", wanted)
+    ]
     found = scores_by_row(rows, walks, first)
     lines = [
         [FAMILIES[name][0], row.name, *cells(found[name, row.given], row.without and found[name, row.without])]
@@ -140,11 +140,6 @@ def scores_by_row(rows, walks, first):
     return found
 
 
-def matches(family, row, wanted):
-    """Whether a row is wanted."""
-    return not wanted or any(word.lower() in f"{family}: {row.name}".lower() for word in wanted)
-
-
 def scores_of(job):
     """The scores of one walk by what is given."""
     family, seed, needed = job
@@ -153,22 +148,13 @@ def scores_of(job):
     return {given: score(smooth(measured(walk, given).graph()), walk.truth) for given in needed}
 
 
-def main(arguments):
-    """Make some rows quickly."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", help="words in the names of rows")
-    parser.add_argument("--walks", type=int, help=f"of each family; {WALKS}, of long ones {FEWER}")
-    parser.add_argument("--held-back", action="store_true", help="not the walks of development")
-    parser.add_argument("--write", action="store_true", help="into docs/accuracy.md")
-    options = parser.parse_args(arguments)
-    wanted = [word.strip() for words in options.rows for word in words.split(",")]
-    began = time.time()
+def some_rows(wanted, walks, first):
+    """Some tables: of simulated walks, or of the recordings."""
     if wanted == ["recordings"]:
         recorded(DATA)
     else:
-        integrity(DATA, wanted, options.walks, HELD_BACK if options.held_back else DEVELOPMENT)
-    print(f"{time.time() - began:.0f} s", file=sys.stderr)
+        integrity(DATA, wanted, walks, first)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    make_rows(some_rows, sys.argv[1:], __doc__, f"of each family; {WALKS}, of long ones {FEWER}")

@@ -4,14 +4,13 @@ python scripts/integrity_live.py [WORDS] [--walks N] [--held-back] [--write] mak
 one of some words. Tune on the walks of development; the published table has those held back.
 """
 
-import argparse
 import sys
-import time
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from integrity_rows import HELD_BACK, is_wanted, make_rows
 from integrity_scores import LEAST_COVERAGE, Score, score, share
 from integrity_walks import INDOORS, OUTDOORS, measured, simulated_walk
 from tables import publish, table
@@ -24,7 +23,7 @@ from pdr_graph.types import Estimate, Steps
 
 WALKS = 30  # of each row
 LAG = 60.0  # [s]
-DEVELOPMENT, HELD_BACK = 50_000, 150_000  # first seed; tuning is done on the former alone
+OWN = 50_000  # first seed of the walks of this table, beside those of others
 ROWS = {  # what the navigator is given
     OUTDOORS: [("GNSS",), ("GNSS: 10 m off",), ("GNSS: 3 times as sure",)],
     INDOORS: [
@@ -54,8 +53,8 @@ def integrity_live(wanted=(), walks=None, first=HELD_BACK):
     """The table. wanted: words of which a row's name has one; walks: of each row; first: seed of the first walk."""
     jobs, lines = [], []
     for setting, rows in ROWS.items():
-        rows = [row for row in rows if matches(setting, row, wanted)]
-        jobs += [(setting, row, first + seed) for row in rows for seed in range(walks or WALKS)]
+        rows = [row for row in rows if is_wanted(f"{setting}: {', '.join(row)}", wanted)]
+        jobs += [(setting, row, OWN + first + seed) for row in rows for seed in range(walks or WALKS)]
     found = {}
     with ProcessPoolExecutor() as pool:
         for (setting, row, _), one in zip(jobs, pool.map(scores_of, jobs), strict=True):
@@ -63,11 +62,6 @@ def integrity_live(wanted=(), walks=None, first=HELD_BACK):
     for (setting, row), some in found.items():
         lines.append([setting, ", ".join(row), len(some), *cells(some)])
     publish("accuracy.md", "integrity live", table(HEADER, lines))
-
-
-def matches(setting, row, wanted):
-    """Whether a row is wanted."""
-    return not wanted or any(word.lower() in f"{setting}: {', '.join(row)}".lower() for word in wanted)
 
 
 def scores_of(job):
@@ -118,19 +112,5 @@ def cells(scores):
     return [*row, share([one.smoothed.verdict != "ok" for one in scores])]
 
 
-def main(arguments):
-    """Make some rows quickly."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", nargs="*", help="words in the names of rows")
-    parser.add_argument("--walks", type=int, help=f"of each row; {WALKS}")
-    parser.add_argument("--held-back", action="store_true", help="not the walks of development")
-    parser.add_argument("--write", action="store_true", help="into docs/accuracy.md")
-    options = parser.parse_args(arguments)
-    wanted = [word.strip() for words in options.rows for word in words.split(",")]
-    began = time.time()
-    integrity_live(wanted, options.walks, HELD_BACK if options.held_back else DEVELOPMENT)
-    print(f"{time.time() - began:.0f} s", file=sys.stderr)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    make_rows(integrity_live, sys.argv[1:], __doc__, f"of each row; {WALKS}")

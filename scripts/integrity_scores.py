@@ -4,10 +4,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from recorded import INSIDE_90
 from tables import table
 
-from pdr_graph.evaluation import pair
+from pdr_graph.evaluation import REGION_90, pair
 from pdr_graph.geometry import interpolate
 
 TIMES, SLACK = 1.25, 0.3  # [-], [m]: no harm if the error is at most TIMES that without the source, plus SLACK
@@ -73,8 +72,8 @@ def score(estimate, truth, noise=0.0):
     small, large = np.sqrt(np.maximum(variance, 1e-12)).T
     return Score(
         error=np.hypot(*gap.T),
-        inside=np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < INSIDE_90,
-        size=np.sqrt(INSIDE_90 * small * large),
+        inside=np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < REGION_90,
+        size=np.sqrt(REGION_90 * small * large),
         radius=large * np.interp(small / large, RATIO, RADIUS_95),
         probability=estimate.probability,
         verdict=verdict_of(estimate),

@@ -73,20 +73,26 @@ class SimulatedWalk:
 def simulated_walk(setting, seed):
     """Walk of a setting: another walker, phone and route for each seed."""
     random = np.random.default_rng((seed, 7))
-    content = {"seed": seed, "phone": {"rate": 50, "disturbance": topology.DISTURBANCE}}
-    if setting == INDOORS:
-        path = topology.MAPS / f"{PLANS[seed % len(PLANS)]}.geojson"
-        plan = topology.loaded(path, None)
-        corners = topology.route(plan, random, WAYS)
-        content |= {"plan": str(path), "floor": plan.label}
-    else:
-        plan, corners = None, (route_outdoors if setting == OUTDOORS else nearly_closed)(random)
+    plan, corners, content = route_of(setting, seed, random, WAYS)
+    content |= {"seed": seed, "phone": {"rate": 50, "disturbance": topology.DISTURBANCE}}
     simulation = simulate(Scenario.of(content | {"route": with_stands(corners, random)}))
     gaits = gait_signals(simulation.recording())
     steps, factor = detect_steps(gaits), np.exp(topology.STRIDE * random.standard_normal())
     steps = replace(steps, length=factor * steps.length, sigma_length=factor * steps.sigma_length)
     headings = magnetic_headings(gaits, simulation.frame, corners[0])
     return SimulatedWalk(setting, seed, steps, headings, simulation.truth[::EVERY], simulation.body, plan)
+
+
+def route_of(setting, seed, random, length):
+    """The plan, None without; the corners of a route ``(k, 2)`` [m]; and what the scenario says of the plan.
+
+    length: shortest and longest, indoors [m].
+    """
+    if setting != INDOORS:
+        return None, (route_outdoors if setting == OUTDOORS else nearly_closed)(random), {}
+    path = topology.MAPS / f"{PLANS[seed % len(PLANS)]}.geojson"
+    plan = topology.loaded(path, None)
+    return plan, topology.route(plan, random, length), {"plan": str(path), "floor": plan.label}
 
 
 def route_outdoors(random):

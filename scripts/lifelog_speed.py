@@ -142,7 +142,7 @@ def fleet_rows():
     """The same days by this process, by joblib and by Dask."""
     with TemporaryDirectory() as folder:
         ways = {"one process": ({}, 0), "joblib, 2 workers": ({"workers": 2}, 0)}
-        ways |= {f"Dask, {n} worker{'s' * (n > 1)}": ({}, n) for n in (1, 2)}
+        ways |= {f"Dask, {n} worker{'s' * (n > 1)}": ({}, n) for n in (1, 2, 4)}
         rows, first, slowest = [], None, None
         for number, (name, (options, dask)) in enumerate(ways.items()):
             log = lifelog(Path(folder) / str(number), PEOPLE, DAYS, DAILY)

@@ -26,14 +26,29 @@ METHODS = {
 }
 
 
-@cache
-def recordings(data):
-    """The fifteen: each recording, and the walk with all its waypoints as truth and no fix."""
+def recording_paths(data):
+    """The files of the fifteen."""
     paths = sorted((data / "ms_indoor20").glob("site*/*/*.txt"))
     if not paths:
         raise SystemExit(f"no recordings under {data} (set PDR_GRAPH_DATA)")
-    floors = {folder: FloorPlan.load(folder) for folder in {p.parent for p in paths}}
-    return [walk_of(io.load(path), floors[path.parent], path) for path in paths]
+    return paths
+
+
+@cache
+def recordings(data):
+    """The fifteen: each recording, and the walk with all its waypoints as truth and no fix."""
+    return [recording_at(path) for path in recording_paths(data)]
+
+
+@cache
+def recording_at(path):
+    """One recording, and the walk with all its waypoints as truth and no fix."""
+    return walk_of(io.load(path), _floor(path.parent), path)
+
+
+@cache
+def _floor(folder):
+    return FloorPlan.load(folder)
 
 
 def walk_of(recording, floor, path):
@@ -46,8 +61,14 @@ def walk_of(recording, floor, path):
 
 def helped_walks(data, given):
     """Each recording that has a waypoint left to be scored at, and its walk."""
-    both = [(recording, helped(walk, HELP[given](len(walk.truth)))) for recording, walk in recordings(data)]
+    both = [helped_walk(one, given) for one in recordings(data)]
     return [(recording, walk) for recording, walk in both if len(walk.truth)]
+
+
+def helped_walk(one, given):
+    """A recording, and its walk with the waypoints that are given as fixes; the others are its truth."""
+    recording, walk = one
+    return recording, helped(walk, HELP[given](len(walk.truth)))
 
 
 def microsoft_walks(data):

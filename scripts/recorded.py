@@ -7,7 +7,7 @@ import numpy as np
 from pdr_graph import FloorPlan, detect_steps, io, magnetic_headings, read_fixes
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.floors import floors_along
-from pdr_graph.evaluation import pair
+from pdr_graph.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
 from pdr_graph.frames import enu
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.steps import with_stair_lengths
@@ -18,7 +18,6 @@ from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 SIGMA = 0.5  # [m] stated of a waypoint that is given
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start
 WAYPOINT_NOISE = 0.66 / np.sqrt(2)  # [m] per axis, of the taps of Microsoft's surveyors
-INSIDE_90 = 4.605  # χ² of two degrees of freedom
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,9 @@ def gaps(track, truth, noise=0.0):
     large that is [m], the radius of a circle of its area. noise: of the truth itself, per axis [m].
     """
     pairs = pair(track, truth)
-    parts = track.covariance[:, :2, :2].reshape(-1, 4).T
-    covariance = np.stack([np.interp(pairs.time, track.time, v) for v in parts], 1).reshape(-1, 2, 2)
-    covariance = covariance + noise**2 * np.eye(2)
-    gap = pairs.estimate - pairs.truth
-    inside = np.einsum("ni,nij,nj->n", gap, np.linalg.inv(covariance), gap) < INSIDE_90
-    return np.hypot(*gap.T), inside, np.sqrt(INSIDE_90) * np.linalg.det(covariance) ** 0.25
+    covariance = stated_covariance(track, pairs.time) + noise**2 * np.eye(2)
+    size = np.sqrt(REGION_90) * np.linalg.det(covariance) ** 0.25
+    return circular_error(pairs), in_region(pairs, covariance), size
 
 
 def coverage(track, truth):

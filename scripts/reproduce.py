@@ -18,8 +18,10 @@ import integrity
 import integrity_live
 import lifelog_chains
 import lifelog_days
+import lifelog_diary
 import lifelog_visits
 import live
+import localization
 import map_matching
 import microsoft
 import outliers
@@ -36,9 +38,10 @@ DATA = Path(os.environ.get("PDR_GRAPH_DATA", Path(__file__).resolve().parents[2]
 
 
 def lifelog():
-    """The four tables of the lifelog."""
+    """The six tables of the lifelog."""
     lifelog_chains.lifelog_chains(DATA)
     lifelog_days.lifelog_days(DATA)
+    lifelog_diary.lifelog_diary(DATA)
     lifelog_visits.lifelog_visits()
 
 
@@ -61,6 +64,7 @@ MADE = {  # in the order of the page
     "protection": lambda: protection.protection(DATA),
     "outliers": lambda: outliers.outliers(DATA, dict(microsoft.microsoft_walks(DATA))["every second waypoint"]),
     "topology": lambda: topology.topology(DATA),
+    "localization": lambda: localization.localization(DATA),
     "fingerprints": lambda: fingerprints.fingerprints(DATA),
     "floors": lambda: floors.floors(DATA),
     "steps": lambda: steps.steps(DATA),

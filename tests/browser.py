@@ -14,6 +14,8 @@ PATIENCE = 30.0  # [s] for a page to be drawn, on a machine that others compute 
 OFFLINE = {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
 ARGUMENTS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--window-size=1280,900")
 
+LOOPBACK_ALONE = "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1"
+
 
 def found():
     """Chromium and its driver; a test that needs them skips, or fails under PDR_GRAPH_REQUIRE_BROWSER=1."""
@@ -28,33 +30,28 @@ def found():
 
 
 @contextmanager
-def chromium():
-    """A browser, offline, that tells what it logs and asks for."""
+def chromium(offline=True, arguments=()):
+    """A browser that tells what it logs and asks for; offline, or with servers of this machine alone."""
     binary, driver = found()
     options = webdriver.ChromeOptions()
     options.binary_location = binary
-    for argument in ARGUMENTS:
+    for argument in (*ARGUMENTS, *arguments, *(() if offline else (LOOPBACK_ALONE,))):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     browser = webdriver.Chrome(options=options, service=Service(driver))
     try:
         browser.execute_cdp_cmd("Network.enable", {})
-        browser.execute_cdp_cmd("Network.emulateNetworkConditions", OFFLINE)
+        if offline:
+            browser.execute_cdp_cmd("Network.emulateNetworkConditions", OFFLINE)
         yield browser
     finally:
         browser.quit()
 
 
-class Page:
-    """A report that is shown."""
+class ShownPage:
+    """A page in a browser."""
 
-    def __init__(self, browser, path, width=1280, height=900):
-        self.browser = browser
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        browser.get_log("browser"), browser.get_log("performance")
-        browser.get(path.resolve().as_uri())
-        self.until("return performance.getEntriesByName('whole').length > 0")
+    browser: webdriver.Chrome
 
     def run(self, script, *arguments):
         return self.browser.execute_script(script, *arguments)
@@ -66,6 +63,22 @@ class Page:
             assert time.monotonic() < end, f"{script}: not within {PATIENCE} s; {self.errors}"
             time.sleep(0.02)
 
+    @property
+    def errors(self):
+        return [entry["message"] for entry in self.browser.get_log("browser")]
+
+
+class Page(ShownPage):
+    """A report that is shown."""
+
+    def __init__(self, browser, path, width=1280, height=900):
+        self.browser = browser
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        browser.get_log("browser"), browser.get_log("performance")
+        browser.get(path.resolve().as_uri())
+        self.until("return performance.getEntriesByName('whole').length > 0")
+
     def slide(self, when):
         """Set the slider as a hand does, and wait for what follows from it."""
         self.run(
@@ -74,10 +87,6 @@ class Page:
             when,
         )
         self.until("return window.shown")
-
-    @property
-    def errors(self):
-        return [entry["message"] for entry in self.browser.get_log("browser")]
 
     @property
     def asked_for(self):

@@ -6,6 +6,7 @@ import random
 import zipfile
 from dataclasses import fields, replace
 
+import drawn_plans
 import shapely
 from recorders import EXPORTS, phyphox, sample
 
@@ -58,9 +59,9 @@ def geolife():
     return head + "".join(f"39.9,116.3{n},0,492,39747.11240{n},2008-10-26,02:41:5{n}\n" for n in range(6))
 
 
-def plan(ipin=False):
+def plan(ipin=False, local=False):
     shift = (566e3, 5932e3) * 2 if ipin else (8, 49) * 2
-    scale = 1.0 if ipin else 1e-5
+    scale = 1.0 if ipin or local else 1e-5
     boxes = {"corridor": (0, 0, 9, 2), "room": (0, 2, 9, 6), "wall": (0, 2, 4, 2.2), "door": (4, 2, 5, 2.2)}
     boxes["stairs"] = (0, -3, 2, 0)
     features = []
@@ -71,9 +72,60 @@ def plan(ipin=False):
     about = (
         {"crs": {"properties": {"name": "EPSG::32632"}}}
         if ipin
-        else {"pdr_graph": {"origin": [8.0, 49.0], "heights": {"0": 0, "1": 4}}}
+        else {"pdr_graph": ({"frame": "local"} if local else {"origin": [8.0, 49.0]}) | {"heights": {"0": 0, "1": 4}}}
     )
     return json.dumps({"type": "FeatureCollection", **about, "features": features})
+
+
+def placed(box):
+    """The GeoJSON geometry of a box in metres."""
+    return json.loads(shapely.to_geojson(shapely.box(*(v * 1e-5 + o for v, o in zip(box, (8, 49) * 2, strict=True)))))
+
+
+def imdf():
+    """A level with a walkway, an office and stairs, and an opening."""
+
+    def file(*features):
+        return json.dumps({"type": "FeatureCollection", "features": list(features)})
+
+    def feature(box, **properties):
+        return {"type": "Feature", "id": properties.pop("id", "x"), "properties": properties, "geometry": placed(box)}
+
+    level = feature((0, 0, 9, 9), id="g", ordinal=0, short_name={"en": "G"}, building_ids=["b"], outdoor=False)
+    boxes = {"walkway": (0, 0, 9, 2), "office": (0, 2, 5, 6), "stairs": (5, 2, 9, 6)}
+    units = [feature(box, id=c, category=c, level_id="g", name={"en": c}) for c, box in boxes.items()]
+    return {
+        "level.geojson": file(level),
+        "unit.geojson": file(*units),
+        "opening.geojson": file(feature((2, 1.9, 3, 2.1), level_id="g", category="pedestrian")),
+        "manifest.json": json.dumps({"version": "1.0.0", "language": "en"}),
+    }
+
+
+INDOOR = {
+    "corridor": ((0, 0, 9, 2), {"indoor": "corridor", "level": "0;1"}),
+    "room": ((0, 2, 5, 6), {"indoor": "room", "level": "0", "name": "shop"}),
+    "stairs": ((5, 2, 9, 6), {"indoor": "room", "stairs": "yes", "level": "0-1"}),
+}
+
+
+def osm_geojson(first=0):
+    """INDOOR on the levels from `first` on, and a door."""
+    features = [{"type": "Feature", "properties": tags, "geometry": placed(box)} for box, tags in INDOOR.values()]
+    door = {"type": "Point", "coordinates": [8.00002, 49.00002]}
+    features.append({"type": "Feature", "properties": {"door": "yes", "level": "0"}, "geometry": door})
+    text = json.dumps({"type": "FeatureCollection", "features": features})
+    return text.replace('"0;1"', f'"{first};{first + 1}"').replace('"0-1"', f'"{first}"').replace('"0"', f'"{first}"')
+
+
+def osm():
+    lines = ["<?xml version='1.0' encoding='UTF-8'?>", "<osm version='0.6'>"]
+    for n, (box, tags) in enumerate(INDOOR.values()):
+        corners = placed(box)["coordinates"][0][:4]
+        lines += [f"<node id='{4 * n + k}' lat='{lat}' lon='{lon}'/>" for k, (lon, lat) in enumerate(corners)]
+        refs = "".join(f"<nd ref='{4 * n + k % 4}'/>" for k in range(5))
+        lines.append(f"<way id='{n}'>{refs}" + "".join(f"<tag k='{k}' v='{v}'/>" for k, v in tags.items()) + "</way>")
+    return "\n".join([*lines, "<node id='99' lat='49.00002' lon='8.00002'><tag k='door' v='yes'/></node>", "</osm>"])
 
 
 SCENARIO = """seed = 3
@@ -100,6 +152,9 @@ a = [1, 2]
 [wifi]
 access_points = 3
 """
+
+
+PLAN_SCALES = {"cad lines": 1.0, "dxf": None, "picture": 0.1, "pdf": 0.0353}  # [m] per unit, of plans that need one
 
 
 def simulated_if_short(path):
@@ -130,6 +185,15 @@ def inputs():
     plans = {
         "own plan": ("plan.geojson", plan().encode()),
         "ipin21 plan": ("Plan4OG.geojson", plan(ipin=True).encode()),
+        "imdf archive": ("imdf.zip", imdf()),
+        "osm indoor xml": ("mall.osm", osm().encode()),
+        "osm indoor geojson": ("mall.geojson", osm_geojson().encode()),
+        "a file per floor": ("house.zip", {"house/0.geojson": plan(), "house/2.geojson": osm_geojson(first=2)}),
+        "local plan": ("local.geojson", plan(local=True).encode()),
+        "cad lines": ("lines.csv", _encoded(drawn_plans.csv(drawn_plans.segments(drawn_plans.walls())))),
+        "dxf": ("plan.dxf", drawn_plans.file_bytes(lambda folder: drawn_plans.dxf(folder / "a.dxf"))),
+        "picture": ("plan.png", drawn_plans.file_bytes(lambda folder: drawn_plans.picture(0.1).save(folder / "a.png"))),
+        "pdf": ("plan.pdf", drawn_plans.file_bytes(lambda folder: drawn_plans.pdf(folder / "a.pdf"))),
     }
     return recordings, tables, plans
 

@@ -165,6 +165,17 @@ def geolife(s):
     return head + "".join(f"{lat:.8f},{lon:.8f},0,492,{day:.10f},2023-11-14,22:13:20\n" for (lon, lat), day in rows)
 
 
+def past_day(s):
+    """The positions alone, as `lifelog import` keeps a day of them."""
+    rows = zip(s.fix_time, s.lonlat, s.accuracy, strict=True)
+    lines = [
+        f"{round((UNIX + t) * 1e3)},{round(lat * 1e7)},{round(lon * 1e7)},{round(accuracy * 100)},gps\n"
+        for t, (lon, lat), accuracy in rows
+    ]
+    head = f"# pdr_graph past, {len(lines)} positions, 0 receptions, me\n"
+    return f"{head}milliseconds,lat_e7,lon_e7,accuracy_cm,source\n{''.join(lines)}"
+
+
 def columns(*arrays, delimiter=" ", form="{:.12e}"):
     return "\n".join(delimiter.join(form.format(v) for v in row) for row in np.column_stack(arrays)) + "\n"
 
@@ -205,6 +216,7 @@ EXPORTS = {
     "oxford_steps": ("walk.csv", oxford_steps),
     "geolife": ("walk.plt", geolife),
     "gpx": ("walk.gpx", gpx),
+    "past_day": ("walk.csv", past_day),
 }
 
 

@@ -21,15 +21,17 @@ Building(floors)
 Calibration(start, value, covariance, prior_sigma)
 Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
-contradictions=)
+contradictions=, routes=)
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
-Headings(time, heading, sigma)
+Headings(time, heading, sigma, source=)
 InputError(source, place, found, expected)
 Journal(path, database, make, restored, every)
-Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, epoch=)
-Pose(time, x, y, heading, floor, covariance)
+Mode(probability, x, y, heading, covariance)
+Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
+start_heading_sigma=, epoch=, executor=)
+Pose(time, x, y, heading, floor, covariance, modes=, display=)
 Prior(mean=, sigma=, change=, correlation=, wall_margin=, wall_sigma=, corridors=, fix_flat=)
 Recording(source, clock_origin, epoch, accelerometer=, gyroscope=, magnetometer=, linear_acceleration=, barometer=, \
 fixes=, bluetooth=, wifi=, beacons=, truth=, measurements=, notes=)
@@ -185,7 +187,7 @@ def test_an_estimate_is_scored_in_the_clock_of_the_recording(given):
 
 
 def test_live_events_make_a_pose_and_nouns_are_frozen(given):
-    nav = pdr.Navigator(frame=given["frame"])
+    nav = pdr.Navigator()
     for event in (e for e in pdr.events_of(given["recording"]) if isinstance(e, pdr.Samples) and e.time[0] < 20):
         nav.push(event)
     assert isinstance(nav.pose, pdr.Pose)
@@ -259,7 +261,7 @@ MISTAKES = {
         ),
         "found FloorPlan, expected Frame",
     ),
-    "a recording as a plan": (lambda g: pdr.FloorPlan.load(g["path"]), "expected a floor plan's file"),
+    "a folder without a plan": (lambda g: pdr.FloorPlan.load(Path(__file__).parent), "expected a floor plan, a file"),
     "fixes as a plan": (lambda g: pdr.FloorPlan.load(g["path"] / "fixes.csv"), "found no JSON"),
     "no such fixes": (lambda g: pdr.read_fixes("nowhere.csv", g["recording"]), "found no such file, expected a table"),
     "a recording at once": (lambda g: pdr.Navigator().push(g["recording"]), "found Recording, expected Samples"),

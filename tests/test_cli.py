@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -220,6 +221,8 @@ COMMANDS = [
 ]
 COMMANDS += [("map", command) for command in ("show", "check")]
 COMMANDS += [("lifelog", command) for command in ("add", "build", "show", "export")]
+CORRECTIONS = ("was-at", "merge", "split", "was", "not-me", "name", "forget", "list", "undo")
+COMMANDS += [("lifelog", "correct", command) for command in CORRECTIONS]
 
 
 def inside(*arguments):
@@ -272,7 +275,7 @@ def exported(recorder, folder):
     return path
 
 
-POSITIONS_ALONE = ("geolife", "gpx")
+POSITIONS_ALONE = ("geolife", "gpx", "past_day")
 
 
 @pytest.mark.parametrize("command", ["smooth", "replay"])
@@ -296,8 +299,9 @@ def test_a_lifelog_is_shown_without_options(tmp_path, monkeypatch):
     code, printed = inside("lifelog", "show", "days.db")
     assert code == 0
     assert "walking" in printed
-    assert printed.endswith("-> days-shown/report.html\n")
-    assert {"report.html", "day.png", "timeline.csv"} <= {file.name for file in Path("days-shown").iterdir()}
+    assert printed.endswith("-> days-shown/overview.html\n")
+    files = {file.name for file in Path("days-shown").iterdir()}
+    assert {"overview.html", "overview.png", "report.html", "day.png", "timeline.csv"} <= files
 
 
 def test_ready_scenarios_are_simulated_by_name(tmp_path, monkeypatch):
@@ -426,3 +430,24 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
     assert (code, len(errors)) == (2, 1)
     assert "frame" in errors[0]
     assert run("radio-map", first, "--out", radio_map)[0] == 2
+
+
+HOSTILE = ("walk-\udcff", "walk\x1b[31mred\a", "$\\frac", "two\nlines")  # not UTF-8; what terminals, TeX, lines obey
+
+
+@pytest.mark.parametrize("command", ["smooth", "replay"])
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_name_of_any_bytes_is_data_and_no_command(folder, tmp_path, command, name):
+    """Every result is written, the summary has the exact name, and the terminal gets one printable line for each."""
+    shutil.copy(folder / "walk.txt", tmp_path / name)
+    code, out, err = run(command, name, "--out", "result", cwd=tmp_path)
+    assert (code, err) == (0, [])
+    assert all(line.isprintable() for line in out.splitlines())
+    assert {"figure.png", "report.html", "trajectory.csv"} <= {path.name for path in (tmp_path / "result").iterdir()}
+    assert json.loads((tmp_path / "result" / "summary.json").read_text())["recording"].startswith(name)
+
+
+def test_a_result_of_a_hostile_name_is_one_line(folder, tmp_path):
+    shutil.copy(folder / "walk.txt", tmp_path / "two\nlines")
+    _, out, _ = run("smooth", "two\nlines", cwd=tmp_path)
+    assert out.splitlines()[-1] == "-> two\ufffdlines-smoothed/report.html"

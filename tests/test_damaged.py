@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from mutations import inputs, mutated, simulated_if_short
+from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
 
 from pdr_graph import InputError, io, read_fixes, read_trajectory
 from pdr_graph.floor.building import Building
@@ -42,7 +42,7 @@ def test_damaged_recordings(name, tmp_path):
 @pytest.mark.parametrize("name", PLANS)
 def test_damaged_plans(name, tmp_path):
     def check(path):
-        problems(Building.load(path))
+        problems(Building.load(path, PLAN_SCALES.get(name)))
 
     survive(name, PLANS[name], check, tmp_path)
 

@@ -13,6 +13,7 @@ HOUSE = ROOT / "pdr_graph"
 # From the top: a file may import what stands on its own floor or below
 FLOORS = [
     ["cli", "papers"],
+    ["serve"],
     ["lifelog", "evaal"],
     ["online"],
     ["pipeline"],
@@ -23,7 +24,7 @@ FLOORS = [
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io"],
     ["inertial", "floor"],
-    ["geometry", "frames", "storage", "measurements", "types", "contradiction", "columns", "errors"],
+    ["geometry", "frames", "storage", "source", "measurements", "types", "contradiction", "columns", "errors"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {
@@ -31,12 +32,24 @@ ROOMS = {
     "matplotlib": {"plotting", "lifelog"},
     "pyproj": {"frames"},
     "pygeomag": {"frames"},
-    "lxml": {"io"},
+    "lxml": {"io", "floor", "lifelog"},
+    "ezdxf": {"floor"},
+    "skimage": {"floor"},
+    "pypdfium2": {"floor"},
+    "yaml": {"floor"},
+    "PIL": {"floor"},
     "vqf": {"inertial", "papers"},
     "joblib": {"lifelog"},
+    "tzfpy": {"lifelog"},
     "dask": {"lifelog"},
+    "geopandas": {"lifelog"},
+    "pandas": {"lifelog"},
     "sqlite3": {"storage", "online", "lifelog"},
+    "starlette": {"serve"},
+    "uvicorn": {"serve"},
+    "aiomqtt": {"serve"},
     "typer": {"cli"},
+    "garmin_fit_sdk": {"lifelog"},
 }
 LONGEST_FILE, LONGEST_FUNCTION = 450, 60  # [lines]
 

@@ -47,8 +47,19 @@ def test_up_the_stairs_and_down_in_the_lift(walk, tmp_path):
             assert min(connection.distance(track.position[[row]])[0] for connection in leading) < 1.0
 
 
-def test_a_building_wants_to_know_where_the_walk_begins(walk, tmp_path):
-    assert "found 2 floors, 1, 2, expected --floor" in str(smooth(walk, tmp_path).exception)
+def test_a_building_wants_to_know_where_a_walk_with_fixes_begins(walk, tmp_path):
+    rows = [line.split(",")[:4] for line in (walk / "fixes.csv").read_text().splitlines()]
+    (tmp_path / "fixes.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    result = smooth(walk, tmp_path / "out", "--fixes", str(tmp_path / "fixes.csv"))
+    assert "found 2 floors, 1, 2, expected --floor" in str(result.exception)
+
+
+def test_without_fixes_the_floor_is_sought_with_the_place(walk, tmp_path):
+    """The barometer climbs one floor: the walk begins on the lower one."""
+    assert smooth(walk, tmp_path).exit_code in (0, 3)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert summary["floors"] == ["1", "2", "1"]
+    assert summary["routes"]
 
 
 def test_a_floor_that_the_plan_has_not_is_refused(walk, tmp_path):

@@ -51,12 +51,13 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.parametrize("write", [smooth_recording, replay_recording])
-def test_a_plan_without_any_fix_states_no_probability(write, folder, tmp_path):
+def test_a_plan_without_any_fix_states_how_probable_the_place_is(write, folder, tmp_path):
     write(folder / "walk.txt", tmp_path, Options(plan=ARCADE, recorded_fixes=False))
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["probability"] is None
-    assert any("no position fix" in warning for warning in summary["warnings"])
-    assert '["probability of this route","unknown"]' in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert summary["probability"] > 0.9
+    assert any("sought on the whole plan" in warning for warning in summary["warnings"])
+    stated = f"{summary['probability']:.0%}"
+    assert f'["probability of this route","{stated}"]' in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("method", ["graph", "pdr"])

@@ -18,7 +18,7 @@ from pdr_graph.estimation.calibration import calibrate
 from pdr_graph.estimation.consistency import stride_determined, teaches_profile
 from pdr_graph.geometry import interpolate
 from pdr_graph.pipeline import learn_radio_map
-from pdr_graph.types import Fixes, Headings
+from pdr_graph.types import Headings
 
 MAPS = Path(__file__).parent.parent / "maps"
 DOUBT = Contradiction("plan", "fixes", 3.0, "m", "the plan lies 3 m from the fixes", "the plan")
@@ -143,10 +143,13 @@ def test_with_true_fixes_on_the_plan_the_walk_is_ok_and_teaches_its_stride(arcad
     assert teaches_profile(estimate)
 
 
-def test_a_plan_and_no_position_has_failed_but_a_shape_alone_is_ok(arcade):
+def test_a_walk_that_fits_several_places_of_its_plan_is_doubtful_but_a_shape_alone_is_ok(arcade):
     steps, _, plan = arcade
-    assert sources(pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, floor=plan)))) == {"plan"}
-    assert pdr.verdict(pdr.smooth(pdr.WalkGraph(steps, floor=plan))).state == "failed"
+    estimate = pdr.smooth(pdr.WalkGraph(steps, floor=plan))
+    assert estimate.probability < 0.9
+    assert sources(pdr.verdict(estimate)) == {"route"}
+    assert pdr.verdict(estimate).state == "doubtful"
+    assert not teaches_profile(estimate)
     assert pdr.verdict(pdr.smooth(pdr.WalkGraph(steps))).ok
 
 
@@ -222,14 +225,23 @@ def smoothed(walk, out, *options, verb="smooth"):
     return done, json.loads((out / "summary.json").read_text(encoding="utf-8"))
 
 
+def moved_fixes(walk, folder):
+    """The fixes of a walk, 250 m beside its plan."""
+    first, *rows = (walk / "fixes.csv").read_text().splitlines()
+    moved = [",".join([t, str(float(x) + 250), *rest]) for t, x, *rest in (row.split(",") for row in rows)]
+    (folder / "moved.csv").write_text("\n".join([first, *moved]) + "\n")
+    return folder / "moved.csv"
+
+
 @pytest.mark.parametrize("verb", ["smooth", "replay"])
 def test_stdout_summary_and_exit_code_say_the_same(walk, tmp_path, verb):
     plan, fixes = ("--map", walk / "plan.geojson"), ("--fixes", walk / "fixes.csv")
     done, summary = smoothed(walk, tmp_path / "good", *plan, *fixes, verb=verb)
     assert (done.exit_code, done.output.startswith("ok: ")) == (0, True)
     assert summary["verdict"] == {"state": "ok", "reasons": []}
-    done, summary = smoothed(walk, tmp_path / "bad", *plan, verb=verb)
-    assert (done.exit_code, done.output.startswith("failed: ")) == (3, True)
+    elsewhere = ("--fixes", moved_fixes(walk, tmp_path))
+    done, summary = smoothed(walk, tmp_path / "bad", *plan, *elsewhere, verb=verb)
+    assert (done.exit_code, done.output.startswith("doubtful: ")) == (3, True)
     [reason] = summary["verdict"]["reasons"]
     assert reason["source"] == "plan"
     assert reason["text"] in done.output
@@ -253,12 +265,15 @@ def test_a_walk_that_is_not_ok_leaves_no_profile_and_teaches_no_radio_map(walk, 
 
 
 def test_the_navigator_says_so_while_the_walk_goes_on(walk):
+    """On the way it may name a fix that is 14 m off, which it leaves out."""
     recording = pdr.load(walk)
     plan = pdr.FloorPlan.load(walk / "plan.geojson")
     fixes = pdr.read_fixes(walk / "fixes.csv", recording, plan.frame)
-    for given, state in ((fixes, "ok"), (Fixes.none(), "failed")):
+    elsewhere = replace(fixes, position=fixes.position + np.array([250.0, 0.0]))
+    for given, state in ((fixes, "ok"), (elsewhere, "doubtful")):
         nav = pdr.Navigator(plan)
         for event in pdr.events_of(replace(recording, fixes=given)):
             nav.push(event)
-        assert nav.status.verdict.state == state
+        judged = nav.status.verdict
+        assert judged.state == state or all("fix at 24 s" in reason.text for reason in judged.reasons)
         assert pdr.verdict(nav.finish()).state == state

@@ -6,7 +6,6 @@ import gc
 import json
 import sys
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,21 +16,29 @@ import pdr_graph
 from pdr_graph.cli.lifelog import lifelog as lifelog_commands
 from pdr_graph.cli.options import (
     BeaconsPath,
+    Coordinates,
     FixesPath,
     FloorLabel,
     GnssLatency,
     MapPath,
+    Method,
     OutFolder,
+    Pairing,
+    PlanScale,
     RadioMapPath,
     RangesPath,
     Rate,
     RecordedFixes,
     RecordingPath,
+    StartHeading,
     TruthPath,
     WalkerPath,
+    lag_seconds,
 )
 from pdr_graph.cli.plans import maps
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, first_look
+from pdr_graph.cli.serve import serve
+from pdr_graph.cli.terminal import echo, echo_lines
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, first_look, printable
 
 
 class Commands(TyperGroup):
@@ -54,11 +61,12 @@ app = typer.Typer(
 )
 app.add_typer(maps, name="map")
 app.add_typer(lifelog_commands, name="lifelog")
+app.command()(serve)
 
 
 def _print_version(requested: bool) -> None:
     if requested:
-        typer.echo(f"pdr-graph {pdr_graph.__version__}")
+        echo(f"pdr-graph {pdr_graph.__version__}")
         raise typer.Exit
 
 
@@ -76,33 +84,11 @@ def about(
     """
 
 
-class Method(StrEnum):
-    """Estimation methods."""
-
-    graph = "graph"
-    filter = "filter"
-    rts = "rts"
-    pdr = "pdr"
-
-
-class Coordinates(StrEnum):
-    """Coordinates of the positions of a competition."""
-
-    lonlat = "lonlat"
-    xy = "xy"
-
-
-class Pairing(StrEnum):
-    """How an estimate is paired with a sample of the truth."""
-
-    linear = "linear"
-    nearest = "nearest"
-
-
 @app.command()
 def smooth(
     recording: RecordingPath,
     map_: MapPath = None,
+    scale: PlanScale = None,
     fixes: FixesPath = None,
     out: OutFolder = None,
     walker: WalkerPath = None,
@@ -113,6 +99,7 @@ def smooth(
     rate: Rate = None,
     gnss_latency: GnssLatency = 0.0,
     floor: FloorLabel = None,
+    start_heading: StartHeading = None,
     beacons: BeaconsPath = None,
     ranges: RangesPath = None,
     radio_map: RadioMapPath = None,
@@ -131,6 +118,7 @@ def smooth(
     folder = out or _path_named_after(recording, "-smoothed")
     options = Options(
         plan=map_,
+        scale=scale,
         fixes=fixes,
         beacons=beacons,
         ranges=ranges,
@@ -142,6 +130,7 @@ def smooth(
         rate=rate,
         gnss_latency=gnss_latency,
         floor=floor,
+        start_heading=start_heading,
     )
     _report_end(smooth_recording(recording, folder, options), folder)
 
@@ -150,6 +139,7 @@ def smooth(
 def replay(
     recording: RecordingPath,
     map_: MapPath = None,
+    scale: PlanScale = None,
     fixes: FixesPath = None,
     out: OutFolder = None,
     walker: WalkerPath = None,
@@ -157,6 +147,7 @@ def replay(
     rate: Rate = None,
     gnss_latency: GnssLatency = 0.0,
     floor: FloorLabel = None,
+    start_heading: StartHeading = None,
     beacons: BeaconsPath = None,
     ranges: RangesPath = None,
     radio_map: RadioMapPath = None,
@@ -181,6 +172,7 @@ def replay(
     folder = out or _path_named_after(recording, "-replayed")
     options = Options(
         plan=map_,
+        scale=scale,
         fixes=fixes,
         beacons=beacons,
         ranges=ranges,
@@ -192,7 +184,8 @@ def replay(
         rate=rate,
         gnss_latency=gnss_latency,
         floor=floor,
-        lag=_lag(lag),
+        start_heading=start_heading,
+        lag=lag_seconds(lag),
         journal=journal,
     )
     _report_end(replay_recording(recording, folder, options), folder)
@@ -222,9 +215,7 @@ def steps(
     detected = detect_steps(walk, Walker.load(walker) if walker else None)
     file = out or _path_named_after(recording, "-steps.csv")
     write_steps(file, detected, walk.clock_origin)
-    typer.echo(
-        f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}"
-    )
+    echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
 
 
 @app.command()
@@ -249,7 +240,7 @@ def calibrate(
     sigma = profile.covariance.diagonal() ** 0.5
     columns = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
     values = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in columns)
-    typer.echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
+    echo(f"{laps} x the route, rms distance {profile.residual:.2f} m: {values} -> {out}")
 
 
 @app.command("radio-map")
@@ -274,7 +265,7 @@ def radio_map(
     if len(walks) % 2:
         raise InputError(walks[-1], "", f"{len(walks)} paths", "each recording followed by its output folder")
     learnt = learn_radio_map(list(zip(walks[::2], walks[1::2], strict=True)), out)
-    typer.echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters -> {out}")
+    echo(f"{len(learnt)} scans of {len(learnt.transmitter)} transmitters -> {out}")
 
 
 @app.command()
@@ -282,6 +273,7 @@ def evaal(
     url: Annotated[str, typer.Argument(metavar="URL", help="The server's base URL, which ends in /evaalapi/.")],
     trial: Annotated[str, typer.Argument(metavar="TRIAL", help="The trial's name.")],
     map_: MapPath = None,
+    scale: PlanScale = None,
     format_: Annotated[
         Coordinates, typer.Option("--format", help="Positions as lon,lat,floor or as x,y,floor in the output frame.")
     ] = Coordinates.lonlat,
@@ -305,28 +297,28 @@ def evaal(
     from urllib.parse import quote
 
     from pdr_graph.evaal.client import Api
-    from pdr_graph.evaal.trial import Entry, PositionFormat, run_trial
+    from pdr_graph.evaal.trial import Entry, format_on_plan, run_trial
     from pdr_graph.inputs import Options
     from pdr_graph.online.replay import navigator_of
     from pdr_graph.pipeline import smooth_recording
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
-    options = Options(plan=map_, beacons=beacons, walker=walker)
+    options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker)
     navigator, labels = navigator_of(options)
 
     def smooth_offline(recording: Path, fixes: Path | None) -> tuple[str, ...]:
         return smooth_recording(recording, folder, replace(options, fixes=fixes))
 
     def show(text: str) -> None:
-        typer.echo(f"\r{text} ", nl=False, err=True)
+        typer.echo(f"\r{printable(text)} ", nl=False, err=True)
 
-    position_format = partial(PositionFormat, format_ is Coordinates.lonlat, ignored=ignore_initial)
+    position_format = partial(format_on_plan, format_ is Coordinates.lonlat, ignore_initial, map_, navigator)
     entry = Entry(navigator, smooth_offline, position_format, labels, show if sys.stderr.isatty() else None)
     ending = run_trial(api, folder, entry)
-    typer.echo(f"{ending.text} -> {folder}", err=not ending.normal)
+    echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
         for part in ending.missing:
-            typer.echo(f"pdr-graph: without {part}", err=True)
+            echo(f"pdr-graph: without {part}", err=True)
         raise typer.Exit(EXIT_DEGRADED)
 
 
@@ -339,6 +331,7 @@ def evaluate(
     map_: Annotated[
         Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for the obstacle error OE.")
     ] = None,
+    scale: PlanScale = None,
     pairing: Annotated[
         Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
     ] = Pairing.linear,
@@ -355,12 +348,12 @@ def evaluate(
     from pdr_graph.floor.building import Building
     from pdr_graph.io.tables import read_trajectory
 
-    floor = Building.load(map_) if map_ else None
+    floor = Building.load(map_, scale) if map_ else None
     tracks = read_trajectory(trajectory), read_trajectory(truth)
     if not len(evaluation.pair(*tracks, str(pairing)).time):
         raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
     scores = evaluation.evaluate(*tracks, floor, str(pairing))
-    typer.echo(json.dumps(scores) if json_ else evaluation.table(scores))
+    echo_lines(json.dumps(scores) if json_ else evaluation.table(scores))
 
 
 @app.command()
@@ -397,18 +390,7 @@ def simulate(
     folder = out or Path(loaded.name)
     write(walk, folder)
     body = walk.body
-    typer.echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
-
-
-def _lag(text: str) -> float | None:
-    """The value of --lag [s]; None for an endless lag."""
-    try:
-        seconds = float("inf" if text.lower() == "none" else text)
-    except ValueError:
-        seconds = 0.0
-    if not seconds > 0:
-        raise InputError("--lag", "", text, "seconds above 0, inf or none")
-    return None if seconds == float("inf") else seconds
+    echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
 
 
 def _path_named_after(recording: Path, ending: str) -> Path:
@@ -419,16 +401,20 @@ def _path_named_after(recording: Path, ending: str) -> Path:
 
 def _report_end(missing: tuple[str, ...], out: Path) -> None:
     """Print verdict, key figures, warnings and the file to open; exit with EXIT_DEGRADED unless all is well."""
+    from pdr_graph.outputs import live_lines
+
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
-    typer.echo(f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
+    echo(f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
+    for line in live_lines(summary.get("live")):
+        echo(line)
     for reason in summary["verdict"]["reasons"]:
-        typer.echo(f"{state}: {reason['text']} (to check: {reason['check']})")
+        echo(f"{state}: {reason['text']} (to check: {reason['check']})")
     for warning in summary["warnings"]:
-        typer.echo(f"note: {warning}")
-    typer.echo(f"-> {first_look(out)}")
+        echo(f"note: {warning}")
+    echo(f"-> {first_look(out)}")
     if missing:
-        typer.echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+        echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
     if missing or state != "ok":
         raise typer.Exit(EXIT_DEGRADED)
 
@@ -438,11 +424,11 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        typer.echo(f"pdr-graph: {error}", err=True)
+        echo(f"pdr-graph: {error}", err=True)
         sys.exit(EXIT_REFUSED)
     except (FileExistsError, NotADirectoryError) as error:
-        typer.echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
+        echo(f"pdr-graph: {InputError(error.filename or '', '', 'a file', 'a folder')}", err=True)
         sys.exit(EXIT_REFUSED)
     except OSError as error:
-        typer.echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
+        echo(f"pdr-graph: {error.filename or ''}: {error.strerror or error}", err=True)
         sys.exit(EXIT_REFUSED)

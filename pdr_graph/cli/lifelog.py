@@ -12,14 +12,19 @@ from typing import Annotated
 
 import typer
 
+from pdr_graph.cli.lifelog_corrections import correct
+from pdr_graph.cli.lifelog_show import show
 from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count, first_look, one_line
+from pdr_graph.cli.serve import serve_lifelog
+from pdr_graph.cli.terminal import echo
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count
 
 lifelog = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Recordings of many days: places, activities, exports.",
 )
+lifelog.add_typer(correct, name="correct")
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog: one file, and STORE.d beside it.")]
 RecordingPaths = Annotated[
@@ -36,6 +41,7 @@ class ExportFormat(StrEnum):
     gpx = "gpx"
     geojson = "geojson"
     csv = "csv"
+    parquet = "parquet"
 
 
 @lifelog.command()
@@ -83,8 +89,41 @@ def add(
         [f"{result.existing} there already, {result.changed} of them with other options now"] if result.existing else []
     )
     counts += [f"{result.skipped} files skipped"] if result.skipped else []
-    typer.echo(f"{', '.join(counts)} -> {store}")
+    echo(f"{', '.join(counts)} -> {store}")
     _end(result.refused, none=not result.added + result.existing)
+
+
+@lifelog.command("import")
+def import_(
+    store: StorePath,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Exports: files, folders or zips (a Google Takeout).")
+    ],
+    person: Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: me.")] = None,
+) -> None:
+    """Import the past from the exports of other programs, recognised by their content.
+
+    Google Records.json, Semantic Location History, Timeline.json of Android and iOS and Timeline Edits; OwnTracks
+    .rec, Overland, GPX, KML, FIT. Overlapping exports are merged; what Google guessed is kept apart from the positions.
+
+    \b
+    pdr-graph lifelog import days.db takeout.zip
+    """
+    from pdr_graph.lifelog.past.importing import import_past
+
+    with _progress_bar() as advance:
+        result = import_past(store, files, person, advance)
+    changed = result.positions
+    counts = [count(changed.new, "new position"), f"{changed.existing} there already"]
+    counts += [f"{changed.better} replaced by more accurate ones"] if changed.better else []
+    counts += [f"{count(changed.days, 'day')} changed"]
+    counts += [f"{result.guesses} guessed visits or activities"] if result.guesses else []
+    counts += [f"{result.placed} positions from Wi-Fi scans"] if result.placed else []
+    counts += [f"{count(result.skipped, 'file')} skipped"] if result.skipped else []
+    echo(f"{', '.join(counts)} -> {store}")
+    for line in result.notes:
+        echo(f"pdr-graph: {line}", err=True)
+    _end(result.refused, none=not changed.new + changed.better + changed.existing + result.guesses)
 
 
 @lifelog.command()
@@ -92,7 +131,7 @@ def build(
     store: StorePath,
     zone: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Time zone of the days, kept for later builds; first default: UTC."),
+        typer.Option(metavar="NAME", help="Time zone of the days, kept for later builds; default: local."),
     ] = None,
     workers: Annotated[int, typer.Option(metavar="N", min=1, help="Processes on this machine.")] = 1,
     scheduler: Annotated[
@@ -103,11 +142,19 @@ def build(
             "on other machines, a shared disk.",
         ),
     ] = "",
+    time_limit: Annotated[
+        float,
+        typer.Option(
+            metavar="MINUTES",
+            min=0.1,
+            help="Longest time of one recording or day in a worker process, which is then ended.",
+        ),
+    ] = 15.0,
     together: Annotated[
         bool,
         typer.Option(
             "--together",
-            help="Then estimate all walks of a building or group in one graph; cost grows with the history.",
+            help="Then estimate the walks of a building or group in common graphs, thirty walks each.",
         ),
     ] = False,
 ) -> None:
@@ -122,54 +169,18 @@ def build(
     from pdr_graph.lifelog.build import build as built
 
     with _progress_bar() as advance:
-        result = built(store, zone, workers, scheduler, advance)
-    typer.echo(f"{result.built} days built, {result.up_to_date} up to date, {len(result.failures)} failed -> {store}")
+        result = built(store, zone, workers, scheduler, 60 * time_limit, advance)
+    echo(f"{result.built} days built, {result.up_to_date} up to date, {len(result.failures)} failed -> {store}")
     if together:
         from pdr_graph.lifelog.multi_day import estimate_together
 
-        typer.echo(f"{estimate_together(store)} days estimated together -> {store}")
-    _end((*result.refusals, *result.failures))
+        with _progress_bar() as advance:
+            days = estimate_together(store, advance)
+        echo(f"{days} days estimated together -> {store}")
+    _end((*result.refusals, *result.failures, *result.unfinished))
 
 
-@lifelog.command()
-def show(
-    store: StorePath,
-    person: Person = None,
-    date: Annotated[
-        str | None, typer.Option(metavar="DATE", help="For example 2024-05-01; default: the last day.")
-    ] = None,
-    all_: Annotated[bool, typer.Option("--all", help="List all persons and days instead.")] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder of report, table and map; default: STORE's name-shown."),
-    ] = None,
-) -> None:
-    """Show the activities and places of a person on a day.
-
-    Prints the timeline, and writes a report, a table and a map to a folder that only its owner can read.
-
-    \b
-    pdr-graph lifelog show days.db
-    pdr-graph lifelog show days.db --date 2024-05-01 --out monday
-    """
-    if all_:
-        _list_days(store)
-        return
-    from pdr_graph.lifelog.report import show_day  # imports matplotlib, which is slow
-
-    folder = out or Path(f"{store.stem}-shown")
-    typer.echo(show_day(store, person, date, folder), nl=False)
-    typer.echo(f"-> {first_look(folder)}")
-
-
-def _list_days(path: Path) -> None:
-    """Print a line per person and day of a lifelog."""
-    from pdr_graph.lifelog.store import Store
-
-    with Store(path) as log:
-        days = log.days()
-    for (person, date), day in days.items():
-        typer.echo(f"{one_line(person)}  {date}  {count(len(day.recordings), 'recording')}")
+lifelog.command()(show)
 
 
 @lifelog.command()
@@ -178,7 +189,9 @@ def export(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR|FILE", help="A folder for a file per day, or one file for all days.")
     ],
-    format_: Annotated[ExportFormat, typer.Option("--format", help="csv requires a DIR.")] = ExportFormat.gpx,
+    format_: Annotated[
+        ExportFormat, typer.Option("--format", help="csv and parquet require a DIR; parquet needs the extra geo.")
+    ] = ExportFormat.gpx,
     person: Person = None,
     from_: Annotated[
         str, typer.Option("--from", metavar="DATE", help="The first day; default: the first of all.")
@@ -196,7 +209,7 @@ def export(
         list[str] | None, typer.Option(metavar="PLACE", help="Coarsen times and positions near a place.")
     ] = None,
 ) -> None:
-    """Export days as GPX, GeoJSON or CSV, without private places.
+    """Export days as GPX, GeoJSON, CSV or GeoParquet (for trackintel and movingpandas), without private places.
 
     \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200
@@ -205,14 +218,14 @@ def export(
 
     written, notes = export_days(store, out, str(format_), person, from_, to, cut or (), blur or ())
     for line in notes:
-        typer.echo(f"pdr-graph: {line}", err=True)
-    typer.echo(f"{len(written)} files -> {out}")
+        echo(f"pdr-graph: {line}", err=True)
+    echo(f"{len(written)} files -> {out}")
 
 
 def _end(refused: Sequence[str], none: bool = False) -> None:
     """Print each refused input on a line and exit with an error code. none: True if there was no other input."""
     for line in refused:
-        typer.echo(f"pdr-graph: {line}", err=True)
+        echo(f"pdr-graph: {line}", err=True)
     if refused:
         raise typer.Exit(EXIT_REFUSED if none else EXIT_DEGRADED)
 
@@ -236,3 +249,6 @@ def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
             progress.update(tasks[stage], completed=done, total=of)
 
         yield advance
+
+
+lifelog.command("serve")(serve_lifelog)

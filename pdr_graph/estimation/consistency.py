@@ -17,7 +17,7 @@ from pdr_graph.estimation.factors.fixes import LOUD_BEACON
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.gps_track import REPEATED
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import FIRST_ONLY, REJECTED, stride_scale, used_fixes
+from pdr_graph.estimation.results import FIRST_ONLY, REJECTED, SURE, is_measured, stride_scale, used_fixes
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import distance_to_box
 from pdr_graph.types import Array, Estimate, FixReport, Trajectory
@@ -59,7 +59,8 @@ def plan_contradictions(graph: WalkGraph, trajectory: Trajectory | None = None) 
     if graph.floor is None:
         return ()
     building, positions = Building.around(graph.floor), graph.positions
-    placed = plan_placement(building, graph.walled, positions.fixes.position[positions.used])
+    walled = graph.walled and not (graph.unplaced and trajectory is None)
+    placed = plan_placement(building, walled, positions.fixes.position[positions.used])
     return placed or (() if trajectory is None else wall_crossings(building, trajectory))
 
 
@@ -146,11 +147,11 @@ def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _headings(estimate: Estimate) -> Iterator[Contradiction]:
-    """Magnetic headings whose median residual is larger than their sigmas allow."""
+    """Headings whose median residual is larger than their sigmas allow."""
     sigmas = np.array([abs(report.residual) / report.sigma for report in estimate.reports.get("headings", ())])
     if len(sigmas) and np.median(sigmas) > HEADING_MEDIAN + DISTANT * HEADING_SPREAD / np.sqrt(len(sigmas)):
         median = float(np.median(sigmas))
-        text = f"half of the magnetic headings differ by more than {median:.1f} sigma from the walk"
+        text = f"half of the headings differ by more than {median:.1f} sigma from the walk"
         yield Contradiction("headings", "steps and fixes", median, "sigma", text, "magnets and iron near the phone")
 
 
@@ -172,7 +173,8 @@ def _stride(estimate: Estimate) -> Iterator[Contradiction]:
 
 def _probability(estimate: Estimate) -> Iterator[Contradiction]:
     """A route that is one of several; on a plan beside all fixes (`plan_placement`) its probability is 0."""
-    if 0 < estimate.probability < SELDOM_RIGHT:
+    limit = SURE if estimate.routes and not is_measured(estimate) else SELDOM_RIGHT
+    if 0 < estimate.probability < limit:
         text = f"this route has a probability of {estimate.probability:.0%}: others are as likely, or none fits"
         check = "the report's map; another fix would decide"
         yield Contradiction(ROUTE, "other routes", estimate.probability, "probability", text, check)

@@ -367,8 +367,11 @@ def _alike(pair: Index, way: Array) -> Array:
 
     way: distance along one of the walks [m].
     """
-    near = (pair[:, None] == pair) & (np.abs(way[:, None] - way) < ALONG)
-    return near.sum(axis=1)
+    number = np.zeros(len(pair), dtype=int)
+    order = np.argsort(pair, kind="stable")
+    for own in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
+        number[own] = (np.abs(way[own, None] - way[own]) < ALONG).sum(axis=1)
+    return number
 
 
 def _walk_scans(walks: Sequence[tuple[Trajectory, Scans]]) -> _WalkScans:
@@ -402,14 +405,15 @@ def _way(track: Trajectory, scans: Scans) -> Array:
 
 def _most_alike(scans: _WalkScans) -> Iterator[tuple[int, int, float]]:
     """For each scan, the most similar scan of each walk that is not earlier; indices of both, and their distance."""
-    distance = unlikeness(scans.level, scans.level)
     floor = np.array(scans.floor)
-    apart = (floor[:, None] != floor) & (floor != "")[:, None] & (floor != "")
-    same = scans.walk[:, None] == scans.walk
-    soon = same & (scans.time - scans.time[:, None] < LATER)
-    distance = np.where(apart | soon | (scans.walk < scans.walk[:, None]), 1.0, distance)
     first = np.flatnonzero(np.diff(scans.walk, prepend=-1))
     for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(scans.walk)], strict=True):
-        best = begin + np.argmin(distance[:, begin:end], axis=1)
-        for row in np.flatnonzero(distance[np.arange(len(best)), best] < 1).tolist():
-            yield row, int(best[row]), float(distance[row, best[row]])
+        own = slice(begin, end)
+        distance = unlikeness(scans.level, scans.level[own])
+        apart = (floor[:, None] != floor[own]) & (floor != "")[:, None] & (floor[own] != "")
+        soon = (scans.walk[:, None] == scans.walk[own]) & (scans.time[own] - scans.time[:, None] < LATER)
+        distance[apart | soon | (scans.walk[own] < scans.walk[:, None])] = 1.0
+        best = begin + np.argmin(distance, axis=1)
+        closest = distance[np.arange(len(best)), best - begin]
+        for row in np.flatnonzero(closest < 1).tolist():
+            yield row, int(best[row]), float(closest[row])

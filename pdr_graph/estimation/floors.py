@@ -332,7 +332,8 @@ class LiveFloors:
         if not (now > self.begin and abs(now - self.looked) >= UPDATE_INTERVAL):
             return
         measured = self._is_measured(now)
-        if (measured or self.heard) and now > self.begin:
+        named = self.building is None or bool(self.start) or len(self.fix_label) > 0
+        if named and (measured or self.heard) and now > self.begin:
             self._estimate(now, tail, measured)
         elif now - self.begin > LONGEST:
             self._cut(now - SHORTEST)

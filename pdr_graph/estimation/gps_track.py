@@ -7,6 +7,7 @@ covariance.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ BRIDGE = 4  # parts of a gap: with linear interpolation between their ends, the 
 # Motion models of STANDS, WALKS, RIDES and LOST: sigma of the speed per axis [m/s], correlation time [s]
 SPEED = np.array([0.05, 0.9, 7.0, 1.0])
 KEEPS = np.array([1.0, 40.0, 100.0, 600.0])
+FREE = 5.0  # times the speed required, at which a stated stay keeps its place; chosen by hand
 FIRST_SCALES, FINAL_SCALES = (8.0, 2.0, 1.0), (1.0, 1.0)  # `scales` of `smooth_track` in the two passes
 
 
@@ -46,8 +48,15 @@ class Way:
     weight: Array
 
 
-def way_through(fixes: Fixes) -> Way:
-    """The smoothed track of fixes: at least one, in a metric frame."""
+Stated = Sequence[tuple[float, float, int]]  # start and end [s] of a transport mode that is known
+
+
+def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
+    """The smoothed track of fixes: at least one, in a metric frame.
+
+    stated: transport modes that are known, in place of those by the positions; where a stay begins or ends, the track
+    may jump.
+    """
     used = _plausible(fixes)
     fixes = fixes[used]
     knots, lost = _knots(fixes), _lost(fixes)
@@ -57,9 +66,10 @@ def way_through(fixes: Fixes) -> Way:
     first = smooth_track(knots, _motion(knots, kind), FIRST_SCALES)
 
     # Second pass: the motion model of each transport mode, with rows in gaps
-    kind, knots = _classified(knots, first.position, lost)
+    kind, knots = _classified(knots, first.position, lost, stated)
+    kind, jumps = _with_stated(knots.time, kind, stated)
     rows, of = _with_rows_in_gaps(knots, kind)
-    motion, weight = _motion(knots, kind), np.interp(rows.time, knots.time, first.weight)
+    motion, weight = _motion(knots, kind, jumps), np.interp(rows.time, knots.time, first.weight)
     way = smooth_track(rows, motion.of(of), FINAL_SCALES, weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
     is_fix = np.isfinite(rows.position[:, 0])
@@ -102,9 +112,15 @@ def _stretches(lost: Mask) -> Index:
     return np.column_stack([np.flatnonzero(edge < 0), np.flatnonzero(edge > 0)])
 
 
-def _classified(knots: GpsKnots, way: Array, lost: Mask) -> tuple[Index, GpsKnots]:
-    """The transport mode from fix to fix ``(n - 1,)``, and the knots with sigmas widened by the receiver's wander."""
-    begins, ends = knots.time[_stretches(lost)].T
+def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tuple[Index, GpsKnots]:
+    """The transport mode from fix to fix ``(n - 1,)``, and the knots with sigmas widened by the receiver's wander.
+
+    Stays that are stated do not count: their fixes do not wander.
+    """
+    stays = [(start, end) for start, end, mode in stated if mode == STANDS]
+    middle = (knots.time[1:] + knots.time[:-1]) / 2
+    apart = lost | np.any([(middle > start) & (middle < end) for start, end in stays], axis=0) if stays else lost
+    begins, ends = knots.time[_stretches(lost if apart.all() else apart)].T
     if not len(begins):
         return np.full(len(lost), LOST), knots
     straight = straightness(knots.time, way, begins, ends)
@@ -114,12 +130,31 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask) -> tuple[Index, GpsKnot
     return np.where(lost, LOST, moves(knots, way, begins, ends, straight)), knots
 
 
-def _motion(knots: GpsKnots, kind: Index) -> Motion:
-    """The motion model per interval ``(n - 1,)`` of a mode; over a gap, its speed is at least that required."""
+def _with_stated(time: Array, kind: Index, stated: Stated) -> tuple[Index, Mask]:
+    """The modes ``(n - 1,)`` with stated ones in their place, except in gaps; True where a stated stay begins or ends.
+
+    time: ``(n,)`` of the knots [s].
+    """
+    kind, jumps = kind.copy(), np.zeros(len(kind), dtype=bool)
+    for start, end, mode in stated:
+        middle = (time[1:] + time[:-1]) / 2
+        kind[(middle >= start) & (middle <= end) & (kind != LOST)] = mode
+        for bound in (start, end) if mode == STANDS else ():
+            jumps |= (time[:-1] < bound + INSTANT) & (time[1:] > bound - INSTANT)
+    return kind, jumps
+
+
+def _motion(knots: GpsKnots, kind: Index, jumps: Mask | bool = False) -> Motion:
+    """The motion model per interval ``(n - 1,)`` of a mode; over a gap, its speed is at least that required.
+
+    Over a jump it is FREE times as much, so that positions before and after a stated stay do not pull at it.
+    """
     takes = np.hypot(*np.diff(knots.position, axis=0).T) / np.diff(knots.time) / np.sqrt(2)
     speed = np.where(kind == LOST, np.maximum(SPEED[LOST], takes), SPEED[kind])
-    changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST))[: len(kind)]
-    return Motion(speed, KEEPS[kind], changed)
+    speed = np.where(jumps, np.maximum(speed, FREE * takes), speed)
+    jumps = jumps & np.ones(len(kind), dtype=bool)
+    changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST) | jumps[:-1])[: len(kind)] | jumps
+    return Motion(speed, np.where(jumps, KEEPS[LOST], KEEPS[kind]), changed)
 
 
 def _with_rows_in_gaps(knots: GpsKnots, kind: Index) -> tuple[GpsKnots, Index]:

@@ -101,6 +101,8 @@ class WalkGraph:
         self._measurements = (*kinds, CalibrationFactor(prior_of_segment, self.prior.change), hold)
         self.start = initial_state(initial.poses, initial.c, self._measurements)
         self.walled = False
+        if self.unplaced and self.floor_sequence is not None:
+            self._use_plan(self.floor_sequence)
         used = self.positions.fixes.position[self.positions.used]
         if self.floor_sequence is not None and self.floor_sequence.building.near(used).any():
             self._use_plan(self.floor_sequence.within(*reach(self.chain, self.positions, steps)))
@@ -150,6 +152,12 @@ class WalkGraph:
     def walls(self) -> WallFactor | None:
         """The walls along the walk; None if no plan is used."""
         return next((measurement for measurement in self.measurements if isinstance(measurement, WallFactor)), None)
+
+    @property
+    def unplaced(self) -> bool:
+        """True if no measurement says where on its plan the walk was."""
+        placing = any(kind.determines_position and kind is not self.positions for kind in self._measurements)
+        return self.floor_sequence is not None and not self.positions.used.any() and not placing
 
     @property
     def pieces(self) -> Pieces:

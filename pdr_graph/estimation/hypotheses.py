@@ -74,7 +74,7 @@ def _alternatives(old: Optimum, name: str, first: Optimum) -> list[Optimum]:
     proposals = [
         (hypothesis, old.state) for hypothesis in kind.hypotheses(old.at) if placed or not hypothesis.place_lost
     ]
-    if placed and kind.has_list:
+    if placed and (kind.has_list or any(hypothesis.apart for hypothesis, _ in proposals)):
         others = optimize(without := old.graph.without(kind), without.start).at
         proposals += [(new, others.state) for new in kind.hypotheses(others) if proposals]
         by = np.mean(others.state.poses[:, :2] - old.state.poses[:, :2], axis=0)

@@ -19,10 +19,11 @@ from scipy.linalg import solveh_banded
 
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.fixes import FixFactor
-from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.heading_prior import HeadingFactor, of_start
 from pdr_graph.estimation.factors.losses import huber_weight
 from pdr_graph.estimation.factors.preintegration import DECIMALS
-from pdr_graph.geometry import dead_reckon, interpolate, nearest, rotation, wrap_angle
+from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
+from pdr_graph.measurements import take
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
 
 SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
@@ -149,9 +150,9 @@ def lay_dead_reckoning(steps: Steps, fixes: Fixes) -> Trajectory:
     return replace(track, position=turned + shift, heading=wrap_angle(track.heading + turn))
 
 
-def as_complex(xy: Array) -> Complex:
-    """Points ``(n, 2)`` as complex numbers ``(n,)``."""
-    return xy[:, 0] + 1j * xy[:, 1]
+def positions_of(track: Trajectory, sigma: float = 1.0) -> Fixes:
+    """The positions of a track as fixes, for `lay_dead_reckoning`. sigma: of each [m]."""
+    return Fixes(track.time, track.position, np.full(len(track), sigma))
 
 
 @dataclass(frozen=True)
@@ -177,17 +178,19 @@ def initial_walk(
 ) -> InitialWalk:
     """Dead reckoning aligned with the fixes, or with the headings if they determine the direction better.
 
+    A start heading may be reversed: it is used only where the fixes leave the direction open.
     c: ``(s, 3)`` prior means of the calibrations; sigma_stride: prior sigma of R_s [-].
     """
     start = _on_fixes(chain, fixes, steps, c, sigma_stride)
-    measured = headings.headings
+    chosen = np.flatnonzero(~of_start(headings.headings) | (start.sigma_direction >= AMBIGUOUS))
+    measured = take(headings.headings, chosen)
     if not len(measured):
         return start
     weight = measured.sigma**-2.0
     sigma = float(weight.sum() ** -0.5)
     if sigma > start.sigma_direction:
         return start
-    apart = wrap_angle(measured.heading - start.poses[headings.keyframe, 2])
+    apart = wrap_angle(measured.heading - start.poses[headings.keyframe[chosen], 2])
     turn = float(np.angle(np.sum(weight * np.exp(1j * apart))))
     return replace(start.rotated(turn, pivot(start.poses, fixes)), sigma_direction=sigma)
 

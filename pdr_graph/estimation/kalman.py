@@ -41,8 +41,8 @@ from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.results import calibration_of, stated_probability, warnings
-from pdr_graph.geometry import interpolate, row_times, wrap_angle
+from pdr_graph.estimation.results import LEAST_REPORTED, calibration_of, stated_probability, warnings
+from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
 DIRECTIONS = 12  # hypotheses for an unknown direction
@@ -76,11 +76,22 @@ class GaussianMixture:
 
     def summary(self) -> tuple[Array, Array]:
         """Mean ``(6,)`` of the most probable hypothesis, and covariance ``(6, 6)`` of the mixture about it."""
+        return self._about(self.mean[self.best])
+
+    def expectation(self) -> tuple[Array, Array]:
+        """Mean ``(6,)`` and covariance ``(6, 6)`` of the whole mixture; the mean of directions is circular."""
+        weight = np.exp(self.log_weight)
+        mean = weight @ self.mean
+        mean[2] = np.angle(weight @ np.exp(1j * self.mean[:, 2]))
+        return self._about(mean)
+
+    def _about(self, mean: Array) -> tuple[Array, Array]:
+        """``mean (6,)``, and the covariance ``(6, 6)`` of the mixture about it."""
         if len(self) == 1:
             return self.mean[0], self.covariance[0]
-        apart = _apart(self.mean, self.mean[self.best])
+        apart = differences(self.mean, mean)
         spread = self.covariance + apart[:, :, None] * apart[:, None, :]
-        return self.mean[self.best], np.einsum("h,hij->ij", np.exp(self.log_weight), spread)
+        return mean, np.einsum("h,hij->ij", np.exp(self.log_weight), spread)
 
     def take(self, rows: Index) -> GaussianMixture:
         """Select hypotheses and normalise their probabilities."""
@@ -118,16 +129,21 @@ def measured(
     covariance = bank.covariance - K @ cross
     mean = bank.mean + np.einsum("hij,hj->hi", K, gap)
     covariance = (covariance + covariance.transpose(0, 2, 1)) / 2
-    return GaussianMixture(mean, covariance, log_weight - np.logaddexp.reduce(log_weight), bank.origin), Surprise(
-        sigmas, weight
-    )
+    log_weight -= np.logaddexp.reduce(log_weight)
+    return GaussianMixture(mean, covariance, log_weight, bank.origin), Surprise(sigmas, weight)
+
+
+def heading_corrected(bank: GaussianMixture, H: Array, heading: float, variance: float) -> GaussianMixture:
+    """Correct the mixture with a heading [rad]. H: ``(1, 6)`` measurement matrix; variance [rad²]."""
+    gap = np.asarray(wrap_angle(heading - bank.mean @ H.T))
+    return measured(bank, H, gap, np.array([[variance]]))[0]
 
 
 def thinned(bank: GaussianMixture) -> GaussianMixture:
     """Drop improbable hypotheses, and merge those near the best with it."""
     if len(bank) == 1:
         return bank
-    pose = _apart(bank.mean, bank.mean[bank.best])[:, :3]
+    pose = differences(bank.mean, bank.mean[bank.best])[:, :3]
     apart = np.einsum("hi,ij,hj->h", pose, np.linalg.inv(bank.covariance[bank.best, :3, :3]), pose)
     same = apart < SAME**2
     keep = ~same & (bank.log_weight > np.log(HOPELESS))
@@ -160,15 +176,7 @@ def _cost(sigmas: Array) -> Array:
     return 0.5 * np.minimum(sigmas, HUBER_WIDTH) ** 2 + HUBER_WIDTH * (np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH)
 
 
-def _apart(mean: Array, other: Array) -> Array:
-    """Differences ``(h, 6)`` of states, that of headings wrapped."""
-    apart = mean - other
-    apart[:, 2] = wrap_angle(apart[:, 2])
-    return apart
-
-
 PATIENCE = 5  # rejected fixes in a row after which the filter is re-initialised
-LEAST_REPORTED = 0.01  # probability below which another walk is not reported
 OF_POSITION, OF_HEADING = np.eye(2, 6), np.eye(1, 6, 2)
 
 
@@ -245,6 +253,7 @@ def estimate_of(
 def moments(graph: WalkGraph) -> Iterator[Moment]:
     """Run the filter; yields the start, then the end of each piece."""
     fixes_at, headings_at = _by_keyframe(graph)
+    heading, sigma = graph.headings.headings.heading, graph.headings.headings.sigma
     moment, refused = _start(graph), 0
     for keyframe in range(len(fixes_at)):
         if keyframe > 0:
@@ -254,7 +263,7 @@ def moments(graph: WalkGraph) -> Iterator[Moment]:
             moment, refused = _fixed(moment, graph, n, refused)
         mixture = moment.posterior
         for n in headings_at[keyframe].tolist():
-            mixture = _pointed(mixture, graph, n, OF_HEADING, float(graph.headings.headings.sigma[n] ** 2))
+            mixture = heading_corrected(mixture, OF_HEADING, float(heading[n]), float(sigma[n] ** 2))
         moment = replace(moment, posterior=thinned(mixture))
         yield moment
 
@@ -262,8 +271,7 @@ def moments(graph: WalkGraph) -> Iterator[Moment]:
 def _by_keyframe(graph: WalkGraph) -> tuple[list[Index], list[Index]]:
     """The fixes and the headings of each keyframe, without the first heading, which `_start` uses."""
     keyframes = np.arange(1, len(graph.pieces.last) + 1)
-    fixes = graph.positions
-    used = np.flatnonzero(fixes.used)
+    fixes, used = graph.positions, np.flatnonzero(graph.positions.used)
     used = used[np.argsort(fixes.keyframe[used], kind="stable")]
     fixes_at = np.split(used, np.searchsorted(fixes.keyframe[used], keyframes))
     later = graph.headings.keyframe[1:]
@@ -296,7 +304,8 @@ def _first_heading(bank: GaussianMixture, graph: WalkGraph) -> GaussianMixture:
     H = np.zeros((1, 6))
     H[0, 2], H[0, 4:] = 1.0, pieces.to_end[:, until].sum(axis=1)
     on_the_way = pieces.variance[: len(until) and until[-1] + 1, 2].sum()
-    return _pointed(bank, graph, 0, H, float(graph.headings.headings.sigma[0] ** 2 + on_the_way))
+    headings = graph.headings.headings
+    return heading_corrected(bank, H, float(headings.heading[0]), float(headings.sigma[0] ** 2 + on_the_way))
 
 
 def _predicted(bank: GaussianMixture, graph: WalkGraph, i: int) -> list[Moment]:
@@ -375,12 +384,6 @@ def _reinitialised(moment: Moment) -> Moment:
     forgotten = lost.covariance + np.diag(np.square([FAR, FAR, FAR, 0.0, 0.0, 0.0]))
     anywhere = replace(lost, covariance=forgotten, origin=np.zeros(1, dtype=np.intp))
     return Moment(moment.parent[winner], moment.motion[winner], anywhere, by_direction(anywhere), moment.met)
-
-
-def _pointed(bank: GaussianMixture, graph: WalkGraph, n: int, H: Array, variance: float) -> GaussianMixture:
-    """Correct with heading ``n``. H: ``(1, 6)`` measurement matrix; variance [rad²]."""
-    gap = np.asarray(wrap_angle(graph.headings.headings.heading[n] - bank.mean @ H.T))
-    return measured(bank, H, gap, np.array([[variance]]))[0]
 
 
 def _reports(graph: WalkGraph, met: list[Meeting]) -> tuple[FixReport, ...]:

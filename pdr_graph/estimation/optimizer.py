@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -28,6 +28,7 @@ ATTEMPTS = 2  # of the particle filter
 DIRECTIONS = 8  # initial directions where any is possible
 UNSEEN = 4.5  # cost above the usual of a path that the particles may have missed
 DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
+LEAST_LOGARITHM = -500.0  # of a probability: a walk that fits nothing is still the best there is
 SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance between two aisles
 
 
@@ -117,7 +118,7 @@ def probabilities(optima: list[Optimum], path: Index) -> Array:
     """
     surprise = np.array([optimum.surprise for optimum in optima])
     least = min(surprise.min(), optima[0].unseen)
-    weight, together = np.exp(least - surprise), path[:, None] == path
+    weight, together = np.exp(np.maximum(least - surprise, LEAST_LOGARITHM)), path[:, None] == path
     weight = weight * np.max(weight * together, axis=1) / (together @ weight)
     return weight / (weight.sum() + np.exp(least - optima[0].unseen))
 
@@ -216,13 +217,16 @@ def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
         return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
     aligned, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
     for attempt in range(ATTEMPTS):
-        starts = hypotheses(robust, attempt) + (aligned if attempt == 0 else [])
-        optima += [
-            _solve_tight_walls(near) for near in _distinct([_solve_loose_walls(robust, start) for start in starts])
-        ]
+        optima += solutions_near(robust, hypotheses(robust, attempt) + (aligned if attempt == 0 else []))
         if min(optimum.surprise for optimum in optima) < expected + STRAINED:
             break
     return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+
+
+def solutions_near(graph: WalkGraph, starts: Sequence[State]) -> list[Optimum]:
+    """The optima between the walls near some starts, the most probable first."""
+    loose = _distinct([_solve_loose_walls(graph, start) for start in starts])
+    return _distinct([_solve_tight_walls(near) for near in loose])
 
 
 def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:

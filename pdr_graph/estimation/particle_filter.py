@@ -24,6 +24,7 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, WalkGraph
 from pdr_graph.floor.cells import OUTSIDE_PRICE, WALL_COST
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask
 
@@ -44,13 +45,14 @@ def stepped(
     sigma: Array,
     field: DistanceField,
     random: np.random.Generator,
-    tiles: int | None = None,
+    at_once: int | None = None,
+    tiles: Array | None = None,
 ) -> tuple[Array, Array]:
     """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
 
     A particle that would cross a wall draws its errors again, up to TRIES times, at the cost of the log-odds.
-    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad]; tiles: see
-    `DistanceField.approximate`.
+    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad]; at_once,
+    tiles: see `DistanceField.approximate`.
     """
     count = min(np.ceil(length / LOOK), MOST_LOOKS)
     looks = np.arange(1, count + 1)[:, None] / count
@@ -59,7 +61,7 @@ def stepped(
         after, way = _moved(state, length, turn, time, sigma, random)
         places = looks * way[:, None]
         places += state[:2, None]
-        clear = field.approximate(places, tiles)
+        clear = field.approximate(places, at_once, tiles)
         return after, clear.min(axis=0) < BODY, clear[-1]
 
     after, blocked, clear = tried(state)
@@ -68,7 +70,7 @@ def stepped(
         return after, price
     price[clear < BODY] = OUTSIDE_PRICE
     stopped = np.flatnonzero(blocked)
-    stopped = stopped[field.approximate(state[:2, stopped], tiles) >= BODY]
+    stopped = stopped[field.approximate(state[:2, stopped], at_once, tiles) >= BODY]
     if len(stopped):
         others, blocked, _ = tried(np.repeat(state[:, stopped], TRIES, axis=1))
         free = np.logical_not(blocked).reshape(-1, TRIES)
@@ -158,16 +160,28 @@ class Paths:
 class ParticleFilter:
     """Particles ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b, and their ancestors at the stored keyframes.
 
-    prior: of (R_s, R_d, b); fewest, most: limits of the number of particles, which adapts; tiles: most tiles of wall
-    distances that one step computes, by default all missing ones; live steps have no time for that.
+    prior: of (R_s, R_d, b); fewest, most: limits of the number of particles, which adapts; per_bin: of them in each
+    bin; at_once: most tiles of wall distances that one step computes, by default all; live steps have no time for that.
     """
 
-    def __init__(self, prior: Prior, seed: int, *, fewest: int, most: int, tiles: int | None = None):
-        self.prior, self.fewest, self.most, self.tiles = prior, fewest, most, tiles
+    def __init__(
+        self,
+        prior: Prior,
+        seed: int,
+        *,
+        fewest: int,
+        most: int,
+        at_once: int | None = None,
+        per_bin: float | None = None,
+    ):
+        self.prior, self.fewest, self.most, self.at_once = prior, fewest, most, at_once
+        self.per_bin = PER_BIN * most / AMONG if per_bin is None else per_bin
+        self.evidence = 0.0  # logarithm of the measurements' probability
         self.random = np.random.default_rng(seed)
         self.state, self.weight = np.empty((6, 0)), np.empty(0)  # weight: its logarithm ``(n,)``
         self._change = np.array(prior.change)[:, None]
         self._steps = 0  # since the last keyframe
+        self._tiles = dict[int, Array]()  # by field
         self._states, self._origins = list[Array](), list[Index]()
 
     def begin(
@@ -195,6 +209,14 @@ class ParticleFilter:
         start = place[:, None] + sigma * random.standard_normal((2, n)) - [led.real, led.imag]
         self.begin_at(np.concatenate([start, [heading + turned], c]))
         self.weight = _likelihood(measured, self.state)
+
+    def begin_anywhere(self, floor: FloorPlan, measured: KeyframeMeasurements = NOTHING) -> None:
+        """Start at the first keyframe all over a floor, in all directions. measured: at the keyframe."""
+        n, random = self.most, self.random
+        c = _calibrated(random.multivariate_normal(np.zeros(3), self.prior.covariance, n).T, self.prior)
+        heading = random.uniform(-np.pi, np.pi, (1, n))
+        self.begin_at(np.concatenate([floor.random_places(n, random).T, heading, c]))
+        self.weight += _likelihood(measured, self.state)
 
     def begin_at(self, state: Array) -> None:
         """Start at the first keyframe with particles ``(6, n)``."""
@@ -229,11 +251,18 @@ class ParticleFilter:
         """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(3,)`` as of ``Pieces``."""
         sigma = CALM * np.sqrt(variance)
         if length > 0:
-            self.state, price = stepped(self.state, length, turn, time, sigma, floor, self.random, self.tiles)
+            tiles = None if self.at_once is None else self._own_tiles(floor)
+            self.state, price = stepped(self.state, length, turn, time, sigma, floor, self.random, self.at_once, tiles)
             self.weight = self.weight - price
             self._steps += 1
         else:
             self.state = stood(self.state, turn, time, sigma, self.random)
+
+    def _own_tiles(self, floor: DistanceField) -> Array:
+        """The tiles of a floor that this filter has asked for: others may compute some at any time, in a thread."""
+        if id(floor) not in self._tiles:
+            self._tiles[id(floor)] = floor.no_tiles()
+        return self._tiles[id(floor)]
 
     def close(self, measured: KeyframeMeasurements = NOTHING) -> None:
         """Close a keyframe: weight by fixes and compass, resample."""
@@ -244,7 +273,9 @@ class ParticleFilter:
         if far is not None:
             self._seek(measured, far)
         weight = self.weight + _likelihood(measured, self.state)
-        weight -= np.logaddexp.reduce(weight)
+        total = np.logaddexp.reduce(weight)
+        self.evidence += total
+        weight -= total
         origin = np.arange(len(weight))
         if np.exp(-np.logaddexp.reduce(2 * weight)) < RESAMPLE * len(weight):
             origin = _resampled(weight, self._needed(), random)
@@ -254,14 +285,16 @@ class ParticleFilter:
         self._states.append(self.state)
         self._origins.append(origin)
 
-    def paths(self) -> Paths:
-        """The ancestors of the present particles at all stored keyframes."""
-        which = np.arange(len(self.weight))
+    def paths(self, most: int | None = None) -> Paths:
+        """The ancestors of the present particles at all stored keyframes. most: of so many, drawn by their weights."""
+        which, weight = np.arange(len(self.weight)), np.exp(self.weight)
+        if most is not None and len(which) > most:
+            which, weight = _resampled(self.weight, most, self.random), np.full(most, 1.0 / most)
         paths = np.empty((len(self._states), 6, len(which)))
         for k in range(len(paths) - 1, -1, -1):
             self._states[k].take(which, axis=1, out=paths[k], mode="clip")
             which = self._origins[k].take(which)
-        return Paths(paths, np.exp(self.weight))
+        return Paths(paths, weight)
 
     def forget(self, count: int) -> None:
         """Drop the first ``count`` stored keyframes."""
@@ -281,7 +314,7 @@ class ParticleFilter:
         """Number of particles needed: some for each bin of place and direction that they occupy."""
         x, y, angle = np.floor(self.state[:3] / np.array([BIN, BIN, BIN_ANGLE])[:, None]).astype(np.int64)
         bins = np.unique((x << 40) + (y << 16) + angle)
-        return int(np.clip(PER_BIN * self.most / AMONG * len(bins), self.fewest, self.most))
+        return int(np.clip(self.per_bin * len(bins), self.fewest, self.most))
 
 
 def _likelihood(measured: KeyframeMeasurements, state: Array) -> Array:
@@ -344,18 +377,20 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
     """
     particles = ParticleFilter(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
     _begin(particles, graph)
-    return _advanced(particles, graph, 0)
+    advance_through(particles, graph, 0)
+    return particles.paths()
 
 
 def particles_from(graph: WalkGraph, keyframe: int, state: Array) -> Paths:
     """As `particle_filter`, from a keyframe with particles ``state (6, n)``."""
     particles = ParticleFilter(graph.prior, 0, fewest=FEWEST, most=MOST)
     particles.begin_at(state)
-    return _advanced(particles, graph, keyframe)
+    advance_through(particles, graph, keyframe)
+    return particles.paths()
 
 
-def _advanced(particles: ParticleFilter, graph: WalkGraph, begin: int) -> Paths:
-    """The paths of particles from keyframe ``begin`` to the end."""
+def advance_through(particles: ParticleFilter, graph: WalkGraph, begin: int) -> None:
+    """Move particles from keyframe ``begin`` to the end of a walk."""
     floor_sequence, pieces = graph.floor_sequence, graph.pieces
     assert floor_sequence is not None, "asked for with a plan"
     ways = {piece: [way.field for way in others] for piece, others in floor_sequence.changes.items()}
@@ -368,7 +403,6 @@ def _advanced(particles: ParticleFilter, graph: WalkGraph, begin: int) -> Paths:
             {m - first: ways[m] for m in here if m in ways},
             measurements_at(graph.measurements, interval + 1),
         )
-    return particles.paths()
 
 
 def _pieces(graph: WalkGraph, interval: int) -> Pieces:

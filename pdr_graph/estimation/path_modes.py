@@ -21,6 +21,7 @@ from pdr_graph.geometry import rotation
 from pdr_graph.types import Array, Index
 
 MOST_MODES = 8
+MOST_SOUGHT = 300  # modes among which the heaviest are chosen: after a long gap particles are all over the plan
 APART = 4.0  # [m] largest distance between two modes: nearer ones lead the optimiser to the same walk
 MOMENTS = 60  # keyframes at which paths are compared
 LIVE_MOMENTS, LIVE_MODES = 8, 5  # keyframes and modes for a walk under way
@@ -76,14 +77,18 @@ def hypotheses(graph: WalkGraph, attempt: int = 0) -> list[State]:
 
     attempt: 0, 1, …; each attempt draws other particles, twice as many as the one before.
     """
-    paths = particle_filter(graph, seed=attempt, times=2**attempt)
+    return mode_starts(graph, particle_filter(graph, seed=attempt, times=2**attempt))
+
+
+def mode_starts(graph: WalkGraph, paths: Paths) -> list[State]:
+    """The start of the graph with the middle path of each mode, the heaviest mode first."""
     first = graph.chain.segment_first
     return [graph.start.replaced(x=paths.state[:, :3, n], c=paths.state[first + 1, 3:, n]) for n in path_modes(paths)]
 
 
 def path_modes(paths: Paths) -> list[int]:
     """The middle path of each mode of ``paths``, the heaviest mode first."""
-    modes = list(_modes(paths.state[_moments(paths, MOMENTS), :2], paths.weight))
+    modes = islice(_modes(paths.state[_moments(paths, MOMENTS), :2], paths.weight), MOST_SOUGHT)
     return [n for _, n in sorted(modes, reverse=True)[:MOST_MODES]]
 
 

@@ -15,6 +15,7 @@ from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Calibration, Estimate, FixReport, Index
 
 SURE = 0.9  # probability below which a user is warned
+LEAST_REPORTED = 0.01  # probability below which another walk is not reported
 REJECTED = 0.1  # weight below which a fix counts as rejected
 MANY = 0.1  # share of rejected fixes at which a user is warned
 STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
@@ -47,7 +48,8 @@ class Placement:
     def warnings(self) -> tuple[str, ...]:
         """Warn of an unknown position or direction, and of a plan that is elsewhere."""
         warned = {
-            "no position fix: the track starts at (0, 0) with heading 0": self.used == 0,
+            "no position fix: the track starts at (0, 0) with heading 0": self.used == 0 and not self.walled,
+            "no position fix: the place was sought on the whole plan": self.used == 0 and self.walled,
             "one position fix: the direction of the walk is unknown, heading 0 was assumed": self.used == 1
             and not self.walled
             and not self.headings,
@@ -169,7 +171,12 @@ def _rejected(fixes: Sequence[FixReport]) -> int:
 
 
 def is_located(estimate: Estimate) -> bool:
-    """True if any measurement determined the position: fixes, beacons or ranges."""
+    """True if anything determined the position: fixes, beacons, ranges, or the plan."""
+    return is_measured(estimate) or bool(estimate.routes)
+
+
+def is_measured(estimate: Estimate) -> bool:
+    """True if any measurement determined the position, not the plan alone."""
     return bool(used_fixes(estimate.fixes)) or any(estimate.reports.get(kind) for kind in LOCATING)
 
 

@@ -9,36 +9,45 @@ import numpy as np
 from pdr_graph.errors import expect
 from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.covariance import covariance_of_ends
+from pdr_graph.estimation.global_localization import Localization, localized
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
-from pdr_graph.estimation.initialization import lay_dead_reckoning
+from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
 from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, paths, probabilities
-from pdr_graph.estimation.results import calibration_of, contradiction_warnings, stated_probability, warnings
-from pdr_graph.geometry import row_times, wrap_angle
+from pdr_graph.estimation.results import (
+    LEAST_REPORTED,
+    calibration_of,
+    contradiction_warnings,
+    stated_probability,
+    warnings,
+)
+from pdr_graph.geometry import differences, row_times, wrap_angle
 from pdr_graph.types import Array, Estimate, Index, Trajectory
-
-LEAST_REPORTED = 0.01  # probability below which another walk is not reported
 
 
 def smooth(graph: WalkGraph) -> Estimate:
     """The most probable walk given all measurements in ``graph``, with the covariance of every step.
 
-    If other walks explain the measurements about as well, they widen the covariance and add a warning.
+    If other walks explain the measurements about as well, they widen the covariance and add a warning. A walk on a plan
+    without any position is sought all over the plan.
 
     Raises TypeError without a graph, RuntimeError if GTSAM finds no solution.
     """
     expect("smooth, graph", graph, WalkGraph, instead="WalkGraph(steps, fixes)")
+    return estimated(graph, localized(graph) if graph.unplaced else Localization(joint_solutions(graph)))
 
-    # The optimum and other solutions
-    optima = joint_solutions(graph)
-    best = optima[0]
+
+def estimated(graph: WalkGraph, found: Localization) -> Estimate:
+    """The walk of a graph by its solutions."""
+    optima, best = found.optima, found.optima[0]
 
     # Every step, with its covariance
     rows = poses_of_rows(best)
     path = paths(optima)
-    probability = probabilities(optima, path)
+    share = probabilities(optima, path)
+    probability = (1.0 - found.elsewhere) * share
     own, of_c = covariance_of_ends(best.at, best.net, best.at.pieces.row_end)
-    covariance = _mixture_covariance(optima, probability / probability.sum(), own)
+    covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum(), own))
     fits = best.graph.walled == graph.walled
     of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(own))
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
@@ -51,9 +60,10 @@ def smooth(graph: WalkGraph) -> Estimate:
         if (reports_of_kind := measurement.reports(best.at))
     }
     used = graph.positions
+    aligned = positions_of(trajectory) if graph.unplaced else used.fixes[used.consistent]
     estimate = Estimate(
         trajectory=trajectory,
-        dead_reckoning=lay_dead_reckoning(graph.steps, used.fixes[used.consistent]),
+        dead_reckoning=lay_dead_reckoning(graph.steps, aligned),
         calibration=calibration,
         reports=reports,
         iterations=best.iterations,
@@ -62,8 +72,9 @@ def smooth(graph: WalkGraph) -> Estimate:
         probability=of_path,
         contradictions=(
             *plan_contradictions(graph, trajectory if best.graph.walled else None),
-            *contradictions(optima, probability),
+            *contradictions(optima, share),
         ),
+        routes=_routes(trajectory, optima, path, probability) if graph.unplaced or path.any() else (),
     )
     stated = stated_probability(estimate, graph.floor, fits=fits)
     warned = (
@@ -71,6 +82,19 @@ def smooth(graph: WalkGraph) -> Estimate:
         *contradiction_warnings(reports.get(used.name, ())),
     )
     return replace(estimate, probability=stated, warnings=warned)
+
+
+def _routes(
+    trajectory: Trajectory, optima: list[Optimum], path: Index, probability: Array
+) -> tuple[tuple[float, Trajectory], ...]:
+    """Probability and path of each route that is worth reporting. path, probability: ``(n,)`` of each solution."""
+    found = list[tuple[float, Trajectory]]()
+    for n in np.unique(path).tolist():
+        rows, share = poses_of_rows(optima[n]), float(probability[path == n].sum())
+        if n == 0 or share > LEAST_REPORTED:
+            track = replace(trajectory, position=rows[:, :2], heading=wrap_angle(rows[:, 2]), covariance=None)
+            found.append((share, track))
+    return tuple([found[0], *sorted(found[1:], key=lambda route: -route[0])])
 
 
 def poses_of_rows(optimum: Optimum) -> Array:
@@ -102,7 +126,6 @@ def _mixture_covariance(optima: list[Optimum], weight: Array, own: Array) -> Arr
     total = weight[0] * own
     for w, other in zip(weight[1:], optima[1:], strict=True):
         covariance, _ = covariance_of_ends(other.at, other.net, other.at.pieces.row_end)
-        apart = poses_of_rows(other) - rows
-        apart[:, 2] = wrap_angle(apart[:, 2])
+        apart = differences(poses_of_rows(other), rows)
         total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
     return total

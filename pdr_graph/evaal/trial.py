@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -24,6 +25,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.io import writers
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.online.interface import Georeferenced, Pose, trajectory_of
+from pdr_graph.plausibility import check_initial
 from pdr_graph.types import LONLAT, Array, Fixes
 
 INITIAL_SIGMA = 0.5  # [m] per axis of the initial position, a mark on the floor; chosen by hand
@@ -67,6 +69,19 @@ class PositionFormat:
         label = self.default if not floors or self.default in floors else ""
         sigma, epsg = np.array([INITIAL_SIGMA]), LONLAT if self.lonlat else None
         return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
+
+
+def format_on_plan(
+    lonlat: bool, ignored: bool, plan: Path | None, navigator: partial[Any], initial: str
+) -> PositionFormat:
+    """The format of a trial's positions. navigator: makes that of the walk, with the plan as its ``floor``.
+
+    lonlat, ignored, initial: as of `PositionFormat`. Raises InputError if the initial position is far from the plan.
+    """
+    form = PositionFormat(lonlat, initial, ignored)
+    if plan is not None:
+        check_initial(plan, navigator.keywords["floor"], form.initial_fix(0.0, ()))
+    return form
 
 
 def _position(cells: list[str], lonlat: bool) -> tuple[float, float] | None:

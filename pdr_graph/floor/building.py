@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count, expect
-from pdr_graph.floor.cells import CONNECTING, NOWHERE, STRAY
+from pdr_graph.floor.cells import CONNECTING, NOWHERE, STRAY, Area, overlap
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index, Mask
@@ -24,8 +24,8 @@ from pdr_graph.types import Array, Index, Mask
 class Connection(OneLineRepr):
     """Stairs or a lift.
 
-    kind: one of CONNECTING; polygon: the same on each floor that it joins [m]; floors: indices of these floors in the
-    building, lowest first.
+    kind: one of CONNECTING; polygon: the union of its shapes on the floors that it joins [m]; floors: indices of these
+    floors in the building, lowest first.
     """
 
     kind: str
@@ -60,9 +60,12 @@ class Building(OneLineRepr):
         return [count(len(self.floors), "floor"), ", ".join(repr(label) for label in self.labels)]
 
     @classmethod
-    def load(cls, path: str | Path) -> Building:
-        """Read all floors of a plan in any format. Raises InputError as `FloorPlan.load_all` does."""
-        return cls.of(*FloorPlan.load_all(path))
+    def load(cls, path: str | Path, scale: float | None = None) -> Building:
+        """Read all floors of a plan in any format. Raises InputError as `FloorPlan.load_all` does.
+
+        scale: metres per unit of a drawing or per pixel of a picture, whose format states none.
+        """
+        return cls.of(*FloorPlan.load_all(path, scale))
 
     @classmethod
     def of(cls, *floors: FloorPlan) -> Building:
@@ -110,14 +113,42 @@ class Building(OneLineRepr):
 
     @cached_property
     def connections(self) -> tuple[Connection, ...]:
-        """Stairs and lifts that join several floors."""
+        """Stairs and lifts that join several floors: drawn once for all, or once per floor where these overlap."""
+        drawn = [
+            (n, area) for n, floor in enumerate(self.floors) for area in floor.of_kind(*CONNECTING) if area.is_polygon
+        ]
+        pairs = np.array(list(self._joined(drawn)), dtype=np.intp).reshape(-1, 2)
+        links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(drawn), len(drawn)))
+        shaft = connected_components(links, directed=False)[1] if drawn else np.empty(0, dtype=np.intp)
         connections = []
-        for n, floor in enumerate(self.floors):
-            for area in floor.of_kind(*CONNECTING):
-                on = [k for k, label in enumerate(self.labels) if not area.floors or label in area.floors]
-                if area.is_polygon and len(on) > 1 and on[0] == n:  # it is drawn on each floor: take it from the lowest
-                    connections.append(Connection(area.kind, area.name, area.shape, tuple(on)))
+        for number in dict.fromkeys(shaft.tolist()):
+            parts = [drawn[k] for k in np.flatnonzero(shaft == number)]
+            floors = tuple(dict.fromkeys(n for n, _ in parts))
+            if len(floors) > 1:
+                areas = [area for _, area in parts]
+                name = next((area.name for area in areas if area.name), "")
+                same = all(area.shape is areas[0].shape for area in areas)
+                polygon = areas[0].shape if same else shapely.union_all([area.shape for area in areas])
+                connections.append(Connection(areas[0].kind, name, polygon, floors))
         return tuple(connections)
+
+    @staticmethod
+    def _joined(drawn: Sequence[tuple[int, Area]]) -> Iterator[tuple[int, int]]:
+        """Pairs of stairs or lifts that are one: the same feature on several floors, or of one kind over each other.
+
+        drawn: index of the floor and area, lowest floor first. The lower joins those of the next floor above that has
+        one which shares more than half of the smaller.
+        """
+        tree = shapely.STRtree([area.shape for _, area in drawn])
+        for i, (low, area) in enumerate(drawn):
+            next_floor = None
+            for j in sorted(int(k) for k in tree.query(area.shape) if k > i):
+                high, other = drawn[j]
+                if high == low or other.kind != area.kind or next_floor not in (None, high):
+                    continue
+                if other is area or overlap(area.shape, other.shape):
+                    next_floor = high
+                    yield i, j
 
     def crosses_wall(self, position: Array, labels: Sequence[str]) -> Mask:
         """``(n - 1,)`` True where the segment between consecutive positions ``(n, 2)`` [m] crosses a wall.
@@ -147,7 +178,7 @@ class Building(OneLineRepr):
     def _cells_of(self, connection: Connection, floor: int) -> Index:
         """Indices of the cells of a floor that belong to a connection."""
         cells = self.floors[floor].cells.cells
-        same = [k for k, cell in enumerate(cells) if (cell.kind, cell.name) == (connection.kind, connection.name)]
+        same = [k for k, cell in enumerate(cells) if cell.kind == connection.kind]
         shapes = np.array([cells[k].polygon for k in same], dtype=object)
         shared = shapely.area(shapely.intersection(shapes, connection.polygon))
         return np.array(same, dtype=np.intp)[shared > shapely.area(shapes) / 2]

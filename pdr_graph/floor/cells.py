@@ -32,6 +32,7 @@ OPEN = ("corridor", "intersection", "stairs")  # open to each other
 CLOSED = ("room", "lift")  # enclosed by walls, except at doors
 CONNECTING = ("stairs", "lift")  # join floors
 DOOR = "door"
+ENTRANCE = "entrance"  # property of a door that leads outside
 WALKABLE = (*OPEN, *CLOSED, DOOR)
 WALL = "wall"
 SOLID = (WALL, "shop", "place")
@@ -181,6 +182,12 @@ def without_cracks(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -
     """Union of polygons, with gaps of up to 0.1 m between neighbours closed."""
     wider = shapely.buffer(shapely.union_all(polygons), CRACK / 2, join_style="mitre")
     return shapely.buffer(wider, -CRACK / 2, join_style="mitre")
+
+
+def overlap(one: shapely.Geometry, other: shapely.Geometry) -> bool:
+    """True if two polygons share more than half of the smaller."""
+    shared = shapely.area(shapely.intersection(one, other))
+    return bool(shared > min(shapely.area(one), shapely.area(other)) / 2)
 
 
 def _opening(door: Area) -> shapely.Geometry:

@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import BEACON, CLOSED, CONNECTING, DOOR, LINK, OPEN, OUTLINE, Area, Cell
+from pdr_graph.floor.cells import BEACON, CLOSED, CONNECTING, DOOR, ENTRANCE, LINK, OPEN, OUTLINE, Area, Cell, overlap
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index
 
@@ -31,14 +31,19 @@ def problems(building: Building) -> tuple[str, ...]:
 def _doors(floor: FloorPlan) -> Iterator[str]:
     """Rooms without doors, and doors that join nothing."""
     cells = floor.cells.cells
-    rooms = [c for c in cells if c.kind in CLOSED]
+    ways = np.bincount(floor.cells.passages.ravel(), minlength=len(cells))
+    rooms = [n for n, c in enumerate(cells) if c.kind in CLOSED and ways[n]]
     doors = [n for n, c in enumerate(cells) if c.kind == DOOR]
     if rooms and not doors:
         yield f"{len(rooms)} rooms and no door: the rooms are open to all that they touch"
-    ways = np.bincount(floor.cells.passages.ravel(), minlength=len(cells))
-    yield from _line(
-        "doors that join fewer than two cells", [_place(cells[n].polygon, cells[n].name) for n in doors if ways[n] < 2]
-    )
+    alone = [n for n in doors if not ways[n] or (ways[n] < 2 and not _leads_outside(floor, cells[n]))]
+    yield from _line("doors that join fewer than two cells", [_place(cells[n].polygon, cells[n].name) for n in alone])
+
+
+def _leads_outside(floor: FloorPlan, door: Cell) -> bool:
+    """True for a door with the property ``entrance``."""
+    entrances = [a.shape for a in floor.of_kind(DOOR) if a.properties.get(ENTRANCE)]
+    return any(shapely.intersects(shape, door.polygon) for shape in entrances)
 
 
 def _sealed(building: Building, floor: int) -> Iterator[str]:
@@ -64,7 +69,12 @@ def _stairs(building: Building, n: int) -> Iterator[str]:
     if len(building.floors) == 1:
         return
     floor = building.floors[n]
-    alone = [a for a in floor.of_kind(*CONNECTING) if len(a.floors) == 1]
+    joined = [c for c in building.connections if n in c.floors]
+    alone = [
+        area
+        for area in floor.of_kind(*CONNECTING)
+        if not any(c.kind == area.kind and overlap(c.polygon, area.shape) for c in joined)
+    ]
     yield from _line("stairs or lifts that join no other floor", [_place(a.shape, a.name or a.kind) for a in alone])
     ways = np.bincount(floor.cells.passages.ravel(), minlength=len(floor.cells))
     shut = [c for c, count in zip(floor.cells.cells, ways, strict=True) if c.kind in CONNECTING and not count]

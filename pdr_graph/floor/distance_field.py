@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from threading import Lock
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ PIXEL_BITS = 6
 PIXELS = 1 << PIXEL_BITS  # per side of a tile, for `DistanceField.approximate`
 NOT_COMPUTED = np.iinfo(np.intp).min  # address of a tile that was not computed
 OPEN_DISTANCE = 1.0  # [m] to the walls in a tile that is not computed yet
+STORING = Lock()  # held while tiles are stored: a walk and what is computed beside it share a field
 SURROUNDING_TILES = 13  # around the plan that have a place in the table: a walk may leave the plan
 
 
@@ -48,6 +51,7 @@ class DistanceField:
         self._tiles = np.empty((0, NODES, NODES))
         self._pixels = np.empty((0, PIXELS, PIXELS))
         shapely.prepare(self._walkable)
+        shapely.contains_xy(self._walkable, *shapely.bounds(self._walkable)[:2])  # completes it, for several threads
 
     def at(self, points: Array) -> tuple[Array, Array]:
         """Distance ``(n,)`` [m] and its gradient ``(n, 2)`` at points ``(n, 2)`` [m]."""
@@ -71,12 +75,23 @@ class DistanceField:
         point, wall = self._tree.query(shapely.points(points), predicate="dwithin", distance=within)
         return point, shapely.get_coordinates(self._walls[wall]).reshape(-1, 2, 2)
 
-    def approximate(self, places: Array, at_once: int | None = None) -> Array:
+    def exact(self, points: Array) -> Array:
+        """Distance ``(n,)`` [m] at a few points ``(n, 2)`` [m], without the grid."""
+        distance = np.empty(len(points))
+        (which, _), nearest = self._tree.query_nearest(shapely.points(points), return_distance=True, all_matches=False)
+        distance[which] = nearest
+        return np.where(shapely.contains_xy(self._walkable, *points.T), distance, -distance)
+
+    def no_tiles(self) -> Array:
+        """The tiles of a user of `approximate` who has none yet."""
+        return np.full_like(self._address, NOT_COMPUTED)
+
+    def approximate(self, places: Array, at_once: int | None = None, tiles: Array | None = None) -> Array:
         """Distance ``(…)`` [m] at places ``(2, …)`` [m], accurate to 0.1 m: that of a pixel of 0.125 m.
 
         at_once: most tiles that are computed in this call, where most of the places are; in other tiles the distance is
-        1 m for now. For a thousand places most of the time goes into calling numpy, so that there are few calls and
-        they work in place.
+        1 m for now. tiles: of this user, from `no_tiles`, so that tiles that others compute make no difference. For a
+        thousand places most of the time goes into calling numpy, so that there are few calls and they work in place.
         """
         scaled = places.reshape(2, -1) - self._corner[:, None]
         scaled *= PIXELS / TILE
@@ -86,12 +101,14 @@ class DistanceField:
         tile, row = pixel >> PIXEL_BITS
         tile *= self._rows
         tile += row
-        address = self._address.take(tile)
+        known = self._address if tiles is None else tiles
+        address = known.take(tile)
         if address.min(initial=0) == NOT_COMPUTED:
             missing, wanted = np.unique(tile[address == NOT_COMPUTED], return_counts=True)
             missing = missing[np.argsort(-wanted)[:at_once]]
             self._slots(np.stack(np.divmod(missing, self._rows), axis=1))
-            address = self._address.take(tile)
+            known[missing] = self._address[missing]
+            address = known.take(tile)
         address += pixel[0]
         pixel[1] <<= PIXEL_BITS
         address += pixel[1]
@@ -110,6 +127,12 @@ class DistanceField:
 
     def _store(self, missing: Index) -> None:
         """Compute and store tiles ``(n, 2)``."""
+        tiles = np.stack([self._compute(t) for t in missing])
+        with STORING:
+            self._keep(missing, tiles)
+
+    def _keep(self, missing: Index, tiles: Array) -> None:
+        """Store tiles ``(n, 2)`` of distances; a reader finds a tile only when it is complete."""
         x, y = missing.T
         slot = self._count + np.arange(len(missing))
         self._count += len(missing)
@@ -117,7 +140,7 @@ class DistanceField:
             more = 2 * self._count - len(self._tiles)
             self._tiles = np.concatenate([self._tiles, np.empty((more, NODES, NODES))])
             self._pixels = np.concatenate([self._pixels, np.empty((more, PIXELS, PIXELS))])
-        self._tiles[slot] = tiles = np.stack([self._compute(t) for t in missing])
+        self._tiles[slot] = tiles
         self._pixels[slot] = _pixels(tiles)
         self._slot[x, y] = slot
         self._address[x * self._rows + y] = (slot << 2 * PIXEL_BITS) - (((y << PIXEL_BITS) + x) << PIXEL_BITS)

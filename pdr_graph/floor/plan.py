@@ -14,10 +14,12 @@ from pdr_graph.errors import InputError, count
 from pdr_graph.floor import formats
 from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.floor.formats.units import check_size
 from pdr_graph.floor.network import Network, derived_network, drawn_network
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
+EDGE = 0.05  # [m] of the walkable area along walls where `nearest_walkable` puts no one
 FAR_FROM_PLAN = 100.0  # [m] from the plan's bounding box: a walk beyond it is not on this plan
 
 
@@ -42,14 +44,15 @@ class FloorPlan(OneLineRepr):
         return [repr(self.label), count(len(self.areas), "area"), f"{width:.0f} m by {height:.0f} m"]
 
     @classmethod
-    def load(cls, path: str | Path, floor: str | None = None) -> FloorPlan:
-        """Read one floor of a plan: our GeoJSON, a Microsoft floor folder, or a file of IPIN21 polygons.
+    def load(cls, path: str | Path, floor: str | None = None, scale: float | None = None) -> FloorPlan:
+        """Read one floor of a plan in any format (``docs/formats.md``).
 
-        floor: label; required if the plan has several floors, ignored if it has one.
+        floor: label; required if the plan has several floors, ignored if it has one. scale: metres per unit of a
+        drawing or per pixel of a picture.
 
         Raises InputError for another format, an unknown floor, or a floor without walkable area.
         """
-        plans = cls.load_all(path)
+        plans = cls.load_all(path, scale)
         found = ", ".join(plan.label for plan in plans)
         if len(plans) == 1:
             return plans[0]
@@ -61,9 +64,16 @@ class FloorPlan(OneLineRepr):
         return chosen
 
     @classmethod
-    def load_all(cls, path: str | Path) -> tuple[FloorPlan, ...]:
-        """Read all floors of a plan, lowest first. Raises InputError for a floor without walkable area."""
-        drawing = formats.read(Path(path))
+    def load_all(cls, path: str | Path, scale: float | None = None) -> tuple[FloorPlan, ...]:
+        """Read all floors of a plan, lowest first; scale: as for `load`.
+
+        Raises InputError for a floor without walkable area, or whose rooms and corridors have impossible widths.
+        """
+        return cls.of(Path(path), formats.read(Path(path), scale))
+
+    @classmethod
+    def of(cls, path: Path, drawing: formats.Drawing) -> tuple[FloorPlan, ...]:
+        """The floors of a drawing, lowest first, checked as by `load_all`; path: its file, for messages."""
         plans = tuple(
             cls(label, areas, drawing.frame, drawing.notes, drawing.repairs, drawing.heights.get(label, 0.0))
             for label, areas in drawing.floors.items()
@@ -72,6 +82,7 @@ class FloorPlan(OneLineRepr):
             if shapely.is_empty(plan.walkable):
                 expected = "an outline or a corridor that is not all solid"
                 raise InputError(path, f"floor {plan.label}" if plan.label else "", "no walkable area", expected)
+            check_size(path, plan.walkable)
         return plans
 
     def of_kind(self, *kinds: str) -> tuple[Area, ...]:
@@ -96,6 +107,30 @@ class FloorPlan(OneLineRepr):
         solid = [a.shape for a in self.of_kind(*SOLID) if a.is_polygon]
         outline = [a.shape for a in self.of_kind(OUTLINE) if a.is_polygon]
         return shapely.difference(shapely.union_all(outline), shapely.union_all(solid))
+
+    @cached_property
+    def _inside(self) -> shapely.Geometry:
+        """The walkable area without its edge, where no walker's centre can be [m]."""
+        inside = shapely.buffer(self.walkable, -EDGE)
+        shapely.prepare(inside)
+        return inside
+
+    def nearest_walkable(self, position: Array) -> Array:
+        """The position ``(2,)`` [m] in the walkable area nearest to ``position (2,)``."""
+        point = shapely.Point(position)
+        if shapely.is_empty(self._inside) or shapely.contains(self._inside, point):
+            return position
+        return shapely.get_coordinates(shapely.shortest_line(self._inside, point))[0]
+
+    def random_places(self, count: int, random: np.random.Generator) -> Array:
+        """So many positions ``(count, 2)`` [m], uniformly distributed over the walkable area."""
+        inside = self.walkable if shapely.is_empty(self._inside) else self._inside
+        low, high = shapely.bounds(inside).reshape(2, 2)
+        places = np.empty((0, 2))
+        while len(places) < count:
+            drawn = random.uniform(low, high, (count, 2))
+            places = np.concatenate([places, drawn[shapely.contains_xy(inside, *drawn.T)]])
+        return places[:count]
 
     @property
     def walkable_area(self) -> float:

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from pdr_graph import storage
 from pdr_graph.errors import expect
 from pdr_graph.frames import EarthField, Frame, earth_field
-from pdr_graph.gait.heading import UNCONFIRMED, Direction, forward_axis
+from pdr_graph.gait.heading import UNCONFIRMED, Direction, Forward, forward_axis, live_forward_axis
 from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.steps import GAP_SIGMA_TURN
 from pdr_graph.gait.walker import Walker
@@ -29,6 +29,7 @@ from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
 from pdr_graph.inertial.magnetometer import (
     MAGNETOMETER,
+    NORTH,
     MagnetometerStream,
     North,
     fit_iron,
@@ -92,7 +93,15 @@ def course_from_east(
 
     attitude, heading, walking, step: as for `forward_axis`. None if either sigma is 0.7 rad or more.
     """
-    ahead, moment = forward_axis(attitude, heading, walking, step), float(attitude.time[sample])
+    ahead = forward_axis(attitude, heading, walking, step)
+    return course_along(ahead, attitude, heading, north, sample)
+
+
+def course_along(
+    ahead: Forward, attitude: Attitude, heading: Array, north: North, sample: int
+) -> tuple[float, float, float] | None:
+    """The same, for a forward axis."""
+    moment = float(attitude.time[sample])
     sigma = float(np.interp(moment, north.time, north.sigma))
     if not max(ahead.sigma, sigma) < LEAST_CERTAIN:
         return None
@@ -134,6 +143,7 @@ class LiveCompassSettings:
     """Constants of the live compass, chosen by hand.
 
     sampling: interval of the stored samples [s].
+    early_steps: steps of a stretch at its first evaluations.
     evaluation: time of walking between two evaluations of a stretch [s].
     recent: time of walking before the end of a stretch that may have its heading [s]: a graph with a lag of a minute
         still contains it.
@@ -146,6 +156,7 @@ class LiveCompassSettings:
     """
 
     sampling: float = 0.04
+    early_steps: tuple[int, ...] = (8, 12, 16, 24)
     evaluation: float = 10.0
     recent: float = 20.0
     out_of_reach: float = 40.0
@@ -283,14 +294,21 @@ class LiveCompass:
 
     def _extend(self, rows: Array, begin: float) -> None:
         """Add rows to the stretch, averaged over `stride` rows each."""
-        stride = self.stride
         if not len(self.samples) + len(self.incomplete):
-            self.begin = begin + (stride - 1) / 2 * self.period
-        rows = np.concatenate([self.incomplete, rows])
+            self.begin = self._first_time(begin)
+        new, self.incomplete = self._averaged(np.concatenate([self.incomplete, rows]))
+        self.samples = np.concatenate([self.samples, new])
+
+    def _first_time(self, begin: float) -> float:
+        """Time of the first stored sample if the phone's first is at ``begin``. [s]"""
+        return begin + (self.stride - 1) / 2 * self.period
+
+    def _averaged(self, rows: Array) -> tuple[Array, Array]:
+        """Samples ``(k, 13)``, means over `stride` rows each, without the magnetic field; and the rows left over."""
+        stride = self.stride
         whole = len(rows) // stride * stride
         mean = rows[:whole].reshape(-1, stride, rows.shape[1]).mean(axis=1)
-        self.incomplete = rows[whole:]
-        self.samples = np.concatenate([self.samples, np.pad(mean, ((0, 0), (0, SAMPLE_COLUMNS - mean.shape[1])))])
+        return np.pad(mean, ((0, 0), (0, SAMPLE_COLUMNS - mean.shape[1]))), rows[whole:]
 
     def _start_stretch(self) -> None:
         """Start a new stretch; the heading of the last one counts as earlier information from now on."""
@@ -303,41 +321,87 @@ class LiveCompass:
 
     def _evaluate_if_due(self) -> None:
         """Evaluate the stretch if it has grown enough; end it if it is long or its heading is out of reach."""
-        spacing = self.period * self.stride
-        if len(self.samples) - self.field_count > LIVE_COMPASS.recent / spacing:
+        if len(self.samples) - self.field_count > LIVE_COMPASS.recent / self.spacing:
             self._fill_field()
-        walked = float(self.samples[:, WALKING].sum()) * spacing
-        step = float(np.median(self.durations)) if len(self.durations) else np.inf
-        due = self.evaluated + LIVE_COMPASS.evaluation if self.evaluated else LEAST_STEPS * step
-        if self._earth is not None and walked >= due and len(self.samples):
-            self.evaluated = walked
-            self._fill_field()
-            self._evaluate(self._earth, step, spacing)
-        long = len(self.samples) * spacing >= LONGEST_STRETCH
+        if self._earth is not None and len(self.samples):
+            walked, step = self._walked(self.samples), self._usual_step(self.durations)
+            if walked >= self._due(step):
+                self._fill_field()
+                self._evaluate(self._earth, step, self.samples, self.begin, walked)
+        long = len(self.samples) * self.spacing >= LONGEST_STRETCH
         if long or (len(self.current) and self.end - self.current[0, 0] > LIVE_COMPASS.out_of_reach):
             self._start_stretch()
 
-    def _evaluate(self, earth: EarthField, step: float, spacing: float) -> None:
-        """Report the heading of the stretch with the information that it adds, or retract an earlier one."""
-        attitude = Rotation.from_quat(self.samples[:, ATTITUDE])
-        time = self.begin + spacing * np.arange(len(self.samples), dtype=float)
-        part = Attitude(time, spacing, attitude, self.samples[:, ACCELERATION], None)
-        heading, walking = self.samples[:, HEADING], self.samples[:, WALKING] > 0.5
+    @property
+    def spacing(self) -> float:
+        """Interval between stored samples. [s]"""
+        return self.period * self.stride
+
+    def _walked(self, samples: Array) -> float:
+        """Time of walking among samples. [s]"""
+        return float(samples[:, WALKING].sum()) * self.spacing
+
+    def _due(self, step: float) -> float:
+        """Time of walking in the stretch at which the next evaluation is due [s]; step: duration of a step [s]."""
+        early = [count * step for count in LIVE_COMPASS.early_steps]
+        return next((time for time in early if time > 1.05 * self.evaluated), self.evaluated + LIVE_COMPASS.evaluation)
+
+    @staticmethod
+    def _usual_step(durations: Array) -> float:
+        return float(np.median(durations)) if len(durations) else np.inf
+
+    def preview(self, gait: GaitSignals) -> None:
+        """Evaluate the first steps of the stretch with the samples after the certain ones, which may still change."""
+        variance = gait.direction.variance
+        step = self._usual_step(np.append(self.durations, gait.landings.period))
+        if self._earth is None or self.evaluated >= LIVE_COMPASS.early_steps[-1] * step or not np.isfinite(step):
+            return
+        follows = gait.attitude.period == self.period and gait.attitude.time[0] - self.end < 1.5 * self.period
+        if not follows or variance[-1] > self.direction_variance or gait.attitude.unknown:
+            return
+        begin = self.begin
+        if not len(self.samples) + len(self.incomplete):
+            begin = self._first_time(float(gait.attitude.time[0]))
+        new = self._averaged(np.concatenate([self.incomplete, self._rows(gait)]))[0]
+        samples = np.concatenate([self.samples, new])
+        walked = self._walked(samples)
+        if walked < self._due(step):
+            return
+        self._fill_field()
+        known = self.field_count
+        samples[:known] = self.samples
+        samples[known:, FIELD] = self.field.measured(begin + self.spacing * np.arange(known, len(samples), dtype=float))
+        self._evaluate(self._earth, step, samples, begin, walked)
+
+    def _evaluate(self, earth: EarthField, step: float, samples: Array, begin: float, walked: float) -> None:
+        """Report the heading of the stretch with the information that it adds, or retract an earlier one.
+
+        step: duration of a step [s]; samples: of the stretch, with the magnetic field, from time ``begin`` [s] on;
+        walked: time of walking among them [s].
+        """
+        self.evaluated, spacing = walked, self.spacing
+        stood = max(0, int(np.argmax(samples[:, WALKING] > 0.5)) - round(NORTH.alike / spacing))  # in one disturbance
+        samples, begin = samples[stood:], begin + stood * spacing
+        attitude = Rotation.from_quat(samples[:, ATTITUDE])
+        time = begin + spacing * np.arange(len(samples), dtype=float)
+        part = Attitude(time, spacing, attitude, samples[:, ACCELERATION], None)
+        heading, walking = samples[:, HEADING], samples[:, WALKING] > 0.5
 
         # The direction by this stretch alone
-        north = magnetic_north(part, self.field.without_iron(self.samples[:, FIELD], earth.magnitude), earth)
+        north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
         late = np.flatnonzero(walking)[-round(LIVE_COMPASS.recent / spacing) : -round(STRAIGHT / spacing)]
         if not len(north) or not len(late):
             return self._retract()
         sample = straightest(heading, late, round(STRAIGHT / spacing))
-        found = course_from_east(part, heading, walking, step, north, sample)
+        ahead = live_forward_axis(part, heading, walking, step)
+        found = course_along(ahead, part, heading, north, sample)
         if found is None:
             return self._retract()
         course, north_sigma, ahead_sigma = found
         ahead_sigma = LIVE_COMPASS.unconfirmed if ahead_sigma == UNCONFIRMED else ahead_sigma
 
         # The information that it adds to the earlier stretches
-        offset, turn_variance = course - heading[sample], float(self.samples[sample, TURN_VARIANCE])
+        offset, turn_variance = course - heading[sample], float(samples[sample, TURN_VARIANCE])
         changed = wrap_angle(offset - self.offsets)
         self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
         earlier = 1 / (self.previous[0] + turn_variance - self.previous[1])
@@ -345,9 +409,10 @@ class LiveCompass:
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
         if variance > LIVE_COMPASS.least_added**2:
             return self._retract()
-        self.current = np.array([[time[sample], 1 / (earlier + 1 / variance), turn_variance]])
-        direction = float(wrap_angle(course + self._east))
-        self._found.append(LiveHeading(self.stretch, float(time[sample]), direction, float(np.sqrt(variance))))
+        moment = min(float(time[sample]), self.end)  # of certain steps
+        self.current = np.array([[moment, 1 / (earlier + 1 / variance), turn_variance]])
+        direction = float(wrap_angle(offset + np.interp(moment, time, heading) + self._east))
+        self._found.append(LiveHeading(self.stretch, moment, direction, float(np.sqrt(variance))))
 
     def _retract(self) -> None:
         if len(self.current):

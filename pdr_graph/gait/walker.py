@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.errors import InputError, read_toml
+from pdr_graph.errors import InputError, one_line, read_toml
 from pdr_graph.gait.step_length import MODELS, REFERENCE_HEIGHT
 from pdr_graph.types import Array, Steps
 
@@ -113,8 +113,8 @@ class Walker(OneLineRepr):
 
     def save(self, path: str | Path, comment: str) -> None:
         """Write a ``walker.toml``; `comment` is its first line."""
-        lines = [f"# {comment}", f"height = {self.height:.3f}  # [m]", f"sigma_turn = {self.sigma_turn:.4f}  # [rad]"]
-        lines += ["", "[stride]", f'model = "{self.stride}"']
+        lines = [f"# {one_line(comment)}", f"height = {self.height:.3f}  # [m]"]
+        lines += [f"sigma_turn = {self.sigma_turn:.4f}  # [rad]", "", "[stride]", f'model = "{self.stride}"']
         lines += [f"{name} = {value:.6g}" for name, value in self.constants.items()]
         if self.profile is not None:
             lines += ["", *_calibration_table(self.profile)]

@@ -318,15 +318,21 @@ class MagnetometerStream:
         self.stream.ingest(self.stream.offset)
         self.stream.forget(self.stream.last - LIVE_MAGNETOMETER.history)
 
-    def at(self, time: Array, R_world_device: Rotation) -> Array:
-        """The field ``(n, 3)`` in device axes at times ``(n,)`` [s], evenly spaced; 0 without samples. [µT]"""
+    def measured(self, time: Array) -> Array:
+        """The field ``(n, 3)`` in device axes at times ``(n,)`` [s]; 0 without samples. [µT]"""
         self.ingest()
         if not len(self.stream.time) or not len(time):
             return np.zeros((len(time), 3))
         if abs(self.stream.last - time[-1]) > LIVE_MAGNETOMETER.furthest:  # it stopped, or its first times were wrong
             self.stream = SensorStream()
             return np.zeros((len(time), 3))
-        field = measured_field(Signal(self.stream.time, self.stream.values), time)
+        return measured_field(Signal(self.stream.time, self.stream.values), time)
+
+    def at(self, time: Array, R_world_device: Rotation) -> Array:
+        """The same, at evenly spaced times; adds the samples to those for the fit of iron."""
+        field = self.measured(time)
+        if not len(time):
+            return field
         every = max(1, round(LIVE_MAGNETOMETER.interval * len(time) / (time[-1] - time[0] + 1e-9)))
         up = R_world_device.inv().apply([0.0, 0.0, 1.0])
         selected = np.flatnonzero(np.any(field, axis=1))[::every]

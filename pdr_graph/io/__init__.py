@@ -14,10 +14,11 @@ from pdr_graph.io import (
     indoor_location,
     ipin21,
     oxford_steps,
+    past_day,
     phyphox,
     sensor_logger,
 )
-from pdr_graph.io.source import Source
+from pdr_graph.source import Source
 from pdr_graph.types import Recording
 
 # Modules with NAME, recognizes(source) and read(source); the first that recognises a recording reads it
@@ -31,6 +32,7 @@ READERS = (
     oxford_steps,
     geolife,
     gpx,
+    past_day,
 )
 
 

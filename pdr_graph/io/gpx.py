@@ -16,10 +16,10 @@ import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.columns import OneLineRepr, time_span
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
-from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
+from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Recording, Trajectory
 
 NAME = "GPX"
@@ -57,7 +57,7 @@ def read_fixes(source: Source, notes: list[str]) -> Fixes:
     lat, lon = (_degrees(where, root, texts, name) for texts, name in ((points.lat, "lat"), (points.lon, "lon")))
     accuracy = np.full(len(timed), np.nan)
     for row, values in points.accuracy.items():
-        accuracy[row] = _accuracy(values)
+        accuracy[row] = accuracy_of(values)
     time = _unix_times(where, [time for time in points.time if time])
     return receiver_fixes(np.column_stack([time, lat[timed], lon[timed], accuracy[timed]]), notes, "GPX")
 
@@ -106,7 +106,7 @@ def document(tracks: Sequence[Track], places: Sequence[tuple[str, Points]] = ())
         _add_points(gpx, "wpt", point, name)
     for track in tracks:
         element = etree.SubElement(gpx, "trk")
-        etree.SubElement(element, "name").text = _printable(track.name)
+        etree.SubElement(element, "name").text = printable(track.name)
         for points in track.segments:
             _add_points(etree.SubElement(element, "trkseg"), "trkpt", points)
     return etree.tostring(gpx, encoding="UTF-8", xml_declaration=True, pretty_print=True)
@@ -120,14 +120,10 @@ def _add_points(parent: etree._Element, tag: str, points: Points, name: str = ""
             when = datetime.fromtimestamp(points.time[n], UTC).isoformat(timespec="milliseconds")
             etree.SubElement(element, "time").text = when.replace("+00:00", "Z")
         if name:
-            etree.SubElement(element, "name").text = _printable(name)
+            etree.SubElement(element, "name").text = printable(name)
         if points.accuracy is not None:
             extensions = etree.SubElement(element, "extensions")
             etree.SubElement(extensions, f"{{{EXTENSION}}}accuracy").text = f"{points.accuracy[n]:.2f}"
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 @dataclass
@@ -207,7 +203,7 @@ def _is_number(text: str | None) -> bool:
 ACCURACY_PER_HDOP = 5.3
 
 
-def _accuracy(values: dict[str, str]) -> float:
+def accuracy_of(values: dict[str, str]) -> float:
     """68 % radius of one point [m]; NaN if the file has none. values: lower-case tag -> text."""
     for name, factor in (("accuracy", 1.0), ("horizontalaccuracy", 1.0), ("hdop", ACCURACY_PER_HDOP)):
         if _is_number(values.get(name)):

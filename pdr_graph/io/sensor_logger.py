@@ -15,8 +15,8 @@ import numpy as np
 from pdr_graph.geometry import interpolate
 from pdr_graph.io import delimited
 from pdr_graph.io.delimited import Table
-from pdr_graph.io.source import Source
 from pdr_graph.io.validation import build_recording, receiver_fixes
+from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Recording, Sightings
 
 NAME = "Sensor Logger"
@@ -91,10 +91,14 @@ def _sign(source: Source, with_gravity: Array | None, notes: list[str]) -> float
     z = np.empty(0) if with_gravity is None else with_gravity[np.isfinite(with_gravity[:, 3]), 3]
     if not len(z):
         return 1.0
-    into_screen = bool(np.median(z) < 0)
-    system = "iOS" if into_screen else "Android"
+    sign, system = sign_by_gravity(z)
     notes.append(f"accelerometer: no Metadata.csv, so the phone is unknown; {system} assumed from gravity's sign")
-    return -1.0 if into_screen else 1.0
+    return sign
+
+
+def sign_by_gravity(z: Array) -> tuple[float, str]:
+    """Sign of the accelerations, and the system that has it, by components ``(n,)`` of gravity out of the screen."""
+    return (-1.0, "iOS") if np.median(z) < 0 else (1.0, "Android")
 
 
 def _metadata(source: Source) -> dict[str, str]:

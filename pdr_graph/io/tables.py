@@ -11,7 +11,7 @@ from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
 from pdr_graph.io import delimited, geolife, gpx, ipin21
 from pdr_graph.io.delimited import Table
-from pdr_graph.io.source import Source
+from pdr_graph.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 
@@ -71,7 +71,8 @@ def _tabular_fixes(path: Path) -> Fixes:
 
 def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
     """Raise InputError unless all latitudes are within ±90° and all longitudes within ±180°."""
-    _check_rows(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", "a latitude within ±90°")
+    swapped = " (latitude and longitude swapped?)" if (np.abs(numbers["lon"]) <= 90).all() else ""
+    _check_rows(path, np.abs(numbers["lat"]) > 90, numbers["lat"], "lat", f"a latitude within ±90°{swapped}")
     _check_rows(path, np.abs(numbers["lon"]) > 180, numbers["lon"], "lon", "a longitude within ±180°")
 
 

@@ -6,9 +6,11 @@ appear among the warnings of ``summary.json``. The same rules hold for all recor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from datetime import UTC, datetime
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -329,3 +331,20 @@ def receiver_fixes(table: Array, notes: list[str], source: str = "GNSS", satelli
 def surveyed(time: Array, position: Array, floor: tuple[str, ...] | None = None, epsg: int | None = None) -> Trajectory:
     """Ground truth from surveyed positions ``(n, 2)`` at times ``(n,)`` [s]; its headings are NaN."""
     return Trajectory(time, position, np.full(len(time), np.nan), floor or ("",) * len(time), epsg=epsg)
+
+
+def float_of(value: Any) -> float:
+    """A number, or a text that is one, from untrusted JSON or XML; NaN for others."""
+    try:
+        return math.nan if isinstance(value, bool) or value is None else float(value)
+    except (ValueError, TypeError, OverflowError):
+        return math.nan
+
+
+def iso_time(value: Any) -> float:
+    """Unix time [s] of an ISO 8601 text, UTC without an offset; NaN for others."""
+    try:
+        time = datetime.fromisoformat(value)
+        return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+    except (TypeError, ValueError, OverflowError):
+        return math.nan

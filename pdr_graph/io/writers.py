@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdr_graph.frames import Frame
+from pdr_graph.storage import write_text
 from pdr_graph.types import Array, Estimate, Steps, Trajectory
 
 TRAJECTORY_HEADER = "time,x,y,heading,floor,sigma_x,sigma_y,cov_xy,sigma_heading"
+ROUTES_HEADER = "route,probability,time,x,y,heading,floor"
 STEPS_HEADER = "time,length,turn,sigma_length,sigma_turn"
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
     """Write ``trajectory.csv``: time on the recorder's clock [s], metres, radians, covariance in the output axes."""
     lines = [TRAJECTORY_HEADER, *trajectory_rows(trajectory, clock_origin)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def trajectory_rows(trajectory: Trajectory, clock_origin: float) -> Iterator[str]:
@@ -33,6 +35,16 @@ def trajectory_rows(trajectory: Trajectory, clock_origin: float) -> Iterator[str
     )
     for (t, x, y, heading, sx, sy, sh, xy), floor in zip(table.tolist(), trajectory.floor, strict=True):
         yield f"{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)},{sx:.4f},{sy:.4f},{xy:.6g},{sh:.5f}"
+
+
+def write_routes(path: Path, routes: Sequence[tuple[float, Trajectory]], clock_origin: float) -> None:
+    """Write ``routes.csv``: the routes that a walk can have taken, each with its probability [s, m, rad]."""
+    lines = [ROUTES_HEADER]
+    for number, (probability, track) in enumerate(routes, 1):
+        table = np.column_stack([track.time + clock_origin, track.position, track.heading]).tolist()
+        for (t, x, y, heading), floor in zip(table, track.floor, strict=True):
+            lines.append(f"{number},{probability:.4f},{t:.4f},{x:.4f},{y:.4f},{heading:.5f},{cell(floor)}")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
@@ -54,7 +66,7 @@ def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
         [steps.time + clock_origin, steps.length, steps.turn, steps.sigma_length, steps.sigma_turn], axis=1
     )
     lines += [f"{t:.4f},{length:.4f},{turn:.6f},{sl:.4f},{st:.6f}" for t, length, turn, sl, st in table]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: float) -> None:
@@ -73,7 +85,7 @@ def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: fl
 
 def write_summary(path: Path, summary: dict[str, Any]) -> None:
     """Write ``summary.json``."""
-    path.write_text(json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def cell(text: str) -> str:

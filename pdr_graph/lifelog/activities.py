@@ -7,6 +7,7 @@ a time in which the positions move farther than the steps can have led.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -18,6 +19,7 @@ from pdr_graph.estimation.transport_mode import RIDES, STANDS, WALKS
 from pdr_graph.gait.steps import GAP_SIGMA_TURN
 from pdr_graph.geometry import distance_walked, interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, Segment
+from pdr_graph.lifelog.observation import StatedActivity
 from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Steps, Trajectory
 
 # A bout of walking ends with a rest of 3 s and has at least two strides of either foot (Kluge et al., "Consensus based
@@ -26,9 +28,12 @@ LONGEST_PAUSE = 5.0  # [s] within a bout
 MIN_STEPS = 4  # of a bout; fewer between two pauses are shuffling
 
 
-def follow_positions(fixes: Fixes) -> tuple[Trajectory, tuple[Segment, ...]]:
-    """The path through positions alone, as of `way_through`, and its segments from the first fix to the last."""
-    way = way_through(fixes)
+def follow_positions(fixes: Fixes, stated: Sequence[StatedActivity] = ()) -> tuple[Trajectory, tuple[Segment, ...]]:
+    """The path through positions alone, as of `way_through`, and its segments from the first fix to the last.
+
+    stated: activities that the person states.
+    """
+    way = way_through(fixes, [(start, end, KINDS.index(kind)) for start, end, kind in stated])
     gone = np.diff(length_along(way.trajectory.position))
     return way.trajectory, _segments(way.kind, way.trajectory.time, gone)
 
@@ -125,6 +130,21 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
         far > np.maximum(_reach_of_steps(steps, spans) + WITHIN * _largest_sigma(fixes, spans), SHORTEST_RIDE)
     ]
     return _extended_to_steps(steps, _without_walks(_merge_rides(steps, spans), _confirmed_walks(steps, way)))
+
+
+def with_stated_rides(rides: Array, steps: Steps, stated: Sequence[StatedActivity]) -> Array:
+    """The rides ``(r, 2)`` [s] of a walk, with those that the person states and without times of other activities."""
+    for start, end, kind in stated:
+        start, end = max(start, steps.start), min(end, steps.end)
+        if start >= end:
+            continue
+        before, after = np.minimum(rides, start), np.maximum(rides, end)
+        rides = np.concatenate([before, after])
+        rides = rides[rides[:, 1] - rides[:, 0] > INSTANT]
+        if kind == VEHICLE:
+            rides = np.append(rides, [[start, end]], axis=0)
+        rides = rides[np.argsort(rides[:, 0])]
+    return rides
 
 
 def without_rides(steps: Steps, spans: Array) -> Steps:

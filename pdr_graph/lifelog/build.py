@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import platform
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, tzinfo
+from datetime import datetime
 from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
-from zoneinfo import ZoneInfo
+from typing import TYPE_CHECKING, Any
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.formats import plan_fingerprint
@@ -25,9 +24,14 @@ from pdr_graph.gait.walker import Profile
 from pdr_graph.io.beacons import BEACON_LIST
 from pdr_graph.lifelog import cache, observation
 from pdr_graph.lifelog.day import Day
+from pdr_graph.lifelog.day_rows import DayRows, Rows, profile_of, profile_row, rows_of
+from pdr_graph.lifelog.facts import ESTIMATED, Correction, forgotten_times
+from pdr_graph.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
-from pdr_graph.lifelog.store import ZONE, DayRows, Entry, Rows, Store, StoredDay, profile_of, profile_row, rows_of
-from pdr_graph.lifelog.workers import CrashedItem, Fleet, Work, fleet, pack
+from pdr_graph.lifelog.remote_tasks import Work
+from pdr_graph.lifelog.store import ZONE, Entry, Store, StoredDay
+from pdr_graph.lifelog.unfinished import unfinished_lines
+from pdr_graph.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, fleet, pack
 from pdr_graph.storage import decode, encode, fingerprint
 
 if TYPE_CHECKING:
@@ -40,12 +44,13 @@ Reconstruct = Callable[[str, str, "Mapping[str, Observation]", Profile | None], 
 @dataclass(frozen=True)
 class PlannedDay:
     """A day to reconstruct. recordings: (hash, key of the observation), in time order; built: the day in the store,
-    None if there is none.
+    None if there is none; corrections: those that change its estimate, in the order in which they were made.
     """
 
     date: str
     recordings: tuple[tuple[str, str], ...]
     built: StoredDay | None
+    corrections: tuple[Correction, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,10 @@ class DayChain:
     def key(self) -> str:
         """Key of the first day: the hash of its inputs."""
         known = None if self.profile is None else profile_row(self.profile)
-        return cache.key_of(self.person, self.days[0].date, self.days[0].recordings, known)
+        stated = [correction.inputs for correction in self.days[0].corrections]
+        return cache.key_of(
+            self.person, self.days[0].date, self.days[0].recordings, known, *([stated] if stated else [])
+        )
 
     @property
     def file(self) -> Path:
@@ -106,12 +114,18 @@ def outdated_part(chain: DayChain) -> DayChain:
     return chain
 
 
-def skip_crashed(chain: DayChain, reason: str) -> tuple[list[DayResult], DayChain]:
-    """Results of a chain whose process crashed, up to the day that crashed it; and the chain after that day."""
+def finished_days(chain: DayChain) -> tuple[list[DayResult], DayChain]:
+    """Results of the first days of a chain that are up to date or in files; and the chain after them."""
     days: list[DayResult] = []
     while chain.days and (ready := _existing_result(chain)) is not None:
         day, chain = ready
         days.append(day)
+    return days, chain
+
+
+def skip_crashed(chain: DayChain, reason: str) -> tuple[list[DayResult], DayChain]:
+    """Results of a chain whose process crashed, up to the day that crashed it; and the chain after that day."""
+    days, chain = finished_days(chain)
     if chain.days:
         days.append(DayResult(chain.person, chain.days[0].date, failure=reason))
         chain = chain.after(chain.profile)
@@ -157,6 +171,10 @@ def _reconstructed_day(chain: DayChain, reconstruct: Reconstruct | None) -> Day:
     if reconstruct is None:
         from pdr_graph.lifelog.reconstruct import reconstruct  # imports all of estimation, which is slow
     observations = observation.read_observations(Path(chain.folder), chain.days[0].recordings)
+    if chain.days[0].corrections:
+        from pdr_graph.lifelog.corrections import apply_to_observations
+
+        observations = apply_to_observations(observations, chain.days[0].corrections)
     return reconstruct(chain.person, chain.days[0].date, observations, chain.profile)
 
 
@@ -166,14 +184,17 @@ Progress = Callable[[str, int, int], None]  # called with the name of a stage, t
 
 @dataclass(frozen=True)
 class BuildResult:
-    """Result of a build. built: number of days built; up_to_date: number of days that needed no work; failures: why
-    days failed; refusals: why recordings could not be observed, a line each.
+    """Result of a build. built: number of days built; up_to_date: number of days that needed no work.
+
+    failures: why days failed; refusals: why recordings could not be observed; unfinished: what is left to the next
+    build because the workers were lost; a line each.
     """
 
     built: int
     up_to_date: int
     failures: tuple[str, ...]
     refusals: tuple[str, ...]
+    unfinished: tuple[str, ...] = ()
 
 
 def build(
@@ -181,50 +202,42 @@ def build(
     zone: str | None = None,
     workers: int = 1,
     scheduler: str = "",
+    time_limit: float = ITEM_LIMIT,
     progress: Progress = lambda stage, done, total: None,
     observe: Observe | None = None,
     reconstruct: Reconstruct | None = None,
 ) -> BuildResult:
     """Bring a lifelog up to date: observe recordings and reconstruct days where an input changed.
 
-    zone: time zone whose midnights separate the days, stored for later builds; workers: processes on this machine;
-    scheduler: address of a Dask cluster whose workers see the same paths. observe, reconstruct: replacements for
+    zone: time zone whose midnights separate the days, LOCAL for that of each place, stored for later builds;
+    workers: processes on this machine; scheduler: address of a Dask cluster whose workers see the same paths;
+    time_limit: of a recording or a day in a worker process [s]. observe, reconstruct: replacements for
     `observation.observe` and `reconstruct.reconstruct`, for tests.
 
     Raises InputError if the lifelog, the zone or the scheduler cannot be used; OSError of the disk.
     """
-    with Store(store) as log, fleet(workers, scheduler) as crew:
+    with Store(store) as log, fleet(workers, scheduler, time_limit) as crew:
         if zone is not None:
-            zone_of(zone)
-            log.put_setting(ZONE, zone)
+            log.put_setting(ZONE, checked_zone(zone))
         observe_work, reconstruct_work = (
             partial(observe_all, observe=observe),
             partial(reconstruct_days, reconstruct=reconstruct),
         )
-        _observe(log, crew, observe_work, _outdated_observations(log), progress)
-        days = _recordings_by_day(log)
+        unobserved = _observe(log, crew, observe_work, _outdated_observations(log), progress)
+        days = recordings_by_day(log)
         log.begin_build(
             [own for own, built in log.days().items() if not set(built.recordings) <= set(days.get(own, ()))]
         )
-        chains = _chains(log, days)
-        _observe(log, crew, observe_work, _missing_observations(log, chains), progress)
-        built = _reconstruct(log, crew, reconstruct_work, chains, progress)
+        chains = [chain for whole in day_chains(log, days) if (chain := outdated_part(whole)).days]
+        unobserved += _observe(log, crew, observe_work, _missing_observations(log, chains), progress)
+        built, unbuilt = _reconstruct(log, crew, reconstruct_work, chains, progress)
         if built:
             log.put_versions({name: version(name) for name in PACKAGES} | {"python": platform.python_version()})
         _remove_unused_files(log)
         failures = tuple(f"{person}, {date}: {reason}" for person, date, reason in log.failures())
         refusals = tuple(entry.refusal for entry in log.entries() if entry.refusal)
-    return BuildResult(built, len(days) - built - len(failures), failures, refusals)
-
-
-def zone_of(name: str) -> tzinfo:
-    """Look up a time zone. Raises InputError for an unknown name."""
-    if name == "UTC":
-        return UTC  # works without an installed time zone database
-    try:
-        return ZoneInfo(name)
-    except (OSError, ValueError, LookupError):
-        raise InputError("--zone", "", repr(name), "a time zone, as Europe/Berlin") from None
+    up_to_date = len(days) - built - len(failures) - len(unbuilt)
+    return BuildResult(built, up_to_date, failures, refusals, unfinished_lines(crew.lost, unobserved, unbuilt))
 
 
 def _outdated_observations(log: Store) -> list[ObservationTask]:
@@ -267,7 +280,8 @@ def _task(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]])
     content = [(name, _hash(hashes, name, path, entry)) for name, path in read.items()]
     key = cache.key_of(entry.hash, options.floor or "", options.begins, str(options.plan or ""), content)
     file = str(log.folder / cache.OBSERVATIONS / key)
-    return ObservationTask(entry.hash, key, file, entry.path, options, cache.RESULT_VERSION)
+    forgotten = forgotten_times(log.corrections(entry.person))
+    return ObservationTask(entry.hash, key, file, entry.path, options, cache.RESULT_VERSION, forgotten)
 
 
 def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, path: Path, entry: Entry) -> str:
@@ -278,62 +292,143 @@ def _hash(hashes: Mapping[str, Callable[[Path], str]], name: str, path: Path, en
         raise InputError(path, "", error.strerror or str(error), f"the {name} of {entry.path}") from None
 
 
-def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], progress: Progress) -> None:
-    """Let workers observe recordings, and store each result."""
+def observe_new(log: Store, person: str) -> None:
+    """Observe recordings of a person that have no observation yet, in this process, and store each result."""
+    new = [entry for entry in log.entries() if entry.person == person and not entry.observation]
+    tasks = [found for _, found in _tasks_of(log, new) if isinstance(found, ObservationTask)]
+    entries = {entry.hash: entry for entry in new}
+    for seen in observe_all(tasks):
+        log.put(_updated(entries[seen.hash], seen))
+
+
+def _observe(log: Store, crew: Fleet, work: Work, sought: Sequence[ObservationTask], progress: Progress) -> list[str]:
+    """Let workers observe recordings, and store each result; returns the recordings left by a lost fleet."""
     entries = {entry.hash: entry for entry in log.entries()}
-    tasks = pack(sought, [1] * len(sought), crew.workers)
-    for done, seen in enumerate(crew.run(work, tasks), start=1):
-        if isinstance(seen, CrashedItem):
+    keys, done, left = {task.key for task in sought}, 0, list[str]()
+
+    def written() -> int:
+        number = len(keys & cache.names(log.folder / cache.OBSERVATIONS))
+        progress("recordings", max(done, number), len(sought))
+        return number
+
+    for seen in crew.run(work, pack(sought, [1] * len(sought), crew.workers), written):
+        if isinstance(seen, LostItem):
+            if not Path(seen.item.file).exists():
+                left.append(seen.item.path)
+                continue
+            [seen] = work((seen.item,))  # reads the file
+        elif isinstance(seen, CrashedItem):
             seen = ObservationResult(seen.item.hash, "", refusal=f"{seen.item.path}: {seen.reason}")
         log.put(_updated(entries[seen.hash], seen))
+        done += 1
         progress("recordings", done, len(sought))
+    return left
 
 
 def _updated(entry: Entry, seen: ObservationResult) -> Entry:
     """The entry with the result of an observation; a refusal keeps the earlier observation."""
     if seen.refusal:
         return replace(entry, refusal=seen.refusal)
-    found = {"epoch": seen.epoch, "duration": seen.duration, "steps": seen.steps}
+    found = {"epoch": seen.epoch, "duration": seen.duration, "steps": seen.steps, "zone": seen.zone}
     return replace(entry, observation=seen.key, refusal="", **found)
 
 
-def _recordings_by_day(log: Store) -> dict[tuple[str, str], dict[str, str]]:
-    """Map (person, date) -> {hash: key of the observation} of recordings that began on that day, both in order."""
-    zone, days = zone_of(log.setting(ZONE)), defaultdict[tuple[str, str], dict[str, str]](dict)
-    observe_all = [(entry.epoch, entry) for entry in log.entries() if entry.epoch is not None]
-    for epoch, entry in sorted(observe_all, key=lambda pair: (pair[0], pair[1].hash)):
-        date = datetime.fromtimestamp(epoch, zone).date().isoformat()
+def recordings_by_day(log: Store) -> dict[tuple[str, str], dict[str, str]]:
+    """Map (person, date) -> {hash: key of the observation} of recordings that began on that day, both in order.
+
+    Dates are those of the zone that was chosen, else of where the recording, or the last one with a position, began.
+    """
+    fixed, days = log.setting(ZONE), defaultdict[tuple[str, str], dict[str, str]](dict)
+    observed = [(entry.epoch, entry) for entry in log.entries() if entry.epoch is not None]
+    observed.sort(key=lambda pair: (pair[0], pair[1].hash))
+    last = {entry.person: entry.zone for _, entry in reversed(observed) if entry.zone}  # at first, that of the first
+    for epoch, entry in observed:
+        last[entry.person] = entry.zone or last.get(entry.person, "")
+        date = datetime.fromtimestamp(epoch, zone_named(fixed or last[entry.person])).date().isoformat()
         days[entry.person, date][entry.hash] = entry.observation
     return dict(sorted(days.items()))
 
 
-def _chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) -> list[DayChain]:
-    """The chain of each person, from the first day that is not up to date."""
+def day_chains(log: Store, days: Mapping[tuple[str, str], Mapping[str, str]]) -> list[DayChain]:
+    """The chain of all days of each person; days: as of `recordings_by_day`."""
     built, planned = log.days(), defaultdict[str, list[PlannedDay]](list)
+    corrections, entries = log.corrections(), {entry.hash: entry for entry in log.entries()}
     for (person, date), recordings in days.items():
-        planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date))))
-    chains = [
+        stated = tuple(c for c in corrections if any(_is_changed_by(entries[name], c) for name in recordings))
+        planned[person].append(PlannedDay(date, tuple(recordings.items()), built.get((person, date)), stated))
+    return [
         DayChain(person, tuple(its), None, str(log.folder), cache.RESULT_VERSION) for person, its in planned.items()
     ]
-    return [chain for whole in chains if (chain := outdated_part(whole)).days]
 
 
-def _reconstruct(log: Store, crew: Fleet, work: Work, chains: Sequence[DayChain], progress: Progress) -> int:
-    """Let workers reconstruct days, and store them; returns the number of days built."""
+def _is_changed_by(entry: Entry, correction: Correction) -> bool:
+    """True if a correction changes the estimate of a recording."""
+    return correction.kind in ESTIMATED and correction.person == entry.person and entry.overlaps(*correction.span)
+
+
+def rebuild(log: Store, person: str, start: float, end: float) -> tuple[list[DayResult], int]:
+    """Reconstruct the stored days of a person that a change from `start` to `end` (Unix times [s]) puts out of date.
+
+    Returns as `rebuild_dates`.
+    """
+    touched = {entry.hash for entry in log.entries() if entry.person == person and entry.overlaps(start, end)}
+    dates = [date for (who, date), day in log.days().items() if who == person and touched & set(day.recordings)]
+    return rebuild_dates(log, person, dates)
+
+
+def rebuild_dates(log: Store, person: str, dates: Collection[str]) -> tuple[list[DayResult], int]:
+    """Reconstruct days of a person where they are out of date, in this process, from observations that exist.
+
+    Returns a result per day, and the number of this person's days that are left to the next build: days that were never
+    built, and later days if the profile of the walker has changed.
+    """
+    results, days = list[DayResult](), recordings_by_day(log)
+    for chain in (whole for whole in day_chains(log, days) if whole.person == person):
+        profile = None
+        for day in chain.days:
+            one = replace(chain, days=(day,), profile=profile)
+            if day.date in dates and outdated_part(one).days:
+                result, one = _existing_result(one) or _reconstruct_first(one, None)
+                store_day(log, result)
+                results.append(result)
+                profile = one.profile
+            elif day.built is not None:
+                profile = day.built.profile
+    left = [outdated_part(whole) for whole in day_chains(log, days) if whole.person == person]
+    return results, sum(len(chain.days) for chain in left)
+
+
+def _reconstruct(
+    log: Store, crew: Fleet, work: Work, chains: Sequence[DayChain], progress: Progress
+) -> tuple[int, list[tuple[str, str]]]:
+    """Let workers reconstruct days, and store them; returns the number of days built, and those a lost fleet left."""
     built, seen, total = 0, 0, sum(len(chain.days) for chain in chains)
-    while chains:
+
+    def written() -> int:
+        number = seen + len(cache.names(log.folder / cache.DAYS))
+        progress("days", min(number, total), total)
+        return number
+
+    while chains and not crew.lost:
         left: list[DayChain] = []
-        for made in crew.run(work, pack(chains, [len(chain.days) for chain in chains], crew.workers)):
-            days, rest = skip_crashed(made.item, made.reason) if isinstance(made, CrashedItem) else ([made], None)
+        for made in crew.run(work, pack(chains, [len(chain.days) for chain in chains], crew.workers), written):
+            days, rest = _results_and_rest(made)
             left += [rest] if rest is not None and rest.days else []
             for day in days:
-                built, seen = built + _store_day(log, day), seen + 1
+                built, seen = built + store_day(log, day), seen + 1
                 progress("days", seen, total)
         chains = left
-    return built
+    return built, [(chain.person, day.date) for chain in chains for day in chain.days]
 
 
-def _store_day(log: Store, day: DayResult) -> bool:
+def _results_and_rest(made: Any) -> tuple[list[DayResult], DayChain | None]:
+    """Results of days, and the chain that is left after them; made: a `DayResult`, or a `CrashedItem` or `LostItem`."""
+    if isinstance(made, CrashedItem):
+        return skip_crashed(made.item, made.reason)
+    return finished_days(made.item) if isinstance(made, LostItem) else ([made], None)
+
+
+def store_day(log: Store, day: DayResult) -> bool:
     """Store a day or the reason of its failure; True if a day was stored."""
     rows = read_rows(Path(day.file)) if day.file else None
     if rows is not None:

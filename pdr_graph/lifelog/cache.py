@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pdr_graph.errors import InputError
-from pdr_graph.io.source import Source
+from pdr_graph.source import Source
 
 
 def content_hash(path: Path) -> str:
@@ -42,7 +42,7 @@ def _file_hash(path: Path) -> str:
 
 
 RESULT_VERSION = f"{version('pdr_graph')}, 3"  # raise the number whenever observations or days change
-OBSERVATIONS, DAYS, COPIES = "observations", "days", "recordings"  # folders in STORE.d
+OBSERVATIONS, DAYS, DIGESTS, COPIES = "observations", "days", "digests", "recordings"  # folders in STORE.d
 PARTIAL = ".part"  # suffix of a file while it is being written
 Value = TypeVar("Value")
 
@@ -66,13 +66,19 @@ def read(file: Path, decode: Callable[[bytes], Value]) -> Value | None:
         return None
 
 
-def write(path: Path, content: bytes) -> None:
-    """Write a file atomically, with its folders. Raises OSError of the disk; an earlier file is then unchanged."""
+def write(path: Path, content: bytes, durable: bool = False) -> None:
+    """Write a file atomically, with its folders. Raises OSError of the disk; an earlier file is then unchanged.
+
+    durable: return when the content is on the disk, so that a power cut does not lose it.
+    """
     make_folder(path.parent)
     handle, name = tempfile.mkstemp(PARTIAL, dir=path.parent)  # mode 0600; a name of this process alone
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(content)
+            if durable:
+                file.flush()
+                os.fsync(file.fileno())
         os.replace(name, path)
     except OSError as error:
         Path(name).unlink(missing_ok=True)
@@ -99,6 +105,11 @@ def make_folder(path: Path) -> None:
     if not path.is_dir():
         make_folder(path.parent)
         path.mkdir(mode=0o700, exist_ok=True)
+
+
+def names(folder: Path) -> set[str]:
+    """Names of the files in a folder that are completely written; none if it does not exist."""
+    return {name for name in os.listdir(folder) if not name.endswith(PARTIAL)} if folder.is_dir() else set()
 
 
 def remove_all_but(folder: Path, names: set[str]) -> None:

@@ -1,4 +1,4 @@
-"""Export days of a lifelog as GPX 1.1, GeoJSON (RFC 7946) or CSV, without private places.
+"""Export days of a lifelog as GPX 1.1, GeoJSON (RFC 7946), CSV or GeoParquet, without private places.
 
 Exports have no paths of recordings and plans. A line ends at each gap.
 """
@@ -8,11 +8,10 @@ from __future__ import annotations
 import json
 import secrets
 from collections.abc import Iterator, Sequence
-from datetime import UTC, date, datetime, tzinfo
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, clipped, floors_visited, horizontal_sigma, split_at_gaps
+from pdr_graph.lifelog.local_time import zone_of_outings
 from pdr_graph.lifelog.privacy import without_private_places
 from pdr_graph.lifelog.private_places import PrivatePlace, private_places
 from pdr_graph.lifelog.store import ZONE, Store
@@ -157,7 +157,7 @@ def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
         yield f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}"
 
 
-GPX, GEOJSON, CSV = "gpx", "geojson", "csv"
+GPX, GEOJSON, CSV, PARQUET = "gpx", "geojson", "csv", "parquet"
 DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
 SECRET, SECRET_BYTES = "secret", 32  # setting that determines how private areas are moved, and its length
 
@@ -172,25 +172,27 @@ def export_days(
     cut: Sequence[str] = (),
     blur: Sequence[str] = (),
 ) -> tuple[list[Path], list[str]]:
-    """Write days of a lifelog to one file, or to a folder with files per day (always for CSV).
+    """Write days of a lifelog to one file, or to a folder with files per day (CSV) or tables (PARQUET).
 
-    file_format: GPX, GEOJSON or CSV; out: a file if its suffix is the format, else a folder; person: None for all;
-    since, until: first and last date, "" for all; cut, blur: places to keep private, as of `private_places`.
+    file_format: GPX, GEOJSON, CSV or PARQUET; out: a file if its suffix is the format, else a folder; person: None for
+    all; since, until: first and last date, "" for all; cut, blur: places to keep private, as of `private_places`.
     Returns the files, and notes on what was left out, a line each. Raises InputError if a choice cannot be used.
     """
     single = out.suffix.lower() == f".{file_format}" and not out.is_dir()
-    if single and file_format == CSV:
-        raise InputError("--out", "", str(out), "a folder: CSV has two files per day")
+    if single and file_format in (CSV, PARQUET):
+        raise InputError("--out", "", str(out), f"a folder: {file_format} has several files")
     notes, written = list[str](), list[Path]()
     with Store(path) as log:
-        zone, wanted = (
-            ZoneInfo(log.setting(ZONE)),
-            _selected_days(log, person, _checked_date("--from", since), _checked_date("--to", until)),
-        )
+        zone = log.setting(ZONE)
+        wanted = _selected_days(log, person, _checked_date("--from", since), _checked_date("--to", until))
         places = _private_places(log, cut), _private_places(log, blur)
         days = _public_days(log, wanted, file_format, places, notes)
         for target, content in (
-            _one_file(out, file_format, list(days)) if single else _files_by_day(out, file_format, days, zone)
+            _one_file(out, file_format, list(days))
+            if single
+            else _tables(out, days, log, bool(cut or blur))
+            if file_format == PARQUET
+            else _files_by_day(out, file_format, days, zone)
         ):
             cache.write(target, content)
             written.append(target)
@@ -258,11 +260,18 @@ def _one_file(out: Path, file_format: str, days: Sequence[Day]) -> Iterator[tupl
         yield out, DOCUMENTS[file_format](days)
 
 
-def _files_by_day(out: Path, file_format: str, days: Iterator[Day], zone: tzinfo) -> Iterator[tuple[Path, bytes]]:
+def _tables(out: Path, days: Iterator[Day], log: Store, private: bool) -> Iterator[tuple[Path, bytes]]:
+    """One table of each kind, of all days."""
+    from pdr_graph.lifelog.geo_tables import parquet_tables  # heavy, and of an extra
+
+    yield from ((out / name, content) for name, content in parquet_tables(days, log.corrections(), private).items())
+
+
+def _files_by_day(out: Path, file_format: str, days: Iterator[Day], zone: str) -> Iterator[tuple[Path, bytes]]:
     for day in days:
         name = f"{quote(day.person, safe=' ')}_{day.date}"
         if file_format == CSV:
             yield out / f"{name}_trajectory.csv", as_csv(day)
-            yield out / f"{name}_timeline.csv", timeline_csv(timeline(day), zone).encode()
+            yield out / f"{name}_timeline.csv", timeline_csv(timeline(day), zone_of_outings(zone, day.outings)).encode()
         else:
             yield out / f"{name}.{file_format}", DOCUMENTS[file_format]([day])

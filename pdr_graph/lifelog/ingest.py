@@ -10,14 +10,15 @@ from pathlib import Path
 from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats import MICROSOFT_INFO, MICROSOFT_MAP
+from pdr_graph.floor.formats import root_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside
-from pdr_graph.io.source import Source
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import check_usable, read_inputs
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
+from pdr_graph.plausibility import check_floors
+from pdr_graph.source import Source
 
 DEFAULT_PERSON = "me"
 TIME_FORM = "a time such as 2024-05-01T09:30:00+02:00"
@@ -61,6 +62,7 @@ def add(
     found, skipped, refused = find_recordings(recordings)
     if options.begins is not None and len(found) > 1:
         raise InputError("--begins", "", f"{len(found)} recordings", "a single recording: add them one by one")
+    is_new = not store.exists()
     with Store(store, new=True) as log:
         if phone is not None:
             log.put_phone(person or DEFAULT_PERSON, phone)
@@ -77,6 +79,8 @@ def add(
             known[entry.hash] = _with_path(entry, known.get(entry.hash), log.folder / cache.COPIES, copy)
             log.put(known[entry.hash])
         progress(len(found), len(found))
+    if is_new and phone is None and not result.added:
+        store.unlink(missing_ok=True)  # all were refused: nothing is written
     return result
 
 
@@ -172,13 +176,11 @@ def _checked(person: str | None, options: RecordingOptions) -> RecordingOptions:
     for name, value in (("person", person), ("floor", options.floor)):
         if value is not None and not (value.strip() and value.isprintable()):
             raise InputError(f"--{name}", "", repr(value), "a name")
-    if (plan := options.plan) is not None and plan.name in (MICROSOFT_MAP, MICROSOFT_INFO):
-        options = replace(options, plan=plan.parent)  # a file of a Microsoft floor stands for its folder
+    if options.plan is not None:
+        options = replace(options, plan=root_of(options.plan))  # one file of a folder stands for the folder
     options = replace(options, **{name: path.resolve() for name, path in options.files.items()})
     if options.plan is not None:
-        labels = Building.load(options.plan).labels
-        if options.floor is not None and options.floor not in labels:
-            raise InputError(options.plan, "", f"the floors {', '.join(labels)[:80]}", f"a floor {options.floor!r}")
+        check_floors(options.plan, Building.load(options.plan), options.floor)
     if options.walker is not None:
         Walker.load(options.walker)
     return options

@@ -1,14 +1,14 @@
 """One graph for many days and a group of people: walks bound by place recognition and by encounters.
 
 Two people whose phones received each other were near each other at that time ([calibration-walk] Sec. 2). The days are
-built before, each by itself. Their observations are read again and estimated together; the cost grows with the length
-of the history, so this is done on request only.
+built before, each by itself. Their observations are read again and estimated together, in blocks by place and time
+(`walk_blocks`): memory is bounded, and the time proportional to the length of the history.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
@@ -24,10 +24,14 @@ from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache, observation
+from pdr_graph.lifelog.corrections import apply_to_observations
 from pdr_graph.lifelog.day import Day, Outing
+from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.facts import Correction
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.reconstruct import EstimatedWalk, estimate_walk, reconstruct_outings
-from pdr_graph.lifelog.store import TOGETHER, Store, StoredDay, rows_of
+from pdr_graph.lifelog.store import TOGETHER, Store, StoredDay
+from pdr_graph.lifelog.walk_blocks import MAX_STEPS, WalkPlace, blocks
 from pdr_graph.measurements import Closures
 from pdr_graph.types import Index, Recording, Sightings
 
@@ -95,12 +99,7 @@ class PersonDay(OneLineRepr):
         return [repr(self.person), self.date, count(len(self.observations), "recording")]
 
 
-@dataclass(frozen=True)
-class _WalkIndex:
-    """Numbers of a walk's day and of its outing in that day."""
-
-    day: int
-    outing: int
+Outings = Sequence[EstimatedWalk | Outing]
 
 
 def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -> list[Day]:
@@ -110,31 +109,51 @@ def reconstruct_together(days: Sequence[PersonDay], phones: Mapping[str, str]) -
     """
     made = [reconstruct_outings(day.observations, day.profile) for day in days]
     outings: list[list[EstimatedWalk | Outing]] = [list(own) for own, _ in made]
-    for places in _grouped_by_area(outings):
-        walks = _in_one_frame([_walk(outings, place) for place in places])
-        people = [days[place.day].person for place in places]
-        for number, walk in _estimate_bound(walks, people, phones):
-            outings[places[number].day][places[number].outing] = walk
+    people = [day.person for day in days]
+    for walks in walks_by_area(own for own, _ in made):
+        for place, walk in bound_walks(walks, lambda day: made[day][0], people, phones):
+            outings[place.day][place.outing] = walk
     return [
-        Day(day.person, day.date, tuple(one if isinstance(one, Outing) else one.outing for one in own), profile)
+        Day(day.person, day.date, _finished(own), profile)
         for day, own, (_, profile) in zip(days, outings, made, strict=True)
     ]
 
 
-def _grouped_by_area(outings: Sequence[Sequence[EstimatedWalk | Outing]]) -> Iterator[list[_WalkIndex]]:
+def bound_walks(
+    walks: Sequence[WalkPlace], outings_of: Callable[[int], Outings], people: Sequence[str], phones: Mapping[str, str]
+) -> Iterator[tuple[WalkPlace, EstimatedWalk]]:
+    """Estimate the walks of an area, block by block; yields each walk that closures connect, with its new estimate.
+
+    outings_of: returns the outings of a day, each estimated by itself; people: who walked on each day.
+    """
+    for block in blocks(walks):
+        found = [outings_of(place.day)[place.outing] for place in block.walks]
+        alone = _in_one_frame([walk for walk in found if isinstance(walk, EstimatedWalk)])
+        for number, walk in _estimate_bound(alone, [people[place.day] for place in block.walks], phones):
+            if block.walks[number] not in block.context:
+                yield block.walks[number], walk
+
+
+def walks_by_area(days: Iterable[Outings]) -> list[list[WalkPlace]]:
     """The walks on each plan, and walks without a plan whose starts are within AREA_RADIUS; groups of two or more.
 
     Walks whose sources contradict each other are left out: the radio scans on them are at wrong places.
     """
-    grounds: defaultdict[object, list[_WalkIndex]] = defaultdict(list)
+    grounds: defaultdict[object, list[WalkPlace]] = defaultdict(list)
     centres: list[np.ndarray] = []
-    for d, own in enumerate(outings):
+    for d, own in enumerate(days):
         for n, one in enumerate(own):
             if isinstance(one, EstimatedWalk) and one.may_bind:
                 ground: object = one.session.parts[0][1].plan or _area_of(one, centres)
                 if ground is not None:
-                    grounds[ground].append(_WalkIndex(d, n))
-    yield from (places for places in grounds.values() if len(places) > 1)
+                    start, steps = one.joined.epoch, one.graph.steps
+                    grounds[ground].append(WalkPlace(d, n, start + steps.start, start + steps.end, len(steps)))
+    return [walks for walks in grounds.values() if len(walks) > 1]
+
+
+def _finished(own: Outings) -> tuple[Outing, ...]:
+    """The outings of a day."""
+    return tuple(one if isinstance(one, Outing) else one.outing for one in own)
 
 
 def _area_of(walk: EstimatedWalk, centres: list[np.ndarray]) -> int | None:
@@ -151,12 +170,6 @@ def _area_of(walk: EstimatedWalk, centres: list[np.ndarray]) -> int | None:
             return number
     centres.append(frame.to_lonlat(begin)[0])
     return len(centres) - 1
-
-
-def _walk(outings: Sequence[Sequence[EstimatedWalk | Outing]], place: _WalkIndex) -> EstimatedWalk:
-    found = outings[place.day][place.outing]
-    assert isinstance(found, EstimatedWalk), "only walks have an index"
-    return found
 
 
 def _in_one_frame(walks: Sequence[EstimatedWalk]) -> list[EstimatedWalk]:
@@ -203,33 +216,88 @@ def _scans(walk: EstimatedWalk) -> Scans:
     return scans_of(Recording(walk.session.parts[0][1].source, 0.0, own.epoch, bluetooth=own.bluetooth, wifi=own.wifi))
 
 
-def estimate_together(store: Path) -> int:
-    """Estimate all walks of a lifelog that places or encounters connect in one graph; returns the number of days.
+class _StoredDays:
+    """The days of a lifelog, each reconstructed by itself when it is asked for; the last ones are kept in memory."""
 
-    Returns 0 if nothing has changed since the last time. Raises InputError if the lifelog cannot be used, or an
-    observation is missing.
+    KEPT_STEPS = MAX_STEPS
+
+    def __init__(self, log: Store):
+        self.built, self._log = log.days(), log
+        self.keys = list(self.built)
+        self._observations = {entry.hash: entry.observation for entry in log.entries()}
+        self._kept: dict[int, tuple[Outings, Profile | None]] = {}
+
+    def outings(self, number: int) -> Outings:
+        """The outings of a day, each estimated by itself."""
+        return self.reconstructed(number)[0]
+
+    def reconstructed(self, number: int) -> tuple[Outings, Profile | None]:
+        """The outings of a day, each estimated by itself, and the profile after it."""
+        if number not in self._kept:
+            own = self.keys[number]
+            corrections = self._log.corrections(own[0])
+            day = _inputs_of_day(self._log.folder, self.built, self._observations, *own, corrections)
+            self._kept[number] = reconstruct_outings(day.observations, day.profile)
+            while len(self._kept) > 1 and sum(map(_steps, self._kept.values())) > self.KEPT_STEPS:
+                del self._kept[next(iter(self._kept))]
+        return self._kept[number]
+
+    def put(self, day: Day) -> None:
+        """Store a day."""
+        own = self.built[day.person, day.date]
+        self._log.put_day(rows_of(day, own.key, own.recordings))
+
+
+def _steps(reconstructed: tuple[Outings, Profile | None]) -> int:
+    """Number of steps of a day."""
+    return sum(len(one.graph.steps) for one in reconstructed[0] if isinstance(one, EstimatedWalk))
+
+
+def estimate_together(store: Path, progress: Callable[[str, int, int], None] = lambda stage, done, total: None) -> int:
+    """Estimate all walks of a lifelog that places or encounters connect in common graphs; returns the number of days.
+
+    progress: called with the name of a stage, the days or walks done, and all. Returns 0 if nothing has changed since
+    the last time. Raises InputError if the lifelog cannot be used, or an observation is missing.
     """
     with Store(store.resolve()) as log:
-        built, phones = log.days(), log.phones()
-        key = cache.key_of([[*own, day.key] for own, day in built.items()], sorted(phones.items()))
+        days, phones = _StoredDays(log), log.phones()
+        key = cache.key_of([[*own, day.key] for own, day in days.built.items()], sorted(phones.items()))
         if log.setting(TOGETHER) == key:
             return 0
-        keys = {entry.hash: entry.observation for entry in log.entries()}
-        days = [_inputs_of_day(log.folder, built, keys, *own) for own in built]
-        made = reconstruct_together(days, phones)
-        for day in made:
-            own = built[day.person, day.date]
-            log.put_day(rows_of(day, own.key, own.recordings))
+        log.put_setting(TOGETHER, "")
+        areas = walks_by_area(_alone(days, progress))
+        done, total, people = 0, sum(map(len, areas)), [person for person, _ in days.keys]
+        for walks in areas:
+            for place, walk in bound_walks(walks, days.outings, people, phones):
+                day = log.day(*days.keys[place.day])
+                assert day is not None, "it was stored before"
+                outings = [*day.outings[: place.outing], walk.outing, *day.outings[place.outing + 1 :]]
+                days.put(replace(day, outings=tuple(outings)))
+                progress("walks together", done := done + 1, total)
         log.put_setting(TOGETHER, key)
-    return len(made)
+    return len(days.keys)
+
+
+def _alone(days: _StoredDays, progress: Callable[[str, int, int], None]) -> Iterator[Outings]:
+    """The outings of each day, estimated by themselves and stored so."""
+    for number, own in enumerate(days.keys):
+        outings, profile = days.reconstructed(number)
+        days.put(Day(*own, _finished(outings), profile))
+        progress("days alone", number + 1, len(days.keys))
+        yield outings
 
 
 def _inputs_of_day(
-    folder: Path, days: Mapping[tuple[str, str], StoredDay], keys: Mapping[str, str], person: str, date: str
+    folder: Path,
+    days: Mapping[tuple[str, str], StoredDay],
+    keys: Mapping[str, str],
+    person: str,
+    date: str,
+    corrections: Sequence[Correction],
 ) -> PersonDay:
-    """The inputs of a stored day. keys: of the observation, by content hash of the recording."""
+    """The inputs of a stored day. keys: of the observation, by content hash; corrections: of the person."""
     recordings = [(name, keys[name]) for name in days[person, date].recordings]
-    observations = observation.read_observations(folder, recordings)
+    observations = apply_to_observations(observation.read_observations(folder, recordings), corrections)
     before = [day.profile for (who, when), day in days.items() if who == person and when < date]
     known = [profile for profile in before if profile is not None]
     return PersonDay(person, date, observations, known[-1] if known else None)

@@ -24,6 +24,8 @@ from pdr_graph.inertial.magnetometer import measured_field
 from pdr_graph.inputs import Inputs, Options, read
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
+from pdr_graph.lifelog.local_time import zone_at
+from pdr_graph.lifelog.masking import DELETED, without_times
 from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.plausibility import FASTEST_RIDE
 from pdr_graph.storage import compress, decode, decompress, encode
@@ -34,6 +36,9 @@ END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic f
 SHORTEST_PAUSE = 1.0  # [s] of standing in which the walker may turn; shorter pauses are part of the gait
 MIN_POSITIONS = 2  # positions required for an outing without steps
 BAROMETER_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
+
+
+StatedActivity = tuple[float, float, str]  # start and end [s], kind
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,8 @@ class Observation(OneLineRepr):
     step and after the last, relative to the step before [rad].
     headings, fixes, barometer, bluetooth, wifi, beacons, measurements: as in ``Recording``, in the frame; ends: None if
     the field is unknown; profile: from the walker file, the initial profile of a lifelog. notes: data skipped or
-    assumptions made.
+    assumptions made. stated: activities that the person states, each with start, end (Unix times [s]) and one of
+    `day.KINDS`; none in a file.
     """
 
     source: str
@@ -87,8 +93,9 @@ class Observation(OneLineRepr):
     profile: Profile | None = None
     notes: tuple[str, ...] = ()
     measurements: tuple[Any, ...] = ()
+    stated: tuple[StatedActivity, ...] = ()
 
-    added: ClassVar[tuple[str, ...]] = ("measurements",)  # files of store format 2 have none
+    added: ClassVar[tuple[str, ...]] = ("measurements", "stated")  # older files have none
 
     def _summary(self) -> list[str]:
         steps = "no steps" if self.steps is None else repr(self.steps)
@@ -113,13 +120,12 @@ def to_bytes(observation: Observation) -> bytes:
 def from_bytes(blob: bytes) -> Observation:
     """The observation that `to_bytes` encoded, or one of store format 2. Raises ValueError for other bytes."""
     found = decompress(blob, ObservationFile, Observation)
-    if isinstance(found, Observation):
-        return found
-    if not found.measurements:
-        return found.observation
-    from pdr_graph.estimation.factors import KINDS  # imports gtsam, which is slow
+    observation = found if isinstance(found, Observation) else found.observation
+    if isinstance(found, ObservationFile) and found.measurements:
+        from pdr_graph.estimation.factors import KINDS  # imports gtsam, which is slow
 
-    return replace(found.observation, measurements=tuple(decode(table, *KINDS) for table in found.measurements))
+        observation = replace(observation, measurements=tuple(decode(table, *KINDS) for table in found.measurements))
+    return replace(observation, headings=replace(observation.headings))  # sources that earlier versions did not have
 
 
 def read_inputs(recording: Path, options: RecordingOptions) -> Inputs:
@@ -187,6 +193,16 @@ def check_usable(recording: Path, walk: Recording, positions: int) -> None:
         )
 
 
+def is_usable(observation: Observation) -> bool:
+    """True if an observation has steps, or enough positions."""
+    return observation.steps is not None or len(observation.fixes) >= MIN_POSITIONS
+
+
+def step_count(observation: Observation) -> int:
+    """Number of steps of an observation."""
+    return 0 if observation.steps is None else int((~observation.steps.is_gap).sum())
+
+
 def _turns_in_pauses(gaits: list[GaitSignals], steps: Steps) -> Array:
     """Direction of the walker in each pause ``(n + 1,)``, relative to the step before [rad]; 0 in short pauses."""
     landed = np.concatenate([[steps.start], steps.time])
@@ -242,7 +258,7 @@ Observe = Callable[[Path, RecordingOptions], Observation]  # as `observe`
 @dataclass(frozen=True)
 class ObservationTask:
     """A recording to observe. hash: of its content; key, file: of the observation; path, options: as in `Entry`;
-    version: `cache.RESULT_VERSION` of the build.
+    version: `cache.RESULT_VERSION` of the build; forgotten: times that the person has deleted (Unix times [s]).
     """
 
     hash: str
@@ -251,11 +267,12 @@ class ObservationTask:
     path: str
     options: RecordingOptions
     version: str
+    forgotten: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
 class ObservationResult:
-    """Result for a recording. epoch, duration [s], steps: as in `Entry`; refusal: reason of a failure, else ""."""
+    """Result for a recording. epoch, duration [s], steps, zone: as in `Entry`; refusal: why it failed, else ""."""
 
     hash: str
     key: str
@@ -263,6 +280,7 @@ class ObservationResult:
     duration: float = 0.0
     steps: int = 0
     refusal: str = ""
+    zone: str = ""
 
 
 def observe_all(tasks: Sequence[ObservationTask], observe: Observe | None = None) -> Iterator[ObservationResult]:
@@ -280,8 +298,18 @@ def observe_all(tasks: Sequence[ObservationTask], observe: Observe | None = None
                 yield ObservationResult(task.hash, task.key, refusal=f"{where}{error_text(error)}")
                 continue
             cache.write(Path(task.file), to_bytes(observation))
-        steps = 0 if observation.steps is None else int((~observation.steps.is_gap).sum())
-        yield ObservationResult(task.hash, task.key, observation.epoch, observation.duration, steps)
+        found = {"duration": observation.duration, "steps": step_count(observation), "zone": zone_at_start(observation)}
+        yield ObservationResult(task.hash, task.key, observation.epoch, **found)
+
+
+def zone_at_start(observation: Observation) -> str:
+    """Name of the time zone where a recording began: at its first position, else at its plan; "" if unknown."""
+    frame = observation.frame
+    if not frame.georeferenced or not (len(observation.fixes) or observation.plan):
+        return ""
+    place = observation.fixes.position[:1] if len(observation.fixes) else np.zeros((1, 2))
+    longitude, latitude = frame.to_lonlat(place)[0].tolist()
+    return zone_at(latitude, longitude)
 
 
 def read_observation(file: Path) -> Observation | None:
@@ -323,4 +351,8 @@ def _observe_task(task: ObservationTask, observer: Observe | None) -> Observatio
     observation = (observer or observe)(path, task.options)
     if not 0 <= observation.epoch < LATEST_EPOCH:
         raise InputError(path, "time", f"{observation.epoch:g} s since 1970", "a time since 1970: give --begins")
+    if task.forgotten:
+        observation = without_times(observation, task.forgotten, DELETED)
+    if observation is None or not is_usable(observation):
+        raise InputError(path, "", "nothing but times that were deleted", "other times: pdr-graph lifelog correct list")
     return observation

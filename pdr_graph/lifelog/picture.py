@@ -21,6 +21,7 @@ from matplotlib.patches import Rectangle
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.building import Building
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
+from pdr_graph.lifelog.map_furniture import Label, draw_labels, draw_north, draw_scale, filled, is_inside
 from pdr_graph.lifelog.maps import (
     COLOURS,
     HALO,
@@ -52,14 +53,11 @@ PAPER, BORDER = "#f7f6f2", "#c8c4ba"
 DOT_AREA, PASSING_AREA = (40.0, 600.0), 22.0  # [pt²] of the shortest and the longest stay, and of a slow pass
 START_DISTANCE = 3.5  # [pt] of a label from the mark of an outing's start
 LONGEST_STAY = 2 * 3600.0  # [s] of a stay with the largest dot
-MAX_LABELS = 14  # per map
-SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))  # of a point, for its label
-Label = tuple[Array, str, float]  # position (2,), text, and distance of the text from the position [pt]
 
 
 def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], zone: tzinfo, aspect: float) -> None:
     """Draw one of a day's maps. maps: all of them; zone: of times; aspect: width of the axes over their height."""
-    low, high = _filled(panel.corners, aspect)
+    low, high = filled(panel.corners, aspect)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[], facecolor=PAPER)
     for spine in axes.spines.values():
         spine.set_edgecolor(BORDER)
@@ -70,19 +68,14 @@ def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], zone: tzinfo, aspe
     for drawn in panel.drawn:
         _draw_track(axes, drawn, low, high)
     larger = [(other.letter, corners) for other in maps if (corners := _corners_on(panel, other)) is not None]
-    stays = [s for s in panel.stays if not any(_is_inside(corners, s.position) for _, corners in larger)]
-    _label(axes, [*_draw_frames(axes, larger), *_draw_stays(axes, stays), *_draw_starts(axes, panel, zone)])
-    _draw_scale(axes, low, high)
+    stays = [s for s in panel.stays if not any(is_inside(corners, s.position) for _, corners in larger)]
+    draw_labels(axes, [*_draw_frames(axes, larger), *_draw_stays(axes, stays), *_draw_starts(axes, panel, zone)])
+    draw_scale(axes, low, high)
+    if panel.frame.georeferenced:
+        draw_north(axes, panel.frame.bearing_of_east(panel.corners.mean(axis=0)))
     title = "   ".join(one_line(word) for word in (panel.letter, panel.floor) if word)
     style = {"fontsize": 11, "weight": "bold", "zorder": 9, "path_effects": HALO}
     axes.text(0.012, 0.985, title, transform=axes.transAxes, va="top", **style)
-
-
-def _filled(corners: Array, aspect: float) -> Array:
-    """Corners ``(2, 2)`` with the same middle, enlarged to an aspect ratio [m]."""
-    half = (corners[1] - corners[0]) / 2
-    half = np.array([max(half[0], half[1] * aspect), max(half[1], half[0] / aspect)])
-    return corners.mean(axis=0) + np.stack([-half, half])
 
 
 def _draw_floor(axes: Axes, panel: Panel) -> None:
@@ -125,15 +118,8 @@ def _corners_on(panel: Panel, other: Panel) -> Array | None:
     if other is panel or panel.plan or not (panel.frame.georeferenced and other.frame.georeferenced):
         return None
     corners = panel.frame.from_frame(other.frame, other.corners)
-    part = np.max(corners[1] - corners[0]) < panel.width and all(
-        _is_inside(panel.corners, corner) for corner in corners
-    )
+    part = np.max(corners[1] - corners[0]) < panel.width and all(is_inside(panel.corners, corner) for corner in corners)
     return corners if part else None
-
-
-def _is_inside(corners: Array, position: Array) -> bool:
-    """True if a position ``(2,)`` lies between corners ``(2, 2)``."""
-    return bool(np.all((position >= corners[0]) & (position <= corners[1])))
 
 
 def _draw_frames(axes: Axes, larger: Sequence[tuple[str, Array]]) -> list[Label]:
@@ -174,50 +160,6 @@ def _draw_starts(axes: Axes, panel: Panel, zone: tzinfo) -> list[Label]:
     for start in starts:
         axes.plot(*start.position[0], marker="o", ms=5, mfc="white", mec=TRACK, mew=1.4, ls="none", zorder=6.5)
     return [(s.position[0], f"{datetime.fromtimestamp(s.time[0], zone):%H:%M}", START_DISTANCE) for s in starts]
-
-
-def _label(axes: Axes, labels: Sequence[Label]) -> None:
-    """Draw labels, given in order of importance, beside their points where they overlap nothing; leave out the rest."""
-    points = 72.0 / axes.figure.dpi  # [pt] of a pixel
-    frame = axes.get_window_extent().get_points() * points
-    places = [axes.transData.transform(position) * points for position, _, _ in labels]
-    occupied = [_box(at, 2 * away, 2 * away) for at, (_, _, away) in zip(places, labels, strict=True)]
-    for at, (_, text, away) in zip(places[:MAX_LABELS], labels, strict=False):
-        boxes = [_box_beside(at, text, away, right, up) for right, up in SIDES]
-        free = [b for b in boxes if _is_inside(frame, b[0]) and _is_inside(frame, b[1]) and not _overlaps(b, occupied)]
-        if free:
-            occupied.append(free[0])
-            x, y = axes.transAxes.inverted().transform(free[0].mean(axis=0) / points)
-            style = {"fontsize": LABEL_SIZE, "color": INK, "zorder": 8, "path_effects": HALO}
-            axes.text(x, y, text, transform=axes.transAxes, ha="center", va="center", **style)
-
-
-def _box_beside(at: Array, text: str, away: float, right: int, up: int) -> Array:
-    """Corners ``(2, 2)`` [pt] of a text to the right (1) or left (-1) of a point, above (1) or below (-1) it."""
-    wide, high = label_width(text), 1.2 * LABEL_SIZE
-    return _box(at + np.array([right * (away + 2 + wide / 2), up * (away + 1 + high / 2)]), wide, high)
-
-
-def _box(middle: Array, wide: float, high: float) -> Array:
-    """Corners ``(2, 2)`` of a box about its middle."""
-    half = np.array([wide / 2, high / 2])
-    return np.stack([middle - half, middle + half])
-
-
-def _overlaps(box: Array, others: Sequence[Array]) -> bool:
-    return any((box[0] < other[1]).all() and (box[1] > other[0]).all() for other in others)
-
-
-def _draw_scale(axes: Axes, low: Array, high: Array) -> None:
-    """Draw a scale bar of a round length, at most a fifth of the map's width."""
-    about = (high[0] - low[0]) / 5
-    power = 10.0 ** np.floor(np.log10(about))
-    length = float(power * max(n for n in (1, 2, 5) if n * power <= about))
-    x, y = low + 0.03 * (high - low)
-    axes.plot([x, x + length], [y, y], color=INK, lw=2.5, solid_capstyle="butt", zorder=9)
-    label = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
-    text = axes.annotate(label, (x + length, y), (4, 0), textcoords="offset points", va="center", fontsize=8, zorder=9)
-    text.set_path_effects(HALO)
 
 
 # Chosen by hand
@@ -297,7 +239,7 @@ def picture(day: Day, zone: tzinfo) -> Figure:
 
     Does not use pyplot, which is slow to load and keeps every figure alive.
     """
-    with rc_context({"font.family": font_families()}):
+    with rc_context({"font.family": font_families(), "text.parse_math": False}):  # a name may have dollar signs
         return _draw(day, zone)
 
 

@@ -29,7 +29,7 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, SOLID
-from pdr_graph.floor.formats import check_degrees, features_of, read_json
+from pdr_graph.floor.formats.geojson import check_degrees, features_of, read_json
 from pdr_graph.frames import Frame, enu
 from pdr_graph.types import Array, Mask
 

@@ -18,7 +18,7 @@ from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.frames import Frame
 from pdr_graph.gait.steps import GAP_SPEED
 from pdr_graph.gait.walker import Profile
-from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, without_rides
+from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, with_stated_rides, without_rides
 from pdr_graph.lifelog.day import Day, Outing
 from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.sessions import (
@@ -28,6 +28,7 @@ from pdr_graph.lifelog.sessions import (
     is_located,
     join,
     join_fixes,
+    join_stated,
     sessions_of,
 )
 from pdr_graph.lifelog.stays import stays_of, stays_of_positions
@@ -115,7 +116,7 @@ def estimate_walk(
 
     # The steps of this walker, without rides, on their floors
     steps = profile.corrected(joined.steps) if profile else joined.steps
-    rides = detect_rides(steps, fixes)
+    rides = with_stated_rides(detect_rides(steps, fixes), steps, joined.stated)
     evidence = Evidence(without_rides(steps, rides), fixes, joined.headings, building, profile=profile)
     evidence = with_measurements(evidence, (joined.closures, *joined.measurements))
     evidence = with_floors(evidence, joined.barometer, first.floor or None, Path(first.plan))
@@ -189,7 +190,7 @@ def _outing_of_positions(session: Session) -> Outing:
     """The outing of a session of positions alone."""
     first = session.parts[0][1]
     frame, fixes = join_fixes(session.observations)
-    trajectory, segments = follow_positions(fixes)
+    trajectory, segments = follow_positions(fixes, join_stated(session.observations))
     building = building_of(first.plan) if first.plan else None
     notes = (line for observation in session.observations for line in observation.notes)
     return Outing(

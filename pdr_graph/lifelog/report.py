@@ -1,4 +1,4 @@
-"""Show a day of a lifelog: as text, and as files that only their owner can read.
+"""The report of a day of a lifelog: files that only their owner can read.
 
 The page ``report.html`` has maps, hours and the timeline: the content of ``timeline.csv`` and ``day.png``, without
 names or paths of recordings and plans.
@@ -9,11 +9,11 @@ from __future__ import annotations
 import io
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from itertools import groupby
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 
@@ -25,14 +25,12 @@ from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay, horizontal_sigm
 from pdr_graph.lifelog.export import as_geojson, not_exported
 from pdr_graph.lifelog.maps import COLOURS, DrawnPart, Panel, panels
 from pdr_graph.lifelog.picture import picture
-from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.lifelog.timeline import (
     KIND_NAMES,
     PASSING,
     STAY,
     DayTotals,
     TimelineEntry,
-    as_text,
     duration_text,
     entry_texts,
     timeline,
@@ -48,30 +46,37 @@ from pdr_graph.types import Array, Trajectory
 PICTURE_DPI = 130
 
 
-def show_day(path: Path, person: str | None = None, date: str | None = None, out: Path | None = None) -> str:
-    """Return the timeline of a day as text, and write its files to the folder ``out`` if one is given.
+@dataclass(frozen=True)
+class DayRows:
+    """The rows of a day that its page lists, with their totals."""
 
-    Files: ``timeline.csv``, ``day.geojson``, ``day.png`` and ``report.html``. person: optional if there is only one;
-    date: the last day by default. Raises InputError if there is no such day.
+    entries: tuple[TimelineEntry, ...]
+    totals: DayTotals
+
+    @classmethod
+    def of(cls, day: Day) -> DayRows:
+        """Every entry of the timeline."""
+        entries = timeline(day)
+        return cls(entries, totals(day, entries))
+
+
+def write_day(day: Day, zone: tzinfo, out: Path | None, rows: DayRows | None = None) -> list[str]:
+    """Write the files of a day to a folder, None for nowhere; returns its notes and what is missing, a line each.
+
+    rows: those of the diary, for the page; by default every entry of the timeline, as in ``timeline.csv``.
     """
-    with Store(path) as log:
-        zone = ZoneInfo(log.setting(ZONE))
-        day = log.day(*_selected_day(log, person, date))
-    assert day is not None, "_selected_day returns existing days only"
-    entries = timeline(day)
     missing = [line for outing in day.outings for line in outing.missing]
     notes = [*not_exported([day]), *(line for outing in day.outings for line in outing.notes)]
     missing, notes = ([one_line(line) for line in dict.fromkeys(lines)] for lines in (missing, notes))
     if out is not None:
-        cache.write(out / "timeline.csv", timeline_csv(entries, zone).encode())
+        cache.write(out / "timeline.csv", timeline_csv(timeline(day), zone).encode())
         cache.write(out / "day.geojson", as_geojson([day]))
         cache.write(out / "day.png", _picture_bytes(day, zone))
-        missing += _write_page(out / "report.html", day, zone, missing, notes)
-    remarks = [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
-    return as_text(day, entries, zone) + "".join(f"{line}\n" for line in remarks)
+        missing += _write_page(out / "report.html", day, zone, missing, notes, rows)
+    return [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
 
 
-def _picture_bytes(day: Day, zone: ZoneInfo) -> bytes:
+def _picture_bytes(day: Day, zone: tzinfo) -> bytes:
     """The picture of a day as PNG."""
     buffer = io.BytesIO()
     with warnings.catch_warnings():
@@ -80,30 +85,15 @@ def _picture_bytes(day: Day, zone: ZoneInfo) -> bytes:
     return buffer.getvalue()
 
 
-def _write_page(path: Path, day: Day, zone: ZoneInfo, missing: Sequence[str], notes: Sequence[str]) -> tuple[str, ...]:
+def _write_page(
+    path: Path, day: Day, zone: tzinfo, missing: Sequence[str], notes: Sequence[str], rows: DayRows | None
+) -> tuple[str, ...]:
     """Write the HTML page of a day; returns a line for a failure, else nothing."""
     try:
-        cache.write(path, page.page(content(day, zone, missing, notes)))
+        cache.write(path, page.page(content(day, zone, missing, notes, rows)))
     except Exception as error:  # a failing report must not lose the result
         return (one_line(f"{path.name} ({type(error).__name__}: {error})"),)
     return ()
-
-
-def _selected_day(log: Store, person: str | None, date: str | None) -> tuple[str, str]:
-    """The person and date of an existing day. Raises InputError if the choice is ambiguous or there is no such day."""
-    days = list(log.days())
-    if not days:
-        raise InputError(log.path, "", "no day", "a built lifelog: run pdr-graph lifelog build")
-    people = sorted({name for name, _ in days})
-    if person is None and len(people) > 1:
-        raise InputError("--person", "", f"no choice, {len(people)} persons", f"one of {', '.join(people)}")
-    person = people[0] if person is None else person
-    dates = [day for name, day in days if name == person]
-    if not dates:
-        raise InputError("--person", "", repr(person), f"one of {', '.join(people)}")
-    if date is not None and date not in dates:
-        raise InputError("--date", "", repr(date), f"a recorded day from {dates[0]} to {dates[-1]}")
-    return person, date or dates[-1]
 
 
 OFFSET_PERIOD = 900.0  # [s]; daylight saving time starts and ends at multiples of it
@@ -113,15 +103,22 @@ LONGEST_STAY = 7200.0  # [s] duration of a stay with the largest mark
 BLOCK_HEIGHT, LANE_HEIGHT = 14, 26  # [px] in the chart of the day
 
 
-def content(day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str]) -> dict[str, Any]:
-    """The content of the page, in the form documented in ``web/content.js``; missing, warnings: a line each."""
-    entries, maps = timeline(day), panels(day)
-    start, end = (entries[0].start, max(e.end for e in entries)) if entries else (0.0, 0.0)
+def content(
+    day: Day, zone: tzinfo, missing: Sequence[str], warnings: Sequence[str], rows: DayRows | None = None
+) -> dict[str, Any]:
+    """The content of the page, in the form documented in ``web/content.js``.
+
+    missing, warnings: a line each; rows: what the page lists, by default every entry of the timeline.
+    """
+    every, maps = timeline(day), panels(day)
+    start, end = (every[0].start, max(e.end for e in every)) if every else (0.0, 0.0)
+    rows = rows or DayRows.of(day)
+    entries = rows.entries
     ways = [_joined_track(panel) for panel in maps]
     return {
         "title": f"{day.person}   {day.date}",
         "subtitle": f"times of {zone}",
-        "headline": _headline(totals(day, entries)),
+        "headline": _headline(rows.totals),
         "verdict": None,
         "missing": list(missing),
         "warnings": list(warnings),

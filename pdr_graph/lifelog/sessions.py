@@ -19,7 +19,7 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.steps import GAP_SIGMA_TURN, append_steps, gap, shifted
-from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation
+from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation, StatedActivity
 from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
 from pdr_graph.types import Array, Beacons, Fixes, Headings, Index, Sightings, Signal, Steps
 
@@ -171,6 +171,7 @@ class JoinedRecordings(OneLineRepr):
     wifi: Sightings | None
     beacons: Beacons | None
     measurements: tuple[Any, ...] = ()
+    stated: tuple[StatedActivity, ...] = ()
 
     def _summary(self) -> list[str]:
         others = [f"{len(table)} {type(table).__name__.lower()}" for table in self.measurements]
@@ -205,6 +206,7 @@ def join(
         wifi=_sightings([(part.wifi, by) for part, by in zip(parts, offsets, strict=True)]),
         beacons=_beacons(parts, frame),
         measurements=_measurements([*parts, *beside], frame),
+        stated=join_stated(parts),
     )
 
 
@@ -217,6 +219,12 @@ def join_fixes(parts: Sequence[Observation]) -> tuple[Frame, Fixes]:
 def is_located(part: Observation | JoinedRecordings) -> bool:
     """True if there are fixes, or measurements of positions in the frame, as ranges to anchors are."""
     return len(part.fixes) > 0 or any(hasattr(table, "position") for table in part.measurements)
+
+
+def join_stated(parts: Sequence[Observation]) -> tuple[StatedActivity, ...]:
+    """The activities stated for recordings, times from the start of the first; each once, in their order."""
+    stated = dict.fromkeys(activity for part in parts for activity in part.stated)
+    return tuple((start - parts[0].epoch, end - parts[0].epoch, kind) for start, end, kind in stated)
 
 
 def frame_of(parts: Sequence[Observation]) -> Frame:

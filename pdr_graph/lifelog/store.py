@@ -7,150 +7,47 @@ writes them, one transaction per operation.
 
 from __future__ import annotations
 
+import hashlib
 import json
+import math
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
-from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
-from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
-from pdr_graph.storage import Kind, compress, decode_json, decompress, encode_json
-from pdr_graph.types import Trajectory
-
-DAY_SCHEMA = (
-    # key: of all that a day is made of; recordings: hashes, JSON
-    "CREATE TABLE day (person TEXT, date TEXT, key TEXT, recordings TEXT, PRIMARY KEY (person, date))",
-    # epoch: Unix time at 0 [s]; frame, recordings, notes and missing: JSON
-    """CREATE TABLE outing (person TEXT, date TEXT, outing INTEGER, source TEXT, epoch REAL, steps INTEGER, plan TEXT,
-        frame TEXT, recordings TEXT, notes TEXT, missing TEXT, PRIMARY KEY (person, date, outing))""",
-    # start, stop: from the outing's epoch [s]; distance [m]
-    """CREATE TABLE segment (person TEXT, date TEXT, outing INTEGER, segment INTEGER, kind TEXT, start REAL, stop REAL,
-        distance REAL, PRIMARY KEY (person, date, outing, segment))""",
-    # bytes: as of storage.compress
-    """CREATE TABLE trajectory (person TEXT, date TEXT, outing INTEGER, bytes BLOB,
-        PRIMARY KEY (person, date, outing))""",
-    # x, y [m] in the outing's frame; heading [rad], NULL where unknown
-    """CREATE TABLE stay (person TEXT, date TEXT, outing INTEGER, stay INTEGER, start REAL, stop REAL, passing INTEGER,
-        x REAL, y REAL, var_x REAL, cov_xy REAL, var_y REAL, heading REAL, floor TEXT,
-        PRIMARY KEY (person, date, outing, stay))""",
-    """CREATE TABLE facing (person TEXT, date TEXT, outing INTEGER, stay INTEGER, rank INTEGER, name TEXT,
-        probability REAL, PRIMARY KEY (person, date, outing, stay, rank))""",
-    # at the end of the day; covariance: 3 × 3 in the order of the coefficients, JSON
-    """CREATE TABLE profile (person TEXT, date TEXT, E_length REAL, E_straight REAL, E_corner REAL, covariance TEXT,
-        residual REAL, speed REAL, PRIMARY KEY (person, date))""",
-)
-TABLES = ("day", "outing", "segment", "trajectory", "stay", "facing", "profile")  # tables with rows of a day
-Rows = dict[str, list[tuple[Any, ...]]]
-
-
-@dataclass(frozen=True)
-class DayRows:
-    """The rows of a day by table, on their way from a worker to the store."""
-
-    tables: Rows
-
-
-def rows_of(day: Day, key: str, recordings: Sequence[str]) -> Rows:
-    """The rows of a day by table. key: hash of its inputs; recordings: content hashes."""
-    own = (day.person, day.date)
-    rows: Rows = {name: [] for name in TABLES}
-    rows["day"].append((*own, key, json.dumps(list(recordings))))
-    for n, outing in enumerate(day.outings):
-        _add(rows, (*own, n), outing)
-    if day.profile is not None:
-        rows["profile"].append((*own, *profile_row(day.profile)))
-    return rows
-
-
-def day_of(person: str, date: str, read: Callable[[str], Sequence[Sequence[Any]]]) -> Day:
-    """The day whose rows `rows_of` returned. read: returns the rows of a table in order, without person and date.
-
-    Raises ValueError if the rows are invalid.
-    """
-    tables = {name: read(name) for name in TABLES}
-    found = [profile_of(row) for row in tables["profile"]]
-    outings = tuple(_outing(row, tables) for row in tables["outing"])
-    return Day(person, date, outings, found[0] if found else None)
-
-
-def profile_row(profile: Profile) -> tuple[Any, ...]:
-    """Row of a profile for its table."""
-    covariance = json.dumps(profile.covariance.tolist())
-    return (profile.E_length, profile.E_straight, profile.E_corner, covariance, profile.residual, profile.speed)
-
-
-def profile_of(row: Sequence[Any]) -> Profile:
-    """Profile from a row of its table."""
-    length, straight, corner, covariance, residual, speed = row
-    length, straight, corner, residual, speed = map(_number, (length, straight, corner, residual, speed))
-    return Profile(length, straight, corner, np.array(json.loads(covariance)), residual, speed)
-
-
-def _add(rows: Rows, own: tuple[str, str, int], outing: Outing) -> None:
-    """Add the rows of one outing."""
-    texts = [json.dumps(list(lines)) for lines in (outing.recordings, outing.notes, outing.missing)]
-    frame = encode_json(outing.frame)
-    rows["outing"].append((*own, outing.source, outing.epoch, outing.steps, outing.plan, frame, *texts))
-    rows["trajectory"].append((*own, compress(outing.trajectory)))
-    for n, s in enumerate(outing.segments):
-        rows["segment"].append((*own, n, s.kind, s.start, s.end, s.distance))
-    for n, stay in enumerate(outing.stays):
-        place = (*stay.position.tolist(), *stay.covariance.ravel()[[0, 1, 3]].tolist())
-        rows["stay"].append((*own, n, stay.start, stay.end, int(stay.passing), *place, stay.heading, stay.floor))
-        rows["facing"] += [(*own, n, rank, name, p) for rank, (name, p) in enumerate(stay.facing)]
-
-
-def _outing(row: Sequence[Any], tables: Mapping[str, Sequence[Sequence[Any]]]) -> Outing:
-    """The outing of a row of its table, with its rows in the other tables."""
-    number, source, epoch, steps, plan, frame, *texts = row
-    recordings, notes, missing = (tuple(json.loads(lines)) for lines in texts)
-    own = {name: [r[1:] for r in tables[name] if r[0] == number] for name in TABLES[2:]}
-    [(track,)] = own["trajectory"]
-    return Outing(
-        recordings=recordings,
-        source=source,
-        epoch=epoch,
-        frame=decode_json(frame, Frame),
-        plan=plan,
-        trajectory=decompress(track, Trajectory),
-        segments=tuple(Segment(kind, *map(_number, numbers)) for _, kind, *numbers in own["segment"]),
-        stays=tuple(_stay(r, own["facing"]) for r in own["stay"]),
-        steps=steps,
-        notes=notes,
-        missing=missing,
-    )
-
-
-def _stay(row: Sequence[Any], facing: Sequence[Sequence[Any]]) -> Stay:
-    """The stay of a row of its table; facing: the rows of its outing."""
-    number, start, stop, passing, *numbers, floor = row
-    x, y, var_x, cov_xy, var_y, heading = map(_number, numbers)
-    names = tuple((name, probability) for stay, _, name, probability in facing if stay == number)
-    covariance = np.array([[var_x, cov_xy], [cov_xy, var_y]])
-    return Stay(start, stop, bool(passing), np.array([x, y]), covariance, heading, floor, names)
-
-
-def _number(value: float | None) -> float:
-    """A number from SQLite, which stores NaN as NULL."""
-    return float("nan") if value is None else value
-
+from pdr_graph.lifelog.day import Day
+from pdr_graph.lifelog.day_rows import DAY_SCHEMA, TABLES, Rows, day_of, profile_of
+from pdr_graph.lifelog.facts import Correction, Guess
+from pdr_graph.storage import Kind
 
 REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
+FACTS = (
+    # what the person says of a time, from start to stop (Unix times [s]); made: Unix time; value: JSON
+    """CREATE TABLE correction (number INTEGER PRIMARY KEY AUTOINCREMENT, person TEXT, made REAL, kind TEXT, start REAL,
+        stop REAL, value TEXT)""",
+    # what another program guessed (Google's visits and activities), kept as such; start, stop: Unix times [s]
+    """CREATE TABLE guess (person TEXT, source TEXT, start REAL, stop REAL, kind TEXT, name TEXT, latitude REAL,
+        longitude REAL, probability REAL, PRIMARY KEY (person, source, start, stop, kind, name))""",
+)
+COMPARED = "(ifnull({0}probability, -1), ifnull({0}latitude, -99), ifnull({0}longitude, -999))"
+PUT_GUESS = f"""INSERT INTO guess VALUES ({", ".join("?" * 9)}) ON CONFLICT DO UPDATE SET
+    probability = excluded.probability, latitude = excluded.latitude, longitude = excluded.longitude
+    WHERE {COMPARED.format("excluded.")} > {COMPARED.format("guess.")}"""
 LIFELOG = Kind(
     "lifelog",
     0x5044524C,  # "PDRL"
-    3,
+    4,
     REMEDY,
-    {2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''")},
+    {
+        2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''"),
+        3: (*FACTS, "ALTER TABLE recording ADD zone TEXT DEFAULT ''"),
+    },
 )
 SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, value TEXT)",
@@ -158,15 +55,16 @@ SCHEMA = (
     # an Entry with its options; '' for one that is not given, but NULL for begins
     """CREATE TABLE recording (hash TEXT PRIMARY KEY, person TEXT, path TEXT, plan TEXT, fixes TEXT, beacons TEXT,
         ranges TEXT, walker TEXT, floor TEXT, begins REAL, observation TEXT, epoch REAL, duration REAL, steps INTEGER,
-        refusal TEXT)""",
+        refusal TEXT, zone TEXT DEFAULT '')""",
     "CREATE TABLE phone (transmitter TEXT PRIMARY KEY, person TEXT)",  # owner of each transmitter in the logs of others
     *DAY_SCHEMA,
+    *FACTS,
     # days that the last build could not build; said: the reason
     "CREATE TABLE failure (person TEXT, date TEXT, said TEXT, PRIMARY KEY (person, date))",
 )
 ZONE = "zone"
 TOGETHER = "together"
-SETTINGS = {ZONE: "UTC", TOGETHER: ""}  # time zone of the days; key of the last joint estimate
+SETTINGS = {ZONE: "", TOGETHER: ""}  # time zone of the days, "" for that of each place; key of the last joint estimate
 Execute = Callable[[str, Sequence[Any]], sqlite3.Cursor]
 
 
@@ -210,7 +108,8 @@ class Entry(OneLineRepr):
 
     hash: of its content; person; path: of the recording; options: what is read with it.
     observation: key of the observation, "" if there is none yet; epoch: Unix time of its start [s], duration [s] and
-    number of steps. refusal: why the last observation failed, "" if it succeeded.
+    number of steps; zone: time zone of where it began, "" if unknown. refusal: why the last observation failed, "" if
+    it succeeded.
     """
 
     hash: str
@@ -222,6 +121,11 @@ class Entry(OneLineRepr):
     duration: float | None = None
     steps: int | None = None
     refusal: str = ""
+    zone: str = ""
+
+    def overlaps(self, start: float, end: float) -> bool:
+        """True if the recording has been observed and touches the time from `start` to `end` (Unix times [s])."""
+        return self.epoch is not None and self.epoch <= end and self.epoch + (self.duration or 0.0) >= start
 
     @property
     def row(self) -> dict[str, Any]:
@@ -269,6 +173,7 @@ class Store:
         begins = {"INSERT INTO setting VALUES (?, ?)": list(SETTINGS.items())}
         self._database = storage.create_or_open(path, LIFELOG, SCHEMA, begins)
         self._database.execute("PRAGMA synchronous = NORMAL")  # survives kill -9; a power cut loses the last days
+        self._database.execute("PRAGMA secure_delete = ON")  # deleted rows are overwritten
 
     def entries(self) -> tuple[Entry, ...]:
         """Entries of all recordings, ordered by hash."""
@@ -302,6 +207,15 @@ class Store:
         with self._reading(f"{person}, {date}"):
             return day_of(person, date, read)
 
+    def day_hash(self, person: str, date: str) -> str:
+        """Hash of the stored rows of a day."""
+        digest = hashlib.sha256()
+        for table in TABLES:
+            for row in self._all(f"SELECT * FROM {table} WHERE person = ? AND date = ? ORDER BY rowid", person, date):
+                digest.update(repr([value for value in row if not isinstance(value, bytes)]).encode())
+                digest.update(b"".join(value for value in row if isinstance(value, bytes)))
+        return digest.hexdigest()
+
     def failures(self) -> tuple[tuple[str, str, str], ...]:
         """Person, date and reason of each day that failed in the last build."""
         return tuple(self._all("SELECT person, date, said FROM failure ORDER BY person, date"))
@@ -313,6 +227,35 @@ class Store:
                 row = entry.row
                 execute(_insert("recording", len(row), f" ({', '.join(row)})"), tuple(row.values()))
 
+    def delete(self, *hashes: str) -> None:
+        """Delete entries of recordings; the next build deletes what was made from them."""
+        with self._transaction() as execute:
+            for name in hashes:
+                execute("DELETE FROM recording WHERE hash = ?", (name,))
+
+    def guesses(self, person: str, start: float = -math.inf, stop: float = math.inf) -> tuple[Guess, ...]:
+        """Guesses of other programs that touch a time (Unix times [s]), in time order."""
+        columns = ", ".join(field.name for field in fields(Guess))
+        order = "ORDER BY start, stop, source, kind, name"
+        where = "WHERE person = ? AND start <= ? AND stop >= ?"
+        rows = self._all(f"SELECT {columns} FROM guess {where} {order}", person, stop, start)
+        return tuple(map(Guess.of_row, rows))
+
+    def put_guesses(self, person: str, guesses: Iterable[Guess]) -> int:
+        """Insert guesses; returns how many are new. Of two that differ in place or probability alone, the larger stays,
+        so that the order of insertion does not matter.
+        """
+        with self._transaction() as execute:
+            before = execute("SELECT count(*) FROM guess", ()).fetchone()[0]
+            for guess in guesses:
+                execute(PUT_GUESS, (person, *astuple(guess)))
+            return execute("SELECT count(*) FROM guess", ()).fetchone()[0] - before
+
+    def delete_guesses(self, person: str, start: float, stop: float) -> None:
+        """Delete the guesses that touch a time (Unix times [s])."""
+        with self._transaction() as execute:
+            execute("DELETE FROM guess WHERE person = ? AND start <= ? AND stop >= ?", (person, stop, start))
+
     def phones(self) -> dict[str, str]:
         """Map Bluetooth transmitter -> person who carries it."""
         return dict(self._all("SELECT transmitter, person FROM phone ORDER BY transmitter"))
@@ -321,6 +264,39 @@ class Store:
         """Store that a person carries a Bluetooth transmitter."""
         with self._transaction() as execute:
             execute(_insert("phone", 2), (transmitter, person))
+
+    def corrections(self, person: str | None = None) -> tuple[Correction, ...]:
+        """Corrections of a person, of all persons by default, in the order in which they were made."""
+        rows = self._all("SELECT * FROM correction ORDER BY number")
+        with self._reading("corrections"):
+            return tuple(c for c in map(Correction.of_row, rows) if person in (None, c.person))
+
+    def put_correction(self, correction: Correction) -> int:
+        """Insert a correction, or replace that of the same number; returns its number."""
+        with self._transaction() as execute:
+            return execute(_insert("correction", 7), correction.row).lastrowid or 0
+
+    def delete_correction(self, number: int) -> None:
+        """Delete a correction."""
+        with self._transaction() as execute:
+            execute("DELETE FROM correction WHERE number = ?", (number,))
+
+    def delete_days(self, days: Iterable[tuple[str, str]]) -> None:
+        """Delete days (person, date)."""
+        with self._transaction() as execute:
+            for person, date in days:
+                _delete_day(execute, person, date)
+
+    def delete_person(self, person: str) -> None:
+        """Delete all rows of a person."""
+        with self._transaction() as execute:
+            for table in (*TABLES, "failure", "recording", "phone", "correction", "guess"):
+                execute(f"DELETE FROM {table} WHERE person = ?", (person,))
+
+    def compact(self) -> None:
+        """Write the file anew without what was deleted, and empty its write-ahead log."""
+        self._all("VACUUM")
+        self._all("PRAGMA wal_checkpoint(TRUNCATE)")
 
     def put_setting(self, name: str, value: str) -> None:
         """Change a setting."""

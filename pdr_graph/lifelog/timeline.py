@@ -47,6 +47,10 @@ class TimelineEntry(OneLineRepr):
     floor: labels, in order, empty where unknown; facing: as in ``Stay``.
     x, y: in the outing's frame [m]; latitude, longitude: the same place [deg]; sigma: standard deviation per axis
     [m]; NaN for entries that are not at one place, and where the place is unknown.
+    Of a diary: place: name of the visited place, "" if it has none, and place_number: its number, -1 for none; offset,
+    end_offset: of local time from UTC at start and end [s]; observed: share of the time with data; parts: the finer
+    entries that it covers, in time order, none for a single one.
+    mode: what the person calls the activity, as "bus", "" by default; corrected: True if the person states it.
     """
 
     kind: str
@@ -60,9 +64,17 @@ class TimelineEntry(OneLineRepr):
     latitude: float = np.nan
     longitude: float = np.nan
     sigma: float = np.nan
+    place: str = ""
+    place_number: int = -1
+    offset: float = 0.0
+    end_offset: float = 0.0
+    observed: float = 1.0
+    parts: tuple[TimelineEntry, ...] = ()
+    mode: str = ""
+    corrected: bool = False
 
     def _summary(self) -> list[str]:
-        names = [repr(self.facing[0][0])] if self.facing else []
+        names = [repr(self.place or self.facing[0][0])] if self.place or self.facing else []
         return [self.kind, duration_text(self.end - self.start), f"{self.distance:.0f} m", *names]
 
 
@@ -246,13 +258,16 @@ def as_text(day: Day, entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
 
 def entry_texts(entry: TimelineEntry) -> tuple[str, str, str, str, str]:
     """Texts of an entry: duration, activity, distance, floors, place."""
-    what, floor = KIND_NAMES.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
+    what, floor = entry.mode or KIND_NAMES.get(entry.kind, entry.kind), one_line(" > ".join(entry.floor))
     far = f"{entry.distance:,.0f} m" if entry.distance >= 0.5 else ""
-    return duration_text(entry.end - entry.start), what, far, floor, _place_text(entry)
+    place = "  ".join(filter(None, [_place_text(entry), "(corrected)" if entry.corrected else ""]))
+    return duration_text(entry.end - entry.start), what, far, floor, place
 
 
 def _place_text(entry: TimelineEntry) -> str:
-    """Names with probabilities; coordinates for a place without a name."""
+    """The name, or names with probabilities; coordinates for a place without a name."""
+    if entry.place:
+        return one_line(entry.place)
     if entry.facing:
         (name, probability), *others = entry.facing
         beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:MAX_OTHER_NAMES])

@@ -1,39 +1,33 @@
-"""Workers of a build: this process, several processes (joblib), or a cluster (Dask).
+"""Workers of a build: this process, several processes, or a cluster (Dask).
 
-Results are bitwise identical for all of them: a task depends on its files only and uses one BLAS thread.
+Results are bitwise identical for all of them: a task depends on its files only and uses one BLAS thread. Whatever
+happens to workers, a build ends: an item that crashes or hangs costs itself, a fleet that is lost the items left.
 """
 
 from __future__ import annotations
 
-import asyncio
-import logging
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from threadpoolctl import threadpool_limits
 
 from pdr_graph.errors import InputError
-
-if TYPE_CHECKING:
-    from distributed import Client
-
+from pdr_graph.lifelog.remote_tasks import ONE_THREAD, Look, Tasks, Work, collected, finished
+from pdr_graph.lifelog.time_limits import FleetLostError, StallWatch
 
 # Chosen by hand
 MAX_TASK_SIZE = 20  # person-days or recordings: a task takes seconds, its transfer milliseconds
 TASKS_PER_WORKER = 4  # at least, so that all workers finish at about the same time
-CONNECT_TIMEOUT = 15  # [s] for a scheduler to answer
-PATIENCE = 30.0  # [s] after which a task without a result is asked whether a worker is left
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+ITEM_LIMIT = 900.0  # [s] of a recording or day in a worker process; on a busy machine the longest take a minute
+STALL_FACTOR = 5  # ITEM_LIMITs without any result after which a fleet is lost; Dask tries an item that hangs four times
 Item = TypeVar("Item")
-Tasks = Sequence[tuple[Any, ...]]
-Work = Callable[[tuple[Any, ...]], Iterator[Any]]
-Results = Iterator[tuple[int, list[Any]]]  # number and results of each task
+Execute = Callable[[Work, Tasks, Look], Iterator[tuple[int, Iterator[Any]]]]  # number and results of each task
 
 
 @dataclass(frozen=True)
@@ -41,44 +35,83 @@ class CrashedItem(Generic[Item]):
     """An item whose worker process crashed."""
 
     item: Item
-    reason = "its worker process was killed or crashed"
+    reason = "its worker process was killed, crashed or took too long"
 
 
 @dataclass(frozen=True)
-class Fleet:
-    """The workers of a build. workers: number of tasks that run at the same time.
+class LostItem(Generic[Item]):
+    """An item without a result, since the fleet was lost."""
 
-    run: yields the results of some work on each task, in any order, and a `CrashedItem` for an item that crashed its
-    process. The result of an item must not depend on the other items of its task.
+    item: Item
+
+
+@dataclass
+class Fleet:
+    """The workers of a build.
+
+    workers: number of tasks that run at the same time. execute: yields number and results of each task that crashed no
+    process; raises FleetLostError. time_limit: of an item in a worker process [s]. lost: why the workers can do nothing
+    more, "" while they can.
     """
 
     workers: int
-    run: Callable[[Work, Tasks], Iterator[Any]]
+    execute: Execute
+    time_limit: float = ITEM_LIMIT
+    lost: str = ""
+
+    def run(self, work: Work, tasks: Tasks, written: Callable[[], int] = lambda: 0) -> Iterator[Any]:
+        """Yield the results of some work on each task, in any order.
+
+        Yields a `CrashedItem` for an item that crashed its process or exceeded the time limit, and a `LostItem` for
+        each item that is left when the fleet is lost. The result of an item must not depend on the other items of its
+        task. written: number of results in files, which grows as long as the workers do something.
+        """
+        left = dict(enumerate(tasks))
+        try:
+            if self.lost:
+                raise FleetLostError(self.lost)
+            for number, results in self._execute(work, tasks, written):
+                yield from results
+                del left[number]
+            left = {number: (item,) for number, item in enumerate(chain.from_iterable(left.values()))}
+            for number, task in list(left.items()):  # each alone, to find the item that crashed the process
+                for _, results in self._execute(work, [task], written):
+                    yield from results
+                    break
+                else:
+                    yield CrashedItem(task[0])
+                del left[number]
+        except FleetLostError as loss:
+            self.lost = str(loss)
+            yield from map(LostItem, chain.from_iterable(left.values()))
+
+    def _execute(self, work: Work, tasks: Tasks, written: Callable[[], int]) -> Iterator[tuple[int, Iterator[Any]]]:
+        """Execute tasks while the workers write results."""
+        return self.execute(work, tasks, StallWatch(STALL_FACTOR * self.time_limit, written).look)
 
 
 @contextmanager
-def fleet(workers: int = 1, scheduler: str = "") -> Iterator[Fleet]:
+def fleet(workers: int = 1, scheduler: str = "", time_limit: float = ITEM_LIMIT) -> Iterator[Fleet]:
     """The workers of a build: this process, several processes of this machine, or a cluster (``tcp://host:8786``).
 
-    Raises InputError if the cluster cannot be used.
+    time_limit: of a recording or day in a worker process [s]; this process has none. Raises InputError if the cluster
+    cannot be used.
     """
     if scheduler and workers != 1:
         raise InputError("--scheduler", "", f"--workers {workers} too", "only one of the two options")
     if scheduler:
-        with _connected(scheduler) as client:
-            threads: Any = client.nthreads()
-            if not threads:
-                raise InputError(
-                    "--scheduler", scheduler, "no workers", "at least one: start dask worker on each machine"
-                )
-            yield Fleet(sum(threads.values()), partial(_run_elsewhere, partial(_on_cluster, client, scheduler)))
+        from pdr_graph.lifelog.cluster import connected  # Dask is an extra
+
+        with connected(scheduler) as cluster:
+            yield Fleet(cluster.threads(), partial(cluster.execute, time_limit), time_limit)
     elif workers > 1:
         try:
-            yield Fleet(workers, partial(_run_elsewhere, partial(_in_processes, workers)))
+            yield Fleet(workers, partial(_in_processes, workers, time_limit), time_limit)
         finally:
             _end_processes()
     else:
-        yield Fleet(1, _run_here)
+        with threadpool_limits(limits=1), _environment(ONE_THREAD):
+            yield Fleet(1, _here, time_limit)
 
 
 def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tuple[Item, ...]]:
@@ -96,109 +129,39 @@ def pack(items: Sequence[Item], sizes: Sequence[int], workers: int) -> list[tupl
     return tasks
 
 
-def _run_here(work: Work, tasks: Tasks) -> Iterator[Any]:
+def _here(work: Work, tasks: Tasks, look: Look) -> Iterator[tuple[int, Iterator[Any]]]:
     """Run tasks in this process, in order."""
-    with threadpool_limits(limits=1), _environment(ONE_THREAD):
-        for task in tasks:
-            yield from work(task)
+    return ((number, work(task)) for number, task in enumerate(tasks))
 
 
-def _run_elsewhere(results_of: Callable[[Work, Tasks], Results], work: Work, tasks: Tasks) -> Iterator[Any]:
-    """Run tasks in other processes, as `Fleet.run`. results_of: yields the results of tasks that crashed no process."""
-    left = dict(enumerate(tasks))
-    for number, results in results_of(work, tasks):
-        del left[number]
-        yield from results
-    for item in chain.from_iterable(left.values()):  # each alone, to find the item that crashed the process
-        for _, results in results_of(work, [(item,)]):
-            yield from results
-            break
-        else:
-            yield CrashedItem(item)
+def _in_processes(
+    workers: int, time_limit: float, work: Work, tasks: Tasks, look: Look
+) -> Iterator[tuple[int, Iterator[Any]]]:
+    """Run tasks with joblib's processes; if one crashes, its pool ends and the tasks left have no results."""
+    from joblib.externals.loky import get_reusable_executor
+    from joblib.externals.loky.process_executor import BrokenProcessPool
 
-
-def _in_processes(workers: int, work: Work, tasks: Tasks) -> Results:
-    """Run tasks with joblib; ends early if a process crashes, since its pool ends too."""
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    with parallel_config("loky", inner_max_num_threads=1):
-        # at least two: joblib runs a single one in this process
-        pool: Any = Parallel(max(workers, 2), return_as="generator_unordered", pre_dispatch="all", batch_size=1)  # pyright: ignore[reportArgumentType]
-    try:
-        yield from pool(delayed(_collected)(work, number, task) for number, task in enumerate(tasks))
-    except TerminatedWorkerError:
-        return
+    pool: Any = get_reusable_executor(workers, timeout=300, env=ONE_THREAD)
+    futures: list[Any] = []
+    with suppress(BrokenProcessPool):  # a process may crash before all tasks are submitted
+        futures.extend(pool.submit(collected, work, n, task, time_limit) for n, task in enumerate(tasks))
+    for future in finished(futures, look):
+        try:
+            number, results = future.result()
+        except BrokenProcessPool:
+            continue
+        yield number, iter(results)
 
 
 def _end_processes() -> None:
-    """Stop joblib's idle workers now."""
+    """End joblib's workers now, also those that hang."""
     from joblib.externals.loky import get_reusable_executor
 
-    get_reusable_executor(reuse=True).shutdown(wait=True)  # pyright: ignore[reportArgumentType]
-
-
-def _on_cluster(client: Client, scheduler: str, work: Work, tasks: Tasks) -> Results:
-    """Run tasks with Dask; a task that crashes several processes has no result."""
-    from distributed import KilledWorker, as_completed
-    from distributed.client import FutureCancelledError
-
-    futures = [client.submit(_collected, work, number, task, pure=False) for number, task in enumerate(tasks)]
-    for future in as_completed(futures, loop=client.loop):
-        try:
-            yield _result(client, scheduler, future)
-        except KilledWorker:
-            continue
-        except FutureCancelledError:
-            raise InputError("--scheduler", scheduler, "no answer any more", "a running scheduler") from None
-        finally:
-            future.release()  # otherwise it is repeated if its worker ends
-
-
-def _result(client: Client, scheduler: str, future: Any) -> Any:
-    """The result of a task, which Dask computes again if the worker that holds it has died.
-
-    Raises InputError if no worker is left to do so.
-    """
-    while True:
-        try:
-            return future.result(timeout=PATIENCE)
-        except TimeoutError:
-            if not client.scheduler_info()["workers"]:
-                raise InputError("--scheduler", scheduler, "no worker any more", "a running worker") from None
-
-
-def _collected(work: Work, number: int, task: tuple[Any, ...]) -> tuple[int, list[Any]]:
-    """The results of a task in a worker process, with its number."""
-    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
-    threadpool_limits(limits=1)  # for libraries that are loaded
-    return number, list(work(task))
-
-
-@contextmanager
-def _connected(scheduler: str) -> Iterator[Client]:
-    """A client of a Dask scheduler. Raises InputError if Dask is missing or nothing answers."""
-    try:
-        from distributed import Client
-        from distributed.comm.core import connect
-    except ImportError:
-        raise InputError("--scheduler", "", "no Dask", "the extra fleet: pip install 'pdr_graph[fleet]'") from None
-    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
-
-    async def greet() -> None:
-        comm = await asyncio.wait_for(connect(scheduler, timeout=CONNECT_TIMEOUT), CONNECT_TIMEOUT + 1)
-        await comm.close()
-
-    try:
-        with ThreadPoolExecutor(1) as thread:  # this thread may have an event loop
-            thread.submit(asyncio.run, greet()).result()
-    except (OSError, ValueError) as error:
-        found = str(error) or "no answer"
-        raise InputError("--scheduler", scheduler, found, "a Dask scheduler, as tcp://host:8786") from None
-    with Client(
-        scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False
-    ) as client:  # hangs if nothing answers, hence the check above
-        yield client
+    pool: Any = get_reusable_executor(reuse=True)  # pyright: ignore[reportArgumentType]
+    for process in list(pool._processes):  # its own kill_workers ends in a traceback if tasks are left
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGKILL)
+    pool.shutdown(wait=True)
 
 
 @contextmanager

@@ -15,8 +15,9 @@ import numpy as np
 
 from pdr_graph.errors import expect
 from pdr_graph.estimation.factors import KINDS
+from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
-from pdr_graph.geometry import protection_level
+from pdr_graph.geometry import protection_level, wrap_angle
 from pdr_graph.measurements import last_time, take
 from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
 
@@ -83,11 +84,26 @@ def _some(heard: Sightings, rows: slice) -> Sightings:
 
 
 @dataclass(frozen=True)
+class Mode:
+    """One of the ways that remain, and the pose on it.
+
+    probability: of this way; x, y [m]; heading [rad]; covariance: ``(3, 3)``.
+    """
+
+    probability: float
+    x: float
+    y: float
+    heading: float
+    covariance: Array
+
+
+@dataclass(frozen=True)
 class Pose:
-    """The current pose of the walker.
+    """The current pose of the walker: the expectation over all ways that remain, in the walkable area of a plan.
 
     time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
-    (x, y, heading) in the output axes [m, m, rad].
+    (x, y, heading) in the output axes [m, m, rad], of all ways together; modes: the ways, the most probable first;
+    display: x, y [m] for a map, which follows a jump of the pose within 2 s.
     """
 
     time: float
@@ -96,6 +112,13 @@ class Pose:
     heading: float
     floor: str
     covariance: Array
+    modes: tuple[Mode, ...] = ()
+    display: tuple[float, float] | None = None
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the position per axis [m], root mean square of both axes."""
+        return float(np.sqrt(np.trace(self.covariance[:2, :2]) / 2))
 
     def protection(self, probability: float = 0.95) -> tuple[float, float]:
         """Distances along and across the heading that hold the error with a probability [m]."""
@@ -129,6 +152,10 @@ class LiveEstimator(Protocol):
 
     def push(self, event: Event) -> None:
         """Process an event. Bad data becomes an issue in the status; after an exception the event was not used."""
+        ...
+
+    def review(self) -> None:
+        """Do long computations that are due, in an idle moment; the results are the same without."""
         ...
 
     @property
@@ -177,3 +204,12 @@ class Journaled(LiveEstimator, Protocol):
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         ...
+
+
+def trajectory_of_rows(parts: Sequence[TrajectoryRows]) -> Trajectory:
+    """The trajectory of rows that follow one another."""
+    if not parts:
+        return Trajectory(np.empty(0), np.empty((0, 2)), np.empty(0), (), np.empty((0, 3, 3)))
+    rows = TrajectoryRows.joined(parts)
+    heading = wrap_angle(rows.pose[:, 2])
+    return Trajectory(rows.time, rows.pose[:, :2], heading, tuple(rows.floor), rows.covariance)

@@ -152,6 +152,10 @@ class Journal(Generic[Navigator]):
             raise
         self._acknowledge(blob)
 
+    def review(self) -> None:
+        """Let the navigator do long computations in an idle moment."""
+        self.navigator.review()
+
     @property
     def pose(self) -> Pose | None:
         """The causal pose, None before there is one."""

@@ -8,22 +8,23 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pdr_graph.contradiction import Contradiction, Verdict
+from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.consistency import ROUTE, plan_placement, verdict, wall_crossings
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
+from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import FloorsCheckpoint, LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.live.finalization import TrajectoryRows
+from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother, SmootherCheckpoint
 from pdr_graph.estimation.live.window import Window
 from pdr_graph.estimation.results import Placement, calibration_warnings, contradiction_warnings, used_fixes
@@ -34,10 +35,11 @@ from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
 from pdr_graph.gait.steps import concatenate_steps
 from pdr_graph.gait.walker import Walker
-from pdr_graph.geometry import wrap_angle
-from pdr_graph.inertial.attitude_stream import Health
-from pdr_graph.online.interface import EVENTS, NO_DATA, NO_STEPS, Event, Pose, Samples, Scan
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Steps, Trajectory
+from pdr_graph.geometry import ANY_HEADING, wrap_angle
+from pdr_graph.online.display import Display, modes_of
+from pdr_graph.online.interface import EVENTS, Event, Pose, Samples, Scan, trajectory_of_rows
+from pdr_graph.online.status import Status, issues_of, missing_inputs, state_of
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Headings, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -45,36 +47,8 @@ if TYPE_CHECKING:
 FARTHEST, FINEST = 1e8, 1e-4  # [m] largest coordinate and sigma of a usable fix; least sigma
 AHEAD = 30.0  # [s] by which a fix may lie in the future, if its clock is not that of the sensors
 UNSURE = "the measurements leave open which way the walk went: the most probable one is given"
-SILENT = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
-
-
-@dataclass(frozen=True)
-class Status:
-    """State of the navigator.
-
-    state: "waiting" for steps, "no absolute position" until the first fix, "initialising heading" until the direction
-    of the walk is certain, "running"; issues: present problems, a line each; unknown: what the sensors do not measure,
-    a line each; sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers
-    of fixes too old for the window or far in the future; restarts: how often fixes contradicted the estimate; rebuilds:
-    reason of each rebuild of the solver; judge: returns the verdict.
-    """
-
-    state: str
-    issues: tuple[str, ...]
-    unknown: tuple[str, ...]
-    sensors: dict[str, Health]
-    keyframes: int
-    fixes: int
-    late: int
-    early: int
-    restarts: int
-    rebuilds: tuple[str, ...]
-    judge: Callable[[], Verdict] = field(repr=False, compare=False)
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """Whether the walk so far can be trusted, computed when it is first read."""
-        return self.judge()
+SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
+DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
 
 @dataclass(frozen=True)
@@ -97,6 +71,7 @@ class NavigatorCheckpoint:
     gait: StepStreamCheckpoint
     compass: CompassCheckpoint
     floors: FloorsCheckpoint
+    alone: FixesAlone | None
     graph: SmootherCheckpoint
 
 
@@ -106,8 +81,11 @@ class Navigator:
     floor: plan or building whose walls are factors; lag: steps older than this are finalized [s], None: never; walker:
     of this walk; frame: of the poses, by default the plan's, else the radio map's, else that of the first fix; prior:
     see ``Prior``, by default from the walker's profile; beacons: with their positions; radio_map: for fixes from scans;
-    start_floor: label of the floor where the walk begins, for a building of several floors; epoch: Unix time [s] of
-    time 0 of the events, for the earth's magnetic field.
+    start_floor: label of the floor where the walk begins, for a building of several floors; start_heading,
+    start_heading_sigma: direction of the first step, counter-clockwise from +x of the frame, and its sigma [rad];
+    epoch: Unix time [s] of time 0 of the events, for the earth's magnetic field; executor: computes long answers beside
+    the walk, of which each is used at a fixed later time of the walk; without, `review` or the push that needs it does,
+    with equal results.
     """
 
     Checkpoint: ClassVar = NavigatorCheckpoint
@@ -123,7 +101,10 @@ class Navigator:
         beacons: Beacons | None = None,
         radio_map: RadioMap | None = None,
         start_floor: str | None = None,
+        start_heading: float | None = None,
+        start_heading_sigma: float = START_HEADING_SIGMA,
         epoch: float | None = None,
+        executor: Executor | None = None,
     ):
         expect("Navigator, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
         if lag is not None and not lag > 0:
@@ -134,11 +115,14 @@ class Navigator:
         self._compass = LiveCompass(self.walker)
         labels = self.building.labels if self.building else ()
         self._floors = LiveFloors(self.building, labels[0] if len(labels) == 1 else start_floor or "")
-        self._gait = StepStream(self.walker, self._compass.update)
+        self._gait = StepStream(self.walker, self._compass.update, self._compass.preview)
         prior = prior or prior_of(self.walker.profile)
-        self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "")
+        self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
+        self._alone: FixesAlone | None = None
+        self._display = Display()
         self._place: Array | None = None  # the first position ``(2,)`` [m]
         self._epoch = epoch
+        self._start_heading = start_heading, start_heading_sigma
         self._steps: list[Steps] = []  # since `finalized` was last called
         self._beacons = beacons
         self._tail: Steps | None = None
@@ -187,29 +171,57 @@ class Navigator:
 
     @property
     def pose(self) -> Pose | None:
-        """The current pose from all data so far; None before the first steps, or a second of standing."""
-        if not self._window.keyframes:
-            return None
-        belief = self._graph.belief(self._tail)
+        """The current pose from all data so far; None before the first position in a frame that is given.
+
+        Without a frame and a position, the start of the walk is the origin, after the first second of samples.
+        """
+        alone = self._alone
+        if alone is not None and not (self._window.keyframes and alone.time < self._now + SENSORS_SILENT):
+            return self._pose_by_fixes(alone)
+        if not self._window.keyframes or not (self.frame is None or self._graph.is_placed(self._now)):
+            return None if alone is None else self._pose_by_fixes(alone)
+        ways = self._graph.mixture(self._tail)
+        belief = self._graph.expected(ways)
         x, y, heading = belief.mean[:3].tolist()
-        return Pose(self._now, x, y, float(wrap_angle(heading)), self._floors.label, belief.covariance[:3, :3])
+        here = self._display.at(self._now, belief.mean[:2], heading, self._walked)
+        modes = modes_of(ways)
+        return Pose(
+            self._now, x, y, float(wrap_angle(heading)), self._floors.label, belief.covariance[:3, :3], modes, here
+        )
+
+    def _pose_by_fixes(self, alone: FixesAlone) -> Pose:
+        """The pose where no steps are known: the fixes, smoothed, and any direction."""
+        covariance = np.diag([0.0, 0.0, ANY_HEADING**2])
+        covariance[:2, :2] = alone.covariance
+        x, y = alone.mean.tolist()
+        return Pose(alone.time, x, y, 0.0, self._floors.label, covariance)
+
+    @property
+    def _walked(self) -> float:
+        """Distance walked so far, with the provisional steps [m]."""
+        tail = 0.0 if self._tail is None else float(self._tail.length.sum())
+        return float(self._window.steps.walked_by(self._window.steps.end)) + tail
 
     @property
     def trajectory(self) -> Trajectory:
         """The walk smoothed so far, with the current pose; without the rows that `finalized` returned."""
         if not self._window.keyframes:
-            return _trajectory([])
-        return _trajectory([*self._graph.pending_rows(), self._graph.rows(), self._graph.predicted_rows(self._tail)])
+            return trajectory_of_rows([])
+        return trajectory_of_rows(
+            [*self._graph.pending_rows(), self._graph.rows(), self._graph.predicted_rows(self._tail)]
+        )
 
     @property
     def status(self) -> Status:
         """The present state."""
-        graph, state = self._graph, "waiting"
-        if self._window.keyframes:
-            state = "running" if graph.sure else "initialising heading" if self._accepted else "no absolute position"
+        graph, walking, pose = self._graph, bool(self._window.keyframes), self.pose
+        directed = pose is not None and pose.covariance[2, 2] < DIRECTED**2
+        located = self._accepted > 0 or graph.modes.mixture is not None or graph.graph.finalized.anchored
         return Status(
-            state=state,
-            issues=tuple(self._issues()),
+            state=state_of(walking, located, graph.sure or directed),
+            sigma=pose.sigma if pose is not None and located else float("nan"),
+            missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
+            issues=tuple(issues_of(self._gait.health, self._absurd, located and not walking)),
             unknown=self.unknown,
             sensors=self._gait.health,
             keyframes=len(self._window.keyframes),
@@ -224,7 +236,7 @@ class Navigator:
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         self._steps = self._steps[-1:]
-        return _trajectory(self._graph.pop_finalized())
+        return trajectory_of_rows(self._graph.pop_finalized())
 
     def finish(self) -> Estimate:
         """End the walk and return its estimate, without the rows that `finalized` returned."""
@@ -263,7 +275,8 @@ class Navigator:
         if plan is None:
             return found
         walled, places = self._placed(reports)
-        if not len(places) and self._graph.graph.has_position:  # by beacons, ranges or the radio map
+        graph = self._graph.graph
+        if not len(places) and (graph.has_position or graph.finalized.anchored):  # by beacons, or by earlier fixes
             places, walled = rows.position[-1:], True
         return (*found, *(plan_placement(plan, walled, places) or wall_crossings(plan, rows)))
 
@@ -293,7 +306,7 @@ class Navigator:
     def _dead_reckoning(self) -> Trajectory:
         """Dead reckoning of the steps since `finalized` was last called, rigidly aligned with their fixes."""
         if not self._steps:
-            return _trajectory([])
+            return trajectory_of_rows([])
         steps = concatenate_steps(self._steps)
         reports = [fix for fix in self._fix_reports() if fix.weight > 0 and fix.time >= steps.start]
         place = np.array([(fix.x, fix.y) for fix in reports]).reshape(-1, 2)
@@ -322,6 +335,7 @@ class Navigator:
             gait=self._gait.checkpoint(),
             compass=self._compass.checkpoint(),
             floors=self._floors.checkpoint(),
+            alone=self._alone,
             graph=self._graph.checkpoint(),
         )
 
@@ -338,6 +352,7 @@ class Navigator:
         nav._graph.restore(checkpoint.graph)
         nav._compass.restore(checkpoint.compass)
         nav._floors.restore(checkpoint.floors)
+        nav._alone = checkpoint.alone
         if checkpoint.place is not None and nav.frame is not None:
             nav._locate(nav.frame, checkpoint.place.copy())
         nav._tail = nav._gait.advance()[1]
@@ -368,13 +383,16 @@ class Navigator:
             self._floors.push(samples.time + self._gait.offset, samples.values)
         self._gait.push(samples.sensor, samples.time, samples.values)
         certain, self._tail = self._gait.advance()
-        if certain is None:
-            return
         for heading in self._compass.advance():
             self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
-        self._extend(certain)
+        if certain is not None:
+            self._extend(certain)
 
     def _extend(self, steps: Steps) -> None:
+        if self._start_heading[0] is not None and not self._certain and (len(steps) or not self._window.keyframes):
+            first = float(steps.time[0]) if len(steps) else steps.start
+            start = Headings(*np.array([[first], [self._start_heading[0]], [self._start_heading[1]]]), source=(START,))
+            self._graph.graph.append(start, np.array([-(2**31)]))
         self._steps.append(steps)
         self._certain += int((~steps.is_gap).sum())
         self._gaps += int(steps.is_gap.sum())
@@ -413,6 +431,7 @@ class Navigator:
             self._accepted += 1
             self._floors.add_fixes(fixes[n])
             self._graph.append(fixes[n])
+            self._alone = after_fixes(self._alone, fixes[n])
 
     def _use_radio_fixes(self, fixes: Fixes) -> None:
         """Use fixes of the radio map for the floor and the first position too."""
@@ -421,30 +440,3 @@ class Navigator:
         self._accepted += len(fixes)
         for n in range(len(fixes)):
             self._floors.add_fixes(fixes[n])
-
-    def _issues(self) -> Iterator[str]:
-        """Yield the present problems, a line each."""
-        if self._absurd:
-            yield f"fixes: {self._absurd} could not be used"
-        if self._accepted and not self._window.keyframes:
-            yield f"accelerometer: {NO_STEPS}"
-        health = self._gait.health
-        latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
-        for name, sensor in health.items():
-            if sensor.samples and latest - sensor.last > SILENT:
-                yield f"{name}: silent for {latest - sensor.last:.0f} s"
-            elif not sensor.samples and np.isfinite(latest):
-                yield f"{name}: {NO_DATA}"
-            if sensor.dropped:
-                yield f"{name}: {sensor.dropped} samples could not be used"
-            if sensor.clock_resets:
-                yield f"{name}: clock reset {sensor.clock_resets} times"
-
-
-def _trajectory(parts: Sequence[TrajectoryRows]) -> Trajectory:
-    """The trajectory of rows that follow one another."""
-    if not parts:
-        return Trajectory(np.empty(0), np.empty((0, 2)), np.empty(0), (), np.empty((0, 3, 3)))
-    rows = TrajectoryRows.joined(parts)
-    heading = wrap_angle(rows.pose[:, 2])
-    return Trajectory(rows.time, rows.pose[:, :2], heading, tuple(rows.floor), rows.covariance)

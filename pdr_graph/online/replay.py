@@ -6,7 +6,7 @@ import gc
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -31,7 +31,7 @@ from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, 
 from pdr_graph.online.journal import Journal
 from pdr_graph.outputs import Result, Stages, write
 from pdr_graph.pipeline import NO_ACCELEROMETER
-from pdr_graph.plausibility import check_beacons_on_plan
+from pdr_graph.plausibility import check_beacons_on_plan, check_floors
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
 
@@ -139,7 +139,7 @@ def replay_recording(recording: Path, out: Path, options: Options | None = None,
     write_trajectory(out / "causal.csv", causal, inputs.walk.clock_origin)
     write_summary(out / "latency.json", latency.describe())
     resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
-    result = replace(result, issues=(*result.issues, *resumed), causal=lambda _: {LIVE: causal} if len(causal) else {})
+    result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
     return write(out, inputs, result, options, stage)
 
 
@@ -152,12 +152,14 @@ def _outside(walk: Recording, fixes: Fixes) -> Mask:
     return (fixes.time < start - LONGEST_OVERHANG) | (fixes.time > end + LONGEST_OVERHANG)
 
 
-def navigator_of(options: Options) -> tuple[Callable[[], Any], tuple[str, ...]]:
+def navigator_of(options: Options) -> tuple[partial[Any], tuple[str, ...]]:
     """A function that creates the navigator of a live walk, and the labels of its floors.
 
     Raises InputError if a file cannot be used.
     """
-    building = Building.load(options.plan) if options.plan else None
+    building = Building.load(options.plan, options.scale) if options.plan else None
+    if building is not None and options.plan is not None:
+        check_floors(options.plan, building, options.floor)
     beacons = read_beacons(options.beacons) if options.beacons else None
     if building is not None and options.beacons is not None and beacons is not None:
         check_beacons_on_plan(options.beacons, beacons, building)
@@ -176,22 +178,37 @@ def _opened(inputs: Inputs, options: Options, events: int, kind: Any) -> Any:
     """The navigator of a walk, new or resumed from the journal if the options name one."""
     arguments = {"floor": inputs.building, "lag": options.lag, "walker": inputs.walker, "frame": inputs.frame}
     arguments |= {"beacons": inputs.beacons, "radio_map": inputs.radio_map, "start_floor": options.floor}
+    if inputs.start_heading is not None:  # another class of navigator need not have it
+        arguments["start_heading"] = inputs.start_heading
     if options.journal is None:
         return kind(**arguments)
-    files = {"map": options.plan, "fixes": options.fixes, "beacons": options.beacons, "radio_map": options.radio_map}
+    files = {"fixes": options.fixes, "walker file": options.walker, "list beside it": beside(Path(inputs.walk.source))}
     settings = {"recording": inputs.walk.source, "events": events, "walker": inputs.walker.describe()}
-    files |= {"walker file": options.walker, "list beside it": beside(Path(inputs.walk.source))}
-    hashes = {"map": plan_fingerprint}
-    settings |= {name: hashes.get(name, fingerprint)(path) for name, path in files.items() if path}
-    settings |= {"recorded_fixes": options.recorded_fixes, "lag": options.lag, "floor": options.floor}
+    settings |= journal_settings(options, files) | {"recorded_fixes": options.recorded_fixes}
+    settings |= {} if options.start_heading is None else {"start_heading": options.start_heading}
     return Journal.open(options.journal, partial(kind, **arguments), partial(kind.restored, **arguments), settings)
 
 
+def journal_settings(options: Options, files: Mapping[str, Path | None]) -> dict[str, Any]:
+    """What must not change while a journal is continued: fingerprints of input files, lag and floor.
+
+    files: further ones beside plan, beacons and radio map, by name.
+    """
+    files = {"beacons": options.beacons, "radio_map": options.radio_map, **files}
+    settings = {name: fingerprint(path) for name, path in files.items() if path}
+    settings |= {"map": plan_fingerprint(options.plan, options.scale)} if options.plan else {}
+    return settings | {"lag": options.lag, "floor": options.floor}
+
+
 def walked(nav: LiveEstimator, events: Iterable[Event], latency: Latency) -> Trajectory:
-    """Push all events; returns the causal poses: the first, one at the detection of each step, and the last."""
+    """Push all events; returns the causal poses: the first, one at the detection of each step, and the last.
+
+    Between events the estimator reviews, as an app does beside the walk; that is not part of the latency.
+    """
     poses, most = list[Pose](), nav.steps
     for event in events:
         latency.push(nav.push, event)
+        nav.review()
         pose = None
         if nav.steps > most:  # a maximum, since provisional steps may be withdrawn
             most = nav.steps

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.evaluation import circular_error, evaluate, pair
+from pdr_graph.evaluation import circular_error, error_text, evaluate, pair
 from pdr_graph.floor.building import Building
 from pdr_graph.io.validation import INERTIAL, are_gaps
 from pdr_graph.plotting import FIX, GREY, RADIO, TRACK
@@ -314,6 +314,18 @@ def scored(tracks: Mapping[str, Trajectory], truth: Trajectory, building: Buildi
         return None
     rows = [[label, unit, *(_score(values, key) for values in scores)] for key, (label, unit) in SCORES.items()]
     return table("Accuracy against ground truth", ["metric", "unit", *tracks], [row for row in rows if any(row[2:])])
+
+
+def live_figures(live: Mapping[str, Any]) -> list[list[str]]:
+    """Key figures of the current poses, and of the walk in hindsight, as [name, value]. live: of the summary."""
+    error, smoothed = live["error"], live["hindsight"]["error"]
+    if error is None:
+        return [
+            ["live: first pose after", f"{live['first_pose']:.1f} s"],
+            ["live: median sigma", f"{live['sigma']:.1f} m"],
+        ]
+    figures = [["live, known at once: error 50 / 75 / 95 %", error_text(error)]]
+    return figures + ([] if smoothed is None else [["in hindsight, smoothed", error_text(smoothed)]])
 
 
 def _evaluated(path: Trajectory, truth: Trajectory, building: Building | None) -> Mapping[str, Any]:

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr, time_span
+from pdr_graph.errors import printable
 from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, nearest
-from pdr_graph.plotting import FIX, GREY, RADIO, SURROUNDINGS, TRACK, TRUTH
+from pdr_graph.plotting import FIX, GREY, OTHER, RADIO, SURROUNDINGS, TRACK, TRUTH
 from pdr_graph.report import charts_and_tables, integrity, page
 from pdr_graph.report.page import (
     CENTIMETRE,
@@ -33,7 +34,13 @@ from pdr_graph.types import Array, Estimate, FixReport, Recording, Steps, Trajec
 
 CAUSAL = "#2a8f6d"  # colour of causal tracks
 DEAD_RECKONING = "dead reckoning, rigidly aligned"
-NAMES = {"graph": "graph", "filter": "filter", "rts": "filter, smoothed", "pdr": DEAD_RECKONING}  # of the methods
+NAMES = {
+    "graph": "graph",
+    "filter": "filter",
+    "rts": "filter, smoothed",
+    "pdr": DEAD_RECKONING,
+    "live": "in hindsight, smoothed",
+}  # of the results of each method
 SMALLEST_MARGIN = 5.0  # [m] shown around a walk
 FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
 MANY = 2000  # rows above which lines are drawn thinner
@@ -43,7 +50,7 @@ MANY = 2000  # rows above which lines are drawn thinner
 class WalkReport(OneLineRepr):
     """The data of a walk report.
 
-    method: of ``pdr-graph smooth``; summary: the content of ``summary.json``; steps: None if there are none;
+    method: of ``pdr-graph smooth``, or "live"; summary: the content of ``summary.json``; steps: None if there are none;
     causal: causal tracks (estimated from earlier data only) by name; truth: in the frame of the estimate, drawn and
     scored; sources: of position, each with its own track.
     """
@@ -70,6 +77,8 @@ class WalkReport(OneLineRepr):
     def tracks(self) -> dict[str, tuple[str, Trajectory]]:
         """All tracks, name -> (colour, path), the result first."""
         tracks = {self.name: (TRACK, self.estimate.trajectory)}
+        others = self.estimate.routes[1:]
+        tracks |= {f"route {n + 2}, {share:.0%}": (OTHER, path) for n, (share, path) in enumerate(others)}
         tracks |= {name: (CAUSAL, path) for name, path in self.causal.items()}
         reckoned = {DEAD_RECKONING: (GREY, self.estimate.dead_reckoning)} if self.summary["steps"] else {}
         return tracks | (reckoned if self.method != "pdr" else {})
@@ -91,7 +100,7 @@ def content(report: WalkReport) -> dict[str, Any]:
     fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MAXIMUM_MARKS).tolist()]
     fix_labels = [_fix_label(fix) for fix in fixes]
     return {
-        "title": report.walk.source,
+        "title": printable(report.walk.source),
         "subtitle": _subtitle(report),
         "verdict": summary["verdict"],
         "headline": _headline(summary, estimate.probability),
@@ -127,7 +136,7 @@ def content(report: WalkReport) -> dict[str, Any]:
 
 def _subtitle(report: WalkReport) -> str:
     """The method, and the date and time of the start if known."""
-    parts = [report.name]
+    parts = ["live" if report.method == "live" else report.name]
     if report.walk.epoch is not None:
         parts.append(f"{datetime.fromtimestamp(report.walk.epoch, UTC):%Y-%m-%d %H:%M} UTC")
     return ", ".join(parts)
@@ -137,6 +146,7 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
     """Key figures of the walk, as [name, value]."""
     floors = [label for label in summary["floors"] if label]
     figures = [
+        *(charts_and_tables.live_figures(summary["live"]) if "live" in summary else []),
         ["distance", f"{summary['distance']:,.0f} m"],
         ["duration", charts_and_tables.clock(summary["duration"])],
         ["fixes", f"{len(summary['fixes']):,}"],

@@ -15,7 +15,7 @@ import shapely
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
-from pdr_graph.floor.formats import STOREY
+from pdr_graph.floor.formats.drawing import STOREY
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import length_along
 from pdr_graph.simulation.body import Activity, ChangeHold, Ride, Roll, Shake, Stand, Walk

@@ -16,16 +16,19 @@ if TYPE_CHECKING:
     from pdr_graph.simulation.simulate import Simulation
 
 TRUTH_RATE = 10.0  # [Hz]
+OTHER_PLANS = (".osm", ".zip")  # endings of plans that are no GeoJSON
 
 
 def write(walk: Simulation, folder: Path) -> None:
     """Write the recording, ``truth.csv``, ``steps.csv``, ``events.csv``, and ``gnss.csv``, ``fixes.csv`` if any.
 
-    Times in all of them are on the recorder's clock. A plan of one file is copied there as ``plan.geojson``.
+    Times in all of them are on the recorder's clock. A plan of one file is copied there, as ``plan.geojson``,
+    ``plan.osm`` or ``plan.zip``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if walk.scenario.plan is not None and walk.scenario.plan.is_file():
-        (folder / "plan.geojson").write_bytes(walk.scenario.plan.read_bytes())
+        suffix = walk.scenario.plan.suffix if walk.scenario.plan.suffix in OTHER_PLANS else ".geojson"
+        (folder / f"plan{suffix}").write_bytes(walk.scenario.plan.read_bytes())
     RECORDERS[walk.scenario.recorder](walk, folder)
     start, body = walk.scenario.start, walk.body
     every = max(1, round(body.rate / TRUTH_RATE))

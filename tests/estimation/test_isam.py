@@ -10,6 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import C, X
 
 from pdr_graph.estimation.factors.base import FactorBlock, State
+from pdr_graph.estimation.factors.chain import metis_ordering
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.live.isam import Linear, TransactionalISAM, linear_factor
 from pdr_graph.geometry import wrap_angle
@@ -334,3 +335,20 @@ def test_a_rebuild_is_fast(keyframes):
 
 def keyframes_of(isam):
     return [gtsam.Symbol(key).index() for key in isam.values.keys()]
+
+
+def test_a_variable_that_no_factor_binds_is_ordered_first():
+    """As a beacon that is heard at no keyframe of the window: METIS would crash the process."""
+    values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
+    for i in range(6):
+        values.insert(X(i), truth(i))
+        graph.push_back(move(i) if i else gtsam.PriorFactorPose2(X(0), truth(0), noise.Unit.Create(3)))
+    for key in (C(3), C(7)):
+        values.insert(key, np.zeros(2))
+        graph.push_back(gtsam.PriorFactorPoint2(key, np.ones(2), noise.Unit.Create(2)))
+    linear = graph.linearize(values)
+    ordering = metis_ordering(linear)
+    assert [ordering.at(n) for n in range(2)] == [C(3), C(7)]
+    found = linear.eliminateSequential(ordering).optimize()
+    assert found.at(C(7)) == pytest.approx(np.ones(2))
+    assert ordering.size() == 8

@@ -132,7 +132,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_after_a_fault_fixes_bring_the_particles_back(fault):
     """Particles stay finite; after six fixes along the aisle their mean is there."""
-    floor, cloud = aisle(), begun(tiles=1)
+    floor, cloud = aisle(), begun(at_once=1)
     on(cloud, floor, 1)
     with np.errstate(all="raise", under="ignore"):
         FAULTS[fault](cloud, floor)

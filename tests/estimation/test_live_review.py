@@ -11,7 +11,7 @@ from walks import drawn_beside_beacons, drawn_with_a_receiver
 from pdr_graph import smooth
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.history import SPAN
-from pdr_graph.estimation.live.review import Excess, Findings, Question
+from pdr_graph.estimation.live.review import Assumption, Excess, Findings, Question
 from pdr_graph.storage import decode, encode
 
 STEPS = 160
@@ -125,6 +125,18 @@ def test_the_past_that_is_compared_is_bounded():
     graph = live.history.question(live.graph.window.times[-1], live.graph.prior, Findings(), {}, False).graph
     assert graph.steps.end - graph.steps.start < SPAN + 2
     assert graph.fixes.time.min() > graph.steps.start - 10
+
+
+def test_decisions_name_rows_that_are_dropped_before_the_answer_is_used():
+    """A silence of minutes between a question and its answer, or a late fix, may change the rows of the history."""
+    steps, fixes, _ = drawn_with_a_receiver(300, 3)
+    live = followed(steps, [fixes])
+    before = Findings((Assumption(("fixes",), 5.5, "", "", ""),))
+    question = live.history.question(live.graph.window.times[-1], live.graph.prior, before, {}, False)
+    numbers = live.history.log.numbers("fixes").tolist()
+    live.history.log.forget(np.inf)
+    assert numbers[0] > 0
+    assert set(question.answer().decisions["fixes"]["number"].tolist()) <= set(numbers)
 
 
 def test_excess_is_constant_beyond_its_times():

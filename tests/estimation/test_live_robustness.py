@@ -1,6 +1,7 @@
 """Live walks with late, few and wrong fixes and short windows: no exception, no divergence."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from gtsam.symbol_shorthand import X
 
 from pdr_graph import FloorPlan
+from pdr_graph.gait.steps import gap
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes
 
@@ -51,3 +53,24 @@ def test_a_disturbed_walk_stays_finite_and_its_window_matches_the_solver(seed, l
             assert max(np.abs(c).max() for c in graph.window.c.values()) < 3
         assert nav.pose is None or np.isfinite([nav.pose.x, nav.pose.y]).all()
     assert np.isfinite(nav.finish().trajectory.position).all()
+
+
+def silenced(silence, at):
+    """Events of a walk on a plan: no data for so long [s] after a number of events, then all goes on later."""
+    events = list(said_events(*held_by_walls(STEPS)))
+    begin = next(event.end for event in reversed(events[:at]) if not isinstance(event, Fixes))
+    yield from events[:at]
+    yield gap(begin, begin + silence)
+    for event in events[at:]:
+        later = {} if isinstance(event, Fixes) else {"start": event.start + silence, "end": event.end + silence}
+        yield replace(event, time=event.time + silence, **later)
+
+
+@pytest.mark.parametrize("silence", [21.0, 300.0])
+def test_a_silence_as_long_as_the_lag_does_not_end_a_walk(silence):
+    """Keyframes that close at once, one before and one after the silence, are not in the window together."""
+    for at in (110, 135):
+        nav = Navigator(FloorPlan.load(LOOP), lag=20.0)
+        for event in silenced(silence, at):
+            nav.push(event)
+        assert np.isfinite(nav.finish().trajectory.position).all()

@@ -1,10 +1,11 @@
 """A small server of the EvAAL API, written from its description. Trial time is virtual: tests do not wait."""
 
-import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import ThreadingHTTPServer
 from urllib.parse import parse_qs, unquote, urlsplit
+
+from stand_in_server import QuietHandler, served
 
 
 def time_of(row):
@@ -85,10 +86,7 @@ class Trial:
         return 201, ""
 
 
-class Handler(BaseHTTPRequestHandler):
-    def log_message(self, *_):
-        pass
-
+class Handler(QuietHandler):
     def do_GET(self):
         parts = urlsplit(self.path)
         name, _, verb = unquote(parts.path).removeprefix("/evaalapi/").partition("/")
@@ -146,12 +144,6 @@ class Server(ThreadingHTTPServer):
 @contextmanager
 def serving(**trials):
     """The base URL of a server of these trials."""
-    server = Server(("127.0.0.1", 0), Handler)
-    server.trials = trials
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
-    thread.start()
-    try:
-        yield f"http://127.0.0.1:{server.server_address[1]}/evaalapi/"
-    finally:
-        server.shutdown()
-        server.server_close()
+    with served(Handler, Server) as server:
+        server.trials = trials
+        yield f"http://127.0.0.1:{server.server_port}/evaalapi/"

@@ -185,3 +185,17 @@ def test_map_info_lists_floors_and_connections():
     assert run.exit_code == 0
     assert "2: at 4 m, " in run.output
     assert "stairs Stairs: 1, 2\nlift Lift: 1, 2\nno problems found" in run.output
+
+
+def test_a_ring_that_collapses_in_part_keeps_its_area(tmp_path):
+    """A square with a spike: the spike is a line after the repair, and lines have no room to walk in."""
+    spike = [[0, 0], [9, 0], [9, 9], [20, 9], [9, 9], [0, 9], [0, 0]]
+    lonlat = FRAME.to_lonlat(np.array(spike, float)).tolist()
+    corridor = {"type": "Feature", "properties": {"kind": "corridor", "name": "spiked"}}
+    corridor["geometry"] = {"type": "Polygon", "coordinates": [lonlat]}
+    path = tmp_path / "spiked.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [corridor]}))
+    building = Building.load(path)
+    assert building.floors[0].walkable_area == pytest.approx(81, rel=1e-3)
+    assert building.floors[0].areas[0].shape.geom_type == "Polygon"
+    assert "its outline crosses itself" in problems(building)[0]

@@ -1,6 +1,7 @@
 """Floor plans: where one can walk, distances to walls, crossings."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -131,6 +132,35 @@ def test_approximate_distances_agree_with_exact_ones():
     exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
     about = DistanceField(area).approximate(points.T)
     assert np.percentile(np.abs(about - exact), 99) < 0.1
+
+
+def test_exact_distances_need_no_tiles():
+    area, points = irregular_area(), np.random.default_rng(2).uniform(-18, 18, (300, 2))
+    exact = shapely.distance(area.boundary, shapely.points(points))
+    exact = np.where(shapely.contains_xy(area, *points.T), exact, -exact)
+    assert DistanceField(area).exact(points) == pytest.approx(exact, abs=0.01)
+
+
+def test_tiles_of_others_make_no_difference():
+    """A user who computes few tiles at a time gets the same in a field that somebody else filled meanwhile."""
+    fresh, full = DistanceField(irregular_area()), DistanceField(irregular_area())
+    points = np.random.default_rng(3).uniform(-18, 18, (500, 2)).T
+    everything = full.approximate(points)
+    mine, shared = fresh.no_tiles(), full.no_tiles()
+    for _ in range(5):
+        assert np.array_equal(fresh.approximate(points, 1, mine), full.approximate(points, 1, shared))
+    assert not np.array_equal(full.approximate(points, 1, shared), everything)
+    assert np.array_equal(full.approximate(points, 1), everything), "a control: without tiles of its own"
+
+
+def test_threads_share_a_field():
+    """Eight threads ask for distances at once: each gets those that a thread alone gets."""
+    points = np.random.default_rng(3).uniform(-18, 18, (64, 200, 2))
+    alone, shared = DistanceField(irregular_area()), DistanceField(irregular_area())
+    expected = [alone.at(some)[0] for some in points]
+    with ThreadPoolExecutor(8) as pool:
+        found = list(pool.map(lambda some: shared.at(some)[0], points))
+    assert np.array_equal(found, expected)
 
 
 def test_tiles_can_be_computed_one_per_call():

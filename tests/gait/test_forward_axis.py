@@ -5,7 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
-from pdr_graph.gait.heading import FORWARD, braking_axis, forward_axis, reading_axis, walking_direction
+from pdr_graph.gait.heading import (
+    FORWARD,
+    braking_axis,
+    forward_axis,
+    live_forward_axis,
+    reading_axis,
+    walking_direction,
+)
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.papers.heading_methods import principal_axis
@@ -50,6 +57,47 @@ def test_the_forward_axis_is_found_in_any_orientation(method, start):
     """Also upside down; the sign is right."""
     found = method(marching(start, sway=0.2), np.zeros(len(TIME)), ALWAYS, STEP)
     assert found.angle == pytest.approx(AHEAD, abs=0.02)
+
+
+IN_A_POCKET, READ, HELD_ACROSS = ([("x", np.pi / 2)], [("z", -np.pi / 2)], [])
+
+
+def first_steps(count, turns, reverse_until=0):
+    """What the live forward axis says after so many steps; the push is reversed in the first steps, as on stairs."""
+    start = Rotation.identity()
+    for axis, angle in turns:
+        start = Rotation.from_euler(axis, angle) * start
+    attitude, part = marching(start, sway=0.2), slice(0, round(count * STEP / PERIOD) + 1)
+    backwards = marching(start, sway=0.2, push=-0.5).acceleration
+    acceleration = np.where(TIME[:, None] < reverse_until * STEP, backwards, attitude.acceleration)
+    walk = Attitude(TIME, PERIOD, attitude.R_world_device, acceleration, None)[part]
+    return live_forward_axis(walk, np.zeros(len(walk.time)), ALWAYS[part], STEP)
+
+
+def test_eight_steps_tell_the_forward_axis_of_a_phone_in_a_pocket():
+    """The control: seven do not, and more steps narrow it."""
+    assert not first_steps(7, IN_A_POCKET).determined
+    found = first_steps(8, IN_A_POCKET)
+    assert found.angle == pytest.approx(AHEAD, abs=0.1)
+    assert found.sigma == pytest.approx(FORWARD.early_sigma)
+    assert first_steps(40, IN_A_POCKET).sigma < found.sigma
+
+
+def test_gait_of_eight_steps_confirms_the_y_axis_of_a_phone_that_is_read():
+    sigmas = [first_steps(count, READ).sigma for count in (8, 60)]
+    assert sigmas == [FORWARD.confirmed_sigma, FORWARD.reading_sigma]
+    assert first_steps(8, READ).angle == pytest.approx(AHEAD, abs=0.01)
+
+
+def test_eighty_steps_must_contradict_the_y_axis_before_gait_decides():
+    """A phone held across; the control: on 40 steps of stairs gait is reversed, and never decides."""
+    assert not any(first_steps(count, HELD_ACROSS).determined for count in (8, 24, 48, 72))
+    assert first_steps(88, HELD_ACROSS).angle == pytest.approx(AHEAD, abs=0.1)
+    found = [first_steps(count, READ, reverse_until=40) for count in (8, 24, 40, 56, 72, 88, 110)]
+    told = [wrap_angle(one.angle - AHEAD) for one in found if one.determined]
+    assert len(told) >= 1
+    assert np.abs(told).max() < 0.1
+    assert not any(one.determined for one in found[:3])
 
 
 def test_a_sway_larger_than_the_push_misleads_only_the_principal_component():

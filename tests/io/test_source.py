@@ -8,7 +8,7 @@ import pytest
 from recorders import in_folder, in_zip, phyphox, sample
 
 from pdr_graph import InputError, io
-from pdr_graph.io.source import MAXIMUM_FILES
+from pdr_graph.source import MAXIMUM_FILES
 
 
 @pytest.fixture(scope="module")

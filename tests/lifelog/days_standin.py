@@ -3,6 +3,7 @@
 import math
 import os
 import resource
+import signal
 import time as clock
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -99,6 +100,20 @@ def dying(person, date, observations, profile):
     """`reconstruct` that ends the process on one day of one person, as a crash in a library would."""
     if (person, date) == ("person1", "2024-05-03"):
         os._exit(11)
+    return reconstruct(person, date, observations, profile)
+
+
+def hanging(person, date, observations, profile):
+    """`reconstruct` that hangs on one day of one person."""
+    if (person, date) == ("person1", "2024-05-02"):
+        clock.sleep(3600)
+    return reconstruct(person, date, observations, profile)
+
+
+def freezing(person, date, observations, profile):
+    """`reconstruct` that stops its process on one day of one person, as a disk that does not answer would."""
+    if (person, date) == ("person1", "2024-05-02"):
+        os.kill(os.getpid(), signal.SIGSTOP)
     return reconstruct(person, date, observations, profile)
 
 

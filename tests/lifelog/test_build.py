@@ -19,7 +19,7 @@ from pdr_graph import InputError
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build, reconstruct_days
 from pdr_graph.lifelog.ingest import add
-from pdr_graph.lifelog.store import RecordingOptions, Store
+from pdr_graph.lifelog.store import ZONE, RecordingOptions, Store
 
 HERE = Path(__file__).parent
 
@@ -32,10 +32,12 @@ def arcade_there(path):
 
 
 def added(folder, people=3, days=5):
-    """A lifelog of some people with a recording on each day; and the recordings by person."""
+    """A lifelog, in UTC, of some people with a recording on each day; and the recordings by person."""
     paths = standin.recordings(folder / "raw", people, days)
     for person, its in paths.items():
         add(folder / "log", its, person=person)
+    with Store(folder / "log") as log:
+        log.put_setting(ZONE, "UTC")
     return folder / "log", paths
 
 
@@ -119,7 +121,7 @@ def test_a_late_recording_changes_its_own_day_and_all_later_ones(tmp_path, count
     for person in range(2):
         add(whole / "log", sorted((whole / "raw").glob(f"{person}-*.plt")), person=f"person{person}")
     add(whole / "log", [tmp_path / "late.plt"], person="person1")
-    built(whole / "log")
+    built(whole / "log", zone="UTC")
     assert content(whole / "log") == content(log), "as if it had been there from the beginning"
 
 
@@ -155,6 +157,10 @@ def test_days_are_separated_at_midnight_of_the_zone(tmp_path):
         assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(1, 6)]
     assert built(log, zone="Europe/Berlin") == BuildResult(5, 0, (), ()), "the recordings began after midnight there"
     assert built(log) == BuildResult(0, 5, (), ()), "it is kept in mind"
+    with Store(log) as store:
+        assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(2, 7)]
+    assert built(log, zone="UTC").built == 5
+    assert built(log, zone="local").built == 5, "they were recorded in Berlin"
     with Store(log) as store:
         assert [date for _, date in store.days()] == [f"2024-05-0{d}" for d in range(2, 7)]
     for zone in ("Europe/Entenhausen", "/etc/passwd", "../UTC", "", "Europe"):

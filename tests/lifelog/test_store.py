@@ -19,8 +19,9 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import Day
+from pdr_graph.lifelog.day_rows import rows_of
 from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
-from pdr_graph.lifelog.store import Entry, RecordingOptions, Store, rows_of
+from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.measurements import Ranges
 from pdr_graph.storage import decompress
 from pdr_graph.types import Beacons, Headings, Sightings, Signal, Steps, Trajectory
@@ -191,7 +192,7 @@ def test_a_newer_version_is_refused(tmp_path):
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
         database.execute("PRAGMA user_version = 99")
         database.execute("PRAGMA journal_mode = DELETE")
-    refused(tmp_path / "log", "format: found 99, expected 3, which this version reads: use the newer pdr_graph")
+    refused(tmp_path / "log", "format: found 99, expected 4, which this version reads: use the newer pdr_graph")
 
 
 def test_a_store_of_format_1_is_refused_and_unchanged(tmp_path):
@@ -199,7 +200,7 @@ def test_a_store_of_format_1_is_refused_and_unchanged(tmp_path):
     file = Path(__file__).with_name("store_format_1.z")
     (tmp_path / "log").write_bytes(zlib.decompress(file.read_bytes()))
     refused(
-        tmp_path / "log", "format: found 1, expected 3, which this version reads: add the recordings to a new store"
+        tmp_path / "log", "format: found 1, expected 4, which this version reads: add the recordings to a new store"
     )
 
 

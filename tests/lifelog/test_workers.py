@@ -2,10 +2,10 @@
 
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import days_standin as standin
@@ -17,9 +17,11 @@ from test_build import added, built, content
 from threadpoolctl import threadpool_info
 
 from pdr_graph import InputError
+from pdr_graph.lifelog import cluster as clusters
 from pdr_graph.lifelog import workers as fleets
 from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build
-from pdr_graph.lifelog.store import Store, StoredDay
+from pdr_graph.lifelog.store import StoredDay
+from pdr_graph.lifelog.time_limits import FleetLostError
 from pdr_graph.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, fleet, pack
 
 HERE = Path(__file__).parent
@@ -27,9 +29,17 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="module")
 def cluster():
+    """A cluster that waits for a worker to restart, however long that takes under load."""
     distributed = pytest.importorskip("distributed")
+    import dask
+
     options = {"n_workers": 2, "threads_per_worker": 1, "memory_limit": 0, "silence_logs": 60}
-    with distributed.LocalCluster(**options, dashboard_address=":0") as local:
+    settings = {
+        "distributed.deploy.lost-worker-timeout": "10 minutes",
+        "distributed.comm.timeouts.connect": "2 minutes",
+        "distributed.scheduler.allowed-failures": 1,  # of a task, 3 by default: each takes a restart
+    }
+    with dask.config.set(settings), distributed.LocalCluster(**options, dashboard_address=":0") as local:
         yield local.scheduler_address
 
 
@@ -62,7 +72,7 @@ def test_a_day_that_fails_in_a_worker_does_not_stop_the_others(tmp_path, elsewhe
 
 def test_a_crashed_process_costs_only_its_day(tmp_path, elsewhere):
     log, _ = added(tmp_path)
-    message = "person1, 2024-05-03: its worker process was killed or crashed"
+    message = f"person1, 2024-05-03: {CrashedItem('').reason}"
     assert built(log, standin.dying, **elsewhere) == BuildResult(14, 0, (message,), ())
     assert built(log) == BuildResult(3, 12, (), ()), "that day and those after it"
     whole, _ = added(tmp_path / "whole")
@@ -142,7 +152,7 @@ def test_two_hundred_person_days_are_ten_tasks():
 )
 def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, message):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 0.5)
     log, _ = added(tmp_path, people=1, days=1)
     with pytest.raises(InputError, match=message):
         built(log, **options)
@@ -151,7 +161,7 @@ def test_an_unusable_cluster_is_refused(tmp_path, monkeypatch, options, message)
 
 def test_a_server_that_is_no_scheduler_is_refused(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(fleets, "CONNECT_TIMEOUT", 0.5)
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(InputError, match="found no answer, expected a Dask scheduler"), fleet(scheduler=address):
@@ -174,32 +184,121 @@ def test_the_message_without_dask_names_the_extra(monkeypatch):
         pass
 
 
-def test_a_scheduler_that_ends_is_one_line(tmp_path):
+@pytest.fixture
+def small_cluster():
+    """A scheduler and its only worker: the processes by name, and the address."""
     pytest.importorskip("distributed")
-    log, _ = added(tmp_path, people=2, days=5)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
     quiet = {"stderr": subprocess.DEVNULL, "env": os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}}
     command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", address[16:], "--no-dashboard"]
-    scheduler = subprocess.Popen([*command, "--host", "127.0.0.1"], **quiet)
-    worker = subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard"], **quiet)
-    ends = []
-
-    def progress(stage, done, of):
-        if stage == "recordings" and done == of:
-            ends.append(threading.Timer(0.3, scheduler.kill))
-            ends[0].start()
-
+    processes = {"scheduler": subprocess.Popen([*command, "--host", "127.0.0.1"], **quiet)}
+    command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard", "--no-nanny"]
+    processes["worker"] = subprocess.Popen([*command, "--nthreads", "1"], **quiet)
     try:
         wait_for(address)
-        with pytest.raises(InputError, match="found no answer any more, expected a running scheduler"):
-            build(log, scheduler=address, progress=progress, reconstruct=standin.very_slow)
+        yield processes, address
     finally:
-        scheduler.kill()
-        worker.kill()
+        for process in processes.values():
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize("which", ["scheduler", "worker"])
+def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
+    tmp_path, monkeypatch, small_cluster, which, ending
+):
+    """A worker that freezes keeps its connection: only the missing results tell."""
+    monkeypatch.setattr(clusters, "ASK_PERIOD", 0.5)
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 10.0)
+    monkeypatch.setattr(clusters, "RESTART_TIME", 20.0)
+    monkeypatch.setattr(fleets, "STALL_FACTOR", 1)
+    log, _ = added(tmp_path, people=2, days=6)
+    processes, address = small_cluster
+
+    def progress(stage, done, of):
+        if stage == "days" and done >= 2:
+            processes[which].send_signal(ending)
+
+    options = {"scheduler": address, "time_limit": 40.0, "progress": progress}
+    result = build(log, **options, reconstruct=standin.very_slow)
+    left = 12 - result.built
+    expected = f": {left} person-day{'s' * (left > 1)} not built, left to the next build: person"
+    assert len(result.unfinished) == (left > 0), "a worker may finish without its scheduler"
+    for line in result.unfinished:
+        assert expected in line
+    assert 2 <= result.built < 12 + (which == "scheduler"), "what was finished is stored"
+    assert (result.up_to_date, result.failures, result.refusals) == (0, (), ())
+    assert built(log) == BuildResult(left, 12 - left, (), ())
+    whole, _ = added(tmp_path / "whole", people=2, days=6)
+    built(whole)
+    assert content(log) == content(whole)
+
+
+def test_recordings_that_a_lost_fleet_has_not_observed_are_named(tmp_path, monkeypatch):
+    log, paths = added(tmp_path, people=2, days=4)
+
+    def losing(self, work, tasks, written):
+        for number, task in enumerate(tasks):
+            if number:
+                raise FleetLostError("all workers gone")
+            yield number, work(task)
+
+    monkeypatch.setattr(fleets.Fleet, "_execute", losing)
+    result = built(log)
+    assert (result.built, result.failures, result.refusals) == (0, (), ())
+    recordings, days = result.unfinished
+    assert recordings.startswith("all workers gone: 6 recordings not observed, left to the next build: ")
+    assert recordings.endswith("and 1 more")
+    assert days.startswith("all workers gone: 2 person-days not built, left to the next build: ")
+    assert sum(str(path) in recordings for its in paths.values() for path in its) == 5
+    monkeypatch.undo()
+    assert built(log) == BuildResult(8, 0, (), ())
+
+
+def test_a_day_that_hangs_costs_itself(tmp_path, monkeypatch, elsewhere):
+    """The limit is generous enough for a machine under load, the fleet's for workers that restart there."""
+    log, _ = added(tmp_path, people=2, days=3)
+    monkeypatch.setattr(fleets, "STALL_FACTOR", 40)
+    message = f"person1, 2024-05-02: {CrashedItem('').reason}"
+    assert built(log, standin.hanging, **elsewhere, time_limit=12.0) == BuildResult(5, 0, (message,), ())
+    assert built(log) == BuildResult(2, 4, (), ()), "that day and the one after it"
+
+
+def test_processes_that_freeze_are_ended(tmp_path, monkeypatch):
+    """A frozen process cannot end itself."""
+    monkeypatch.setattr(fleets, "STALL_FACTOR", 1)
+    log, _ = added(tmp_path, people=2, days=3)
+    result = built(log, standin.freezing, workers=2, time_limit=40.0)
+    assert (result.failures, result.refusals) == ((), ())
+    [line] = result.unfinished
+    assert line.startswith("no recording and no day was finished for 1 min: ")
+    assert "person1 2024-05-02 to 2024-05-03 (2)" in line
     assert built(log).failures == ()
-    with Store(log) as store:
-        assert len(store.days()) == 10
+
+
+def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
+    code = "import time; from pdr_graph.lifelog.time_limits import limited; list(limited(map(time.sleep, {}), 3.0))"
+    for sleeps, ended in (([1.0] * 5, 0), ([0.1, 600], 1)):
+        done = run_alone(code.format(sleeps))
+        assert (done.returncode, done.stderr) == (ended, b"")
+
+
+def test_the_earliest_deadline_of_several_threads_counts():
+    code = """
+import threading, time
+from pdr_graph.lifelog.time_limits import limited
+threading.Thread(target=lambda: list(limited(map(time.sleep, [600]), 2.0)), daemon=True).start()
+list(limited(map(time.sleep, [0.1] * 3000), 600.0))
+"""
+    assert run_alone(code).returncode == 1
+
+
+def run_alone(code):
+    """Run Python code in a process of its own."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, timeout=300)
 
 
 def wait_for(address):

@@ -57,6 +57,9 @@ class StandIn:
         self.count += 1
         self.rows.append((0.5 * self.count, self.place.real, self.place.imag))
 
+    def review(self):
+        """Nothing to do."""
+
     @property
     def pose(self):
         return Pose(*self.rows[-1], 0.0, "", np.eye(3)) if self.rows else None
@@ -109,6 +112,9 @@ class Metronome:
             x, y = event.position[-1].tolist()
             self.rows[-1] = (self.rows[-1][0], x, y)
             self.fixes.append(FixReport(float(event.time[-1]), x, y, 3.0, 0.0, 1.0, "it is so"))
+
+    def review(self):
+        """Nothing to do."""
 
     @property
     def pose(self):

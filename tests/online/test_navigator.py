@@ -208,10 +208,12 @@ def test_an_absurd_first_fix_on_earth_does_not_define_the_frame(place):
 
 
 def test_fixes_only():
-    """No steps, no pose, no exception."""
-    nav, _, track = checked([event for event in events() if isinstance(event, Fixes)])
-    assert nav.pose is None
-    assert nav.status.state == "waiting"
+    """No steps: the pose is that of the fixes, smoothed, in any direction, and the status says so."""
+    fixes = [event for event in events() if isinstance(event, Fixes)]
+    nav, _, track = checked(fixes)
+    assert np.hypot(*(np.array([nav.pose.x, nav.pose.y]) - fixes[-1].position[-1])) < 3 * fixes[-1].sigma[-1]
+    assert nav.pose.covariance[2, 2] > 1.0
+    assert nav.status.state == "fixes alone"
     assert len(track) == 0
 
 

@@ -12,9 +12,14 @@ from typer.testing import CliRunner
 
 from pdr_graph import InputError
 from pdr_graph.cli import app
+from pdr_graph.evaluation import coverage
 from pdr_graph.inputs import Options
+from pdr_graph.io.tables import read_trajectory
+from pdr_graph.io.writers import write_trajectory
 from pdr_graph.online import replay
 from pdr_graph.online.replay import Latency, replay_recording
+from pdr_graph.outputs import live_lines
+from pdr_graph.types import Trajectory
 
 ROUTE = np.array([(0.0, 0.0), (20.0, 0.0), (20.0, 10.0)])
 
@@ -46,6 +51,41 @@ def test_it_writes_what_the_contract_names(result):
     assert "the compass is broken" in summary["warnings"]
     assert summary["settings"]["lag"] == 60.0
     assert {"reading", "replay", "finish", "write"} <= set(summary["seconds"])
+
+
+def test_the_summary_headlines_the_live_track(folder, result):
+    """With the truth its error and coverage, as `evaluate` has it, and those of the smoothed walk beside it."""
+    causal, summary = rows(result / "causal.csv"), json.loads((result / "summary.json").read_text())
+    live = summary["live"]
+    assert (live["poses"], live["sigma"]) == (len(causal), 1.0)
+    assert live["first_pose"] == pytest.approx(0.0, abs=0.01)
+    assert live["error"]["p95"] > 3.0, "the metronome goes to the east"
+    [line] = live_lines(live | {"error": None})
+    assert line == "live, known at once: first pose after 0.0 s, median sigma 1.0 m"
+    truth = Trajectory(np.array([float(row["time"]) for row in causal]), *moved(causal, 2.0))
+    write_trajectory(folder / "truth.csv", truth, 0.0)
+    options = Options(fixes=folder / "fixes.csv", truth=folder / "truth.csv")
+    replay_recording(folder / "walk.txt", folder / "scored", options, Metronome)
+    live = json.loads((folder / "scored" / "summary.json").read_text())["live"]
+    assert [live["error"][name] for name in ("p50", "p75", "p95")] == pytest.approx([2.0] * 3, abs=0.02)
+    assert live["error"]["in_90"] == 1.0
+    assert live["hindsight"]["error"]["p50"] > 0
+    track = read_trajectory(folder / "scored" / "causal.csv")
+    outside = Trajectory(truth.time, *moved(causal, 3.0))
+    assert coverage(track, truth) == 1.0
+    assert coverage(track, outside) == 0.0, "a control: 3 m at a sigma of 1 m"
+    lines = list(live_lines(live))
+    assert lines[0].startswith("live, known at once: error 50 / 75 / 95 %: 2.0 / 2.0 / 2.0 m, 100 % in the 90 % region")
+    assert lines[1].startswith("in hindsight, smoothed: error ")
+    content = (folder / "scored" / "report.html").read_text()
+    assert "live, known at once: error 50 / 75 / 95 %" in content
+    assert "in hindsight, smoothed" in content
+
+
+def moved(causal, distance):
+    """Positions and headings of a truth that is so far [m] from the current poses."""
+    position = np.array([(float(row["x"]) + distance, float(row["y"])) for row in causal])
+    return position, np.zeros(len(causal))
 
 
 def test_poses_are_causal(folder, result, tmp_path):

@@ -17,7 +17,7 @@ NEAR = 60.0  # [s] of the walk before and after a heading that it is compared wi
 def said_of(walk, frame):
     compass = LiveCompass()
     compass.locate(frame, np.zeros(2), walk.epoch)
-    gait, said = StepStream(listener=compass.update), []
+    gait, said = StepStream(listener=compass.update, preview=compass.preview), []
     for event in events_of(walk):
         if isinstance(event, Samples) and event.sensor == "magnetometer":
             compass.push(event.time, event.values)
@@ -38,7 +38,8 @@ def errors(walk, truth, said):
         near = np.abs(truth.time - one.time) < NEAR
         walked, true = np.diff(np.interp(truth.time[near], steps.time, way)), np.diff(truth.position[near] @ [1, 1j])
         turned = np.angle(np.sum(true * walked.conj()))
-        found.append(wrap_angle(one.heading - np.interp(one.time, steps.time, heading) - turned))
+        since_start = np.interp(one.time, [steps.start, *steps.time], [0.0, *heading])
+        found.append(wrap_angle(one.heading - since_start - turned))
     return np.array(found)
 
 

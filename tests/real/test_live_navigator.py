@@ -47,7 +47,7 @@ def test_the_pose_stands_where_its_first_fix_says(data):
     nav, told = Navigator(frame=floor.frame), []
     for event in events_of(replace(walk, fixes=first)):
         nav.push(event)
-        if isinstance(event, Samples) and event.time[-1] > first.time[0] and (pose := nav.pose) is not None:
+        if isinstance(event, Samples) and (pose := nav.pose) is not None and pose.time > first.time[0]:
             told.append((pose.time, pose.x, pose.y))
             if pose.time > 20.0:
                 break

@@ -133,7 +133,7 @@ def test_a_replay_shows_the_causal_track_beside_the_smoothed_one(browser, walk):
         first_time(walk / "live" / "causal.csv") - first_time(walk / "live" / "trajectory.csv"),
     )
     report.slide(begins(report) + later + when)
-    dot = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'live')")
+    dot = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'live, known at once')")
     there = [np.interp(when, time, axis) for axis in position.T]
     assert [dot["xanchor"], dot["yanchor"]] == pytest.approx(there, abs=0.03), "a centimetre per row and 10 ms of time"
 

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 AnyArray = NDArray[Any]
 POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
+PLANE = np.array([1.0, 1.0, 0.0])  # components of a variable that are a position, where the third is something else
 TOLERANCE = {  # change of a variable at which most factors are linearised again; chosen by hand
     "x": np.array([0.2, 0.2, 0.05]),  # [m, m, rad]
     "c": np.array([0.01, 0.01, 0.002]),  # [-, -, rad/s]
@@ -310,7 +311,7 @@ class Hypothesis:
     measurements: its kind under this assumption; price: negative log probability of it in advance, relative to a source
     without such an error [nats]; text: what errs, for the user; source: its name; check: what the user should check, ""
     if nothing; place_lost: True if the kind measures no absolute position then; fresh: symbols of the variables that do
-    not keep their values.
+    not keep their values; apart: it is also solved from the walk by the other sources alone.
     """
 
     measurements: tuple[Measurement, ...]
@@ -320,13 +321,11 @@ class Hypothesis:
     check: str = ""
     place_lost: bool = False
     fresh: tuple[str, ...] = ()
+    apart: bool = False
 
 
 class Measurement:
-    """A measurement kind: all its instances on one walk.
-
-    Subclasses are frozen dataclasses; methods return new objects. The methods here are defaults for simple kinds.
-    """
+    """A measurement kind: all its instances on one walk. Subclasses are frozen; these methods suit simple kinds."""
 
     name: ClassVar[str] = ""
     on_plan: ClassVar[bool] = False  # True if it uses the floor plan

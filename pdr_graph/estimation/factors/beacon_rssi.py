@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
+from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
 from pdr_graph.estimation.factors.beacon_list import (
     HEIGHT,
     LEVEL_SIGMA,
@@ -50,7 +50,6 @@ WRONG_LIST = 5.5  # [nats] price of a wrong list, see `Hypothesis`
 SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
 ORIGIN_SIGMA = 30.0  # [m] of the displacement of a whole list, and
 WRONG_ORIGIN = 1.0  # [nats] its price: as probable as a receiver that is as far off throughout
-PLANE = np.array([1.0, 1.0, 0.0])  # components of a beacon's variable that are a position
 DISPLACED = 8.0  # [m] between the walks by the list and by all else, from which that is assumed
 CHECK_LIST = "the positions in the list of beacons"
 

@@ -145,7 +145,8 @@ class Evaluation:
     def ordering(self, linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
         """METIS' ordering of ``linear``, all factors linearised; variables that no factor binds to others come first.
 
-        METIS crashes the process on such variables (gtsam 4.3.0), and the default ordering on long chains.
+        METIS crashes the process on such variables (gtsam 4.3.0), and the default ordering on long chains. As
+        `metis_ordering`, without a loop over the factors.
         """
         alone = {symbol: np.ones(len(rows), dtype=bool) for symbol, rows in self.state.arrays.items()}
         binding = gtsam.GaussianFactorGraph()
@@ -158,14 +159,8 @@ class Evaluation:
             return gtsam.Ordering.MetisGaussianFactorGraph(linear)
         for block in bound:
             block.add_to(binding, self.state)
-        ordering = gtsam.Ordering()
-        for symbol, mask in alone.items():
-            for key in self.state.keys(symbol, np.flatnonzero(mask)).tolist():
-                ordering.push_back(key)
-        rest = gtsam.Ordering.MetisGaussianFactorGraph(binding) if binding.size() else gtsam.Ordering()
-        for n in range(rest.size()):
-            ordering.push_back(rest.at(n))
-        return ordering
+        alone_keys = [self.state.keys(symbol, np.flatnonzero(mask)).tolist() for symbol, mask in alone.items()]
+        return _with_metis([key for keys in alone_keys for key in keys], binding)
 
     @cached_property
     def ends(self) -> Array:
@@ -215,3 +210,24 @@ def step_residuals(pose_i: Array, pose_j: Array, increments: Increments, pieces:
     by_i = np.tile(-np.eye(3), (len(r), 1, 1))
     by_i[:, 0, 2], by_i[:, 1, 2] = way_y, -way_x
     return Linearized(r, by_i, pose_rotation(turn), -increments.by_c[pieces.last])
+
+
+def metis_ordering(linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
+    """METIS' ordering of a linear graph; variables that no factor binds to others come first, or it would crash."""
+    keys = [linear.at(n).keys() for n in range(linear.size())]
+    binding, bound = gtsam.GaussianFactorGraph(), set[int]()
+    for n, of_factor in enumerate(keys):
+        if len(of_factor) > 1:
+            binding.push_back(linear.at(n))
+            bound.update(of_factor)
+    alone = {key for of_factor in keys for key in of_factor} - bound
+    return _with_metis(sorted(alone), binding) if alone else gtsam.Ordering.MetisGaussianFactorGraph(linear)
+
+
+def _with_metis(first: list[int], binding: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
+    """The variables ``first``, then METIS' ordering of a graph without them."""
+    ordering = gtsam.Ordering()
+    rest = gtsam.Ordering.MetisGaussianFactorGraph(binding) if binding.size() else gtsam.Ordering()
+    for key in [*first, *(rest.at(n) for n in range(rest.size()))]:
+        ordering.push_back(key)
+    return ordering

@@ -35,6 +35,7 @@ MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 LOOSELY = 5.0  # scale of the sigma in the second factor of a fix that states only a radius
 PATIENCE = 4  # consistent fixes in a row, all far from the walk, at which the estimate has diverged
+REJECTED = 0.25  # of a fix in the longest chain, for one that the walk under way has rejected; chosen by hand
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
 DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, below which one may be wrong
@@ -49,7 +50,7 @@ LOUD_BEACON = "a loud beacon: used only to find where to start"
 class FixFactor(Measurement):
     """Positions with independent errors: r = (p − z) / σ. [gps-dr] Sec. 4
 
-    fixes: all of them, ``f``; number: ``(f,)`` permanent numbers.
+    fixes: all of them, ``f``; steps: of their walk; number: ``(f,)`` permanent numbers.
     sigma: ``(f,)`` per axis, wider outside the recording [m]; used: ``(f,)`` not far outside it, new and not frozen;
     duplicate: ``(f,)`` epochs that repeat the one before; still: ``(f,)`` of a frozen receiver, see `frozen`.
     run: ``(f,)`` number of the run of fixes within reach of each other, −1 for unused ones; consistent: ``(f,)`` in the
@@ -62,6 +63,7 @@ class FixFactor(Measurement):
     """
 
     fixes: Fixes
+    steps: Steps
     number: Index
     sigma: Array
     used: Mask
@@ -96,6 +98,7 @@ class FixFactor(Measurement):
         none = np.zeros(len(fixes), dtype=bool)
         return cls(
             fixes=fixes,
+            steps=steps,
             number=np.arange(len(fixes)) if number is None else number,
             sigma=sigma,
             used=used,
@@ -199,6 +202,10 @@ class FixFactor(Measurement):
         of_receiver = sourced(self.fixes)
         return replace(self, outlier=outlier, held=held, biased=held & of_receiver & (self.flat == 0))
 
+    def rejected(self, number: Index) -> Self:
+        """Mark the fixes with these numbers as outliers."""
+        return self.classified(self.outlier | np.isin(self.number, number), self.held)
+
     def reclassified(self, at: Evaluation) -> Self:
         """Mark fixes far from the walk as outliers, or drop them if inconsistent; restore near ones.
 
@@ -209,7 +216,7 @@ class FixFactor(Measurement):
             return self._wider(too_small).reclassified(at)
         far = self.distance(at) > OUTLIER * self.sigma
         reached = self.used & (self.keyframe >= 0)
-        outlier = np.where(reached, far & self.consistent, self.outlier)
+        outlier = np.where(reached, far & (self.consistent | self.outlier), self.outlier)
         held = np.where(reached, ~far | self.consistent, self.held)
         return self.classified(outlier, held & np.logical_not(self.wrong))
 
@@ -254,7 +261,7 @@ class FixFactor(Measurement):
             return False
         was = dict(zip(decisions["number"].tolist(), decisions["consistent"].tolist(), strict=True))
         newest = self.fixes.time[self.consistent].max()
-        lost = self.used & ~self.consistent & (self.fixes.time < newest)
+        lost = self.used & ~self.consistent & (self.fixes.time < newest) & ~self._rejected_by(decisions)
         return any(was.get(number, False) for number in self.number[lost].tolist())
 
     def decisions(self) -> dict[str, AnyArray]:
@@ -268,6 +275,18 @@ class FixFactor(Measurement):
         """Keep outliers; release fixes that are no longer consistent with the others."""
         if not decisions:
             return self.classified(self.outlier, self.held)
+        if (rejected := self._rejected_by(decisions)).any():
+            share = np.where(rejected, REJECTED, 1.0)
+            run, consistent = consistent_chains(self.steps, self.fixes, self.sigma, self.used, share)
+            return replace(self, run=run, consistent=consistent, held=consistent)._continued(decisions)
+        return self._continued(decisions)
+
+    def _rejected_by(self, decisions: Mapping[str, AnyArray]) -> Mask:
+        """``(f,)`` True for the fixes that decisions mark as outliers or as wrong."""
+        rejected = decisions["outlier"].astype(bool) | decisions["wrong"].astype(bool)
+        return np.isin(self.number, decisions["number"][rejected])
+
+    def _continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         order = np.argsort(decisions["number"])
         stored = decisions["number"][order]
         place = np.minimum(np.searchsorted(stored, self.number), len(stored) - 1)
@@ -325,11 +344,13 @@ def fix_reason(sigmas: float, weight: float, outlier: bool, origin: str = "the w
     return f"{sigmas:.1f} sigma from {origin}: {'outlier' if outlier else trust}"
 
 
-def consistent_chains(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> tuple[Index, Mask]:
+def consistent_chains(
+    steps: Steps, fixes: Fixes, sigma: Array, used: Mask, share: Array | None = None
+) -> tuple[Index, Mask]:
     """The run of every fix ``(f,)``, and a mask ``(f,)`` of the longest chain that one walk can have made.
 
     A run is a sequence of used fixes within reach of one another, used or dropped together. Others have run −1.
-    sigma: ``(f,)`` [m] per axis.
+    sigma: ``(f,)`` [m] per axis; share: ``(f,)`` of each fix in the length of a chain, by default 1.
     """
     run, consistent = np.full(len(fixes), -1), np.zeros(len(fixes), dtype=bool)
     order = np.flatnonzero(used)
@@ -337,19 +358,20 @@ def consistent_chains(steps: Steps, fixes: Fixes, sigma: Array, used: Mask) -> t
     if len(order):
         moved = np.where(steps.is_gap, DRIVEN * steps.duration, steps.length)
         way = STRETCHED * distance_walked(steps, fixes.time[order], moved)
-        chains = longest_consistent_chain(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS)
+        share = np.ones(len(fixes)) if share is None else share
+        chains = longest_consistent_chain(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS, share[order])
         run[order], consistent[order] = chains
     return run, consistent
 
 
 def longest_consistent_chain(
-    position: Array, error: Array, way: Array, jump: float, ends: int = 1
+    position: Array, error: Array, way: Array, jump: float, ends: int = 1, share: Array | None = None
 ) -> tuple[Index, Mask]:
     """The run of each fix ``(f,)``, and a mask ``(f,)`` of the longest chain of runs. At least one fix.
 
     position: ``(f, 2)`` [m] in order of time; error: ``(f,)`` largest error [m]; way: ``(f,)`` longest possible path
     since the start [m]. jump: fixes that an impossible jump costs a chain; ends: number of fixes at the end of a run,
-    and at the start of the next, any of which may connect them.
+    and at the start of the next, any of which may connect them; share: ``(f,)`` of each fix in the length of a chain.
     """
 
     def reaches(earlier: Index, later: Index) -> Mask:
@@ -360,7 +382,8 @@ def longest_consistent_chain(
     begins = np.append(True, ~reaches(every[:-1], every[1:]))
     first, run = np.flatnonzero(begins), np.cumsum(begins) - 1
     last = np.append(first[1:], len(position)) - 1
-    length, before = (last - first + 1).astype(float), np.full(len(first), -1)
+    length = (last - first + 1).astype(float) if share is None else np.add.reduceat(share, first)
+    before = np.full(len(first), -1)
     for n in range(1, len(first)):
         earlier = np.arange(max(0, n - MOST_RUNS), n)
         leaving = np.maximum(last[earlier, None] - np.arange(ends), first[earlier, None])

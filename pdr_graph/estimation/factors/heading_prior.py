@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import gtsam
 import numpy as np
 
-from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Hypothesis, Measurement
+from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement
 from pdr_graph.estimation.factors.losses import NOISE, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.measurements import take
-from pdr_graph.types import Array, Headings, Index, Steps
+from pdr_graph.types import Array, Headings, Index, Mask, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
+START, START_HEADING_SIGMA = "start", 0.2  # source and sigma [rad] of the start heading of a user; chosen by hand
+WRONG_START = 0.1  # share of wrong start headings; chosen by hand
 OFF, SHARE = np.pi / 4, 0.14  # [rad] of a compass that is off throughout; share of such (none of 21 real headings)
 
 
@@ -42,14 +44,15 @@ class HeadingReport:
 class HeadingFactor(Measurement):
     """Walking directions: r = wrap(θ − z + off) / σ, under Huber's loss. [heading] Sec. 3
 
-    headings: ``h`` of them; number: ``(h,)`` permanent numbers; keyframe: ``(h,)``; off: by which all are assumed to be
-    wrong [rad].
+    headings: ``h`` of them; number: ``(h,)`` permanent numbers; keyframe: ``(h,)``; off: by which those of the compass
+    are assumed to be wrong [rad]; wrong_start: the start heading is assumed to be wrong.
     """
 
     headings: Headings
     number: Index
     keyframe: Index
     off: float = 0.0
+    wrong_start: bool = False
 
     name: ClassVar[str] = "headings"
 
@@ -57,8 +60,7 @@ class HeadingFactor(Measurement):
     def of(cls, headings: Headings, steps: Steps, prior: Prior, number: Index | None = None) -> HeadingFactor:
         """The headings measured during the recording."""
         inside = np.flatnonzero((headings.time >= steps.start) & (headings.time <= steps.end))
-        kept = Headings(headings.time[inside], headings.heading[inside], headings.sigma[inside])
-        return cls(kept, inside if number is None else number[inside], np.full(len(kept), -1))
+        return cls(take(headings, inside), inside if number is None else number[inside], np.full(len(inside), -1))
 
     def keyframe_times(self) -> Array:
         """The times of the headings."""
@@ -72,17 +74,37 @@ class HeadingFactor(Measurement):
         """One factor for each heading."""
         which = np.flatnonzero(self.keyframe >= 0)
         headings = take(self.headings, which)
-        headings = replace(headings, heading=wrap_angle(headings.heading - self.off))
+        started = of_start(headings)
+        heading = wrap_angle(headings.heading - np.where(started, 0.0, self.off))
+        sigma = np.where(started & self.wrong_start, ANY_HEADING, headings.sigma)
+        headings = replace(headings, heading=heading, sigma=sigma)
         return [heading_block(self.name, at, self.keyframe[which], headings, self.number[which])]
 
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
-        """All headings are off by the same large angle, by iron in the building or near the phone.
+        """All compass headings are off by a large angle, by iron; the start heading is wrong.
 
-        They share most of their error (`gait.compass`).
+        Compass headings share most of their error (`gait.compass`).
         """
-        if not np.any(self.keyframe >= 0):
-            return ()
-        return [self._off(angle) for angle in (OFF, -OFF)]
+        started, bound = of_start(self.headings), self.keyframe >= 0
+        found = [self._off(angle) for angle in (OFF, -OFF)] if np.any(bound & ~started) else []
+        return [*found, *([self._without_start()] if np.any(bound & started) else [])]
+
+    def decisions(self) -> dict[str, AnyArray]:
+        """Whether the start heading is wrong, if there is one."""
+        return {"wrong_start": np.array([self.wrong_start])} if of_start(self.headings).any() else {}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
+        """Take over whether the start heading is wrong."""
+        return replace(self, wrong_start=bool(decisions["wrong_start"][0])) if "wrong_start" in decisions else self
+
+    def _without_start(self) -> Hypothesis:
+        """The assumption that the start heading is wrong; its normaliser replaces that of its sigma."""
+        sigma = float(self.headings.sigma[of_start(self.headings)][0])
+        price = -float(np.log(WRONG_START)) + float(np.log(ANY_HEADING / sigma))
+        check = "the start heading: clockwise from north, in degrees, of the first step"
+        return Hypothesis(
+            (replace(self, wrong_start=True),), price, START, "the start heading is wrong", check, apart=True
+        )
 
     def _off(self, angle: float) -> Hypothesis:
         """The assumption that all headings are off by ``angle`` [rad]."""
@@ -102,6 +124,11 @@ class HeadingFactor(Measurement):
         which = np.arange(len(reached)) if which is None else which
         heading = at.state.poses[self.keyframe[reached[which]], 2]
         return heading_reports(take(self.headings, reached[which]), heading, block.weight[which])
+
+
+def of_start(headings: Headings) -> Mask:
+    """True ``(h,)`` for start headings that a user states."""
+    return np.array([source == START for source in headings.source], dtype=bool)
 
 
 def heading_reports(headings: Headings, heading: Array, weight: Array) -> tuple[HeadingReport, ...]:

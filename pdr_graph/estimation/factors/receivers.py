@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_graph.geometry import dead_reckon, distance_walked, interpolate
+from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate
 from pdr_graph.types import Array, Fixes, Index, Mask, Steps
 
 STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of a receiver's errors
@@ -30,12 +30,13 @@ def frozen(fixes: Fixes, steps: Steps) -> Mask:
         return result
     track = dead_reckon(steps)
     for indices in sources:
-        place, walked = fixes.position[indices], interpolate(fixes.time[indices], track.time, track.position)
+        place = as_complex(fixes.position[indices]).tolist()
+        walked = as_complex(interpolate(fixes.time[indices], track.time, track.position))
         first = 0
         for n in range(1, len(indices) + 1):
-            if n < len(indices) and np.hypot(*(place[n] - place[first])) < STILL:
+            if n < len(indices) and abs(place[n] - place[first]) < STILL:
                 continue
-            if np.hypot(*(walked[first:n] - walked[first]).T).max() > AWAY:
+            if n > first + 1 and np.abs(walked[first:n] - walked[first]).max() > AWAY:
                 result[indices[first + 1 : n]] = True
             first = n
     return result

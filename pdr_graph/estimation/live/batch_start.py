@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from gtsam.symbol_shorthand import X
 
 from pdr_graph.estimation.covariance import CovarianceBlocks
-from pdr_graph.estimation.factors.base import AnyArray, poses_at
+from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS, sigma_direction
+from pdr_graph.estimation.kalman import HOPELESS, GaussianMixture
+from pdr_graph.estimation.live.measurement_log import Decisions, numbered
+from pdr_graph.estimation.live.particles import AlternativePath
+from pdr_graph.estimation.live.prediction import Position, in_output_axes
 from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, paths, probabilities
 from pdr_graph.estimation.results import SURE
-from pdr_graph.types import Array
+from pdr_graph.types import Array, Index
 
-LEAST_DURATION = 15.0  # [s] on a plan, unless fixes determine the direction: shorter walks fit several aisles
+LEAST_DURATION = 25.0  # [s] on a plan, unless fixes determine the direction: shorter walks fit several aisles
 MOST_SIGMA, MOST_SIGMA_ON_PLAN = 0.5, 0.35  # [rad] of the last heading, for a linearisation there; chosen by hand
 
 
@@ -24,15 +28,32 @@ class BatchSolution:
     """The most probable walk so far.
 
     time: ``(m + 1,)`` start and ends of the pieces [s]; pose: ``(m + 1, 3)`` there; segment_start: ``(s,)`` [s]; c:
-    ``(s, 3)``; decisions: about measurements, by kind; sure: no other path is likely, and the direction is certain.
+    ``(s, 3)``; decisions: about measurements, by kind; sure: no other path is likely, and the direction is certain;
+    modes: all paths that remain, at the end; directed: each has a direction; headings: numbers of those that it used;
+    alternative: it is one to try beside the present path, not to adopt.
     """
 
     time: Array
     pose: Array
     segment_start: Array
     c: Array
-    decisions: dict[str, dict[str, AnyArray]]
+    decisions: Decisions
     sure: bool
+    modes: GaussianMixture
+    directed: bool
+    headings: Index
+    alternative: bool
+
+    @property
+    def near(self) -> Position:
+        """The end as a fix, for a walk of unknown direction."""
+        sigma = float(np.sqrt(np.trace(self.modes.covariance[0, :2, :2]) / 2))
+        return Position(float(self.time[-1]), self.pose[-1, :2], sigma, 1.0)
+
+    @property
+    def path(self) -> AlternativePath:
+        """The walk as a path to try."""
+        return AlternativePath(self.time, np.column_stack([self.pose, np.tile(self.c[-1], (len(self.time), 1))]))
 
     def poses(self, time: Array) -> Array:
         """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
@@ -43,28 +64,57 @@ class BatchSolution:
         return self.c[max(int(np.searchsorted(self.segment_start, time)) - 1, 0)]
 
 
-def solve_batch(graph: WalkGraph) -> BatchSolution:
-    """The most probable walk of a window, with a test whether it is certain."""
-    optima = corrected_solutions(graph)
-    best, path = optima[0], paths(optima)
-    certain = float(probabilities(optima, path)[path == 0].sum()) > SURE
-    long = graph.steps.end - graph.steps.start > LEAST_DURATION
-    determined = not best.graph.walled or sigma_direction(graph.chain, graph.positions) < AMBIGUOUS or long
-    return _solution(best, certain and determined)
+@dataclass(frozen=True)
+class BatchQuestion:
+    """A solution that is due.
+
+    graph: builds that of the window; numbers: permanent numbers of its rows, by kind; alternative: see `BatchSolution`.
+    """
+
+    graph: Callable[[], WalkGraph]
+    numbers: dict[str, Index]
+    alternative: bool = False
+
+    def answer(self) -> BatchSolution:
+        """The most probable walk, with a test whether it is certain, and the other ways that remain."""
+        graph = self.graph()
+        optima = corrected_solutions(graph)
+        best, path = optima[0], paths(optima)
+        walled, at, chain = best.graph.walled, best.at, best.at.chain
+        probability = probabilities(optima, path)
+        modes = modes_at_end(optima, probability)
+        variance = modes.covariance[:, 2, 2]
+        certain = float(probability[path == 0].sum()) > SURE
+        long = graph.steps.end - graph.steps.start > LEAST_DURATION
+        determined = not walled or sigma_direction(graph.chain, graph.positions) < AMBIGUOUS or long
+        narrow = variance[0] < (MOST_SIGMA_ON_PLAN if walled else MOST_SIGMA) ** 2
+        return BatchSolution(
+            time=np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1]),
+            pose=np.vstack([at.pose_i[:1], at.ends]),
+            segment_start=chain.time[chain.segment_first],
+            c=best.state.c,
+            decisions={} if best.graph.positions.approximate else self._decisions(best.graph),
+            sure=bool(certain and determined and narrow),
+            modes=modes,
+            directed=bool((variance < AMBIGUOUS**2).all()),
+            headings=self.numbers.get("headings", np.empty(0, dtype=np.intp)),
+            alternative=self.alternative,
+        )
+
+    def _decisions(self, graph: WalkGraph) -> Decisions:
+        found = {measurement.name: measurement.decisions() for measurement in graph.measurements}
+        return {name: numbered(rows, self.numbers.get(name)) for name, rows in found.items() if rows}
 
 
-def _solution(best: Optimum, certain: bool) -> BatchSolution:
-    at, chain = best.at, best.at.chain
-    ends = chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1]
-    last = CovarianceBlocks(best.net).joint([(X(len(chain.segment)),)])[0]
-    decided = {
-        measurement.name: decisions for measurement in best.graph.measurements if (decisions := measurement.decisions())
-    }
-    return BatchSolution(
-        time=np.append(chain.time[0], ends),
-        pose=np.vstack([at.pose_i[:1], at.ends]),
-        segment_start=chain.time[chain.segment_first],
-        c=best.state.c,
-        decisions={} if best.graph.positions.approximate else decided,
-        sure=bool(certain and last[2, 2] < (MOST_SIGMA_ON_PLAN if best.graph.walled else MOST_SIGMA) ** 2),
-    )
+def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
+    """The last pose and calibration of each solution, with its covariance in the output axes and its probability."""
+    mean, covariance = [], []
+    for optimum in optima:
+        state = optimum.state
+        keys = state.keys("x", np.array([-1])).tolist() + state.keys("c", np.array([-1])).tolist()
+        joint = CovarianceBlocks(optimum.net).joint([tuple(keys)])[0]
+        mean.append(np.append(state.poses[-1], state.c[-1]))
+        covariance.append(in_output_axes(joint, float(state.poses[-1, 2])))
+    share = probability / probability.max()
+    mixture = GaussianMixture(np.array(mean), np.array(covariance), np.log(probability), np.arange(len(mean)))
+    return mixture.take(np.flatnonzero(share > HOPELESS))

@@ -31,8 +31,10 @@ class History:
         self._chunks = list[Steps]()
 
     def extend(self, steps: Steps) -> None:
-        """Append the next steps."""
+        """Append the next steps. What no question asks for, while nothing measures positions, is dropped in time."""
         self._chunks.append(steps)
+        if steps.end - self._chunks[0].start > 3 * SPAN:
+            self._forget(steps.end - 2 * SPAN)
 
     def has_position(self, now: float) -> bool:
         """True if a measurement of the last SPAN seconds before ``now`` [s] determines a position."""
@@ -41,12 +43,17 @@ class History:
 
     def question(self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool) -> Question:
         """The review of the last SPAN seconds before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
-        steps = later_steps(concatenate_steps(self._chunks), now - SPAN)
-        self._chunks = [steps]
-        self.log.forget(steps.start - max(self.log.overhangs.values(), default=0.0))
+        steps = self._forget(now - SPAN)
         graph = WalkGraph.of(steps, self.log.until(steps.end), prior=prior)
         kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.kinds}
-        return Question(graph, before, kept, walled)
+        return Question(graph, before, kept, walled, self.log.all_numbers(steps.end))
+
+    def _forget(self, before: float) -> Steps:
+        """Drop what is from before a moment [s]; returns the steps that are left."""
+        steps = later_steps(concatenate_steps(self._chunks), before)
+        self._chunks = [steps]
+        self.log.forget(steps.start - max(self.log.overhangs.values(), default=0.0))
+        return steps
 
     def checkpoint(self) -> HistoryCheckpoint:
         """Return the state."""

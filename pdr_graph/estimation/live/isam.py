@@ -153,6 +153,12 @@ class TransactionalISAM:
         isam.values = values
         return isam
 
+    def insert(self, values: gtsam.Values, times: Mapping[int, float]) -> None:
+        """Add variables before `start`. times: until which each is needed [s]."""
+        self.values = gtsam.Values(self.values)
+        self.values.insert(values)
+        self._times |= {key: times[key] for key in values.keys()}
+
     def start(self, factors: Mapping[Name, Linear]) -> None:
         """Add the first factors, after `with_values` or `restored`."""
         self.factors = dict(factors)

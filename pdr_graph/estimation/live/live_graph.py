@@ -6,7 +6,7 @@ their factors linearised at the estimate, and again when a variable has moved.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,7 @@ from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL, Part, Window, WindowCheckpoint
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation, wrap_angle
+from pdr_graph.measurements import take
 from pdr_graph.types import Array, Index
 
 RECENT = 150  # intervals that each update evaluates, chosen by hand
@@ -271,13 +272,14 @@ class LiveGraph:
         self.update(everything=True)
 
     def restart_solver(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
-        """Start ``isam``, a solver with the same variables at other values, and use it from now on.
+        """Start ``isam``, a solver with variables at other values, and use it from now on; it gets missing variables.
 
         again: names of the priors to add again, of variables that measurements add.
         """
         self.isam = isam
         self.window.read(isam.values)
         at = self.evaluate(everything=True)
+        isam.insert(*self._new_variables(at))
         isam.start(self._changes(at, again=again))
         self.window.read(isam.values)
 
@@ -382,20 +384,29 @@ class LiveGraph:
                 self.decisions[measurement.name] = merged
         return changed
 
-    def batch_graph(self, decided: bool = True) -> WalkGraph:
-        """The batch's graph of the window. decided: with the decisions about whole kinds (relocated beacons)."""
+    def decide(self, decisions: Decisions) -> None:
+        """Replace the decisions about measurements."""
+        self.decisions = decisions
+        self.log.version += 1
+
+    def batch_graph(self, decided: bool = True, c: Array | None = None, but: str = "") -> Callable[[], WalkGraph]:
+        """A function that builds the batch's graph of the present window, at any later time and in any thread.
+
+        decided: with the decisions about whole kinds (relocated beacons).
+        c: mean ``(3,)`` of the calibration, by default that of `c_prior`; but: source of fixes and headings left out.
+        """
         window, steps = self.window, self.window.steps.steps
         raw = [data for collector in self.collectors for data in collector.complete(steps)]
-        data = [
-            rows
-            for rows in self.log.until(np.inf if window.finished else steps.end)
-            if type(rows) not in map(type, raw)
-        ]
-        prior = Prior(**{**vars(self.prior), "mean": tuple(self.c_prior[0].tolist())})
-        labels = None if window.located_plan is None else window.row_labels()
-        graph = WalkGraph.of(steps, [*data, *raw], floor=window.located_plan, floors=labels, prior=prior)
-        of_kinds = {name: rows for name, rows in self.decisions.items() if "number" not in rows}
-        return graph.decided(of_kinds if decided else {})
+        data = [rows for rows in self.log.until(window.covered) if type(rows) not in map(type, raw)]
+        data = [take(d, np.flatnonzero(np.array(d.source) != but)) if but and hasattr(d, "source") else d for d in data]
+        prior = Prior(**{**vars(self.prior), "mean": tuple((self.c_prior[0] if c is None else c).tolist())})
+        plan, labels = window.located_plan, None if window.located_plan is None else window.row_labels()
+        of_kinds = {name: rows for name, rows in self.decisions.items() if decided and "number" not in rows}
+
+        def build() -> WalkGraph:
+            return WalkGraph.of(steps, [*data, *raw], floor=plan, floors=labels, prior=prior).decided(of_kinds)
+
+        return build
 
     def checkpoint(self) -> LiveGraphCheckpoint:
         """Return the state, from which the walk continues bit by bit the same."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -9,54 +10,96 @@ import numpy as np
 from gtsam.symbol_shorthand import C, X
 
 from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces
+from pdr_graph.estimation.factors.chain import metis_ordering
 from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
-from pdr_graph.estimation.live.prediction import Belief, Position, predict
+from pdr_graph.estimation.live.modes import Modes, after_headings, in_walkable_area
+from pdr_graph.estimation.live.prediction import (
+    Belief,
+    Position,
+    in_any_direction,
+    in_output_axes,
+    predict,
+    single_mode,
+)
 from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.geometry import pose_rotation
-from pdr_graph.types import Calibration, Estimate, Fixes, Steps
+from pdr_graph.measurements import take
+from pdr_graph.types import Array, Calibration, Estimate, Fixes, Headings, Steps
 
 
 class LiveOutput:
     """Results of a walk under way; base class of `LiveSmoother`."""
 
-    graph: LiveGraph
-    sure: bool
     finished: bool
     _final: Estimate | None
 
-    def __init__(self) -> None:
-        self._last: tuple[gtsam.Values, Belief] | None = None
+    def __init__(self, graph: LiveGraph) -> None:
+        self.graph, self.modes, self.sure = graph, Modes(), False
+        self._last: tuple[gtsam.Values, GaussianMixture] | None = None
 
-    def belief(self, tail: Steps | None = None, until: float | None = None) -> Belief:
-        """State at ``until`` [s], by default now: the last keyframe, predicted through the steps and fixes since.
+    def is_placed(self, until: float) -> bool:
+        """True if a measurement up to ``until`` [s] has told a position; else the start defines the frame."""
+        graph = self.graph
+        placed = graph.has_position or graph.finalized.anchored or self.modes.mixture is not None
+        return placed or bool(self._fixes_between(-np.inf, until))
+
+    def mixture(self, tail: Steps | None = None, until: float | None = None) -> GaussianMixture:
+        """The ways that remain at ``until`` [s], by default now: predicted through the steps and fixes since.
 
         tail: provisional steps.
         """
-        window = self.graph.window
-        whole, at = window.steps.with_tail(tail), window.times[-1]
+        window, modes = self.graph.window, self.modes
+        whole = window.steps.with_tail(tail)
+        base, at = modes.mixture, modes.time
+        if base is None:
+            base, at = self.keyframe_belief(), window.times[-1]
         end = float(whole[-1, END]) if len(whole) else at
         end = end if until is None else min(end, until)
-        fixes, belief = self._fixes_between(at, end), self.keyframe_belief()
-        if fixes and not self.graph.has_position:
-            belief = belief.with_unknown_position(fixes[0].position)
-        predicted = predict(belief, whole, window.steps.start, at, end, fixes, self.sure)
-        stated = predicted.covariance.copy()
-        stated[:3, :3] += self.graph.excess.at(np.array([end]))[0]
-        return Belief(predicted.mean, stated)
+        fixes = self._fixes_between(at, end)
+        if fixes and modes.mixture is None and not self.graph.has_position:
+            base, at, fixes = in_any_direction(base, fixes[0]), fixes[0].time, fixes[1:]
+        ways = predict(base, whole, window.steps.start, at, end, fixes)
+        if not self.sure and len(ways) > 1:
+            ways = self._weighted(ways, whole, end)
+        stated = ways.covariance.copy()
+        stated[:, :3, :3] += self.graph.excess.at(np.array([end]))[0]
+        return replace(ways, covariance=stated)
 
-    def keyframe_belief(self) -> Belief:
-        """State of the last keyframe and its calibration."""
+    def _weighted(self, ways: GaussianMixture, whole: Array, end: float) -> GaussianMixture:
+        """The ways at ``end`` [s], weighted by headings that no batch has used, and by walls."""
+        log, window = self.graph.log, self.graph.window
+        headings, numbers = log.rows(Headings), log.numbers("headings")
+        if headings is not None and numbers is not None:
+            new = ~np.isin(numbers, self.modes.used) & (headings.time <= end)
+            ways = after_headings(ways, whole, window.steps.start, end, take(headings, np.flatnonzero(new)))
+        plan = window.located_plan
+        return ways if plan is None else in_walkable_area(ways, plan[window.floor].distance)
+
+    def belief(self, tail: Steps | None = None, until: float | None = None) -> Belief:
+        """Expectation over the ways that remain, see `mixture`, in the walkable area."""
+        return self.expected(self.mixture(tail, until))
+
+    def expected(self, ways: GaussianMixture) -> Belief:
+        """Expectation over ways, moved into the walkable area; the covariance is about the position that is given."""
+        mean, covariance = ways.expectation()
+        plan = self.graph.window.located_plan
+        if plan is None:
+            return Belief(mean, covariance)
+        moved = mean.copy()
+        moved[:2] = plan[self.graph.window.floor].nearest_walkable(mean[:2])
+        return Belief(moved, covariance + np.outer(moved - mean, moved - mean))
+
+    def keyframe_belief(self) -> GaussianMixture:
+        """State of the last keyframe and its calibration, on the most probable way."""
         graph, window = self.graph, self.graph.window
         if self._last is None or self._last[0] is not graph.isam.values:
-            T = np.eye(6)
-            T[:3, :3] = pose_rotation(window.pose[-1:, 2])[0]
-            joint = T @ graph.isam.covariance([X(window.keyframes[-1]), C(window.segment)]) @ T.T
-            mean = np.append(window.pose[-1], window.c[window.segment])
-            self._last = graph.isam.values, Belief(mean, joint)
+            pose, keys = window.pose[-1], [X(window.keyframes[-1]), C(window.segment)]
+            covariance = in_output_axes(graph.isam.covariance(keys), float(pose[2]))
+            self._last = graph.isam.values, single_mode(np.append(pose, window.c[window.segment]), covariance)
         return self._last[1]
 
     def _fixes_between(self, begin: float, end: float) -> list[Position]:
@@ -93,7 +136,7 @@ class LiveOutput:
         part = window.part(ALL)
         at = part.chain.evaluate(part.state(graph.isam.values, ()))
         linear = graph.isam.graph().linearize(graph.isam.values)
-        net = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear))
+        net = linear.eliminateSequential(metis_ordering(linear))
         keys = [(X(interval.i), X(interval.j), C(interval.segment)) for interval in window.intervals]
         which = np.concatenate(
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]

@@ -118,15 +118,13 @@ class MeasurementLog:
         """Row numbers of one kind, in order of time; None without rows."""
         return next((table.number for table in self._tables.values() if kind_of(table.data).name == name), None)
 
-    def numbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
-        """Decisions of a batch of all rows about one kind, with the permanent numbers of the rows."""
-        numbers = self.numbers(name)
-        if "number" not in decisions or numbers is None:
-            return decisions
-        return {**decisions, "number": numbers[decisions["number"].astype(np.intp)]}
+    def all_numbers(self, until: float) -> dict[str, Index]:
+        """Row numbers of each kind up to ``until`` [s], in order of time."""
+        tables = self._tables.values()
+        return {kind_of(t.data).name: t.number[last_time(t.data) <= until + INSTANT] for t in tables}
 
     def renumbered(self, name: str, decisions: dict[str, AnyArray]) -> dict[str, AnyArray]:
-        """Decisions about one kind for a batch of all rows: the inverse of `numbered`, without rows that are gone."""
+        """Decisions about one kind, by row of all data instead of permanent number; without rows that are gone."""
         numbers = self.numbers(name)
         if "number" not in decisions or numbers is None:
             return decisions
@@ -194,6 +192,13 @@ class MeasurementLog:
     def _keep(self, kind: type, table: Table, kept: Any) -> None:
         which = np.flatnonzero(kept)
         self._tables[kind] = Table(take(table.data, which), table.number[which], table.count)
+
+
+def numbered(decisions: dict[str, AnyArray], numbers: Index | None) -> dict[str, AnyArray]:
+    """Decisions about rows 0, 1, … as those about the rows with permanent ``numbers``; without rows as they are."""
+    if "number" not in decisions or numbers is None:
+        return decisions
+    return {**decisions, "number": numbers[decisions["number"].astype(np.intp)]}
 
 
 def same_decisions(old: Mapping[str, AnyArray], new: Mapping[str, AnyArray]) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.live.prediction import Belief
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.step_buffer import Interval
 from pdr_graph.estimation.optimizer import SAME_PATH
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleFilter
@@ -62,13 +62,13 @@ class ParallelParticleFilter:
     belief, time [s], label: state and floor at which it starts. times: of its keyframes [s].
     """
 
-    def __init__(self, plan: Building, prior: Prior, belief: Belief, time: float, label: str):
+    def __init__(self, plan: Building, prior: Prior, belief: GaussianMixture, time: float, label: str):
         self.plan, self.label, self.times = plan, label, [time]
         self._jobs: deque[_Piece | _Keyframe] = deque()
         self._apart = 0
-        spread = np.sqrt(np.diag(belief.covariance))
-        self._filter = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, tiles=1)
-        self._filter.begin(belief.mean[:2], float(spread[:2].max()), float(belief.mean[2]), float(spread[2]))
+        mean, spread = belief.mean[0], np.sqrt(np.diag(belief.covariance[0]))
+        self._filter = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, at_once=1)
+        self._filter.begin(mean[:2], float(spread[:2].max()), float(mean[2]), float(spread[2]))
 
     def enqueue(self, interval: Interval, measurements: KeyframeMeasurements) -> None:
         """Queue the next interval and the measurements at its end."""

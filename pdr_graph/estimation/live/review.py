@@ -9,7 +9,7 @@ evidence speaks against it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,13 +18,14 @@ from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.factors.base import Hypothesis, poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, explanations
-from pdr_graph.estimation.live.measurement_log import Decisions
+from pdr_graph.estimation.live.measurement_log import Decisions, numbered
 from pdr_graph.estimation.optimizer import Optimum, optimize, paths, probabilities, solve_robust
-from pdr_graph.geometry import interpolate, nearest, pose_rotation, rotation, wrap_angle
-from pdr_graph.types import Array
+from pdr_graph.geometry import differences, interpolate, nearest, pose_rotation, rotation
+from pdr_graph.types import Array, Index
 
 LEAD = 1.0  # [nats] by which other assumptions must be better than those adopted; chosen by hand
 KEPT = 8.0  # [nats] the same per adopted assumption: its price, 5.5, and 2.5 of evidence that may be older
+PLAIN = 3.0  # [nats] by which a first assumption must be better than none: it is kept for long; chosen by hand
 SPACING = 10.0  # [s] between the times at which the covariance of a review is computed
 
 
@@ -126,13 +127,15 @@ class Review:
 class Question:
     """A review that is due. graph: of the recent past, without its plan; before: what the last review found.
 
-    decisions: about the kinds that this adopted; walled: the walk has a plan, for which no other walk is added.
+    decisions: about the kinds that this adopted, by row of the graph's data; walled: the walk has a plan, for which no
+    other walk is added; numbers: permanent numbers of the rows, by kind: some may be dropped before the answer is used.
     """
 
     graph: WalkGraph
     before: Findings
     decisions: Decisions
     walled: bool
+    numbers: dict[str, Index] = field(default_factory=dict)
 
     def answer(self) -> Review:
         """The review."""
@@ -141,9 +144,10 @@ class Question:
         found = Findings(tuple(Assumption.of(h) for h in best.assumed), contradictions(optima, probability))
         kinds, chain = self.before.kinds | found.kinds, best.at.chain
         times = np.arange(chain.time[-1], chain.time[0], -SPACING)[::-1]
+        decisions = {kind.name: kind.decisions() for kind in best.graph.measurements if kind.name in kinds}
         return Review(
             findings=found,
-            decisions={kind.name: kind.decisions() for kind in best.graph.measurements if kind.name in kinds},
+            decisions={name: numbered(rows, self.numbers.get(name)) for name, rows in decisions.items()},
             time=chain.time,
             pose=best.state.poses,
             begins=chain.time[chain.segment_first],
@@ -160,7 +164,8 @@ class Question:
             optima[adopted[0]] = replace(one, burden=one.burden - KEPT * len(one.assumed))
         if not adopted and (kept := self._kept(optima)) is not None:
             optima, adopted = [*optima, kept], [len(optima)]
-        lead = [one.surprise - LEAD * (n in adopted) if _adoptable(one) else np.inf for n, one in enumerate(optima)]
+        held = [LEAD if n in adopted else 0.0 if one.assumed else PLAIN for n, one in enumerate(optima)]
+        lead = [one.surprise - h if _adoptable(one) else np.inf for one, h in zip(optima, held, strict=True)]
         return [optima[n] for n in np.argsort(lead, kind="stable").tolist()]
 
     def _kept(self, optima: list[Optimum]) -> Optimum | None:
@@ -198,8 +203,7 @@ def _excess(optima: list[Optimum], weight: Array, time: Array) -> Excess:
     total = np.zeros_like(solved)
     for share, optimum in zip(weight[1:].tolist(), optima[1:], strict=True):
         there, covariance = _keyframes(optimum, time)
-        apart = there - poses
-        apart[:, 2] = wrap_angle(apart[:, 2])
+        apart = differences(there, poses)
         total += share * (covariance - solved + apart[:, :, None] * apart[:, None, :])
     value, vector = np.linalg.eigh(total)
     return Excess(time, (vector * np.maximum(value, 0.0)[:, None, :]) @ vector.transpose(0, 2, 1))

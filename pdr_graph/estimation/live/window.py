@@ -64,6 +64,11 @@ class Window:
         self.pose, self.c = np.zeros((1, 3)), {0: np.array(self.prior.mean)}
 
     @property
+    def covered(self) -> float:
+        """Time [s] of the last measurements that may be used: any, when the walk has ended."""
+        return np.inf if self.finished else self.steps.end
+
+    @property
     def complete(self) -> bool:
         """True if the whole walk is still in the window."""
         return bool(self.keyframes) and self.keyframes[0] == 0

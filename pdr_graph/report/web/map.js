@@ -117,10 +117,16 @@ const picture = ({ plan }) => {
     },
   ];
 };
+const LENGTHS = [
+  // 2,500m, and 12km where ticks are a kilometre apart or more
+  { dtickrange: [null, 999], value: ",~r" },
+  { dtickrange: [999, null], value: "~s" },
+];
 const drawMap = () => {
   const own = content.maps[shown],
     [[west, south], [east, north]] = own.corners;
-  const axis = { zeroline: false, gridcolor: LINE, ticks: "", tickfont: { color: SOFT, size: 11 }, uirevision: shown };
+  const style = { zeroline: false, gridcolor: LINE, ticks: "", tickfont: { color: SOFT, size: 11 } };
+  const axis = { ...style, uirevision: shown, ticksuffix: "m", tickformatstops: LENGTHS };
   const layout = {
     font: FONT,
     margin: { l: 40, r: 8, t: 30, b: 24 },
@@ -128,7 +134,7 @@ const drawMap = () => {
     plot_bgcolor: own.plan ? OUTSIDE : "#fff",
     dragmode: "pan",
     hovermode: "closest",
-    xaxis: { ...axis, range: [west, east], ticksuffix: " m", nticks: 6, showgrid: !own.plan },
+    xaxis: { ...axis, range: [west, east], nticks: 6, showgrid: !own.plan },
     yaxis: { ...axis, range: [south, north], scaleanchor: "x", nticks: 8, showgrid: !own.plan },
     legend: { orientation: "h", y: 1.01, yanchor: "bottom", font: { size: 11 } },
     images: picture(own),

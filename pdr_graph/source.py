@@ -1,4 +1,4 @@
-"""The files of a recording: one file, a folder or a zip. Nothing is unpacked to disk.
+"""The files of a recording or a plan: one file, a folder or a zip.
 
 Files are untrusted. Archives are read member by member up to a limit on the unpacked bytes, regardless of the sizes in
 their directory; members with names that lead outside the archive are refused.
@@ -11,12 +11,17 @@ import os
 import stat
 import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from typing import IO
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 
 MAXIMUM_FILES = 1000
+DEEPEST = 3  # levels of folders that are searched
+LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
 ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -30,28 +35,42 @@ ZIP_ERRORS = (
 
 
 class Source(OneLineRepr):
-    """The files of a recording.
+    """The files of a recording or a plan.
 
     path: the user's argument; names: of the files in it, with ``/`` between folders, without a common top folder.
     """
 
-    def __init__(self, path: Path):
-        """Raises InputError if the path does not exist, or is a damaged or hostile archive."""
+    def __init__(
+        self,
+        path: Path,
+        subject: str = "recording",
+        limit: int | None = None,
+        most_files: int = MAXIMUM_FILES,
+        deepest: int = DEEPEST,
+    ):
+        """Raises InputError if the path does not exist, or is a damaged or hostile archive.
+
+        subject: what the files are, for messages; limit: on their total size [bytes], by default that of a recording;
+        most_files, deepest: largest number of files, and of levels of folders that are searched.
+        """
         self.path = path
-        self._limit = self._left = _limit()
+        self._limit = self._left = limit or _limit()
+        self._fewer = (
+            f"fewer for a {subject}" if limit else f"fewer (the environment variable {LIMIT} raises the limit)"
+        )
         if not path.exists():
-            raise InputError(path, "", "no such file", "a recording")
+            raise InputError(path, "", "no such file", f"a {subject}")
         self._zip = _open_zip(path)
         if self._zip is not None:
             entries = _zip_entries(path, self._zip)
         elif path.is_dir():
-            entries = _folder_entries(path)
+            entries = _folder_entries(path, most_files, deepest)
         elif path.is_file():
             entries = {path.name: path.name}
         else:
-            raise InputError(path, "", "neither a file nor a folder", "a recording")
-        if len(entries) > MAXIMUM_FILES:
-            raise InputError(path, "", f"more than {MAXIMUM_FILES} files", "the files of one recording")
+            raise InputError(path, "", "neither a file nor a folder", f"a {subject}")
+        if len(entries) > most_files:
+            raise InputError(path, "", f"more than {most_files} files", f"the files of one {subject}")
         self._entries = _without_top_folder(entries)
 
     def _summary(self) -> list[str]:
@@ -88,40 +107,60 @@ class Source(OneLineRepr):
         """The first `size` bytes of a file."""
         return self._read(name, size)[:size]
 
-    def text(self, name: str, errors: str = "strict") -> str:
-        """A whole file as text: UTF-8, or UTF-16 with its byte-order mark, as spreadsheets save it."""
+    def content(self, name: str) -> bytes:
+        """A whole file. Raises InputError if all files together exceed the limit, whatever the archive states."""
         data = self._read(name, self._left + 1)
         self._left -= len(data)
         if self._left < 0:
             found = f"more than {self._limit // 10**6} MB of files"
-            raise InputError(
-                self.where(name), "", found, "fewer (the environment variable PDR_GRAPH_MAX_MB raises the limit)"
-            )
+            raise InputError(self.where(name), "", found, self._fewer)
+        return data
+
+    def text(self, name: str, errors: str = "strict") -> str:
+        """A whole file as text: UTF-8, or UTF-16 with its byte-order mark, as spreadsheets save it."""
+        data = self.content(name)
         encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
         try:
             return data.decode(encoding, errors)
         except UnicodeDecodeError as error:
             raise InputError(self.where(name), f"byte {error.start}", "bytes that are not UTF-8", "text") from None
 
-    def _read(self, name: str, size: int) -> bytes:
+    def size(self, name: str) -> int:
+        """The size of a file [bytes], as the archive states it."""
+        entry = self._entries[name]
+        return self._file(entry).stat().st_size if self._zip is None else self._zip.getinfo(entry).file_size
+
+    @contextmanager
+    def stream(self, name: str) -> Iterator[IO[bytes]]:
+        """A file opened for reading. Raises InputError where an archive cannot be unpacked."""
         entry = self._entries[name]
         if self._zip is None:
-            file = self.path / entry if self.path.is_dir() else self.path
-            with file.open("rb") as stream:
-                return stream.read(size)
+            with self._file(entry).open("rb") as stream:
+                yield stream
+            return
         try:
             with self._zip.open(entry) as stream:
-                return stream.read(size)
+                yield stream
+        except InputError:
+            raise
         except ZIP_ERRORS as error:
             found = f"an archive member that cannot be unpacked ({error})"
             raise InputError(self.where(name), "", found, "an undamaged zip without a password") from None
 
+    def _file(self, entry: str) -> Path:
+        """The path of a file that is not in an archive."""
+        return self.path / entry if self.path.is_dir() else self.path
+
+    def _read(self, name: str, size: int) -> bytes:
+        with self.stream(name) as stream:
+            return stream.read(size)
+
 
 def _limit() -> int:
     """The maximum size of the text of one recording [bytes]: 1 GB by default, a day of three sensors at 100 Hz."""
-    limit = os.environ.get("PDR_GRAPH_MAX_MB", "1000")
+    limit = os.environ.get(LIMIT, "1000")
     if not limit.isdecimal() or int(limit) == 0:
-        raise InputError("PDR_GRAPH_MAX_MB", "", repr(limit), "a number of megabytes")
+        raise InputError(LIMIT, "", repr(limit), "a number of megabytes")
     return int(limit) * 10**6
 
 
@@ -156,15 +195,12 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
     return entries
 
 
-DEEPEST = 3  # levels of folders that are searched
-
-
-def _folder_entries(folder: Path) -> dict[str, str]:
-    """The regular files in a folder, down to DEEPEST levels; links to folders are not followed."""
+def _folder_entries(folder: Path, most_files: int, deepest: int) -> dict[str, str]:
+    """The regular files in a folder, down to `deepest` levels; links to folders are not followed."""
     entries: dict[str, str] = {}
     for top, folders, files in os.walk(folder):
         inside = Path(top).relative_to(folder)
-        if len(inside.parts) >= DEEPEST or len(entries) > MAXIMUM_FILES:
+        if len(inside.parts) >= deepest or len(entries) > most_files:
             folders.clear()
         for file in files:
             name = inside / file

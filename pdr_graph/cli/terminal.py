@@ -1,0 +1,18 @@
+"""Text on the terminal: names of files, plans and persons come from others, and a terminal obeys control characters."""
+
+from __future__ import annotations
+
+import typer
+
+from pdr_graph.errors import printable
+
+
+def echo(text: str, err: bool = False) -> None:
+    """Print one line, with � for each character that is not printable. err: on standard error."""
+    typer.echo(printable(text), err=err)
+
+
+def echo_lines(text: str) -> None:
+    """Print a text of several lines, each as by `echo`."""
+    for line in text.removesuffix("\n").split("\n"):
+        echo(line)

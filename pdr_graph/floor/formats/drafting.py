@@ -1,0 +1,142 @@
+"""A plan from the segments of a drawing and what their layers hold: walls, doors, stairs, and what is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.drawn_doors import lines_of, swing_doors, symbol_doors
+from pdr_graph.floor.formats.layers import DOORS, IGNORED, STAIRS, UNKNOWN, WALLS
+from pdr_graph.floor.formats.line_drawing import Lines, areas_of
+from pdr_graph.floor.formats.units import metres_per_unit
+from pdr_graph.frames import Frame
+from pdr_graph.types import Array, Mask
+
+MOST_SEGMENTS = 200_000  # of an untrusted file
+FEWEST_SEGMENTS = 3
+MARGIN = 0.01  # share of a page's longer side between a frame and the drawing in it
+# Treads of stairs: equal parallel lines, evenly spaced
+TREAD_LENGTH = (0.7, 4.0)  # [m]
+TREAD_SPACING = (0.2, 0.42)  # [m] building codes allow 0.21 to 0.37
+FEWEST_TREADS = 4
+TREAD_TOLERANCE = 0.08  # [m] of length and alignment
+
+
+def drawing_of_lines(
+    path: Path,
+    segments: Array,
+    layers: Sequence[str],
+    scale: float | None,
+    stated: float | None,
+    notes: list[str],
+    framed: bool = False,
+) -> Drawing:
+    """The plan of one floor from segments ``(n, 2, 2)`` in the drawing's unit and axes.
+
+    layers: what the layer of each holds; scale: metres per unit by the user; stated: by the file; framed: pages have
+    frames, which are left out. Raises InputError if the unit is unknown or impossible, or if the lines enclose no
+    building.
+    """
+    if len(segments) < FEWEST_SEGMENTS:
+        raise InputError(path, "", count(len(segments), "segment"), "the walls of a floor")
+    holds = np.array(layers, dtype=object)
+    while framed and (frame := _frame(segments)).any():
+        notes.append("a frame around the drawing was left out")
+        segments, holds = segments[~frame], holds[~frame]
+    holds = _with_walls_named(holds, notes)
+    drawn = segments[holds != IGNORED]
+    metres = metres_per_unit(path, drawn.reshape(-1, 2), scale, count(len(segments), "segment"), stated)
+    segments = segments * metres
+    long = np.hypot(*(segments[:, 1] - segments[:, 0]).T) > 0
+    segments, holds = segments[long], holds[long]
+    lines, left_out = _understood(segments, holds, notes)
+    areas, outside = areas_of(lines, notes)
+    if not areas:
+        raise InputError(path, "", "lines that enclose no building", "walls with gaps of at most 5 m around it")
+    ignored = shapely.union_all([*lines_of(left_out), outside])
+    affine = (metres, 0.0, 0.0, 0.0, metres, 0.0)
+    return Drawing({"": areas}, Frame(), tuple(notes), affine=affine, ignored=ignored)
+
+
+def _frame(segments: Array) -> Mask:
+    """Which segments ``(n, 2, 2)`` lie on the drawing's bounding box, if that is a frame with a margin inside."""
+    low, high = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
+    near = MARGIN / 4 * (high - low).max()
+    on = [(np.abs(segments[:, :, axis] - side[axis]) < near).all(axis=1) for axis in (0, 1) for side in (low, high)]
+    frame = np.any(on, axis=0)
+    rest = segments[~frame]
+    if not all(side.any() for side in on) or not len(rest):
+        return np.zeros(len(segments), dtype=bool)
+    margins = np.concatenate([rest.min(axis=(0, 1)) - low, high - rest.max(axis=(0, 1))])
+    return frame if (margins > MARGIN * (high - low).max()).all() else np.zeros(len(segments), dtype=bool)
+
+
+def _with_walls_named(holds: Array, notes: list[str]) -> Array:
+    """What each layer holds; where some are named walls, unknown ones are left out, otherwise they are walls."""
+    named, unknown = np.count_nonzero(holds == WALLS), holds == UNKNOWN
+    if named >= FEWEST_SEGMENTS and unknown.any():
+        notes.append(f"{count(int(unknown.sum()), 'segment')} on layers not named walls were left out")
+        return np.where(unknown, IGNORED, holds)
+    return np.where(unknown, WALLS, holds)
+
+
+def _understood(segments: Array, holds: Array, notes: list[str]) -> tuple[Lines, Array]:
+    """Walls, doors and stairs, and the segments ``(m, 2, 2)`` that are neither [m]."""
+    on_doors, on_stairs, ignored = (holds == kind for kind in (DOORS, STAIRS, IGNORED))
+    if ignored.any():
+        notes.append(f"{count(int(ignored.sum()), 'segment')} on layers of texts, dimensions or furniture left out")
+    swinging, swing = swing_doors(segments, holds == WALLS)
+    treads, steps = _stairs(segments, (holds == WALLS) & ~swing)
+    walls = (holds == WALLS) & ~swing & ~treads
+    symbols = symbol_doors(segments[on_doors], segments[walls])
+    if swinging:
+        notes.append(f"{count(len(swinging), 'door')} drawn with a swing")
+    if symbols:
+        notes.append(f"{count(len(symbols), 'door')} on layers of doors")
+    steps += _clusters(segments[on_stairs])
+    if steps:
+        notes.append(f"{count(len(steps), 'flight')} of stairs")
+    lines = Lines(segments[walls], (*swinging, *symbols), tuple(steps))
+    return lines, segments[ignored]
+
+
+def _stairs(segments: Array, candidates: Mask) -> tuple[Mask, list[shapely.Geometry]]:
+    """Which segments are treads of stairs, and the polygon around each flight [m]."""
+    along = segments[:, 1] - segments[:, 0]
+    length = np.hypot(*along.T)
+    chosen = np.flatnonzero(candidates & (length > TREAD_LENGTH[0]) & (length < TREAD_LENGTH[1]))
+    treads = np.zeros(len(segments), dtype=bool)
+    if len(chosen) < FEWEST_TREADS:
+        return treads, []
+    middle, course = segments[chosen].mean(axis=1), along[chosen] / length[chosen, None]
+    i, j = KDTree(middle).query_pairs(TREAD_SPACING[1], output_type="ndarray").T
+    apart = middle[j] - middle[i]
+    parallel = np.abs(np.sum(course[i] * course[j], axis=1)) > np.cos(np.radians(2.0))
+    beside = np.abs(np.sum(apart * course[i], axis=1)) < TREAD_TOLERANCE
+    equal = np.abs(length[chosen[i]] - length[chosen[j]]) < TREAD_TOLERANCE
+    near = parallel & beside & equal & (np.hypot(*apart.T) > TREAD_SPACING[0])
+    joined = coo_array((np.ones(near.sum()), (i[near], j[near])), shape=(len(chosen), len(chosen)))
+    flight = connected_components(joined, directed=False)[1]
+    steps = []
+    for n in np.flatnonzero(np.bincount(flight) >= FEWEST_TREADS):
+        which = chosen[flight == n]
+        treads[which] = True
+        steps.append(shapely.convex_hull(shapely.multipoints(segments[which].reshape(-1, 2))))
+    return treads, steps
+
+
+def _clusters(segments: Array) -> list[shapely.Geometry]:
+    """The convex hulls of connected segments ``(n, 2, 2)``, those with an area [m]."""
+    if not len(segments):
+        return []
+    wide = shapely.union_all(shapely.buffer(shapely.linestrings(segments), TREAD_SPACING[1] / 2))
+    hulls = shapely.buffer(shapely.convex_hull(shapely.get_parts(wide)), -TREAD_SPACING[1] / 2)
+    return [hull for hull in hulls if shapely.area(hull) > TREAD_SPACING[1]]

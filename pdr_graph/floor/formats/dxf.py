@@ -1,0 +1,140 @@
+"""DXF drawings: lines, polylines, arcs, circles and blocks of the model space, by layer."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.layers import IGNORED, UNKNOWN, holds
+from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
+from pdr_graph.floor.formats.units import UNITS
+from pdr_graph.types import Array
+
+LARGEST_FILE = 100_000_000  # [bytes]
+LARGEST_COORDINATE = 1e10  # [unit]
+CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
+MOST_BLOCKS = 100_000  # insertions of blocks, those inside blocks among them
+DEEPEST_BLOCK = 16  # blocks in blocks
+CHORDS_PER_CIRCLE = 24  # enough to recognise the swing of a door
+INSERT_UNITS = {  # $INSUNITS: metres per unit
+    **{1: UNITS["inches"], 2: UNITS["feet"], 4: UNITS["millimetres"], 5: UNITS["centimetres"], 6: UNITS["metres"]},
+    **{10: 0.9144, 14: 0.1, 21: 1200 / 3937},
+}
+
+
+def recognizes(path: Path, head: bytes) -> bool:
+    """True for a DXF file, text or binary."""
+    text = head.removeprefix(b"\xef\xbb\xbf").split()
+    return head.startswith(b"AutoCAD Binary DXF") or text[:2] in ([b"0", b"SECTION"], [b"999", *text[1:2]])
+
+
+def read(path: Path, scale: float | None) -> Drawing:
+    """Read the model space of a DXF drawing in its own axes.
+
+    scale: metres per unit; None: that of ``$INSUNITS``. Raises InputError if neither is known, or for a damaged file.
+    """
+    document = _document(path)
+    notes, reading = list[str](), _Reading(path, _hidden_layers(document))
+    for entity in document.modelspace():
+        reading.add(entity, UNKNOWN, 0)
+    segments = np.concatenate(reading.segments) if reading.segments else np.empty((0, 2, 2))
+    if not (np.abs(segments) < LARGEST_COORDINATE).all():
+        raise InputError(path, "", "coordinates that are no numbers or too large", f"below {LARGEST_COORDINATE:g}")
+    stated = INSERT_UNITS.get(document.header.get("$INSUNITS", 0))
+    if scale is not None and stated is not None and abs(scale / stated - 1) > 0.001:
+        notes.append(f"--scale {scale:g} is used, not $INSUNITS, by which a unit is {stated:g} m")
+    notes.append(f"{count(len(segments), 'segment')} of lines and curves")
+    notes += reading.notes()
+    return drawing_of_lines(path, segments, reading.layers, scale, stated, notes)
+
+
+def _document(path: Path) -> Any:
+    """The document in a DXF file. Raises InputError for a damaged one, or without ezdxf."""
+    with required_library(path, "a DXF drawing", "ezdxf"):
+        from ezdxf import recover
+        from ezdxf.lldxf.const import DXFError
+    check_file_size(path, LARGEST_FILE)
+    try:
+        return recover.readfile(path)[0]
+    except (DXFError, OSError, ValueError, TypeError, AttributeError, LookupError, RecursionError) as error:
+        raise InputError(path, "", f"a damaged DXF drawing ({str(error)[:80]})", "a whole one") from None
+
+
+def _hidden_layers(document: Any) -> set[str]:
+    """The names of layers that are off or frozen."""
+    return {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
+
+
+@dataclass
+class _Reading:
+    """Segments collected from entities. hidden: names of layers that are left out."""
+
+    path: Path
+    hidden: set[str]
+    segments: list[Array] = field(default_factory=list)
+    layers: list[str] = field(default_factory=list)
+    skipped: Counter[str] = field(default_factory=Counter)
+    blocks: int = 0
+
+    def add(self, entity: Any, inherited: str, depth: int) -> None:
+        """Add an entity's segments, or count it as skipped. inherited: what the block that it is in holds."""
+        kind, layer = entity.dxftype(), str(entity.dxf.get("layer", "0"))
+        on = holds(layer)
+        on = inherited if on == UNKNOWN else on
+        if layer in self.hidden or entity.dxf.get("invisible", 0):
+            self.skipped["hidden entities"] += 1
+        elif kind == "INSERT":
+            for part in self._parts(entity, depth):
+                self.add(part, on if on != UNKNOWN else holds(str(entity.dxf.get("name", ""))), depth + 1)
+        elif kind not in CURVES or (on == IGNORED and kind != "LINE"):
+            self.skipped[kind] += 1
+        else:
+            self._add_curve(entity, kind, on)
+
+    def _parts(self, insert: Any, depth: int) -> Iterator[Any]:
+        """The entities of an inserted block, in the coordinates of the drawing."""
+        copies = max(1, int(insert.mcount))
+        self.blocks += copies
+        if self.blocks > MOST_BLOCKS or depth > DEEPEST_BLOCK:
+            raise InputError(self.path, "", "too many blocks in blocks", f"at most {MOST_BLOCKS} insertions")
+        for single in insert.multi_insert() if copies > 1 else (insert,):
+            yield from single.virtual_entities()
+
+    def _add_curve(self, entity: Any, kind: str, on: str) -> None:
+        points = _points(entity, kind)
+        if len(points) < 2:
+            self.skipped[kind] += 1
+            return
+        self.segments.append(np.stack([points[:-1], points[1:]], axis=1))
+        self.layers += [on] * (len(points) - 1)
+        if len(self.layers) > MOST_SEGMENTS:
+            raise InputError(self.path, "", f"more than {MOST_SEGMENTS} segments", "the drawing of one floor")
+
+    def notes(self) -> list[str]:
+        """What was skipped, in one line."""
+        kinds = ", ".join(f"{number} {kind}" for kind, number in self.skipped.most_common(6))
+        return [f"left out: {kinds}"] if kinds else []
+
+
+def _points(entity: Any, kind: str) -> Array:
+    """The corners ``(n, 2)`` [unit] of an entity; curves as chords. Empty if it has none."""
+    from ezdxf.path import make_path
+
+    try:
+        if kind == "LINE":
+            return np.array([(p.x, p.y) for p in (entity.dxf.start, entity.dxf.end)], dtype=float)
+        path = make_path(entity)
+        size = max((v - path.start).magnitude for v in path.control_vertices())
+        sagitta = size * (1 - np.cos(np.pi / CHORDS_PER_CIRCLE)) / 2
+        points = path.flattening(max(sagitta, 1e-6)) if path.has_curves else path.control_vertices()
+        return np.array([(p.x, p.y) for p in points], dtype=float).reshape(-1, 2)
+    except (TypeError, ValueError, AttributeError, ZeroDivisionError, LookupError):
+        return np.empty((0, 2))

@@ -1,0 +1,145 @@
+"""GeoJSON collections: their features, with repairs, and areas from them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from pdr_graph.errors import InputError
+from pdr_graph.floor.cells import Area
+from pdr_graph.floor.formats.prerequisites import check_file_size
+from pdr_graph.frames import Frame
+from pdr_graph.types import Array
+
+# Limits of an untrusted file
+LARGEST_FILE = 200_000_000  # [bytes]
+MOST_FEATURES = 200_000  # of a collection: an airport has 20 000
+LARGEST_COORDINATE = 1e8  # [m or deg]
+WIDEST_PLAN = 1.0  # [deg] a wider plan is in metres
+Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """The JSON object in a file. Raises InputError for other files."""
+    try:
+        check_file_size(path, LARGEST_FILE)
+        value = json.loads(path.read_text(encoding="utf-8-sig"))
+    except InputError:
+        raise
+    except (OSError, UnicodeDecodeError, RecursionError, ValueError) as error:
+        raise InputError(path, "", f"no JSON ({error})", "a floor plan") from None
+    if not isinstance(value, dict):
+        raise InputError(path, "", f"a JSON {type(value).__name__}", "a JSON object")
+    return value
+
+
+def features_of(path: Path, collection: dict[str, Any], notes: list[str], repairs: list[str]) -> Iterator[Feature]:
+    """All features of a GeoJSON collection that have a geometry; drawing errors are repaired.
+
+    notes, repairs: a line is appended for features that were skipped (RFC 7946 allows a geometry of null) and for each
+    repair. Raises InputError for other collections and geometries.
+    """
+    features = collection.get("features")
+    if collection.get("type") != "FeatureCollection" or not isinstance(features, list):
+        raise InputError(path, "", f"type {str(collection.get('type'))[:40]!r}", "a GeoJSON FeatureCollection")
+    if len(features) > MOST_FEATURES:
+        raise InputError(path, "", f"{len(features)} features", f"at most {MOST_FEATURES}")
+    without_geometry = []
+    for n, feature in enumerate(features):
+        try:
+            geometry, properties = feature["geometry"], dict(feature.get("properties") or {})
+            opened = _close(geometry)
+            shape = shapely.Polygon() if geometry is None else shapely.from_geojson(json.dumps(geometry))
+        except (KeyError, TypeError, AttributeError, ValueError, RecursionError, shapely.errors.GEOSException) as error:
+            found = f"{type(error).__name__} {str(error)[:80]}"
+            raise InputError(path, f"feature {n}", found, "a GeoJSON geometry") from None
+        if shapely.is_empty(shape):
+            without_geometry.append(n)
+            continue
+        if not (np.abs(shapely.get_coordinates(shape)) < LARGEST_COORDINATE).all():
+            raise InputError(path, f"feature {n}", "coordinates that are not on Earth", "degrees or metres")
+        if not shapely.is_valid(shape):
+            repairs.append(f"{_name_of(n, properties)}: its outline crosses itself{_crossing(shape)}, and was repaired")
+            shape = repaired(shape)
+        if opened:
+            found = f"the ring from {opened[0][:2]} does not end where it begins"
+            repairs.append(f"{_name_of(n, properties)}: {found}, and was closed")
+        yield n, shapely.force_2d(shape), properties
+    if without_geometry:
+        first = f"the first: feature {without_geometry[0]}"
+        notes.append(f"{len(without_geometry)} features without a geometry were left out ({first})")
+
+
+def repaired(shape: shapely.Geometry) -> shapely.Geometry:
+    """A valid shape of the same dimension: what collapses to a line or a point is left out, unless all does."""
+    parts = shapely.get_parts(shapely.make_valid(shape))
+    dimensions = shapely.get_dimensions(parts)
+    return shapely.union_all(parts[dimensions == dimensions.max(initial=0)])
+
+
+def check_degrees(path: Path, features: list[Feature]) -> None:
+    """Raise InputError for coordinates that are not degrees, or a plan wider than 1°."""
+    for n, shape, _ in features:
+        corners = shapely.get_coordinates(shape)
+        if not (np.abs(corners) <= (180, 90)).all():
+            swapped = bool((np.abs(corners) <= (90, 180)).all())
+            found = f"coordinates up to {np.abs(corners).max():.6g}{' (latitude before longitude?)' if swapped else ''}"
+            raise InputError(path, f"feature {n}", found, "longitudes and latitudes in degrees (RFC 7946)")
+    west, south, east, north = shapely.total_bounds([shape for _, shape, _ in features])
+    if max(east - west, north - south) > WIDEST_PLAN:
+        found = f"a plan of {east - west:.3g}° by {north - south:.3g}°"
+        raise InputError(path, "", found, f"at most {WIDEST_PLAN:g}°: longitudes and latitudes in degrees, not metres")
+
+
+def _close(geometry: Any) -> list[Any]:
+    """Close the rings of a GeoJSON geometry in place: by RFC 7946 the last position is the first again.
+
+    Returns the first position of each ring that was open.
+    """
+    match geometry:
+        case {"type": "Polygon", "coordinates": [*rings]}:
+            pass
+        case {"type": "MultiPolygon", "coordinates": [*polygons]}:
+            rings = [ring for polygon in polygons if isinstance(polygon, list) for ring in polygon]
+        case _:
+            return []
+    open_ = [ring for ring in rings if isinstance(ring, list) and len(ring) > 2 and ring[0][:2] != ring[-1][:2]]
+    for ring in open_:
+        ring.append(ring[0])
+    return [ring[0] for ring in open_]
+
+
+def _name_of(n: int, properties: dict[str, Any]) -> str:
+    """The number of a feature in the file, and its name."""
+    name = str(properties.get("name") or "")
+    return f"feature {n} ({name})" if name else f"feature {n}"
+
+
+def _crossing(shape: shapely.Geometry) -> str:
+    """Where a polygon crosses itself, from shapely's reason: ``Self-intersection[135.00001 35]``."""
+    found = re.search(r"\[(\S+) (\S+)\]", shapely.is_valid_reason(shape))
+    return f" at [{found[1]}, {found[2]}]" if found else ""
+
+
+def _labels(properties: dict[str, Any]) -> tuple[str, ...]:
+    """The labels of the floors that a feature is on."""
+    on = properties.get("floor", properties.get("level"))
+    labels = (str(label) for label in (on if isinstance(on, list) else [on]) if label not in (None, ""))
+    return tuple(dict.fromkeys(labels))
+
+
+def area_of(kind: str, feature: Feature, frame: Frame | None) -> Area:
+    """The area of a feature [m]; without a frame its coordinates are in metres already."""
+    _, shape, properties = feature
+
+    def transform(lonlat: Array) -> Array:
+        return lonlat if frame is None else frame.from_lonlat(lonlat)
+
+    name = str(properties.get("name") or "")
+    return Area(kind, name, shapely.transform(shape, transform), properties, _labels(properties))

@@ -1,0 +1,270 @@
+"""OpenStreetMap's Simple Indoor Tagging, as GeoJSON of osmtogeojson or overpass turbo, or as an ``.osm`` file.
+
+A door that is a node opens the walls of the rooms and corridors on whose outline it lies.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.floor.cells import CLOSED, CONNECTING, CRACK, DOOR, DOOR_WIDTH, OPEN, OUTLINE, SOLID, WALL, Area
+from pdr_graph.floor.formats.doorless import open_doorless_rooms
+from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
+from pdr_graph.floor.formats.geojson import Feature, check_degrees, repaired
+
+KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
+KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
+HIGHEST_LEVEL = 200.0  # above or below the ground: no building has more
+MOST_AREAS = 100_000  # features times the levels on which each is
+STAIRS_WIDTH, LIFT_WIDTH = 1.5, 1.6  # [m] of stairs drawn as a line, and of a lift drawn as a point
+LARGEST_LIFT = 15.0  # [m²] a larger room around a lift's point is not its cabin
+NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
+
+
+def recognizes(features: Iterable[Feature]) -> bool:
+    """True for features with the tags of Simple Indoor Tagging, and none of a plan of our own."""
+    tags = [tags_of(properties) for _, _, properties in features]
+    return any("indoor" in t for t in tags) and not any("kind" in t and "indoor" not in t for t in tags)
+
+
+def tags_of(properties: dict[str, Any]) -> dict[str, Any]:
+    """The tags of a feature: its properties, or their member ``tags``."""
+    tags = properties.get("tags")
+    return tags if isinstance(tags, dict) else properties
+
+
+def read(path: Path, features: Sequence[Feature], notes: list[str]) -> Drawing:
+    """Read features with longitudes and latitudes [deg]. Raises InputError if none is a room, corridor or area."""
+    tagged = [(shape, tags_of(properties)) for _, shape, properties in features]
+    indoor = [(shape, tags, kind) for shape, tags in tagged if (kind := _kind(shape, tags))]
+    if len(indoor) < len(tagged):
+        notes.append(f"{count(len(tagged) - len(indoor), 'feature')} without indoor tags were left out")
+    if not any(kind in (*OPEN, *CLOSED) for _, _, kind in indoor):
+        raise InputError(path, "", "no room, corridor or area", "indoor=room, corridor or area on closed ways")
+    check_degrees(path, [(n, shape, tags) for n, (shape, tags, _) in enumerate(indoor)])
+    frame = frame_about(shape for shape, _, _ in indoor)
+    shapes = [shapely.transform(shape, frame.from_lonlat) for shape, _, _ in indoor]
+    missing = _non_existent(tags for _, tags in tagged)
+    areas = _areas(path, indoor, shapes, missing, notes)
+    levels = sorted({float(label) for area in areas if area.kind in (*OPEN, *CLOSED, OUTLINE) for label in area.floors})
+    floors = {_label(level): _floor(areas, _label(level), notes) for level in levels}
+    heights = {_label(level): STOREY * _storeys(level, levels[0], missing) for level in levels}
+    return Drawing(floors, frame, tuple(notes), heights=heights)
+
+
+def _kind(shape: shapely.Geometry, tags: dict[str, Any]) -> str:
+    """The kind of an element by its tags; empty if it is not part of the plan."""
+    dimensions, indoor = int(shapely.get_dimensions(shape)), str(tags.get("indoor", ""))
+    is_door = tags.get("door") is not None or tags.get("entrance") is not None
+    if dimensions == 0:
+        return DOOR if is_door else "lift" if tags.get("highway") == "elevator" else ""
+    if tags.get("highway") == "steps" and ("level" in tags or indoor):
+        return "stairs"
+    if dimensions == 2 and _is_stairs(tags, indoor):
+        return "stairs"
+    if dimensions == 2 and _is_lift(tags, indoor):
+        return "lift"
+    if dimensions == 1 and is_door and indoor in ("", "door"):
+        return DOOR if "level" in tags else ""
+    return KIND_OF_INDOOR.get(indoor, "")
+
+
+def _is_stairs(tags: dict[str, Any], indoor: str) -> bool:
+    stairs = (tags.get("room"), tags.get("area")) if indoor else ()
+    return bool(indoor) and (tags.get("stairs") == "yes" or "conveying" in tags or "stairs" in stairs)
+
+
+def _is_lift(tags: dict[str, Any], indoor: str) -> bool:
+    if tags.get("highway") == "elevator":
+        return bool(indoor) or "level" in tags
+    return bool(indoor) and (tags.get("elevator") == "yes" or tags.get("room") == "elevator")
+
+
+def levels_of(text: Any, missing: Iterable[float] = ()) -> tuple[float, ...]:
+    """The levels in a value of ``level`` or ``repeat_on``: ``0``, ``-1;0``, ``0-3``, ``-2--1``, ``0.5``.
+
+    missing: levels that do not exist, left out of ranges. Raises ValueError for other texts.
+    """
+    levels = list[float]()
+    for part in re.split(r"[;,]", str(text)):
+        found = re.fullmatch(rf"\s*({NUMBER})\s*(?:-\s*({NUMBER})\s*)?", part)
+        if found is None:
+            raise ValueError(f"level {str(text)[:40]!r}")
+        first = float(found[1])
+        last = first if found[2] is None else float(found[2])
+        if max(abs(first), abs(last)) > HIGHEST_LEVEL or last < first:
+            raise ValueError(f"level {str(text)[:40]!r}")
+        between = np.arange(first, last + 0.5).tolist() if last > first else [first]
+        levels += [level for level in between if level not in missing or len(between) == 1]
+    return tuple(dict.fromkeys(level + 0.0 for level in levels))
+
+
+def _label(level: float) -> str:
+    return f"{level:g}"
+
+
+def _non_existent(tags: Iterable[dict[str, Any]]) -> tuple[float, ...]:
+    """The levels that buildings leave out in their count, as hotels leave out 13."""
+    found = list[float]()
+    for each in tags:
+        if "non_existent_levels" in each:
+            try:
+                found += levels_of(each["non_existent_levels"])
+            except ValueError:
+                continue
+    return tuple(found)
+
+
+def _storeys(level: float, lowest: float, missing: Iterable[float]) -> float:
+    """Storeys between the lowest level and a level, without those that do not exist."""
+    return level - lowest - sum(lowest < other < level for other in set(missing))
+
+
+def _areas(
+    path: Path,
+    indoor: Sequence[tuple[shapely.Geometry, dict[str, Any], str]],
+    shapes: Sequence[shapely.Geometry],
+    missing: tuple[float, ...],
+    notes: list[str],
+) -> list[Area]:
+    """The areas of all floors with the labels of their levels; doors and walls are lines or polygons."""
+    areas, without, flat, unreadable = list[Area](), 0, 0, Counter[str]()
+    for (_, tags, kind), shape in zip(indoor, shapes, strict=True):
+        try:
+            levels = _levels(tags, kind, missing)
+        except ValueError as error:
+            unreadable[str(error)] += 1
+            continue
+        if not levels and shapely.get_dimensions(shape) > 0:
+            levels, without = (0.0,), without + 1
+        closed = _closed(shape) if kind in (*OPEN, *CLOSED, OUTLINE) and kind not in CONNECTING else shape
+        if kind in (*OPEN, *CLOSED) and kind not in CONNECTING and shapely.get_dimensions(closed) < 2:
+            flat += 1
+            continue
+        name = str(tags.get("name") or tags.get("ref") or "")
+        areas.append(Area(kind, name, closed, dict(tags), tuple(map(_label, levels))))
+    if flat:
+        notes.append(f"{count(flat, 'room')} without an area left out")
+    if without:
+        notes.append(f"{count(without, 'feature')} without a level: taken as level 0")
+    notes += [f"{count(times, 'feature')} with an unreadable {text} left out" for text, times in unreadable.items()]
+    if sum(len(area.floors) for area in areas) > MOST_AREAS:
+        raise InputError(path, "level", "features on too many levels", f"at most {MOST_AREAS} areas")
+    return [*_connections([area for area in areas if area.kind in CONNECTING], areas), *_rest(areas)]
+
+
+def _levels(tags: dict[str, Any], kind: str, missing: tuple[float, ...]) -> tuple[float, ...]:
+    """The levels of a feature, none if they are not stated."""
+    texts = [tags[key] for key in ("level", "repeat_on") if tags.get(key) not in (None, "")]
+    if not texts and kind == OUTLINE and "min_level" in tags and "max_level" in tags:
+        texts = [f"{tags['min_level']}-{tags['max_level']}"]
+    return tuple(dict.fromkeys(level for text in texts for level in levels_of(text, missing)))
+
+
+def _closed(shape: shapely.Geometry) -> shapely.Geometry:
+    """The polygon of a room whose way was left open."""
+    if shapely.get_dimensions(shape) != 1 or shapely.get_num_coordinates(shape) < 3:
+        return shape
+    return repaired(shapely.Polygon(shapely.get_coordinates(shape)))
+
+
+def _rest(areas: Iterable[Area]) -> list[Area]:
+    """All areas but stairs and lifts; a wall drawn as a ring around rooms is its line."""
+    rest = [area for area in areas if area.kind not in CONNECTING]
+    cells = [area for area in rest if area.kind in (*OPEN, *CLOSED)]
+    tree = shapely.STRtree([cell.shape for cell in cells])
+
+    def surrounds(wall: Area) -> bool:
+        if not wall.is_polygon:
+            return False
+        on = [cells[int(k)] for k in tree.query(wall.shape) if set(cells[int(k)].floors) & set(wall.floors)]
+        inside = shapely.area(shapely.intersection([cell.shape for cell in on], wall.shape))
+        return bool(np.sum(inside) > shapely.area(wall.shape) / 2)
+
+    return [replace(a, shape=shapely.boundary(a.shape)) if a.kind == WALL and surrounds(a) else a for a in rest]
+
+
+def _connections(drawn: Sequence[Area], areas: Sequence[Area]) -> list[Area]:
+    """Stairs and lifts as polygons; a line or point within stairs, a lift or a small room adds its levels to that."""
+    polygons = [area for area in drawn if area.is_polygon]
+    for area in drawn:
+        if area.is_polygon or not area.floors:
+            continue
+        middle = shapely.centroid(area.shape)
+        if isinstance(area.shape, shapely.LineString):
+            middle = area.shape.interpolate(0.5, normalized=True)
+        around = next((n for n, other in enumerate(polygons) if _is_around(other, area, middle)), None)
+        if around is not None:
+            other = polygons[around]
+            polygons[around] = replace(other, floors=tuple(dict.fromkeys((*other.floors, *area.floors))))
+            continue
+        cabin = next((a for a in areas if area.kind == "lift" and _is_cabin(a, area)), None)
+        polygons.append(replace(area, shape=cabin.shape if cabin else _footprint(area)))
+    return polygons
+
+
+def _is_around(polygon: Area, area: Area, middle: shapely.Geometry) -> bool:
+    """True if a polygon has the middle of stairs or of a lift of its kind inside it, on a common level."""
+    same = polygon.kind == area.kind and bool(set(polygon.floors) & set(area.floors))
+    return same and bool(shapely.dwithin(polygon.shape, middle, CRACK))
+
+
+def _is_cabin(room: Area, lift: Area) -> bool:
+    """True if the point of a lift lies in a room as small as a lift."""
+    is_small = room.kind == "room" and room.is_polygon and bool(shapely.area(room.shape) < LARGEST_LIFT)
+    on_one_floor = bool(set(room.floors) & set(lift.floors))
+    return is_small and on_one_floor and bool(shapely.intersects(room.shape, lift.shape))
+
+
+def _footprint(area: Area) -> shapely.Geometry:
+    """The polygon of stairs drawn as a line, with their width, or of a lift drawn as a point."""
+    if area.kind == "lift":
+        return shapely.buffer(area.shape, LIFT_WIDTH / 2, cap_style="square")
+    return shapely.buffer(area.shape, _width(area.properties, STAIRS_WIDTH) / 2, cap_style="flat")
+
+
+def _width(tags: dict[str, Any], default: float) -> float:
+    """The stated width [m] of a door or of stairs."""
+    found = re.fullmatch(r"\s*(\d{1,2}(?:\.\d{1,3})?)\s*m?\s*", str(tags.get("width", "")))
+    return float(found[1]) if found and 0.3 < float(found[1]) < 20 else default
+
+
+def _floor(areas: Iterable[Area], label: str, notes: list[str]) -> tuple[Area, ...]:
+    """The areas of one level: stairs, lifts and rooms are cut out of corridors, doors open the outlines they are on."""
+    here = [area for area in areas if label in area.floors or (area.kind == DOOR and not area.floors)]
+    cabins = {id(area.shape) for area in here if area.kind == "lift"}  # rooms that are the cabin of a lift's point
+    here = [area for area in here if area.kind != "room" or id(area.shape) not in cabins]
+    joining = shapely.union_all([area.shape for area in here if area.kind in CONNECTING])
+    rooms = shapely.union_all([area.shape for area in here if area.kind == "room" and area.is_polygon])
+    cut = {"room": joining, "corridor": shapely.union(joining, rooms)}
+    cells = [replace(a, shape=shapely.difference(a.shape, cut[a.kind])) if a.kind in cut else a for a in here]
+    cells = [a for a in cells if not shapely.is_empty(a.shape)]
+    walls = [a for a in cells if a.kind in (*OPEN, *CLOSED) and a.is_polygon]
+    rings = [shapely.boundary(a.shape) for a in walls] + [a.shape for a in cells if a.kind in SOLID]
+    tree = shapely.STRtree(rings)
+    opened = [_on_walls(a, rings, tree, label) if a.kind == DOOR else a for a in cells]
+    left_out = sum(a is None for a in opened)
+    if left_out:
+        notes.append(f"floor {label}: {count(left_out, 'door')} on no room or corridor left out")
+    return open_doorless_rooms([a for a in opened if a is not None], label, notes, from_outside=True)
+
+
+def _on_walls(door: Area, rings: Sequence[shapely.Geometry], tree: shapely.STRtree, label: str) -> Area | None:
+    """A door with the piece of the outlines that it opens; None if it lies on none and its level is not stated."""
+    if shapely.get_dimensions(door.shape) > 0:
+        return door
+    near = tree.query(door.shape, predicate="dwithin", distance=CRACK)
+    if not len(near):
+        return None
+    opening = shapely.buffer(door.shape, _width(door.properties, DOOR_WIDTH) / 2)
+    pieces = shapely.intersection(shapely.union_all([rings[int(n)] for n in near]), opening)
+    return replace(door, shape=shapely.line_merge(pieces), floors=(label,))

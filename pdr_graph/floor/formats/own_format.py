@@ -1,0 +1,55 @@
+"""Plans in the GeoJSON of this project (``docs/formats.md``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pdr_graph.errors import InputError
+from pdr_graph.floor.cells import KINDS
+from pdr_graph.floor.formats.drawing import Drawing, floor_heights, frame_about
+from pdr_graph.floor.formats.geojson import Feature, area_of, check_degrees
+from pdr_graph.frames import Frame, enu
+
+LOCAL = "local"  # value of the member ``pdr_graph.frame``
+
+
+def read(path: Path, collection: dict[str, Any], features: list[Feature], notes: list[str]) -> Drawing:
+    """Read our own format: an RFC 7946 FeatureCollection of features with ``kind`` and ``name`` (``docs/formats.md``).
+
+    A feature's ``floor`` is the label of its floor or a list of labels; without it, the feature is on all floors. The
+    frame is ENU about the member ``pdr_graph.origin`` ([longitude, latitude]), by default about the centre of the
+    bounding box; ``pdr_graph.heights`` has the heights of the floors. With ``"frame": "local"`` in ``pdr_graph`` the
+    coordinates are metres of a plan without georeference.
+    """
+    for n, _, properties in features:
+        if properties.get("kind") not in KINDS:
+            found = f"kind {properties.get('kind')!r}"[:80]
+            raise InputError(path, f"feature {n}", found, "one of " + ", ".join(KINDS))
+    about = collection.get("pdr_graph")
+    about = about if isinstance(about, dict) else {}
+    frame = Frame() if about.get("frame") == LOCAL else _georeferenced(path, about, features)
+    areas = [area_of(f[2]["kind"], f, frame if frame.georeferenced else None) for f in features]
+    labels = {label for area in areas for label in area.floors} or {str(about.get("floor", ""))}
+    heights = floor_heights(path, labels, about.get("heights"))
+    floors = {label: tuple(a for a in areas if not a.floors or label in a.floors) for label in heights}
+    return Drawing(floors, frame, tuple(notes), heights=heights)
+
+
+def _georeferenced(path: Path, about: dict[str, Any], features: list[Feature]) -> Frame:
+    """The frame of a plan in degrees. Raises InputError for other coordinates, or another member ``frame``."""
+    if "frame" in about:
+        raise InputError(path, "pdr_graph.frame", repr(about["frame"])[:40], f"{LOCAL!r}, or no such member")
+    check_degrees(path, features)
+    if "origin" not in about:
+        return frame_about(shape for _, shape, _ in features)
+    origin = about["origin"]
+    if not _is_place(origin):
+        raise InputError(path, "pdr_graph.origin", repr(origin)[:40], "[longitude, latitude] in degrees")
+    return enu(origin[1], origin[0])
+
+
+def _is_place(value: object) -> bool:
+    """True for [longitude, latitude]."""
+    numbers = isinstance(value, list) and len(value) == 2 and all(type(v) in (int, float) for v in value)
+    return numbers and abs(value[0]) <= 180 and abs(value[1]) <= 90  # type: ignore[index]

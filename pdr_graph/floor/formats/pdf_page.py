@@ -1,0 +1,115 @@
+"""PDF pages: their vector lines, or, without any, the picture on them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.floor_picture import drawing_of_picture
+from pdr_graph.floor.formats.layers import UNKNOWN
+from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
+from pdr_graph.types import Array
+
+LARGEST_FILE = 100_000_000  # [bytes]
+LARGEST_PAGE = 15_000  # [point] 5 m of paper
+FEWEST_LINES = 20  # on a page whose plan is drawn with vectors
+RENDERED = 3000  # [pixel] longer side of a page without vectors
+CURVE_STEPS = np.linspace(0, 1, 9)[1:]  # of a Bézier curve: a quarter of a circle in eight chords
+
+
+def recognizes(path: Path, head: bytes) -> bool:
+    """True for a PDF file."""
+    return head.lstrip()[:5] == b"%PDF-"
+
+
+def read(path: Path, scale: float | None) -> Drawing:
+    """Read the first page of a PDF file, in points of 1/72 inch from its lower left corner.
+
+    scale: metres per point, 0.0353 for a plan of 1:100; the format states none. Raises InputError for a damaged file.
+    """
+    with required_library(path, "a PDF page", "pypdfium2"):
+        import pypdfium2
+    check_file_size(path, LARGEST_FILE)
+    try:
+        document = pypdfium2.PdfDocument(path)
+    except (pypdfium2.PdfiumError, OSError, ValueError) as error:
+        raise InputError(path, "", f"a damaged PDF file ({str(error)[:80]})", "a whole one without password") from None
+    with document:
+        return _read_page(path, document, scale)
+
+
+def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
+    import pypdfium2
+
+    notes = [f"the first of {len(document)} pages was read"] if len(document) > 1 else []
+    try:
+        page = document[0]
+        width, height = page.get_size()
+        if not 0 < max(width, height) <= LARGEST_PAGE:
+            raise InputError(path, "", f"a page of {width:g} by {height:g} points", f"at most {LARGEST_PAGE} points")
+        segments, finer = _segments(path, page), RENDERED / max(width, height)
+        picture = None if len(segments) >= FEWEST_LINES else page.render(scale=finer, grayscale=True).to_numpy()
+    except (pypdfium2.PdfiumError, IndexError) as error:
+        raise InputError(path, "", f"a damaged PDF page ({str(error)[:80]})", "a page with a plan") from None
+    if picture is None:
+        notes.append(f"{count(len(segments), 'segment')} of the page's vector lines")
+        return drawing_of_lines(path, segments, [UNKNOWN] * len(segments), scale, None, notes, framed=True)
+    notes.append("the page has no vector lines: its picture was traced")
+    return drawing_of_picture(path, np.ascontiguousarray(picture.reshape(picture.shape[:2])), scale, finer, notes)
+
+
+def _segments(path: Path, page: Any) -> Array:
+    """The lines of all visible paths of a page ``(n, 2, 2)`` [point]."""
+    from pypdfium2 import raw
+
+    found, number = [np.empty((0, 2, 2))], 0
+    for item in page.get_objects(filter=[raw.FPDF_PAGEOBJ_PATH], max_depth=8):
+        matrix = item.get_matrix().get()
+        for points in _subpaths(item.raw):
+            a, b, c, d, e, f = matrix
+            placed = points @ np.array([[a, b], [c, d]]) + (e, f)
+            found.append(np.stack([placed[:-1], placed[1:]], axis=1))
+            number += len(placed) - 1
+        if number > MOST_SEGMENTS:
+            raise InputError(path, "", f"more than {MOST_SEGMENTS} segments", "the plan of one floor")
+    segments = np.concatenate(found)
+    return segments[np.isfinite(segments).all(axis=(1, 2))]
+
+
+def _subpaths(item: Any) -> Iterator[Array]:
+    """The polylines ``(n, 2)`` of a path object, curves as chords."""
+    from pypdfium2 import raw
+
+    points, control = list[Array](), list[Array]()
+    x, y = ctypes.c_float(), ctypes.c_float()
+    for n in range(raw.FPDFPath_CountSegments(item)):
+        part = raw.FPDFPath_GetPathSegment(item, n)
+        raw.FPDFPathSegment_GetPoint(part, x, y)
+        kind, point = raw.FPDFPathSegment_GetType(part), np.array([x.value, y.value], dtype=float)
+        if kind == raw.FPDF_SEGMENT_MOVETO:
+            if len(points) > 1:
+                yield np.array(points)
+            points, control = [point], []
+        elif kind == raw.FPDF_SEGMENT_BEZIERTO and points:
+            control.append(point)
+            if len(control) == 3:
+                points, control = points + list(_bezier(points[-1], *control)), []
+        elif points:
+            points.append(point)
+        if raw.FPDFPathSegment_GetClose(part) and len(points) > 1:
+            points.append(points[0])
+    if len(points) > 1:
+        yield np.array(points)
+
+
+def _bezier(start: Array, first: Array, second: Array, end: Array) -> Array:
+    """Points ``(n, 2)`` along a cubic Bézier curve after its start."""
+    t = CURVE_STEPS[:, None]
+    return (1 - t) ** 3 * start + 3 * (1 - t) ** 2 * t * first + 3 * (1 - t) * t**2 * second + t**3 * end

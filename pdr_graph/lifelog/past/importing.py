@@ -1,0 +1,149 @@
+"""Import a person's past into a lifelog: read exports in any order, merge them by day, keep foreign guesses apart.
+
+Memory does not grow with the files: their rows wait on disk, parted by days, and each day is merged by itself.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pdr_graph.errors import InputError, count
+from pdr_graph.io.past_day import MS, POSITION, SIGHTING, Rows
+from pdr_graph.lifelog import cache
+from pdr_graph.lifelog.facts import forgotten_times
+from pdr_graph.lifelog.ingest import DEFAULT_PERSON
+from pdr_graph.lifelog.past.day_spill import DaySpill
+from pdr_graph.lifelog.past.past_days import FOLDER, Changes, PastDays, enter
+from pdr_graph.lifelog.past.past_files import PastFile, find_files
+from pdr_graph.lifelog.store import Store
+
+Progress = Callable[[str, int, int], None]  # called with the name of a stage, what is done, and all
+MB = 10**6
+
+
+@dataclass(frozen=True)
+class ImportResult:
+    """Result of an import. positions: what changed; guesses: number of new ones; placed: scans whose positions come
+    from the map of access points; skipped: files that are no timelines; notes, refused: a line each.
+    """
+
+    positions: Changes
+    guesses: int = 0
+    placed: int = 0
+    skipped: int = 0
+    notes: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
+
+
+def import_past(
+    store: Path,
+    files: Sequence[Path],
+    person: str | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> ImportResult:
+    """Import timelines of a person into a lifelog, which is created if it does not exist.
+
+    files: of `past_files.READERS`, also folders and zips of them; person: DEFAULT_PERSON by default. What the person
+    has deleted stays deleted. A file that is damaged from some place on is imported up to there.
+
+    Raises InputError if the person's name or the lifelog cannot be used; OSError of the disk.
+    """
+    person = DEFAULT_PERSON if person is None else person
+    if not (person.strip() and person.isprintable()):
+        raise InputError("--person", "", repr(person), "a name")
+    found, skipped, notes, refused = find_files(files)
+    if not found:
+        return ImportResult(Changes(), 0, 0, skipped, tuple(notes), tuple(refused))
+    is_new = not store.exists()
+    with Store(store, new=True) as log:
+        folder = log.folder / FOLDER
+        cache.remove_partial_copies(folder)
+        reading = _Reading(log, person, sum(file.size for file in found), progress)
+        with DaySpill(folder, POSITION) as positions, DaySpill(folder, SIGHTING) as sightings:
+            for file in found:
+                refused += reading.read(file, positions, sightings)
+            changed, placed = _merged(log, person, positions, sightings, progress)
+        result = ImportResult(changed, reading.guesses, placed, skipped, (*notes, *reading.notes), tuple(refused))
+        is_empty = not log.entries() and not log.guesses(person) and not PastDays(log, person).days()
+    if is_new and is_empty:
+        _remove_new(store, folder)
+    return result
+
+
+class _Reading:
+    """Reads files into the spills, and their guesses into the store."""
+
+    def __init__(self, log: Store, person: str, size: int, progress: Progress):
+        self._log, self._person, self._size, self._progress = log, person, size, progress
+        self._done = 0
+        self._forgotten = forgotten_times(log.corrections(person))
+        self.guesses, self.notes = 0, list[str]()
+
+    def read(self, file: PastFile, positions: DaySpill, sightings: DaySpill) -> list[str]:
+        """Read a file; returns why it is refused, or where it is damaged, on a line."""
+        refused, valid, left_out, others = list[str](), 0, Counter[str](), 0
+        try:
+            for batch in file.batches(self._advance):
+                valid, left_out = valid + len(batch.positions), left_out + batch.left_out
+                others += len(batch.guesses) + len(batch.sightings)
+                positions.add(self._kept(batch.positions))
+                sightings.add(self._kept(batch.sightings))
+                self.guesses += self._log.put_guesses(
+                    self._person, [g for g in batch.guesses if not self._is_forgotten(g.start, g.stop)]
+                )
+                self.notes += [f"{file.where}: {note}" for note in batch.notes]
+        except InputError as error:
+            before = f"; imported up to there: {count(valid, 'position')}" if valid else ""
+            refused.append(f"{error}{before}")
+        if left_out:
+            reasons = ", ".join(f"{number} {reason}" for reason, number in left_out.most_common())
+            total = valid + left_out.total()
+            self.notes.append(f"{file.where}: {left_out.total()} of {total} positions were left out: {reasons}")
+        elif not valid + others and not refused:
+            self.notes.append(f"{file.where}: {file.reader.NAME} without a position, visit or activity")
+        return refused
+
+    def _advance(self, size: int) -> None:
+        self._done += size
+        self._progress("MB read", self._done // MB, max(self._size, self._done) // MB)
+
+    def _kept(self, rows: Rows) -> Rows:
+        """The rows outside times that the person has deleted."""
+        deleted = np.zeros(len(rows), bool)
+        for start, stop in self._forgotten:
+            deleted |= (rows["time"] >= start * MS) & (rows["time"] <= stop * MS)
+        return rows[~deleted]
+
+    def _is_forgotten(self, start: float, stop: float) -> bool:
+        """True if a time touches one that the person has deleted."""
+        return any(begin <= stop and end >= start for begin, end in self._forgotten)
+
+
+def _merged(
+    log: Store, person: str, positions: DaySpill, sightings: DaySpill, progress: Progress
+) -> tuple[Changes, int]:
+    """Merge the rows of all days into their files and enter these; returns what changed, and how many scans have places
+    now.
+    """
+    past, total = PastDays(log, person), Changes()
+    days = sorted({*positions.days(), *sightings.days()})
+    for done, day in enumerate(days, start=1):
+        total += past.merge(day, positions.rows(day), sightings.rows(day))
+        progress("days", done, len(days))
+    placed = past.place_scans()
+    enter(log, past, past.days())
+    return total, placed
+
+
+def _remove_new(store: Path, folder: Path) -> None:
+    """Remove a lifelog that was created for nothing."""
+    store.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+        folder.parent.rmdir()

@@ -1,0 +1,162 @@
+"""Large JSON in bounded memory: the elements of its top-level arrays, a few megabytes at a time.
+
+The document is a list of elements, or an object of lists. numpy finds the brackets outside strings of a piece, so that
+the elements can be decoded together, in C; only where that fails is each decoded by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, BinaryIO, TypeVar
+
+import msgspec
+import numpy as np
+
+from pdr_graph.errors import InputError
+from pdr_graph.types import Index
+
+PIECE = 4_000_000  # [bytes] read at a time
+LONGEST_ELEMENT = 64_000_000  # [bytes] of one element; real ones have up to a megabyte
+MOST_ARRAYS = 1000  # in one document; real ones have three
+MARKS = bytes(c in b'"{}[]' for c in range(256))
+BLANK = b" \t\r\n,"
+DECODE_ERRORS = (msgspec.DecodeError, RecursionError, ValueError)
+Element = TypeVar("Element")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Whole elements of one array. key: name of the array, "" for a bare list; text: the elements, with commas between
+    them; ends: where each ends in the text.
+    """
+
+    key: str
+    text: bytes
+    ends: Index
+
+    def each(self) -> Iterator[bytes]:
+        """The text of each element."""
+        begin = 0
+        for end in self.ends.tolist():
+            yield self.text[begin:end].strip(BLANK)
+            begin = end
+
+
+def decoded(piece: Piece, decode_all: Callable[[bytes], list[Element]], kind: Any) -> tuple[list[Element], int]:
+    """The elements of a piece, and how many cannot be read.
+
+    decode_all: of a whole list, strict; kind: type of an element, for the second attempt, which allows texts for
+    numbers.
+    """
+    try:
+        return decode_all(b"[" + piece.text.lstrip(BLANK) + b"]"), 0
+    except DECODE_ERRORS:
+        found, bad = list[Element](), 0
+    for text in piece.each():
+        try:
+            found.append(msgspec.json.decode(text, type=kind, strict=False))
+        except DECODE_ERRORS:
+            bad += 1
+    return found, bad
+
+
+@dataclass
+class _State:
+    """Where the text not yet consumed begins. array: depth of the elements, 1 in a bare list, else 2; inside: True
+    in an array; key: of that array.
+    """
+
+    array: int
+    inside: bool
+    key: str = ""
+    arrays: int = 0
+
+
+def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
+    """Split a JSON document into pieces of whole elements. where: name of the file in messages.
+
+    Raises InputError if an element is too long, the document is neither a list nor an object, or is cut off.
+    """
+    text = stream.read(PIECE)
+    text = text.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if text[:1] not in (b"{", b"["):
+        raise InputError(where, "", repr(text[:20]), "JSON: a list or an object")
+    state = _State(1, True) if text[:1] == b"[" else _State(2, False)
+    text = text[1:]
+    while True:
+        brackets = _brackets(text, 2 if state.array == 2 and state.inside else 1)
+        consumed = 0
+        for begin, end, cut in _spans(text, brackets, state, where):
+            consumed = cut
+            if len(end):
+                yield Piece(state.key, text[begin : int(end[-1])], end - begin)
+        if len(brackets[1]) and (brackets[1] == 0).any():
+            return
+        text = text[consumed:]
+        if len(text) > LONGEST_ELEMENT:
+            raise InputError(where, state.key, f"an element of more than {LONGEST_ELEMENT // 10**6} MB", "a timeline")
+        more = stream.read(max(PIECE, len(text)))
+        if not more:
+            raise InputError(where, state.key, "an end in the middle", "the whole file: was the download cut off?")
+        text += more
+
+
+def _brackets(text: bytes, depth: int) -> tuple[Index, Index, Index]:
+    """Places of the brackets outside strings, the depth after each, and +1 or -1 for opening or closing."""
+    place = np.flatnonzero(np.frombuffer(text.translate(MARKS), bool))
+    mark = np.frombuffer(text, np.uint8)[place]
+    quote = mark == ord('"')
+    if b"\\" in text:
+        quote[quote] = ~_escaped(text, place[quote])
+    inside = np.cumsum(quote, dtype=np.uint8) & 1  # the number of quotes, whose last bit an overflow keeps
+    chosen = (inside == 0) & (mark != ord('"'))
+    place, mark = place[chosen], mark[chosen]
+    step = np.where((mark | 32) == ord("{"), 1, -1)  # 32: "[" and "{" differ by it, as "]" and "}" do
+    return place, depth + np.cumsum(step), step
+
+
+def _escaped(text: bytes, quote: Index) -> Index:
+    """True for quotes after an odd number of backslashes."""
+    letters = np.frombuffer(text, np.uint8)
+    plain = np.where(letters != ord("\\"), np.arange(len(letters), dtype=np.int32), -1)
+    before = np.append(np.int32(-1), np.maximum.accumulate(plain))  # last letter that is no backslash, before each
+    return (quote - 1 - before[quote]) % 2 == 1
+
+
+def _spans(
+    text: bytes, brackets: tuple[Index, Index, Index], state: _State, where: str
+) -> Iterator[tuple[int, Index, int]]:
+    """Parts of the text inside an array: its begin, the ends of its elements, and up to where the text is consumed.
+
+    Updates the state, which holds for the part that is yielded.
+    """
+    place, depth, step = brackets
+    begin, first = 0, 0
+    if state.array == 1:
+        events = np.flatnonzero(depth == 0)[:1]
+    else:
+        events = np.flatnonzero(((step > 0) & (depth == 2)) | ((step < 0) & (depth <= 1)))
+    for event in [*events.tolist(), len(place)]:
+        closes = event < len(place) and step[event] < 0
+        ends = place[first:event][(step[first:event] < 0) & (depth[first:event] == state.array)] + 1
+        if state.inside:
+            cut = int(place[event]) + 1 if closes else int(ends[-1]) if len(ends) else begin
+            yield begin, ends, cut
+        elif closes:
+            yield begin, ends[:0], int(place[event]) + 1
+        if event == len(place) or (closes and depth[event] <= 0):
+            return
+        first, previous, begin = event + 1, begin, int(place[event]) + 1
+        state.inside = not closes and text[place[event]] == ord("[")
+        if state.inside:
+            state.key, state.arrays = _key(text[previous : begin - 1]), state.arrays + 1
+            if state.arrays > MOST_ARRAYS:
+                raise InputError(where, "", f"more than {MOST_ARRAYS} lists", "a timeline")
+            yield begin, ends[:0], begin
+
+
+def _key(text: bytes) -> str:
+    """The name at the end of a text such as ``, "locations": ``."""
+    name = text.rstrip(b" \t\r\n:").rpartition(b'"')[0].rpartition(b'"')[2]
+    return name[-100:].decode("utf-8", "replace")

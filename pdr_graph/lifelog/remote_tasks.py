@@ -1,0 +1,39 @@
+"""Tasks in other processes: what a worker process does with one, and how the build waits for them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from time import sleep
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from pdr_graph.lifelog.time_limits import limited
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+POLL_PERIOD = 0.05  # [s] between looks at the tasks; chosen by hand
+Tasks = Sequence[tuple[Any, ...]]
+Work = Callable[[tuple[Any, ...]], Iterator[Any]]
+Look = Callable[[], None]  # called while waiting; raises FleetLostError
+
+
+def collected(work: Work, number: int, task: tuple[Any, ...], time_limit: float) -> tuple[int, list[Any]]:
+    """The results of a task in a worker process, which ends if one takes longer than ``time_limit`` [s]; its number."""
+    os.environ |= ONE_THREAD  # for libraries that are not loaded yet
+    threadpool_limits(limits=1)  # for libraries that are loaded
+    return number, list(limited(work(task), time_limit))
+
+
+def finished(futures: Sequence[Any], look: Look) -> Iterator[Any]:
+    """Yield each future when it is done."""
+    left = list(futures)
+    while left:
+        done, running = list[Any](), list[Any]()
+        for future in left:
+            (done if future.done() else running).append(future)
+        yield from done
+        left = running
+        if left and not done:
+            look()
+            sleep(POLL_PERIOD)

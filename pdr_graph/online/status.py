@@ -1,0 +1,88 @@
+"""The state of a live walk in words: how sure, what is missing, what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from pdr_graph.contradiction import Verdict
+from pdr_graph.inertial.attitude_stream import Health
+from pdr_graph.online.interface import NO_DATA, NO_STEPS
+
+SILENT = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of the navigator.
+
+    state: "waiting" for sensors and fixes, "fixes alone" without steps, "no absolute position" until the first fix,
+    "initialising heading" until the direction of the walk is known, "running".
+    sigma: of the current position per axis [m], NaN without an absolute position; missing: what would make the pose
+    better, a line each; issues: present problems, a line each; unknown: what the sensors do not measure, a line each;
+    sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers of fixes too
+    old for the window or far in the future; restarts: how often fixes contradicted the estimate; rebuilds: reason of
+    each rebuild of the solver; judge: returns the verdict.
+    """
+
+    state: str
+    sigma: float
+    missing: tuple[str, ...]
+    issues: tuple[str, ...]
+    unknown: tuple[str, ...]
+    sensors: dict[str, Health]
+    keyframes: int
+    fixes: int
+    late: int
+    early: int
+    restarts: int
+    rebuilds: tuple[str, ...]
+    judge: Callable[[], Verdict] = field(repr=False, compare=False)
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the walk so far can be trusted, and the reasons if not; computed when it is first read."""
+        return self.judge()
+
+
+def state_of(walking: bool, located: bool, directed: bool) -> str:
+    """The state in words. walking: steps are observed; located: a position is known; directed: the direction is."""
+    if not walking:
+        return "fixes alone" if located else "waiting"
+    if not located:
+        return "no absolute position"
+    return "running" if directed else "initialising heading"
+
+
+def missing_inputs(walking: bool, located: bool, directed: bool) -> Iterator[str]:
+    """Yield what would make the pose better, a line each; arguments as of `state_of`."""
+    if not walking:
+        yield "samples of the accelerometer"
+    if not located:
+        yield "a fix, a beacon or a range: the position is relative to the start"
+    elif walking and not directed:
+        yield "a second fix, or a few steps for the compass: the direction is not known yet"
+
+
+def issues_of(health: Mapping[str, Health], absurd: int, stepless: bool) -> Iterator[str]:
+    """Yield the present problems, a line each.
+
+    health: of each sensor; absurd: number of fixes that could not be used; stepless: there are fixes and no steps.
+    """
+    if absurd:
+        yield f"fixes: {absurd} could not be used"
+    if stepless:
+        yield f"accelerometer: {NO_STEPS}"
+    latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)
+    for name, sensor in health.items():
+        if sensor.samples and latest - sensor.last > SILENT:
+            yield f"{name}: silent for {latest - sensor.last:.0f} s"
+        elif not sensor.samples and np.isfinite(latest):
+            yield f"{name}: {NO_DATA}"
+        if sensor.dropped:
+            yield f"{name}: {sensor.dropped} samples could not be used"
+        if sensor.clock_resets:
+            yield f"{name}: clock reset {sensor.clock_resets} times"

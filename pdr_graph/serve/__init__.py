@@ -1,0 +1,1 @@
+"""Live phones on a map: the server of ``pdr-graph serve``."""

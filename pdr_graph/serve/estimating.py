@@ -1,0 +1,183 @@
+"""The process that estimates: it reads the logs of its sessions, and sends poses and paths to the one that serves.
+
+It holds Python's lock for seconds at the start of a walk; in a process of its own it delays nobody's acknowledgement.
+"""
+
+from __future__ import annotations
+
+import gc
+import signal
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pdr_graph.errors import InputError, one_line
+from pdr_graph.inputs import Options
+from pdr_graph.online.replay import journal_settings, navigator_of
+from pdr_graph.serve.live_walk import SESSION, LiveWalk, Session, opened
+from pdr_graph.serve.publishing import PATH_INTERVAL
+
+LATEST_PATH = 10.0  # [s] after which a path is published even while messages wait
+LATEST_POSE = 1.0  # [s] the same of a pose
+RETRY = 5.0  # [s] after a failure of a walker
+MOST_FAILURES = 3  # after which a walker is left alone until the next start
+SLOWEST_WAIT = 3600.0  # [s]
+STOP = "stop"  # the action that ends the process
+
+
+@dataclass
+class Task:
+    """A walker with what is due: times on the monotonic clock [s]; posed: False while its pose is not published."""
+
+    walker: LiveWalk
+    posed: bool = True
+    last_pose: float = -np.inf
+    last_path: float = -np.inf
+    path_is_due: bool = True
+
+
+class Estimating:
+    """All walkers of this process. root: folder of the sessions; send: gives an update to the serving process."""
+
+    def __init__(self, root: Path, options: Options, send: Callable[[str, dict[str, Any]], None]):
+        self._root, self._send = root, send
+        create, _ = navigator_of(options)
+        self._executor = ThreadPoolExecutor(1)
+        arguments = {**create.keywords, "executor": self._executor}  # type: ignore[attr-defined]
+        kind: Any = create.func  # type: ignore[attr-defined]
+        settings = journal_settings(options, {"walker": options.walker})
+        self._arguments = partial(kind, **arguments), partial(kind.restored, **arguments), settings
+        self._tasks, self._failed = dict[str, Task](), dict[str, tuple[int, float]]()
+
+    def handle(self, action: str, id_: str) -> None:
+        """Do what the serving process asks: "new" messages, "finish" or "forget" a session."""
+        if action == "forget":
+            self._drop(id_)
+            self._failed.pop(id_, None)
+            self._send("forgotten", {"id": id_})
+        elif action == "new":
+            self._guarded(id_, lambda task: task.walker.look())
+            self._send("looked", {"id": id_})
+        elif action == "finish":
+            self._guarded(id_, self._finish)
+
+    @property
+    def wait(self) -> float:
+        """Time until there is something to do [s]."""
+        now = time.time()
+        due = [task.walker.due - now for task in self._tasks.values()]
+        unfinished = [0.0 for task in self._tasks.values() if not task.posed]
+        paths = [task.last_path + PATH_INTERVAL - time.monotonic() for task in self._tasks.values() if task.path_is_due]
+        retries = [at - time.monotonic() for _, at in self._failed.values()]
+        return min(max(0.0, min([*due, *unfinished, *paths, *retries], default=SLOWEST_WAIT)), SLOWEST_WAIT)
+
+    def work(self) -> None:
+        """Use one message of each walker whose turn it is, and publish."""
+        for id_, (failures, at) in list(self._failed.items()):
+            if at <= time.monotonic():
+                self._failed[id_] = failures, np.inf
+                self._guarded(id_, lambda task: task.walker.look())
+        busy = False
+        for id_ in list(self._tasks):
+            busy |= self._guarded(id_, self._use_message)
+        if not busy:
+            for id_ in list(self._tasks):
+                self._guarded(id_, self._idle)
+
+    def close(self) -> None:
+        """Close all files."""
+        for id_ in list(self._tasks):
+            self._drop(id_)
+        self._executor.shutdown(cancel_futures=True)
+
+    def _guarded(self, id_: str, action: Callable[[Task], Any]) -> bool:
+        """Do something with a walker, which is opened if necessary; a failure is published and tried again later."""
+        try:
+            if id_ not in self._tasks:
+                folder = self._root / id_
+                session = msgspec.json.decode((folder / SESSION).read_bytes(), type=Session)
+                self._tasks[id_] = Task(opened(folder, session, *self._arguments), posed=False)
+            done = bool(action(self._tasks[id_]))
+        except Exception as error:  # of one walker: the others go on
+            failures = self._failed.get(id_, (0, 0.0))[0] + 1
+            again = time.monotonic() + RETRY if failures < MOST_FAILURES else np.inf
+            self._drop(id_)
+            self._failed[id_] = failures, again
+            text = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
+            self._send("failed", {"id": id_, "text": one_line(text), "again": bool(np.isfinite(again))})
+            return False
+        return done
+
+    def _use_message(self, task: Task) -> bool:
+        used = task.walker.work(time.time())
+        if used:
+            self._failed.pop(task.walker.session.id, None)
+            task.posed, task.path_is_due = False, True
+        now = time.monotonic()
+        if not task.posed and (task.walker.due > time.time() or now > task.last_pose + LATEST_POSE):
+            self._send("pose", task.walker.pose())
+            task.posed, task.last_pose = True, now
+        if task.path_is_due and now > task.last_path + LATEST_PATH:
+            self._publish_path(task)
+        return used
+
+    def _idle(self, task: Task) -> None:
+        if task.path_is_due and time.monotonic() >= task.last_path + PATH_INTERVAL:
+            self._publish_path(task)
+
+    def _publish_path(self, task: Task) -> None:
+        path = task.walker.path(whole=task.last_path == -np.inf)
+        if path is not None:
+            self._send("path", path)
+        task.path_is_due, task.last_path = False, time.monotonic()
+
+    def _finish(self, task: Task) -> None:
+        id_ = task.walker.session.id
+        pose, path = task.walker.finish()
+        self._drop(id_)
+        self._send("pose", pose)
+        if path is not None:
+            self._send("path", path)
+        self._send("finished", {"id": id_})
+
+    def _drop(self, id_: str) -> None:
+        task = self._tasks.pop(id_, None)
+        if task is not None:
+            task.walker.close()
+
+
+def run(connection: Connection, root: str, options: Mapping[str, Any]) -> None:
+    """Estimate until the connection closes. options: fields of `Options`."""
+
+    def send(kind: str, update: dict[str, Any]) -> None:
+        connection.send_bytes(msgspec.msgpack.encode((kind, update)))
+
+    estimating = Estimating(Path(root), Options(**options), send)
+    send("ready", {})
+    try:
+        while True:
+            while connection.poll(estimating.wait):
+                action, id_ = msgspec.msgpack.decode(connection.recv_bytes())
+                if action == STOP:
+                    return
+                estimating.handle(action, id_)
+            estimating.work()
+    except (EOFError, OSError):  # the serving process ended
+        return
+    finally:
+        estimating.close()
+
+
+def run_process(connection: Connection, root: str, options: Mapping[str, Any]) -> None:
+    """`run` in a process of its own, which Ctrl-C ends through its parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()  # imported modules stay
+    run(connection, root, options)

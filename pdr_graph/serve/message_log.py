@@ -1,0 +1,124 @@
+"""The log of a session: every message of a phone, as it came, before it is acknowledged.
+
+One file, only ever appended to: MAGIC, then for each message a header (checksum, length, identity, time of arrival) and
+its bytes, compressed. What was appended survives the end of the process; a power cut may cost the last seconds. The log
+is also the queue between the process that receives and the one that estimates, so that waiting messages cost no memory.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pdr_graph.errors import InputError
+
+MAGIC = b"PDRGLOG1"
+HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
+CHECKSUM = 4  # bytes
+LEVEL = 1  # of zlib: the next ones take twice the time for little
+OWNER_ONLY = 0o600
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A message in a log. identity: the app's number of it; received: Unix time [s]; offset: of its header [bytes]."""
+
+    identity: int
+    received: float
+    offset: int
+    end: int
+
+
+class MessageLog:
+    """The log of one session, open for appending; ``identities`` of all its messages.
+
+    Raises InputError if the file is no log; OSError if the disk fails. A message that was not written completely, since
+    the process ended, was not acknowledged and is removed.
+    """
+
+    def __init__(self, path: Path):
+        self._path = path
+        self._file = os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY)
+        try:
+            if os.fstat(self._file).st_size < len(MAGIC):
+                os.ftruncate(self._file, 0)
+                _write(self._file, MAGIC)
+            entries = list(read_entries(path, len(MAGIC), check_last=True))
+            self.identities = {entry.identity for entry in entries}
+            self.last_received = entries[-1].received if entries else 0.0
+            self._end = entries[-1].end if entries else len(MAGIC)
+            os.ftruncate(self._file, self._end)
+            os.lseek(self._file, self._end, os.SEEK_SET)
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def append(self, identity: int, received: float, body: bytes) -> bool:
+        """Append a message; False if one of this identity is there already. Raises OSError if the disk fails."""
+        if identity in self.identities:
+            return False
+        record = pack(identity, received, body)
+        try:
+            _write(self._file, record)
+        except OSError:  # a full disk: what was written of it is no message
+            os.ftruncate(self._file, self._end)
+            os.lseek(self._file, self._end, os.SEEK_SET)
+            raise
+        self._end += len(record)
+        self.identities.add(identity)
+        self.last_received = received
+        return True
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+
+def pack(identity: int, received: float, body: bytes) -> bytes:
+    """The record of a message."""
+    packed = zlib.compress(body, LEVEL)
+    rest = HEADER.pack(0, len(packed), identity, received)[CHECKSUM:] + packed
+    return struct.pack("<I", zlib.crc32(rest)) + rest
+
+
+def read_entries(path: Path, offset: int = len(MAGIC), check_last: bool = False) -> Iterator[Entry]:
+    """Yield the complete messages of a log from an offset [bytes]; stops before one that is still being written.
+
+    check_last: also read the last one, which a killed process may have left damaged. Raises InputError for other files.
+    """
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if file.read(len(MAGIC)) != MAGIC:
+            raise InputError(path, "", "another kind of file", "a log of pdr-graph serve")
+        while offset + HEADER.size <= size:
+            file.seek(offset)
+            header = file.read(HEADER.size)
+            checksum, length, identity, received = HEADER.unpack(header)
+            end = offset + HEADER.size + length
+            if end > size:
+                return
+            if check_last and end == size and zlib.crc32(header[CHECKSUM:] + file.read(length)) != checksum:
+                return
+            yield Entry(identity, received, offset, end)
+            offset = end
+
+
+def read_body(path: Path, entry: Entry) -> bytes:
+    """The bytes of a message. Raises InputError if they are damaged."""
+    with path.open("rb") as file:
+        file.seek(entry.offset)
+        record = file.read(entry.end - entry.offset)
+    if zlib.crc32(record[CHECKSUM:]) != struct.unpack_from("<I", record)[0]:
+        raise InputError(path, f"byte {entry.offset}", "a damaged message", "a log that is whole")
+    return zlib.decompress(record[HEADER.size :])
+
+
+def _write(file: int, data: bytes) -> None:
+    """Write all bytes: a disk that becomes full writes a part without an error."""
+    view = memoryview(data)
+    while view:
+        view = view[os.write(file, view) :]

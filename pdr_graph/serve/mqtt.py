@@ -1,0 +1,103 @@
+"""Messages of Sensor Logger by MQTT: the server subscribes to a broker that phones publish to.
+
+The messages are those of HTTP push. The app publishes with quality of service 0: what is lost between phone and broker
+is a gap of the walk. aiomqtt is in the extra ``serve-mqtt``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import ssl
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from urllib.parse import unquote, urlsplit
+
+from pdr_graph.errors import InputError, one_line
+
+TOPIC = "sensor-logger"  # the app's default
+PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 8000, "wss": 8884}  # by scheme
+PASSWORD = "PDR_GRAPH_MQTT_PASSWORD"  # environment variable: an address is seen by all users of a machine
+WAITING = 500  # messages that wait for this process; further ones are lost, as QoS 0 may
+FIRST_RETRY, LAST_RETRY = 1.0, 60.0  # [s] until a lost connection is tried again, doubled each time
+TIMEOUT = 10.0  # [s] for the broker to answer
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Where messages come from. address: without the password, for people."""
+
+    host: str
+    port: int
+    topic: str
+    tls: bool
+    websocket: bool
+    path: str
+    username: str | None = None
+    password: str | None = field(default=None, repr=False)
+
+    @property
+    def address(self) -> str:
+        """The broker's address for people."""
+        return f"{self.host}:{self.port}, topic {self.topic}"
+
+
+def broker_of(url: str, topic: str = TOPIC) -> Broker:
+    """The broker at an address ``mqtt://USER@HOST:PORT`` (or mqtts, ws, wss). Raises InputError."""
+    expected = "mqtt://HOST, mqtts://USER@HOST:PORT, ws://HOST/mqtt or wss://…"
+    try:
+        parts = urlsplit(url)
+        port = parts.port
+    except ValueError:
+        raise InputError("--mqtt", "", repr(url), expected) from None
+    if parts.scheme not in PORTS or not parts.hostname or parts.query or parts.fragment:
+        raise InputError("--mqtt", "", repr(url), expected)
+    websocket = parts.scheme.startswith("ws")
+    if not websocket and parts.path not in ("", "/"):
+        raise InputError("--mqtt", "", f"the path {parts.path!r}", "none: the topic is --mqtt-topic")
+    password = unquote(parts.password) if parts.password else os.environ.get(PASSWORD)
+    return Broker(
+        host=parts.hostname,
+        port=port or PORTS[parts.scheme],
+        topic=topic,
+        tls=parts.scheme in ("mqtts", "wss"),
+        websocket=websocket,
+        path=parts.path or "/mqtt",
+        username=unquote(parts.username) if parts.username else None,
+        password=password,
+    )
+
+
+async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Callable[[str], None]) -> None:
+    """Give each message of a broker to ``receive``, for ever; a lost connection is tried again.
+
+    say: called with one line when the connection is there, or lost. Raises InputError without aiomqtt.
+    """
+    try:
+        import aiomqtt
+    except ImportError:
+        raise InputError("--mqtt", "", "no aiomqtt", "pip install 'pdr_graph[serve-mqtt]'") from None
+    wait = FIRST_RETRY
+    while True:
+        try:
+            async with aiomqtt.Client(
+                broker.host,
+                broker.port,
+                username=broker.username,
+                password=broker.password,
+                tls_context=ssl.create_default_context() if broker.tls else None,
+                transport="websockets" if broker.websocket else "tcp",
+                websocket_path=broker.path if broker.websocket else None,
+                max_queued_incoming_messages=WAITING,
+                timeout=TIMEOUT,
+            ) as client:
+                await client.subscribe(broker.topic)
+                say(f"mqtt: subscribed to {broker.address}")
+                wait = FIRST_RETRY
+                async for message in client.messages:
+                    if isinstance(message.payload, bytes | bytearray):
+                        receive(bytes(message.payload))
+        except (aiomqtt.MqttError, OSError, ValueError) as error:
+            say(f"mqtt: {broker.address}: {one_line(str(error))}; again in {wait:.0f} s")
+        await asyncio.sleep(wait)
+        wait = min(2 * wait, LAST_RETRY)

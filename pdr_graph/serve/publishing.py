@@ -1,0 +1,186 @@
+"""The JSON of a live walk: its pose, its path, GeoJSON and NavSatFix.
+
+Times are Unix seconds by the phone's clock; x, y are metres in the frame of the walk (the plan's, else East-North about
+the first fix); lon, lat are degrees, null while the frame is not georeferenced; headings and angles are radians,
+counter-clockwise from +x; sigma is per axis [m]. A value that is not known is null.
+
+**Event ``pose``**, at most one per message of the phone, and each element of ``GET /walkers``::
+
+    {"id": "3f2a…",                 # of the walker, as in /walkers/ID.geojson
+     "name": "Pixel 7",             # for people
+     "state": "running",            # as of `Status`: "waiting", …, "initialising heading", "running"; then "finished"
+     "time": 1753234912.08, "message": 3,          # of the last sample; number of messages used so far
+     "x": 12.31, "y": 4.02, "lon": 11.5801, "lat": 48.1372,       # the current pose: the mean of all ways
+     "sigma": 1.4, "heading": 1.57, "heading_sigma": 0.2, "floor": "1",
+     "region": {"probability": 0.9, "semi_major": 3.2, "semi_minor": 2.1, "angle": 0.4},     # [m], [rad], about x, y
+     "display": [11.5801, 48.1372], # what a map draws: follows jumps within 2 s. [lon, lat], or [x, y] if lon is null
+     "bearing": 0.0,                # of the heading, clockwise from true north (from +y if lon is null) [deg]
+     "modes": [{"probability": 0.8, "x": …, "y": …, "lon": …, "lat": …, "heading": …,
+                "region": {…}}],    # the ways that remain, the most probable first
+     "steps": 214,                                 # so far
+     "missing": ["a second fix, …"],               # what would make the pose better, a line each
+     "issues": ["gyroscope: silent for 4 s"],      # present problems, a line each
+     "notes": ["accelerometer: Android assumed …"],                # assumptions, a line each
+     "health": {"accelerometer": "100 Hz", "gyroscope": "silent for 4 s"},
+     "ignored": {"pedometer": 12}}  # samples of sensors that are not used
+
+x, y, lon, lat, sigma, heading, heading_sigma, region, display, bearing are null before the first pose.
+
+**Event ``path``**, at most one per PATH_INTERVAL and walker: the smoothed path. Finalised points do not change any
+more; ``current`` replaces the former current part::
+
+    {"id": "3f2a…", "from": 120,                   # number of finalised points that were sent in earlier events
+     "finalised": {"time": […], "x": […], "y": […], "lon": […] | null, "lat": […] | null, "floor": […]},
+     "current": {…the same columns…}}
+
+The first ``path`` of a connection has all finalised points (``from`` is 0); so has one after points were revised.
+
+**Event ``forgotten``**: ``{"id": "3f2a…"}``: the walk was deleted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.frames import Frame
+from pdr_graph.inertial.attitude_stream import Health
+from pdr_graph.online.interface import NO_DATA, Pose
+from pdr_graph.online.status import SILENT, Status
+from pdr_graph.types import Array, Trajectory
+
+PATH_INTERVAL = 2.0  # [s] between two events `path` of a walker
+PROBABILITY = 0.9  # of the region
+RADII = float(np.sqrt(-2 * np.log(1 - PROBABILITY)))  # [sigma] half axes of the ellipse of that probability
+METRES, DEGREES, RADIANS, SECONDS = 3, 8, 4, 3  # decimals
+COLUMNS = ("time", "x", "y", "lon", "lat", "floor")
+
+
+def pose_json(
+    identity: Mapping[str, Any], pose: Pose | None, status: Status, frame: Frame | None, epoch: float
+) -> dict[str, Any]:
+    """The event ``pose``. identity: id, name and further members; epoch: Unix time of time 0 of the pose [s]."""
+    event = {**identity, "state": status.state}
+    event |= dict.fromkeys(("time", "x", "y", "lon", "lat", "sigma", "heading", "heading_sigma"))
+    event |= {"floor": "", "region": None, "display": None, "bearing": None, "modes": []}
+    if pose is not None:
+        event |= _place(pose, frame) | {"time": round(epoch + pose.time, SECONDS), "floor": pose.floor}
+        event |= {
+            "sigma": round(pose.sigma, METRES),
+            "heading_sigma": round(float(pose.covariance[2, 2]) ** 0.5, RADIANS),
+        }
+        shown = pose.display or (pose.x, pose.y)
+        event["display"] = _lonlat(frame, shown) or [round(shown[0], METRES), round(shown[1], METRES)]
+        event["bearing"] = _bearing(pose, frame)
+        event["modes"] = [{"probability": round(mode.probability, 3)} | _place(mode, frame) for mode in pose.modes]
+    return event | {"missing": list(status.missing), "issues": list(status.issues), "health": health_texts(status)}
+
+
+def _place(pose: Any, frame: Frame | None) -> dict[str, Any]:
+    """Position, heading and region of a `Pose` or a `Mode`."""
+    lon, lat = _lonlat(frame, (pose.x, pose.y)) or (None, None)
+    place = {"x": round(pose.x, METRES), "y": round(pose.y, METRES), "lon": lon, "lat": lat}
+    return place | {"heading": round(pose.heading, RADIANS), "region": region(pose.covariance)}
+
+
+def _lonlat(frame: Frame | None, position: tuple[float, float]) -> list[float] | None:
+    if frame is None or not frame.georeferenced:
+        return None
+    return np.round(frame.to_lonlat(np.array([position]))[0], DEGREES).tolist()
+
+
+def _bearing(pose: Pose, frame: Frame | None) -> float:
+    """Compass bearing of the heading [deg]; from +y without a frame on earth."""
+    east = 0.0
+    if frame is not None and frame.georeferenced:
+        east = frame.bearing_of_east(np.array([pose.x, pose.y]))
+    return round(float(np.degrees(np.pi / 2 - pose.heading + east)) % 360.0, 1)
+
+
+def region(covariance: Array) -> dict[str, float]:
+    """The ellipse that holds the position with PROBABILITY; covariance: ``(2, 2)`` or more, (x, y) first [m²]."""
+    variance, axes = np.linalg.eigh(covariance[:2, :2])
+    minor, major = (RADII * np.sqrt(np.maximum(variance, 0.0))).tolist()
+    angle = float(np.arctan2(axes[1, 1], axes[0, 1]))
+    half_axes = {"semi_major": round(major, METRES), "semi_minor": round(minor, METRES)}
+    return {"probability": PROBABILITY, **half_axes, "angle": round(angle, RADIANS)}
+
+
+def health_texts(status: Status) -> dict[str, str]:
+    """The state of each inertial sensor in words."""
+    last = [sensor.last for sensor in status.sensors.values() if np.isfinite(sensor.last)]
+    return {name: _health(sensor, max(last, default=np.nan)) for name, sensor in status.sensors.items()}
+
+
+def _health(sensor: Health, latest: float) -> str:
+    if not sensor.samples:
+        return NO_DATA
+    if latest - sensor.last > SILENT:
+        return f"silent for {latest - sensor.last:.0f} s"
+    gaps = f", {sensor.gaps} gaps" if sensor.gaps else ""
+    return f"{sensor.rate:.0f} Hz{gaps}"
+
+
+def path_columns(path: Trajectory, frame: Frame | None, epoch: float) -> dict[str, Any]:
+    """A part of the path as columns of equal length."""
+    lon = lat = None
+    if frame is not None and frame.georeferenced:
+        lon, lat = np.round(frame.to_lonlat(path.position), DEGREES).T.tolist() if len(path) else ([], [])
+    x, y = np.round(path.position, METRES).T.tolist()
+    time = np.round(path.time + epoch, SECONDS).tolist()
+    return dict(zip(COLUMNS, (time, x, y, lon, lat, list(path.floor)), strict=True))
+
+
+def walk_geojson(pose: Mapping[str, Any], finalised: Mapping[str, Any], current: Mapping[str, Any]) -> dict[str, Any]:
+    """The finalised and the current part of a path (`path_columns`) and the pose as a FeatureCollection.
+
+    Coordinates are lon, lat (RFC 7946), or local metres, which the member ``coordinates`` says.
+    """
+    georeferenced = pose["lon"] is not None
+    features = [_line("finalised", finalised, georeferenced), _line("current", current, georeferenced)]
+    if pose["x"] is not None:
+        keys = ("lon", "lat") if georeferenced else ("x", "y")
+        geometry = {"type": "Point", "coordinates": [pose[key] for key in keys]}
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"part": "pose", **pose}})
+    unit = "longitude, latitude" if georeferenced else "local metres"
+    return {"type": "FeatureCollection", "coordinates": unit, "features": features}
+
+
+def _line(part: str, path: Mapping[str, Any], georeferenced: bool) -> dict[str, Any]:
+    """A LineString, a Point if there is one position, null without any: RFC 7946 has no line of one position."""
+    x, y = (path["lon"], path["lat"]) if georeferenced and path["lon"] is not None else (path["x"], path["y"])
+    coordinates = [list(place) for place in zip(x, y, strict=True)]
+    geometry: dict[str, Any] | None = {"type": "LineString", "coordinates": coordinates}
+    if len(coordinates) < 2:
+        geometry = {"type": "Point", "coordinates": coordinates[0]} if coordinates else None
+    properties = {"part": part, "times": path["time"], "floors": path["floor"]}
+    return {"type": "Feature", "geometry": geometry, "properties": properties}
+
+
+FIX, NO_FIX = 0, -1  # sensor_msgs/NavSatStatus: STATUS_FIX, STATUS_NO_FIX
+KNOWN = 2  # sensor_msgs/NavSatFix: COVARIANCE_TYPE_DIAGONAL_KNOWN
+UNKNOWN_HEIGHT = 1e4  # [m²] variance of the altitude, which is not estimated
+
+
+def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
+    """The pose in the shape of ROS's sensor_msgs/NavSatFix: degrees, covariance in east, north, up [m²].
+
+    Without a position on earth, the status is NO_FIX and latitude and longitude are null.
+    """
+    time, fixed = pose["time"] or 0.0, pose["lon"] is not None
+    seconds = int(time)
+    variance = pose["sigma"] ** 2 if fixed else 0.0
+    return {
+        "header": {
+            "stamp": {"sec": seconds, "nanosec": round((time - seconds) * 1e9)},
+            "frame_id": pose["id"],
+        },
+        "status": {"status": FIX if fixed else NO_FIX, "service": 0},
+        "latitude": pose["lat"],
+        "longitude": pose["lon"],
+        "altitude": None,
+        "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, UNKNOWN_HEIGHT],
+        "position_covariance_type": KNOWN if fixed else 0,
+    }

@@ -1,0 +1,251 @@
+"""Messages of the app Sensor Logger, by HTTP or MQTT, as events of a navigator.
+
+Source: PUSHING.md of tszheichoi/awesome-sensor-logger. Times are Unix nanoseconds. ``accelerometer`` is without
+gravity; the total is its sum with ``gravity``, or ``accelerometeruncalibrated``. iOS has the opposite signs (and g)
+unless "Standardise Units & Frames" is set. The message does not state the platform: gravity shows it, by the rule of
+the export's reader.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from pdr_graph.errors import InputError, one_line
+from pdr_graph.geometry import interpolate
+from pdr_graph.io.sensor_logger import NANOSECOND, sign_by_gravity
+from pdr_graph.io.validation import GRAVITY_IN_G, receiver_fixes, unit_of
+from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Sightings, Signal
+
+LARGEST_NUMBER = 1 << 62  # of a messageId
+XYZ = ("x", "y", "z")
+USED = {  # name in a message: name of its columns here
+    **{name: XYZ for name in ("accelerometer", "gravity", "gyroscope", "magnetometer")},
+    **{f"{name}uncalibrated": XYZ for name in ("accelerometer", "gyroscope", "magnetometer")},
+    "barometer": ("pressure",),
+    "location": ("latitude", "longitude", "horizontalAccuracy"),
+}
+OPTIONAL = ("horizontalAccuracy",)
+PLAIN = {
+    "gyroscope": ("gyroscope", "gyroscopeuncalibrated"),
+    "magnetometer": ("magnetometer", "magnetometeruncalibrated"),
+}
+
+
+class Values(msgspec.Struct):
+    """The values of a sample that are used; of any JSON type, since apps send null and texts too."""
+
+    x: Any = None
+    y: Any = None
+    z: Any = None
+    pressure: Any = None
+    latitude: Any = None
+    longitude: Any = None
+    horizontalAccuracy: Any = None  # noqa: N815
+    id: Any = None
+    rssi: Any = None
+
+
+class Sample(msgspec.Struct):
+    """One sample of a sensor; time: Unix nanoseconds."""
+
+    name: str
+    time: int | float
+    values: Values = msgspec.field(default_factory=Values)
+    accuracy: Any = None
+
+
+class Message(msgspec.Struct):
+    """A message of the app: its number within a recording (sessionId), and samples of all sensors."""
+
+    messageId: int  # noqa: N815
+    sessionId: str  # noqa: N815
+    payload: list[Sample]
+    deviceId: str = ""  # noqa: N815
+
+
+_DECODER = msgspec.json.Decoder(Message)
+
+
+def parse(body: bytes) -> Message:
+    """Decode a message. Raises InputError, of one line, for any other JSON."""
+    try:
+        message = _DECODER.decode(body)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, OverflowError) as error:
+        raise InputError("message", "", one_line(str(error)), "JSON with messageId, sessionId and payload") from None
+    if not 0 <= message.messageId < LARGEST_NUMBER:
+        raise InputError("message", "messageId", f"{message.messageId}", "a number from 0 on")
+    if not message.sessionId:
+        raise InputError("message", "sessionId", "an empty text", "the app's name of the recording")
+    return message
+
+
+class _Named(msgspec.Struct):
+    name: str
+
+
+class _Test(msgspec.Struct):
+    payload: list[_Named]
+
+
+LONGEST_TEST = 4096  # bytes
+_TEST = msgspec.json.Decoder(_Test)
+
+
+def is_test(body: bytes) -> bool:
+    """True for what the app's button "Tap to Test Pushing" sends: samples named ``test``, of no recording."""
+    try:
+        names = {sample.name for sample in _TEST.decode(body).payload} if len(body) <= LONGEST_TEST else set()
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
+        return False
+    return names == {"test"}
+
+
+def tables_of(payload: Sequence[Sample]) -> tuple[dict[str, Array], dict[str, int]]:
+    """The columns ``(n, 1 + k)`` of each used sensor, Unix time [s] first, sorted; NaN where a value is no number.
+
+    Also the number of samples of each other sensor.
+    """
+    by_name = dict[str, list[Sample]]()
+    for sample in payload:
+        by_name.setdefault(sample.name.lower(), []).append(sample)
+    tables, ignored = dict[str, Array](), dict[str, int]()
+    for name, samples in by_name.items():
+        if name not in USED:
+            ignored[one_line(name)[:40]] = len(samples)
+            continue
+        rows = [[sample.time, *(getattr(sample.values, column) for column in USED[name])] for sample in samples]
+        table = _numbers(rows) * ([NANOSECOND] + [1.0] * len(USED[name]))
+        tables[name] = table[np.argsort(table[:, 0], kind="stable")]
+    return tables, ignored
+
+
+def _numbers(rows: list[list[Any]]) -> Array:
+    """The rows as an array, NaN for what is no number."""
+    try:
+        return np.array(rows, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.array([[_number(value) for value in row] for row in rows], dtype=float)
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value) if isinstance(value, int | float) else np.nan
+    except OverflowError:
+        return np.nan
+
+
+def receptions(payload: Sequence[Sample]) -> Sightings | None:
+    """The Bluetooth receptions with a level, at Unix times [s]; None if there are none."""
+    rows = [
+        (float(sample.time) * NANOSECOND, sample.values.id, _number(sample.values.rssi))
+        for sample in payload
+        if sample.name.lower() == "bluetooth" and isinstance(sample.values.id, str)
+    ]
+    rows = sorted(row for row in rows if np.isfinite(row[2]))
+    if not rows:
+        return None
+    time, names, level = zip(*rows, strict=True)
+    return Sightings(np.array(time), tuple(names), np.array(level))
+
+
+@dataclass
+class Signs:
+    """How the accelerations of a session are read; decided once, from its first samples.
+
+    acceleration: factor to m/s² with Android's signs, 0 while unknown; barometer: factor to hPa, 0 while unknown;
+    kind: of acceleration, "" while unknown; plain: which of calibrated and uncalibrated is used, by sensor;
+    gravity: its last row ``(1, 4)`` time and values; notes: assumptions, a line each.
+    """
+
+    acceleration: float = 0.0
+    barometer: float = 0.0
+    kind: str = ""
+    plain: dict[str, str] = field(default_factory=dict)
+    gravity: Array = field(default_factory=lambda: np.empty((0, 4)))
+    notes: list[str] = field(default_factory=list)
+
+
+TOTAL, RAW, LINEAR = "accelerometer and gravity", "accelerometeruncalibrated", "accelerometer"
+
+
+def signals_of(tables: dict[str, Array], signs: Signs, platform: str = "", android: bool = False) -> dict[str, Array]:
+    """The rows ``(n, 1 + k)`` of each sensor as of ``Recording.signals``, SI units, Android's signs.
+
+    platform: "ios" or "android" if the user stated it; android: True if the message shows that platform. Rows with a
+    missing value stay, NaN, and are counted where they are used.
+    """
+    signals = _acceleration(tables, signs, platform, android)
+    for sensor, names in PLAIN.items():
+        present = [name for name in names if name in tables]
+        if present:
+            name = signs.plain.setdefault(sensor, present[0])
+            if name in tables:
+                signals[sensor] = tables[name]
+    if "barometer" in tables:
+        table = tables["barometer"]
+        finite = table[np.isfinite(table).all(axis=1)]
+        if not signs.barometer and len(finite):
+            signs.barometer = unit_of("barometer", "barometer", Signal(finite[:, 0], finite[:, 1:]), signs.notes)[1]
+        signals["barometer"] = table * [1.0, signs.barometer or 1.0]
+    return signals
+
+
+def _acceleration(tables: dict[str, Array], signs: Signs, platform: str, android: bool) -> dict[str, Array]:
+    linear, gravity, raw = (tables.get(name) for name in ("accelerometer", "gravity", "accelerometeruncalibrated"))
+    if gravity is not None:
+        gravity = gravity[np.isfinite(gravity).all(axis=1)]
+        gravity = np.concatenate([signs.gravity[-1:], gravity])
+        signs.gravity = gravity[-1:].copy()
+    with_gravity = gravity if gravity is not None and len(gravity) else raw
+    if not signs.acceleration and with_gravity is not None:
+        _decide(with_gravity, signs, platform, android)
+    if linear is not None and gravity is not None and len(gravity):
+        signs.kind = signs.kind if signs.kind == RAW else TOTAL
+    elif not signs.kind:
+        signs.kind = RAW if raw is not None else LINEAR if linear is not None else ""
+    factor = [1.0] + 3 * [signs.acceleration or 1.0]
+    if signs.kind == TOTAL and linear is not None and gravity is not None and len(gravity):
+        total = linear[:, 1:] + interpolate(linear[:, 0], gravity[:, 0], gravity[:, 1:])
+        return {"accelerometer": np.column_stack([linear[:, 0], total]) * factor}
+    if signs.kind == RAW and raw is not None:
+        return {"accelerometer": raw * factor}
+    if signs.kind == LINEAR and linear is not None:
+        return {"linear_acceleration": linear * factor}
+    return {}
+
+
+def _decide(with_gravity: Array, signs: Signs, platform: str, android: bool) -> None:
+    """Decide unit and signs of accelerations, once."""
+    values = with_gravity[np.isfinite(with_gravity).all(axis=1), 1:]
+    if not len(values):
+        return
+    magnitude = float(np.linalg.norm(values.mean(axis=0)))
+    in_g = GRAVITY_IN_G[0] / 2 < magnitude < 2 * GRAVITY_IN_G[1]  # half a second may hold half a step
+    if platform:
+        sign = -1.0 if platform == "ios" else 1.0
+    elif android:
+        sign = 1.0
+    elif in_g:
+        sign = -1.0  # only iOS has g, and only with its own signs
+    else:
+        sign, system = sign_by_gravity(values[:, 2])
+        signs.notes.append(f"accelerometer: {system} assumed from gravity's sign; platform=ios or android states it")
+    signs.acceleration = sign * (STANDARD_GRAVITY if in_g else 1.0)
+
+
+def fixes_of(tables: dict[str, Array], notes: list[str]) -> Fixes | None:
+    """The phone's positions at Unix times [s]; None if there are none."""
+    if "location" not in tables:
+        return None
+    fixes = receiver_fixes(tables["location"], notes)
+    return fixes if len(fixes) else None
+
+
+def shifted(part: Any, origin: float) -> Any:
+    """A table with times since ``origin`` [s]."""
+    return replace(part, time=part.time - origin)

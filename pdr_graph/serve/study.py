@@ -1,0 +1,225 @@
+"""Study webhooks of Sensor Logger: a recording uploaded to a study is fetched, smoothed, and reported in the app.
+
+Off unless studies are configured. Source: STUDY_WEBHOOKS.md of tszheichoi/awesome-sensor-logger. The cloud calls once
+per recording, so that each call is stored before it is answered, and dealt with after a restart too. What is fetched is
+deleted when its report was posted. The smoothing runs in a process of its own, which may fail or hang alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import http.client
+import json
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode, urlsplit
+
+import msgspec
+
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line
+from pdr_graph.lifelog.cache import write
+from pdr_graph.serve.study_report import refusal, report
+
+API = "https://sensorlogger.app/api"
+ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
+LONGEST_NAME = 200  # characters of an identity
+MOST_PENDING = 1000  # uploads, each a file of 1 kB
+LARGEST_RECORDING = 2**30  # bytes; an hour at 100 Hz is 100 MB
+PATIENCE = 30.0  # [s] for an answer of the cloud to begin or go on
+DOWNLOAD = 600.0  # [s] for all of a recording
+SMOOTHING = 1800.0  # [s] for an estimate
+ATTEMPTS, PAUSE = 5, 60.0  # to reach the cloud; [s] between two, times their number
+CHUNK = 2**20  # bytes
+SMOOTH = "from pdr_graph.cli import main; main()"
+
+
+class Upload(msgspec.Struct, frozen=True):
+    """A recording in the cloud, as the webhook names it; ``secretCode`` gives access to it."""
+
+    studyId: str  # noqa: N815
+    uploadId: str  # noqa: N815
+    secretCode: str  # noqa: N815
+
+    def __repr__(self) -> str:
+        return f"Upload({one_line(self.studyId)[:40]!r}, {one_line(self.uploadId)[:40]!r})"  # without the code
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file that stores it."""
+        return hashlib.sha256(f"{self.studyId}\0{self.uploadId}".encode()).hexdigest()[:32] + ".json"
+
+
+class CloudError(OSError):
+    """The cloud did not answer (again: worth another attempt), or refused."""
+
+    def __init__(self, text: str, again: bool):
+        super().__init__(text)
+        self.again = again
+
+
+def upload_of(body: bytes) -> Upload:
+    """Decode a call of the webhook. Raises InputError."""
+    try:
+        upload = msgspec.json.decode(body, type=Upload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError("webhook", "", one_line(str(error)), "JSON with studyId, uploadId and secretCode") from None
+    for text in (upload.studyId, upload.uploadId, upload.secretCode):
+        if not 0 < len(text) <= LONGEST_NAME or not (text.isascii() and text.isprintable()):
+            raise InputError("webhook", "", f"an identity of {len(text)} characters", f"1 to {LONGEST_NAME}, ASCII")
+    return upload
+
+
+@dataclass
+class StudyReports:
+    """Uploads that wait for their report.
+
+    folder: of their files; studies: whose uploads are accepted; plan: of the building, if all walks are in one; say:
+    called with one line about each upload; api: address of the cloud.
+    """
+
+    folder: Path
+    studies: Sequence[str]
+    plan: Path | None = None
+    say: Callable[[str], None] = print
+    api: str = API
+    pause: float = PAUSE
+    _changed: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+
+    def accept(self, upload: Upload) -> None:
+        """Store an upload, to be reported. Raises InputError for another study; OSError if the disk or it is full."""
+        if upload.studyId not in self.studies and ANY not in self.studies:
+            raise InputError("webhook", "studyId", "another study", "one that pdr-graph serve --study names")
+        self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if len(self._pending()) >= MOST_PENDING:
+            raise OSError(f"{MOST_PENDING} uploads are waiting")
+        write(self.folder / upload.file_name, msgspec.json.encode(upload), durable=True)
+        self._changed.set()
+
+    async def run(self) -> None:
+        """Report all uploads, one after the other, for ever."""
+        while True:
+            self._changed.clear()
+            for file in self._pending():
+                await self._report(file)
+            await self._changed.wait()
+
+    def _pending(self) -> list[Path]:
+        return sorted(self.folder.glob("*.json"), key=lambda file: file.stat().st_mtime)
+
+    async def _report(self, file: Path) -> None:
+        """Report one upload; its file is removed at the end, whatever the end was."""
+        try:
+            upload = upload_of(file.read_bytes())
+            await self._repeated(upload)
+        except (InputError, CloudError, OSError) as error:
+            self.say(f"study: {one_line(str(error))}")
+        file.unlink(missing_ok=True)
+
+    async def _repeated(self, upload: Upload) -> None:
+        for attempt in range(1, ATTEMPTS + 1):
+            try:
+                with tempfile.TemporaryDirectory(prefix="pdr-graph-study-") as folder:
+                    return await self._once(upload, Path(folder))
+            except CloudError as error:
+                if not error.again or attempt == ATTEMPTS:
+                    raise
+                self.say(f"study: {one_line(str(error))}; attempt {attempt + 1} in {attempt * self.pause:.0f} s")
+                await asyncio.sleep(attempt * self.pause)
+
+    async def _once(self, upload: Upload, folder: Path) -> None:
+        recording = folder / "recording.zip"
+        await asyncio.to_thread(fetch, self.api, upload, recording)
+        text = await smoothed(recording, folder / "result", self.plan, self.say)
+        await asyncio.to_thread(post, self.api, upload, text)
+        self.say(f"study: {upload!r} reported")
+
+
+async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[[str], None]) -> str:
+    """Smooth a recording in another process; return its report in Markdown. say: called with the cause of a failure."""
+    arguments = [sys.executable, "-c", SMOOTH, "smooth", str(recording), "--out", str(out)]
+    arguments += ["--map", str(plan)] if plan is not None else []
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(
+        *arguments, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.DEVNULL, stderr=pipe
+    )
+    try:
+        _, said = await asyncio.wait_for(process.communicate(), SMOOTHING)
+    except TimeoutError:
+        return refusal(f"the estimate took more than {SMOOTHING / 60:.0f} minutes")
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    if process.returncode in (0, EXIT_DEGRADED):
+        return report(json.loads((out / "summary.json").read_text(encoding="utf-8")))
+    lines = said.decode("utf-8", "replace").strip().splitlines()
+    if process.returncode == EXIT_REFUSED and lines:
+        return refusal(lines[-1].replace(str(recording), "recording"))
+    say(f"study: the estimate ended with {process.returncode}: {one_line(lines[-1] if lines else '')}")
+    return refusal("the estimate failed; the server's log has the cause")
+
+
+def fetch(api: str, upload: Upload, file: Path) -> None:
+    """Download a recording. Raises CloudError."""
+    end, size = time.monotonic() + DOWNLOAD, 0
+    with _asked(api, "study/file/v1", upload, {}) as answer, file.open("wb") as out:
+        while chunk := _chunk(answer):
+            size += len(chunk)
+            if size > LARGEST_RECORDING:
+                raise CloudError(f"{upload!r}: more than {LARGEST_RECORDING} bytes", again=False)
+            if time.monotonic() > end:
+                raise CloudError(f"{upload!r}: not within {DOWNLOAD:.0f} s", again=True)
+            out.write(chunk)
+        if size < int(answer.headers.get("Content-Length") or 0):
+            raise CloudError(f"{upload!r}: the recording broke off after {size} bytes", again=True)
+
+
+def post(api: str, upload: Upload, text: str) -> None:
+    """Post a report. Raises CloudError."""
+    kind, body = {"Content-Type": "text/markdown"}, text.encode()
+    try:
+        _asked(api, "study/webhook/v1", upload, kind, body, "POST").close()
+    except CloudError as error:
+        if not isinstance(error.__cause__, urllib.error.HTTPError) or error.__cause__.code != 405:
+            raise
+        _asked(api, "study/webhook/v1", upload, kind, body, "PUT").close()  # as the demonstration of the app does
+
+
+class _Redirect(urllib.request.HTTPRedirectHandler):
+    """Follows redirects, and gives the code to no other host."""
+
+    def redirect_request(self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Any:
+        new = super().redirect_request(req, fp, code, msg, headers, newurl)
+        if new is not None and urlsplit(newurl)[:2] != urlsplit(req.full_url)[:2]:
+            new.remove_header("Authorization")
+        return new
+
+
+def _asked(
+    api: str, path: str, upload: Upload, headers: dict[str, str], body: bytes | None = None, method: str = "GET"
+) -> Any:
+    """The answer of the cloud. Raises CloudError."""
+    address = f"{api}/{path}?{urlencode({'studyId': upload.studyId, 'uploadId': upload.uploadId})}"
+    headers = headers | {"Authorization": upload.secretCode}
+    request = urllib.request.Request(address, body, headers, method=method)
+    try:
+        return urllib.request.build_opener(_Redirect).open(request, timeout=PATIENCE)
+    except urllib.error.HTTPError as error:
+        raise CloudError(f"{upload!r}, {path}: status {error.code}", again=error.code >= 500) from error
+    except (OSError, http.client.HTTPException) as error:
+        raise CloudError(f"{upload!r}, {path}: {one_line(str(error))}", again=True) from None
+
+
+def _chunk(answer: Any) -> bytes:
+    try:
+        return answer.read(CHUNK)
+    except (OSError, http.client.HTTPException) as error:
+        raise CloudError(f"the recording broke off: {one_line(repr(error))}", again=True) from None

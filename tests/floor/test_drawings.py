@@ -1,0 +1,316 @@
+"""Drawings and pictures of a building of known geometry give its walkable area, rooms and doors."""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import drawn_plans as drawn
+import numpy as np
+import pytest
+import shapely
+
+from pdr_graph import InputError
+from pdr_graph.floor import formats
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import DOOR, WALL
+from pdr_graph.floor.check import problems
+from pdr_graph.floor.formats.drafting import drawing_of_lines
+from pdr_graph.floor.formats.layers import UNKNOWN
+from pdr_graph.floor.formats.line_drawing import Lines, areas_of
+from pdr_graph.floor.formats.tracing import skew_of
+
+pytest.importorskip("ezdxf")
+pytest.importorskip("skimage")
+pytest.importorskip("pypdfium2")
+
+
+def notes_of(path, scale=None):
+    return " ".join(Building.load(path, scale).floors[0].notes)
+
+
+def of_kind(path, kind, scale=None):
+    return Building.load(path, scale).floors[0].of_kind(kind)
+
+
+@pytest.fixture
+def lines(tmp_path):
+    path = tmp_path / "lines.csv"
+    path.write_text(drawn.csv(drawn.segments(drawn.walls()), 0.5))
+    return path
+
+
+# From files to areas
+
+
+def test_lines_without_an_outline_give_the_walkable_area(lines):
+    plan = Building.load(lines, 0.5).floors[0]
+    assert drawn.agreement(plan.walkable) > 0.98
+    assert problems(Building.of(plan)) == ()
+    assert not plan.frame.georeferenced
+    assert "gaps of up to 1 m closed" in " ".join(plan.notes)
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_table_of_segments_may_lack_its_header(lines, delimiter):
+    lines.write_text(lines.read_text().split("\n", 1)[1].replace(",", delimiter))
+    if delimiter == ",":
+        assert drawn.agreement(Building.load(lines, 0.5).floors[0].walkable) > 0.98
+    else:
+        lines.write_text(f"x1{delimiter}y1{delimiter}x2{delimiter}y2\n" + lines.read_text())
+        assert drawn.agreement(Building.load(lines, 0.5).floors[0].walkable) > 0.98
+
+
+@pytest.mark.parametrize("layer", ["A-WALL", "Wände", "MURS"])
+def test_doors_on_a_layer_of_doors_join_rooms_and_corridor(tmp_path, layer):
+    drawn.dxf(tmp_path / "plan.dxf", layer=layer)
+    plan = Building.load(tmp_path / "plan.dxf").floors[0]
+    assert len(plan.of_kind("room")) == 2 * drawn.ROOMS
+    assert len(plan.of_kind(DOOR)) == 2 * drawn.ROOMS
+    assert drawn.agreement(plan.walkable) > 0.98
+    assert problems(Building.of(plan)) == ()
+    assert "16 TEXT" in " ".join(plan.notes)
+
+
+def test_doors_are_recognised_by_their_swing_where_layers_say_nothing(tmp_path):
+    drawn.dxf(tmp_path / "plan.dxf", layer="0", door_layer="0", texts=False)
+    plan = Building.load(tmp_path / "plan.dxf").floors[0]
+    openings = shapely.union_all(drawn.openings())
+    assert len(plan.of_kind(DOOR)) == 2 * drawn.ROOMS
+    assert all(shapely.distance(door.shape, openings) < 0.05 for door in plan.of_kind(DOOR))
+    assert all(0.85 < shapely.length(door.shape) < 0.95 for door in plan.of_kind(DOOR))
+    assert problems(Building.of(plan)) == ()
+
+
+@pytest.mark.parametrize(("units", "metres"), [(1, 0.0254), (4, 0.001), (5, 0.01), (6, 1.0)])
+def test_the_unit_of_a_dxf_drawing_is_read(tmp_path, units, metres):
+    drawn.dxf(tmp_path / "plan.dxf", scale=metres, units=units)
+    assert drawn.agreement(Building.load(tmp_path / "plan.dxf").floors[0].walkable) > 0.98
+
+
+def test_a_stated_scale_overrides_a_wrong_unit_of_a_dxf_drawing(tmp_path):
+    drawn.dxf(tmp_path / "plan.dxf", scale=0.001, units=6)
+    with pytest.raises(InputError, match=r"1000 times too large: millimetres\? --scale 0.001"):
+        Building.load(tmp_path / "plan.dxf")
+    assert "not $INSUNITS" in notes_of(tmp_path / "plan.dxf", 0.001)
+
+
+@pytest.mark.parametrize("skew", [0.0, 3.0, -7.5])
+@pytest.mark.parametrize("thick", [True, False])
+def test_a_skewed_scan_with_a_gap_of_a_pixel_gives_the_walkable_area(tmp_path, skew, thick):
+    path = tmp_path / "scan.png"
+    drawn.picture(skew=skew, thick=thick, gap=True).save(path)
+    drawing = formats.read(path, 0.02)
+    affine = np.array(drawing.affine).reshape(2, 3)
+
+    def place(points):
+        return drawn.on_picture(points, skew=skew) @ affine[:, :2].T + affine[:, 2]
+
+    plan = Building.load(path, 0.02).floors[0]
+    assert drawn.agreement(plan.walkable, place) > 0.96
+    assert problems(Building.of(plan)) == ()
+    assert (f"skew of {abs(skew):.1f}°" in " ".join(plan.notes)) == bool(skew)
+
+
+def test_a_jpeg_of_bright_lines_on_a_dark_ground_is_read(tmp_path):
+    from PIL import ImageOps
+
+    ImageOps.invert(drawn.picture()).save(tmp_path / "dark.jpg", quality=60)
+    assert Building.load(tmp_path / "dark.jpg", 0.02).floors[0].walkable_area == pytest.approx(
+        shapely.area(drawn.free()), rel=0.03
+    )
+
+
+@pytest.mark.parametrize("origin", [(-3.0, -2.0, 0.0), (10.0, 5.0, 0.6)])
+def test_a_ros_map_lies_where_its_origin_and_yaw_say(tmp_path, origin):
+    path = drawn.occupancy(tmp_path, origin=origin)
+    cos, sin = np.cos(origin[2]), np.sin(origin[2])
+    turn = np.array([[cos, -sin], [sin, cos]])
+    plan = Building.load(path).floors[0]
+    assert drawn.agreement(plan.walkable, lambda p: (p + 1.0) @ turn.T + origin[:2]) > 0.95
+    assert len(formats.files_of(path)) == 2, "the fingerprint covers the picture"
+
+
+def test_a_negated_ros_map_is_the_same(tmp_path):
+    from PIL import Image, ImageOps
+
+    path = drawn.occupancy(tmp_path, negate=1)
+    before = Image.open(tmp_path / "map.pgm")
+    ImageOps.invert(before).save(tmp_path / "map.pgm")
+    assert drawn.agreement(Building.load(path).floors[0].walkable, lambda p: p - (2, 1)) > 0.95
+
+
+def test_vector_lines_of_a_pdf_page_are_read_without_its_frame(tmp_path):
+    drawn.pdf(tmp_path / "plan.pdf")
+    plan = Building.load(tmp_path / "plan.pdf", 0.0353).floors[0]
+    assert drawn.agreement(plan.walkable, lambda p: p + 2) > 0.98
+    assert "a frame around the drawing was left out" in plan.notes
+
+
+def test_a_pdf_page_with_a_picture_is_traced(tmp_path):
+    drawn.picture(texts=False).save(tmp_path / "scan.pdf", resolution=72)  # a point is a pixel
+    plan = Building.load(tmp_path / "scan.pdf", 0.02).floors[0]
+    assert drawn.agreement(plan.walkable, lambda p: p + 0.8) > 0.96
+    assert "its picture was traced" in " ".join(plan.notes)
+
+
+# Walls, doors and rooms among bare lines
+
+
+def room_beside_corridor(between):
+    """A corridor below a room, walls of 0.2 m drawn as two lines, and segments in the opening from x = 4 to 5."""
+    solid = shapely.box(-0.2, -0.2, 10.2, 7.4) - shapely.box(0, 0, 10, 3) - shapely.box(0, 3.2, 10, 7.2)
+    return np.concatenate([drawn.segments(solid - shapely.box(4, 2.9, 5, 3.3)), *between])
+
+
+def test_a_line_between_two_jambs_is_a_closed_door():
+    leaf = np.array([[[4.0, 3.1], [5.0, 3.1]]])
+    areas, _ = areas_of(Lines(room_beside_corridor([leaf])), [])
+    (door,) = [area for area in areas if area.kind == DOOR]
+    assert shapely.equals(door.shape, shapely.LineString(leaf[0]))
+
+
+def test_a_wall_across_the_opening_stays_a_wall_and_the_check_names_the_room(tmp_path):
+    closed = np.array([[[4.0, 3.0], [5.0, 3.0]], [[4.0, 3.2], [5.0, 3.2]]])
+    (tmp_path / "a.csv").write_text(drawn.csv(room_beside_corridor([closed])))
+    building = Building.load(tmp_path / "a.csv", 1.0)
+    assert building.floors[0].of_kind(DOOR) == ()
+    assert any("cannot be reached" in line for line in problems(building))
+
+
+def test_nobody_walks_between_the_two_lines_of_a_wall(lines):
+    plan = Building.load(lines, 0.5).floors[0]
+    inside = shapely.Point(10.0, 0.2)
+    assert not shapely.intersects(plan.walkable, inside)
+    assert any(shapely.contains(area.shape, inside) for area in plan.of_kind(WALL))
+
+
+def test_treads_are_stairs_and_no_walls():
+    treads = np.array([[[7.0, y], [8.6, y]] for y in np.arange(0.4, 2.3, 0.28)])
+    segments = room_beside_corridor([treads])
+    drawing = drawing_of_lines(Path("plan"), segments, [UNKNOWN] * len(segments), 1.0, None, [])
+    (stairs,) = [area for area in drawing.floors[""] if area.kind == "stairs"]
+    assert shapely.area(stairs.shape) == pytest.approx(1.6 * 0.28 * (len(treads) - 1), rel=0.01)
+
+
+def test_small_columns_and_narrow_cavities_are_solid():
+    column, cavity = shapely.box(2, 1, 2.8, 1.8), shapely.box(3, 6.1, 9, 7.2)
+    areas, _ = areas_of(Lines(room_beside_corridor([drawn.segments(column), drawn.segments(cavity)])), notes := [])
+    free = [area.shape for area in areas if area.kind in ("room", "corridor")]
+    for solid in (column, cavity):
+        assert not shapely.intersects(shapely.union_all(free), solid.centroid)
+    assert "2 enclosed spaces without a door were taken as solid" in " ".join(notes)
+
+
+@pytest.mark.parametrize("angle", [-9.0, -2.3, 0.0, 4.4])
+def test_the_skew_of_a_scan_is_found(angle):
+    dark = np.asarray(drawn.picture(0.05, skew=angle)) < 128
+    assert skew_of(dark) == pytest.approx(angle, abs=0.1)
+
+
+# Units
+
+
+def test_a_drawing_without_a_unit_is_refused_with_a_guess(lines):
+    with pytest.raises(
+        InputError, match=r"140 segments, 72 by 28.8 units, unit not stated.*--scale 1 if drawn in metres"
+    ):
+        Building.load(lines)
+
+
+@pytest.mark.parametrize("scale", [0.001, 500.0, 0.0, -1.0, float("nan"), float("inf")])
+def test_a_scale_that_cannot_be_is_refused(lines, scale):
+    with pytest.raises(InputError, match=r"m(etres)? per unit"):
+        Building.load(lines, scale)
+
+
+def test_a_scale_is_refused_where_the_format_states_its_own(tmp_path):
+    for path in ("maps/arcade.geojson", drawn.occupancy(tmp_path)):
+        with pytest.raises(InputError, match="--scale"):
+            Building.load(path, 2.0)
+
+
+# Hostile files
+
+
+def refused(path, text, scale=0.02):
+    with pytest.raises(InputError, match=text) as error:
+        Building.load(path, scale)
+    assert str(error.value).isprintable()
+
+
+def test_a_truncated_dxf_drawing_is_refused_or_loads(tmp_path):
+    drawn.dxf(tmp_path / "plan.dxf")
+    whole = (tmp_path / "plan.dxf").read_bytes()
+    for share in (0.02, 0.3, 0.6, 0.9):
+        (tmp_path / "plan.dxf").write_bytes(whole[: int(share * len(whole))])
+        with suppress(InputError):
+            Building.load(tmp_path / "plan.dxf", 0.001)
+
+
+def test_blocks_in_blocks_without_end_are_refused(tmp_path):
+    import ezdxf
+
+    document = ezdxf.new()
+    for n in range(12):
+        block = document.blocks.new(f"B{n}")
+        for _ in range(10):
+            block.add_blockref(f"B{n + 1}", (0, 0)) if n < 11 else block.add_line((0, 0), (1, 1))
+    document.modelspace().add_blockref("B0", (0, 0))
+    document.saveas(tmp_path / "bomb.dxf")
+    refused(tmp_path / "bomb.dxf", "too many blocks|more than 200000 segments")
+
+
+def test_a_picture_of_billions_of_pixels_is_refused_by_its_header(tmp_path):
+    import struct
+    import zlib
+
+    head = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 0, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
+    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    refused(tmp_path / "bomb.png", "60000 by 60000 pixels|damaged picture")
+
+
+def test_garbage_is_refused_in_one_line(tmp_path):
+    (tmp_path / "a.pdf").write_bytes(b"%PDF-1.7\n" + bytes(range(256)) * 20)
+    refused(tmp_path / "a.pdf", "damaged PDF")
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    refused(tmp_path / "a.png", "damaged picture")
+    (tmp_path / "a.csv").write_text("x1,y1,x2,y2\n0,0,1,nan\n0,0,1,1\n0,0,1,2\n")
+    refused(tmp_path / "a.csv", "line 2.*finite")
+    (tmp_path / "b.csv").write_text("x1,y1,x2,y2\n0,0,1,1\n0,0,1\n")
+    refused(tmp_path / "b.csv", "line 3.*four numbers")
+    (tmp_path / "a.dwg").write_bytes(b"AC1032" + bytes(100))
+    refused(tmp_path / "a.dwg", "saved as DXF")
+
+
+@pytest.mark.parametrize("name", ["../secret.pgm", "/etc/hostname", "missing.pgm", "[1, 2]"])
+def test_a_ros_map_reads_no_picture_elsewhere(tmp_path, name):
+    folder = tmp_path / "map"
+    folder.mkdir()
+    (tmp_path / "secret.pgm").write_bytes(b"P5 8 8 255\n" + bytes(64))
+    (folder / "map.yaml").write_text(f"image: {name}\nresolution: 0.05\norigin: [0, 0, 0]\n")
+    refused(folder / "map.yaml", "map.yaml, image", None)
+
+
+@pytest.mark.parametrize("module", ["skimage.measure", "yaml"])
+def test_a_ros_map_without_its_libraries_says_what_to_install(tmp_path, monkeypatch, module):
+    drawn.occupancy(tmp_path)
+    monkeypatch.setitem(sys.modules, module, None)
+    refused(
+        tmp_path / "map.yaml", r"a ROS map and no (scikit-image|PyYAML), expected pip install pdr_graph\[plans\]", None
+    )
+
+
+@pytest.mark.parametrize(
+    "origin", ["0", "[0]", "[0, .nan, 0]", "[0, 0, .inf]", "[1" + "0" * 400 + ", 0, 0]", "[a, 0, 0]"]
+)
+@pytest.mark.parametrize("resolution", ["0.05", "0", "-1", ".nan", "x", "1" + "0" * 400])
+def test_numbers_of_a_ros_map_are_checked(tmp_path, origin, resolution):
+    drawn.occupancy(tmp_path)
+    (tmp_path / "map.yaml").write_text(f"image: map.pgm\nresolution: {resolution}\norigin: {origin}\n")
+    refused(tmp_path / "map.yaml", "map.yaml", None)
+
+
+def test_lines_that_enclose_nothing_are_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("x1,y1,x2,y2\n0,0,40,0\n0,20,40,20\n0,40,40,40\n")
+    refused(tmp_path / "a.csv", "enclose no building", 1.0)

@@ -1,0 +1,504 @@
+"""Corrections are facts: they enter the estimate and the timeline, survive every rebuild, and can be undone."""
+
+import shutil
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import made_tracks as made
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as some
+from made_tracks import HOUR, OFFICE, at, clock, place
+from observations import NOON, observation, walk
+from streets import USUAL, seen, streets
+from test_rides import walk_and_ride
+from typer.testing import CliRunner
+from walks import drawn_from_the_model, steps_of
+
+from pdr_graph import InputError, cli
+from pdr_graph.geometry import interpolate
+from pdr_graph.lifelog import cache, revision
+from pdr_graph.lifelog.build import build
+from pdr_graph.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, horizontal_sigma
+from pdr_graph.lifelog.diary import diary
+from pdr_graph.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NAME, NOT_ME, SPLIT, Correction
+from pdr_graph.lifelog.ingest import add
+from pdr_graph.lifelog.masking import without_times
+from pdr_graph.lifelog.multi_day import estimate_together
+from pdr_graph.lifelog.reconstruct import reconstruct
+from pdr_graph.lifelog.store import Store
+from pdr_graph.lifelog.timeline import STAY, TimelineEntry
+from pdr_graph.types import Fixes, Headings, Sightings, Signal
+
+DATE = "2024-05-01"
+OVER_THERE = (3000.0, 560.0)  # [m] 60 m from where the positions say the office is
+
+
+def stored(store, date=DATE, person="me"):
+    """The hash of all rows of a day, and the day."""
+    with Store(store) as log:
+        day = log.day(person, date)
+        assert day is not None
+        return log.day_hash(person, date), day
+
+
+def rows_of(store, date=DATE, person="me"):
+    with Store(store) as log:
+        return [row for day in diary(log, person).days if day.date == date for row in day.entries]
+
+
+def row_at(store, hours):
+    [row] = [row for row in rows_of(store) if row.start <= at(hours) < row.end]
+    return row
+
+
+def metres(entry, where):
+    """Distance of an entry from a place in metres from home."""
+    longitude, latitude = made.lonlat(*where)
+    return distance(latitude, longitude, entry.latitude, entry.longitude)
+
+
+def scratch(store):
+    """Delete all that was made of the recordings, and build again."""
+    with Store(store) as log:
+        log.delete_days(list(log.days()))
+        for entry in log.entries():
+            log.put(replace(entry, observation="", epoch=None, duration=None, steps=None))
+        folder = log.folder
+    shutil.rmtree(folder)
+    return build(store)
+
+
+# The estimate
+
+
+def test_a_stated_place_enters_the_estimate(tmp_path):
+    store = made.lifelog(tmp_path)
+    before = stored(store)[1].outings[0]
+    lines = revision.state_place(store, clock(10), place(*OVER_THERE))
+    [outing] = stored(store)[1].outings
+    stay = max(outing.stays, key=lambda stay: stay.end - stay.start)
+    there = outing.frame.from_lonlat(made.lonlat(*OVER_THERE)[None])[0]
+    assert np.hypot(*(stay.position - there)) < 5.0
+    assert 12.0 < horizontal_sigma(stay.covariance) < 25.0, "one statement of ± 15 m, however long the stay"
+    time = before.trajectory.time
+    far = np.abs(time - (at(10.5) - before.epoch)) > 2.5 * HOUR / 2 + 1200
+    moved = before.trajectory.position - interpolate(time, outing.trajectory.time, outing.trajectory.position)
+    assert np.hypot(*moved[far].T).max() < 5.0, "the rest of the day is as it was"
+    assert any("rebuilt" in line for line in lines)
+    assert row_at(store, 10).corrected
+    assert metres(row_at(store, 10), OVER_THERE) < 5.0
+
+
+def test_a_stated_place_far_from_the_positions_is_believed_and_noted_with_the_distance(tmp_path):
+    store = made.lifelog(tmp_path)
+    revision.state_place(store, clock(10), place(OFFICE[0] + 3000.0, OFFICE[1]))
+    [outing] = stored(store)[1].outings
+    assert metres(row_at(store, 10), (OFFICE[0] + 3000.0, OFFICE[1])) < 30.0
+    [note] = [note for note in outing.notes if "corrected" in note]
+    assert "3.0 km away" in note
+
+
+def test_a_stated_place_that_agrees_with_the_positions_needs_no_note(tmp_path):
+    store = made.lifelog(tmp_path)
+    revision.state_place(store, clock(10), place(OFFICE[0] + 10.0, OFFICE[1]))
+    assert not [note for note in stored(store)[1].outings[0].notes if "corrected" in note]
+
+
+def test_the_radius_is_the_sigma_of_the_estimate(tmp_path):
+    store = made.lifelog(tmp_path)
+    revision.state_place(store, clock(10), place(*OVER_THERE), radius=50.0)
+    stay = max(stored(store)[1].outings[0].stays, key=lambda stay: stay.end - stay.start)
+    assert 40.0 < horizontal_sigma(stay.covariance) < 70.0
+
+
+def test_a_stated_activity_enters_the_estimate(tmp_path):
+    store = made.lifelog(tmp_path)
+    revision.state_mode(store, clock(9), clock(9 + 1 / 6), "bicycle")
+    [bicycle] = [row for row in rows_of(store) if row.mode == "bicycle"]
+    assert (bicycle.kind, bicycle.corrected) == (VEHICLE, True)
+    revision.state_mode(store, clock(9), clock(9 + 1 / 6), "walk")
+    [outing] = stored(store)[1].outings
+    kinds = {s.kind for s in outing.segments if at(9.02) < outing.epoch + s.start and outing.epoch + s.end < at(9.15)}
+    assert VEHICLE not in kinds
+    assert row_at(store, 9.1).kind == WALKING
+
+
+def test_a_stated_ride_and_a_stated_walk_change_the_rides_of_a_walk_with_steps():
+    steps, fixes, (begin, end), _ = walk_and_ride([("bus", 400)], bumps=1.0)
+    one = observation(steps, fixes)
+
+    def ridden(*corrections):
+        [outing] = reconstruct("me", DATE, apply_to_observations({"a": one}, corrections), None).outings
+        return sum(s.end - s.start for s in outing.segments if s.kind == VEHICLE)
+
+    assert ridden() == pytest.approx(end - begin, abs=120)
+    walked = Correction(1, "me", 0.0, MODE, NOON, NOON + steps.end, {"mode": "walk"})
+    assert ridden(walked) == 0.0
+    assert ridden(Correction(1, "me", 0.0, MODE, NOON + 100, NOON + 300, {"mode": "bus"})) == pytest.approx(
+        ridden() + 200, abs=60
+    )
+
+
+@pytest.mark.parametrize("off", [60.0, 150.0])
+def test_a_stated_place_far_from_the_positions_does_not_drag_a_walk_with_steps_along(off):
+    where, done = streets([("walk", 600), ("stand", 600), ("walk", 600)], 0)
+    foot = np.flatnonzero(done[:-1] == "walk")
+    heading = np.unwrap(np.arctan2(*np.diff(where, axis=0).T[::-1]))
+    steps = steps_of(np.maximum(np.hypot(*np.diff(where, axis=0).T)[foot], 0.1), np.diff(heading[foot], prepend=0.0))
+    steps = replace(steps, time=foot + 1.0, duration=np.full(len(foot), 0.9), end=float(len(where) - 1))
+    one = observation(steps, seen(where, USUAL, 5, 0))
+    longitude, latitude = one.frame.to_lonlat((where[900] + [0.0, off])[None])[0]
+    value = {"latitude": latitude, "longitude": longitude, "radius": 15.0}
+    stay = Correction(1, "me", 0.0, AT, NOON + 605.0, NOON + 1195.0, value)
+    [outing] = reconstruct("me", DATE, apply_to_observations({"a": one}, [stay]), None).outings
+    time = outing.trajectory.time
+    error = np.hypot(*(outing.trajectory.position - interpolate(time, np.arange(float(len(where))), where)).T)
+    assert np.median(error[(time < 550) | (time > 1250)]) < 10.0, "the walk before and after is where it was"
+    longest = max(outing.stays, key=lambda stay: stay.end - stay.start)
+    assert np.hypot(*(longest.position - where[900] - [0.0, off])) < 15.0
+    assert 12.0 < horizontal_sigma(longest.covariance) < 25.0
+
+
+def test_a_stated_place_moves_a_walk_with_steps_and_is_the_first_position_of_one_without_any():
+    steps, fixes, _ = drawn_from_the_model(60, 0)
+    for given_fixes in (fixes, Fixes.none()):
+        frame = observation(steps, given_fixes).frame
+        one = (
+            observation(steps, given_fixes)
+            if len(given_fixes)
+            else replace(observation(steps, given_fixes), frame=type(frame)())
+        )
+        longitude, latitude = frame.to_lonlat(np.array([[200.0, 100.0]]))[0]
+        value = {"latitude": latitude, "longitude": longitude, "radius": 15.0}
+        stay = Correction(1, "me", 0.0, AT, NOON + 5.0, NOON + 8.0, value)
+        [outing] = reconstruct("me", DATE, apply_to_observations({"a": one}, [stay]), None).outings
+        assert outing.frame.georeferenced
+        if not len(given_fixes):
+            where = interpolate(np.array([6.5]), outing.trajectory.time, outing.trajectory.position)
+            there = outing.frame.from_lonlat(np.array([[longitude, latitude]]))
+            assert np.hypot(*(where - there).T)[0] < 20.0
+
+
+def test_what_is_not_mine_is_shown_as_no_data(tmp_path):
+    store = made.lifelog(tmp_path)
+    before = stored(store)[0]
+    revision.state_not_me(store, clock(10), clock(11))
+    track = [o.epoch + o.trajectory.time for o in stored(store)[1].outings]
+    bounds = [(s.kind, o.epoch + s.start, o.epoch + s.end) for o in stored(store)[1].outings for s in o.segments]
+    assert all(kind == GAP for kind, start, end in bounds if start < at(10.9) and end > at(10.1))
+    assert track
+    assert row_at(store, 10.5).kind == GAP
+    assert row_at(store, 10.5).corrected
+    revision.undo(store, 1)
+    assert stored(store)[0] == before
+
+
+# Facts
+
+
+def every_kind(store):
+    """Make a correction of each kind."""
+    revision.state_place(store, clock(10), place(*OVER_THERE))
+    revision.state_mode(store, clock(9), clock(9 + 1 / 6), "bus")
+    revision.state_not_me(store, clock(12.5), clock(12.75))
+    revision.merge(store, clock(10), clock(11))
+    revision.split(store, clock(10.5))
+    revision.name_place(store, place(*OFFICE), "office")
+
+
+def test_a_rebuild_from_scratch_gives_the_same_day_to_the_byte(tmp_path):
+    store = made.lifelog(tmp_path)
+    every_kind(store)
+    before, rows = stored(store)[0], rows_of(store)
+    assert build(store).built == 0, "what the corrections rebuilt is what a build makes"
+    assert scratch(store).built == 1
+    assert stored(store)[0] == before
+    assert repr(rows_of(store)) == repr(rows)
+
+
+def test_undoing_all_gives_the_first_day_back(tmp_path):
+    store = made.lifelog(tmp_path)
+    before, rows = stored(store)[0], rows_of(store)
+    every_kind(store)
+    assert stored(store)[0] != before
+    for number in (3, 1, 6, 2, 5, 4):
+        revision.undo(store, number)
+    assert stored(store)[0] == before
+    assert repr(rows_of(store)) == repr(rows)
+    assert revision.listing(store) == ["no corrections"]
+
+
+def test_only_the_day_of_a_correction_is_rebuilt(tmp_path):
+    store = made.lifelog(tmp_path, days=3)
+    before = [stored(store, f"2024-05-0{n}")[0] for n in (1, 2, 3)]
+    lines = revision.state_place(store, clock(10, day=2), place(*OVER_THERE))
+    after = [stored(store, f"2024-05-0{n}")[0] for n in (1, 2, 3)]
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False, True]
+    assert build(store).built == 0
+    assert sum("rebuilt" in line for line in lines) == 1
+
+
+def test_labels_rebuild_nothing(tmp_path):
+    store = made.lifelog(tmp_path)
+    before = stored(store)[0]
+    revision.split(store, clock(10.5))
+    revision.merge(store, clock(8.5), clock(10))
+    lines = revision.name_place(store, clock(11), "office")
+    assert stored(store)[0] == before
+    assert not any("rebuilt" in line for line in lines)
+    assert row_at(store, 11).place == "office"
+
+
+def test_an_estimate_of_all_days_together_keeps_corrections(tmp_path):
+    store = made.lifelog(tmp_path)
+    revision.state_place(store, clock(10), place(*OVER_THERE))
+    before = stored(store)[0]
+    assert estimate_together(store) == 1
+    assert stored(store)[0] == before
+
+
+def test_corrections_of_one_person_do_not_touch_another(tmp_path):
+    store = made.lifelog(tmp_path)
+    made.write(tmp_path / "ben.plt", *made.positions(seed=9))
+    add(store, [tmp_path / "ben.plt"], person="ben")
+    build(store)
+    before = stored(store, person="ben")[0]
+    revision.state_place(store, clock(10), place(*OVER_THERE), person="me")
+    assert stored(store, person="ben")[0] == before
+    with pytest.raises(InputError, match="no choice, 2 persons, expected one of ben, me"):
+        revision.split(store, clock(10))
+
+
+# The timeline
+
+ENTRIES = [
+    TimelineEntry(STAY, 0.0, 100.0, latitude=48.1, longitude=11.5, sigma=5.0),
+    TimelineEntry(WALKING, 100.0, 200.0, 130.0),
+    TimelineEntry(STAY, 200.0, 500.0, latitude=48.101, longitude=11.5, sigma=7.0),
+    TimelineEntry(GAP, 500.0, 600.0),
+    TimelineEntry(VEHICLE, 600.0, 900.0, 3000.0),
+]
+
+
+def correction(kind, start, end, number=1, **value):
+    return Correction(number, "me", 0.0, kind, start, end, value)
+
+
+def test_merged_entries_are_one_stay_at_their_mean_by_time():
+    first, *rest = apply_to_entries(ENTRIES, [correction(MERGE, 0.0, 500.0)])
+    assert (first.kind, first.start, first.end, first.corrected) == (STAY, 0.0, 500.0, True)
+    assert first.latitude == pytest.approx(48.1 + 0.001 * 300 / 400)
+    assert rest == ENTRIES[3:]
+
+
+def test_a_split_divides_an_entry_and_its_distance():
+    *_, first, second = apply_to_entries(ENTRIES, [correction(SPLIT, 700.0, 700.0)])
+    assert (first.end, second.start) == (700.0, 700.0)
+    assert (first.distance, second.distance) == (pytest.approx(1000.0), pytest.approx(2000.0))
+
+
+def test_a_stated_place_fills_a_silence():
+    value = {"latitude": 48.2, "longitude": 11.6, "radius": 15.0, "name": "the lake"}
+    [_, _, _, lake, _] = apply_to_entries(ENTRIES, [correction(AT, 500.0, 600.0, **value)])
+    assert (lake.kind, lake.place, lake.latitude, lake.sigma) == (STAY, "the lake", 48.2, 15.0)
+
+
+def test_a_later_correction_overrules_an_earlier_one():
+    bus, car = correction(MODE, 600.0, 900.0, 1, mode="bus"), correction(MODE, 600.0, 900.0, 2, mode="car")
+    assert apply_to_entries(ENTRIES, [bus, car])[-1].mode == "car"
+    assert apply_to_entries(ENTRIES, [bus, correction(NOT_ME, 0.0, 900.0, 2)])[-1].kind == GAP
+
+
+def test_the_names_of_places_come_in_the_order_stated():
+    value = {"latitude": 48.1, "longitude": 11.5, "radius": 75.0}
+    made_names = [correction(NAME, -np.inf, np.inf, n, **value, name=name) for n, name in enumerate("ab")]
+    assert place_names(made_names) == [(48.1, 11.5, 75.0, "a"), (48.1, 11.5, 75.0, "b")]
+
+
+KINDS_AND_VALUES = some.sampled_from([
+    (MERGE, {}),
+    (SPLIT, {}),
+    (NOT_ME, {}),
+    (FORGOTTEN, {}),
+    (MODE, {"mode": "bus"}),
+    (MODE, {"mode": "stop"}),
+    (AT, {"latitude": 48.1, "longitude": 11.5, "radius": 15.0}),
+])  # fmt: skip
+TIMES = some.integers(-100, 1000).map(float)
+
+
+@settings(max_examples=200, deadline=None)
+@given(some.lists(some.tuples(KINDS_AND_VALUES, TIMES, TIMES), max_size=6))
+def test_corrected_entries_still_cover_every_second_once(drawn):
+    stated = []
+    for n, ((kind, value), a, b) in enumerate(drawn):
+        start, end = min(a, b), max(a, b)
+        stated.append(correction(kind, start, start if kind == SPLIT else end, n, **value))
+    found = apply_to_entries(ENTRIES, stated)
+    assert (found[0].start, found[-1].end) == (0.0, 900.0)
+    assert all(before.end == after.start for before, after in pairwise(found))
+    assert sum(e.distance for e in found) <= 3130.0 + 1e-6
+    assert all(e.kind in (STAY, WALKING, VEHICLE, GAP, STANDING) for e in found)
+
+
+# Masking
+
+
+def full_observation():
+    """A walk of 60 steps with a value of every kind of table."""
+    one = walk(60)[0]
+    time = np.arange(0.0, one.duration, 0.5)
+    heard = Sightings(time, tuple(f"ap {n}" for n in range(len(time))), -time)
+    headings = Headings(time, 0 * time, 0 * time + 0.1)
+    return replace(
+        one,
+        headings=headings,
+        barometer=Signal(time, time[:, None]),
+        wifi=heard,
+        bluetooth=heard,
+        measurements=(headings,),
+        notes=("a note of everything",),
+    )
+
+
+@settings(max_examples=100, deadline=None)
+@given(some.lists(some.tuples(some.floats(-5, 40), some.floats(0, 20)), min_size=1, max_size=3))
+def test_nothing_measured_in_a_masked_time_remains(drawn):
+    one = full_observation()
+    spans = [(NOON + start, NOON + start + long) for start, long in drawn]
+    cut = without_times(one, spans, "masked")
+    if cut is None:
+        assert max(end for _, end in spans) > NOON
+        return
+    tables = (cut.fixes, cut.headings, cut.barometer, cut.wifi, cut.bluetooth, *cut.measurements)
+    times = [table.time for table in tables if table is not None]
+    if cut.steps is not None:
+        walked = ~cut.steps.is_gap
+        times += [cut.steps.time[walked], (cut.steps.time - cut.steps.duration)[walked]]
+        assert len(cut.looks) == len(cut.steps) + 1
+    for start, end in spans:
+        for time in times:
+            inside = (cut.epoch + time > start + 1e-5) & (cut.epoch + time < end - 1e-5)
+            assert not inside.any()
+    if cut is not one:
+        assert cut.notes == ("masked",)
+
+
+def test_outside_of_a_masked_time_everything_remains():
+    one = full_observation()
+    cut = without_times(one, [(NOON + 10.0, NOON + 20.0)], "masked")
+    assert cut is not None
+    assert one.wifi is not None
+    assert cut.wifi is not None
+    assert one.steps is not None
+    assert cut.steps is not None
+    kept = (one.wifi.time < 10) | (one.wifi.time > 20)
+    assert cut.wifi.time.tolist() == one.wifi.time[kept].tolist()
+    assert cut.steps.length[~cut.steps.is_gap].tolist() == [
+        length
+        for time, begin, length in zip(
+            one.steps.time, one.steps.time - one.steps.duration, one.steps.length, strict=True
+        )
+        if time <= 10 or begin >= 20
+    ]
+    [gap] = np.flatnonzero(cut.steps.is_gap)
+    assert cut.steps.time[gap] >= 20.0
+    assert without_times(one, [(NOON + 1e4, NOON + 2e4)], "masked") is one
+
+
+def test_the_frame_is_not_about_a_masked_position():
+    one = full_observation()
+    cut = without_times(one, [(NOON - 10.0, NOON + 15.0)], "masked")
+    assert cut is not None
+    assert cut.frame.origin != one.frame.origin
+    assert cut.epoch == pytest.approx(NOON + 15.0)
+    there = cut.frame.to_lonlat(cut.fixes.position)
+    was = one.frame.to_lonlat(one.fixes.position[one.fixes.time > 15.0])
+    assert there == pytest.approx(was, abs=1e-9)
+
+
+# The command line
+
+
+def run(*arguments):
+    done = CliRunner().invoke(cli.app, ["lifelog", "correct", *map(str, arguments)])
+    return done.exit_code, done.output, done.exception
+
+
+def test_the_commands_correct_list_and_undo(tmp_path):
+    store = made.lifelog(tmp_path)
+    code, printed, _ = run("was-at", store, clock(10), place(*OVER_THERE))
+    assert code == 0
+    assert "(corrected)" in printed
+    assert "2024-05-01: rebuilt" in printed
+    assert run("was", store, clock(9), clock(9.1), "tram")[0] == 0
+    assert run("merge", store, clock(10), clock(11))[0] == 0
+    assert run("split", store, clock(10.5))[0] == 0
+    assert run("not-me", store, clock(8), clock(8.25))[0] == 0
+    assert run("name", store, clock(11), "office")[0] == 0
+    assert run("name", store, "-33.45,-70.66", "far south")[0] == 0
+    code, printed, _ = run("list", store)
+    assert (code, len(printed.splitlines())) == (0, 7)
+    assert "was tram" in printed
+    assert "(made 20" in printed
+    code, printed, _ = run("undo", store, 2)
+    assert printed.startswith("undone: 2  me  2024-05-01 09:00:00")
+    assert len(run("list", store)[1].splitlines()) == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("was-at", "2024-05-01 10:00", "nowhere"), "LAT,LON in degrees or the name of a place"),
+        (("was-at", "2024-05-01 10:00", "111.5,48.1"), "swapped?"),
+        (("was-at", "2024-06-01 10:00", "48.1,11.5"), "nothing of me at 2024-06-01 10:00"),
+        (("was-at", "ten", "48.1,11.5"), "a local time such as"),
+        (("was", "2024-05-01 10:00", "2024-05-01 09:00", "bus"), "a later time"),
+        (("was", "2024-05-01 09:00", "2024-05-01 09:10", "rocket"), "one of bus, car"),
+        (("undo", "7"), "the number of a correction"),
+        (("name", "2024-05-01 09:05", "on the way"), "the time of a stay, or LAT,LON"),
+        (("forget", "2024-05-01 09:05"), "FROM and TO"),
+    ],
+)
+def test_a_correction_that_cannot_be_made_is_one_line(tmp_path_factory, arguments, message):
+    store = a_store(tmp_path_factory)
+    name, *rest = arguments
+    code, _, error = run(name, store, *rest)
+    assert code != 0
+    assert isinstance(error, InputError)
+    assert message in str(error)
+    assert revision.listing(store) == ["no corrections"]
+
+
+STORES: list[Path] = []
+
+
+def a_store(factory):
+    """A lifelog that tests share, which do not change it."""
+    if not STORES:
+        STORES.append(made.lifelog(factory.mktemp("shared")))
+    return STORES[0]
+
+
+def test_the_list_and_the_page_of_a_day_show_what_was_corrected(tmp_path):
+    store = made.lifelog(tmp_path)
+    revision.state_mode(store, clock(9), clock(9 + 1 / 6), "bus")
+    revision.name_place(store, place(*OFFICE), "office")
+    revision.state_place(store, clock(10), "office")
+    done = CliRunner().invoke(cli.app, ["lifelog", "show", str(store), "--date", DATE, "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0
+    assert " bus " in done.output
+    assert "office; corrected" in done.output
+    assert "office  (corrected)" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_the_folder_of_a_corrected_lifelog_has_no_stray_files(tmp_path):
+    store = made.lifelog(tmp_path)
+    every_kind(store)
+    with Store(store) as log:
+        assert not list((log.folder / cache.DAYS).iterdir())
+        assert len(list((log.folder / cache.OBSERVATIONS).iterdir())) == 1

@@ -1,0 +1,244 @@
+"""A diary has the rows that a person would write: places, ways between them, midnights of where the person was."""
+
+from datetime import UTC, datetime
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from gps_days import gps_day, true_stays
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from made_days import outing
+
+from pdr_graph.frames import Frame, enu
+from pdr_graph.lifelog.build import build
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, Day, Stay
+from pdr_graph.lifelog.day_rows import rows_of
+from pdr_graph.lifelog.diary import diary
+from pdr_graph.lifelog.facts import ALWAYS, NAME, Correction
+from pdr_graph.lifelog.ingest import add
+from pdr_graph.lifelog.places import likely_home
+from pdr_graph.lifelog.store import ZONE, Store
+from pdr_graph.lifelog.timeline import STAY, timeline
+
+EAST, WEST, NORTH = 0.0, np.pi, np.pi / 2
+HOUR = 3600.0
+BERLIN, NEW_YORK = enu(52.5, 13.4), enu(40.7, -74.0)
+
+
+def at(text):
+    """Unix time of an ISO 8601 time, UTC without an offset."""
+    time = datetime.fromisoformat(text)
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def diary_of(folder, *outings, zone="", facts=(), person="Anna"):
+    """The diary of some outings in a new store, each on the UTC date of its start."""
+    dates = sorted({datetime.fromtimestamp(o.epoch, UTC).date().isoformat() for o in outings})
+    folder.mkdir(exist_ok=True)
+    with Store(folder / "log", new=True) as log:
+        log.put_setting(ZONE, zone)
+        for date in dates:
+            own = [o for o in outings if datetime.fromtimestamp(o.epoch, UTC).date().isoformat() == date]
+            log.put_day(rows_of(Day(person, date, tuple(own)), date, ()))
+        for fact in facts:
+            log.put_correction(fact)
+        return diary(log, person)
+
+
+def halts(legs, epoch, **where):
+    """An outing whose stands are stays, as of a day of positions."""
+    made = outing(legs, epoch=epoch, **where)
+    stays = [
+        Stay(
+            s.start,
+            s.end,
+            False,
+            made.trajectory.position[np.searchsorted(made.trajectory.time, s.start)],
+            4 * np.eye(2),
+            np.nan,
+            "",
+        )
+        for s in made.segments
+        if s.kind == STANDING
+    ]
+    return outing(legs, epoch=epoch, stays=stays, **where)
+
+
+def kinds(day):
+    return [entry.kind for entry in day.entries]
+
+
+def test_a_place_with_silences_is_one_row(tmp_path):
+    """An afternoon at home, of which the phone heard every other quarter of an hour."""
+    legs = [
+        (WALKING, 600, EAST),
+        *[(STANDING, 420, EAST), (GAP, 20, EAST), (GAP, 400, WEST)] * 6,
+        (WALKING, 600, NORTH),
+    ]
+    still = [(kind, seconds, towards) for kind, seconds, towards in legs if (kind, seconds) != (GAP, 20)]
+    made = halts([(k, s, t) if k != GAP else (STANDING, s, t) for k, s, t in still], at("2024-05-01T13:00"))
+    [day] = diary_of(tmp_path, made).days
+    assert kinds(day) == [WALKING, STAY, WALKING]
+
+
+def silent(pieces, epoch, apart=(0.0, 0.0)):
+    """Outings that each stand for some seconds, with silences between; apart: from one to the next [m]."""
+    begin, found = epoch, []
+    for number, (stood, silence) in enumerate(pieces):
+        start = (number * apart[0], number * apart[1])
+        found.append(halts([(STANDING, stood, EAST)], begin, start=start, frame=BERLIN))
+        begin += stood + silence
+    return found
+
+
+def test_recordings_at_one_place_with_hours_between_are_one_stay_and_say_what_was_not_observed(tmp_path):
+    [day] = diary_of(tmp_path, *silent([(HOUR, 3 * HOUR), (HOUR, 0.0)], at("2024-05-01T08:00"))).days
+    [stay] = day.entries
+    assert (stay.kind, stay.end - stay.start, stay.place_number) == (STAY, 5 * HOUR, 1)
+    assert stay.observed == pytest.approx(0.4, abs=0.01)
+    assert [part.kind for part in stay.parts] == [STAY, GAP, STAY]
+
+
+def test_a_silence_after_which_the_person_is_elsewhere_is_no_stay(tmp_path):
+    [day] = diary_of(tmp_path, *silent([(HOUR, 3 * HOUR), (HOUR, 0.0)], at("2024-05-01T08:00"), (0.0, 800.0))).days
+    assert kinds(day) == [STAY, GAP, STAY]
+    assert [entry.place_number for entry in day.entries] == [1, -1, 2]
+
+
+def test_a_silence_longer_than_a_night_is_no_stay(tmp_path):
+    days = diary_of(tmp_path, *silent([(HOUR, 40 * HOUR), (HOUR, 0.0)], at("2024-05-01T08:00"))).days
+    assert [kinds(day) for day in days] == [[STAY, GAP], [GAP], [GAP, STAY]]
+
+
+def test_who_comes_back_has_two_visits_of_one_place(tmp_path):
+    there_and_back = [(STANDING, 900, EAST), (WALKING, 600, EAST), (STANDING, 900, EAST), (WALKING, 600, WEST)]
+    found = diary_of(tmp_path, halts([*there_and_back, (STANDING, 900, EAST)], at("2024-05-01T09:00"), frame=BERLIN))
+    assert kinds(found.days[0]) == [STAY, WALKING, STAY, WALKING, STAY]
+    assert [len(place.visits) for place in found.places] == [2, 1]
+    assert sum(place.duration for place in found.places) == found.days[0].totals.staying
+
+
+def test_a_short_stop_is_part_of_the_walk(tmp_path):
+    legs = [(STANDING, 900, EAST), (WALKING, 400, EAST), (STANDING, 100, EAST), (WALKING, 400, EAST)]
+    [day] = diary_of(tmp_path, halts([*legs, (STANDING, 900, EAST)], at("2024-05-01T09:00"), frame=BERLIN)).days
+    assert kinds(day) == [STAY, WALKING, STAY]
+    assert STAY in [part.kind for part in day.entries[1].parts]
+    assert day.totals.walked == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_a_ride_over_midnight_is_in_both_days_and_counted_once(tmp_path):
+    legs = [(STANDING, 900, EAST), (VEHICLE, 7200, EAST), (STANDING, 900, EAST)]
+    first, second = diary_of(tmp_path, halts(legs, at("2024-05-01T22:45+02:00"), frame=BERLIN)).days
+    assert [first.date, second.date] == ["2024-05-01", "2024-05-02"]
+    assert [kinds(first), kinds(second)] == [[STAY, VEHICLE], [VEHICLE, STAY]]
+    assert first.entries[-1].end == second.entries[0].start == first.end == second.start == at("2024-05-02T00:00+02:00")
+    totals = [first.totals, second.totals]
+    assert [t.riding for t in totals] == pytest.approx([HOUR, HOUR], abs=10.0), "the first 50 m are at the place"
+    assert sum(t.ridden for t in totals) == pytest.approx(72_000.0)
+    assert sum(t.steps for t in totals) == 7200, "as of the outing"
+
+
+def test_days_are_those_of_where_the_person_was(tmp_path):
+    """Seven in the evening in New York is the next day in Berlin."""
+    legs = [(STANDING, 1800, EAST)]
+    home, away = at("2024-05-01T09:00+02:00"), at("2024-05-02T19:30-04:00")
+    found = diary_of(tmp_path, halts(legs, home, frame=BERLIN), halts(legs, away, frame=NEW_YORK))
+    stays = [(day.date, e.offset, e.end_offset) for day in found.days for e in day.entries if e.kind == STAY]
+    assert stays == [("2024-05-01", 7200.0, 7200.0), ("2024-05-02", -14400.0, -14400.0)]
+
+
+def test_a_chosen_zone_holds_everywhere(tmp_path):
+    made = halts([(STANDING, 1800, EAST)], at("2024-05-02T19:30-04:00"), frame=NEW_YORK)
+    [day] = diary_of(tmp_path, made, zone="Europe/Berlin").days
+    assert (day.date, day.entries[0].offset) == ("2024-05-03", 7200.0)
+
+
+@pytest.mark.parametrize(("date", "hours"), [("2024-03-31", 23), ("2024-10-27", 25), ("2024-06-01", 24)])
+def test_a_day_is_as_long_as_daylight_saving_makes_it(tmp_path, date, hours):
+    made = halts([(STANDING, 1800, EAST)], at(f"{date}T12:00"), frame=BERLIN)
+    [day] = diary_of(tmp_path, made).days
+    assert (day.date, day.end - day.start) == (date, hours * HOUR)
+
+
+def test_a_place_has_the_name_that_the_person_gave_it(tmp_path):
+    value = {"latitude": 52.5, "longitude": 13.4, "radius": 150.0, "name": "the garden"}
+    fact = Correction(0, "Anna", 0.0, NAME, *ALWAYS, value)
+    found = diary_of(tmp_path, halts([(STANDING, 900, EAST)], at("2024-05-01T09:00"), frame=BERLIN), facts=[fact])
+    assert [place.name for place in found.places] == ["the garden"]
+    assert found.days[0].entries[0].place == "the garden"
+    assert found.days[0].totals.places == (("the garden", 900.0),)
+
+
+def test_a_place_on_a_plan_has_the_name_of_the_plan(tmp_path):
+    stay = Stay(0.0, 400.0, False, np.zeros(2), np.eye(2), 0.0, "0", (("Bookshop", 0.9), ("Cafe", 0.1)))
+    made = outing([(STANDING, 400, EAST), (WALKING, 60, EAST)], stays=[stay], plan="mall.geojson", floor="0")
+    found = diary_of(tmp_path, made)
+    assert kinds(found.days[0]) == [STAY, WALKING], "its rows remain fine"
+    assert [place.name for place in found.places] == ["Bookshop"]
+
+
+def test_outings_without_positions_on_earth_keep_their_rows(tmp_path):
+    made = outing([(WALKING, 300, EAST), (STANDING, 90, EAST), (WALKING, 300, EAST)], frame=Frame())
+    [day] = diary_of(tmp_path, made).days
+    assert kinds(day) == [entry.kind for entry in timeline(Day("", "", (made,)))]
+
+
+def test_a_home_is_guessed_from_three_nights_only(tmp_path):
+    """Nights at one place, days at another."""
+    days = [at(f"2024-05-0{day}T00:00+02:00") for day in range(1, 5)]
+    nights = [halts([(STANDING, 7 * HOUR, EAST)], day, frame=BERLIN) for day in days]
+    work = [halts([(STANDING, 12 * HOUR, EAST)], day + 9 * HOUR, start=(2000.0, 0.0), frame=BERLIN) for day in days]
+    found = diary_of(tmp_path / "four", *nights, *work)
+    home = likely_home(found.places)
+    assert home is not None
+    assert (home.number, home.name) == (1, ""), "a guess names nothing"
+    assert likely_home(diary_of(tmp_path / "two", *nights[:2], *work).places) is None
+
+
+def test_a_changed_day_changes_the_diary(tmp_path):
+    """The digest of a day in STORE.d is that of its present rows."""
+    early = halts([(STANDING, 900, EAST)], at("2024-05-01T09:00"), frame=BERLIN)
+    late = halts([(STANDING, 900, EAST), (WALKING, 600, EAST)], at("2024-05-01T09:00"), frame=BERLIN)
+    assert [kinds(diary_of(tmp_path, own).days[0]) for own in (early, late)] == [[STAY], [STAY, WALKING]]
+
+
+LEG = st.tuples(st.sampled_from([WALKING, STANDING, VEHICLE, GAP]), st.integers(5, 4000), st.floats(-3.0, 3.0))
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(legs=st.lists(LEG, min_size=1, max_size=12), hour=st.integers(0, 47), north=st.floats(-60.0, 60.0))
+def test_each_moment_is_in_one_row(tmp_path_factory, legs, hour, north):
+    made = halts(legs, at("2024-05-01") + HOUR * hour, frame=enu(north, 10.0))
+    days = diary_of(tmp_path_factory.mktemp("log"), made).days
+    rows = [row for day in days for row in day.entries]
+    assert (rows[0].start, rows[-1].end) == (made.epoch, pytest.approx(made.epoch + sum(s for _, s, _ in legs)))
+    assert all(one.end == other.start for one, other in pairwise(rows))
+    assert [day.date for day in days] == sorted({day.date for day in days})
+    for day in days:
+        assert all(day.start <= row.start < row.end <= day.end for row in day.entries)
+    for row in rows:
+        assert 0 <= row.observed <= 1 + 1e-9
+        if row.parts:
+            assert (row.parts[0].start, row.parts[-1].end) == (row.start, row.end)
+    fine = timeline(Day("", "", (made,)))
+    least = sum(entry.distance for entry in fine)
+    assert sum(d.totals.walked + d.totals.ridden for d in days) >= least - 1e-6, "silences on the way are added"
+
+
+def test_a_simulated_day_has_its_stays_and_few_rows(tmp_path):
+    made = [gps_day(41, number) for number in range(2)]
+    for number, day in enumerate(made):
+        day.write(tmp_path / "raw" / f"{number}.plt")
+    add(tmp_path / "log", [tmp_path / "raw"])
+    build(tmp_path / "log")
+    with Store(tmp_path / "log") as log:
+        found = diary(log, "me")
+    rows = [row for day in found.days for row in day.entries if row.kind == STAY]
+    true = true_stays(made, 600.0)
+    for start, end, name in true:
+        best = max(min(end, row.end) - max(start, row.start) for row in rows if row.end > start and row.start < end)
+        assert best > 0.4 * (end - start), name  # a night is parted by midnight
+    assert sum(row.end - row.start for row in rows) == pytest.approx(sum(e - s for s, e, _ in true), rel=0.05)
+    assert max(len(day.entries) for day in found.days) <= 30
+    assert [day.date for day in found.days] == ["2024-05-14", "2024-05-15"]

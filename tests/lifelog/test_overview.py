@@ -1,0 +1,294 @@
+"""Overviews of a day, week, month, year, place and person: numbers, lists, tables and JSON, on a month made by hand."""
+
+import csv
+import io
+import json
+from dataclasses import replace
+from datetime import date
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_month import made_month, made_store
+from typer.testing import CliRunner
+
+from pdr_graph.cli import app
+from pdr_graph.errors import InputError
+from pdr_graph.lifelog.day import GAP, VEHICLE, WALKING
+from pdr_graph.lifelog.day_list import MOST_ROWS, day_list, distance_text, row_texts
+from pdr_graph.lifelog.overview import NO_DATA, RIDE, STAYED, WALK
+from pdr_graph.lifelog.overview_tables import tables
+from pdr_graph.lifelog.overview_text import fitted, text_width
+from pdr_graph.lifelog.period import period_of
+from pdr_graph.lifelog.place_visits import EVERY_DAY, clock_quartiles, joined_visits
+from pdr_graph.lifelog.show import Choice, show
+from pdr_graph.lifelog.timeline import STAY, TimelineEntry
+
+DAY = 86_400.0
+HOUR = 3600.0
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """A lifelog of Ada and Ben: May 2024 in Berlin, from the 21st on in Tokyo."""
+    return made_store(tmp_path_factory.mktemp("month") / "days.db", "Ada", "Ben")
+
+
+def shown(log, *persons, place="", **period):
+    return show(log, Choice(persons, period_of(**period), place), write=False)
+
+
+@pytest.fixture(scope="module")
+def month(log):
+    return shown(log, "Ada", month="2024-05").overview
+
+
+def test_every_second_of_a_day_counts_once(month):
+    for day in month.days:
+        assert sum(day.time(group) for group in (WALK, RIDE, STAYED, NO_DATA)) == pytest.approx(day.end - day.start)
+        assert 0 <= day.observed <= day.end - day.start
+
+
+def test_distances_and_rides_of_a_month_are_those_of_its_days(month):
+    outings = [outing for day in made_month() for outing in day.outings]
+    for kind, sums in (
+        (WALKING, sum(day.totals.walked for day in month.days)),
+        (VEHICLE, sum(day.totals.ridden for day in month.days)),
+    ):
+        assert sums == pytest.approx(sum(s.distance for o in outings for s in o.segments if s.kind == kind), rel=1e-3)
+
+
+def test_a_night_at_home_is_one_visit(month):
+    """All nights in Berlin, except those about the day without data: a silence of 31 h parts two stays."""
+    home = month.places[0]
+    own = [visit for visit in month.visits if visit.number == home.number]
+    nights = [v for v in own if v.end - v.start > 10 * HOUR]
+    assert len(nights) == 17
+    assert max(v.end - v.start for v in own) < 24 * HOUR
+    assert all(v.observed < v.end - v.start for v in nights), "nothing is recorded at night"
+
+
+def test_usual_hours_are_those_of_the_weekday_and_of_the_place(month):
+    """Ada comes to work in Berlin at about ten past eight, in Tokyo too, by the local clock."""
+    offices = [place for place in month.places if 7.8 < place.hours[0].arrival[1] < 8.3]
+    assert len(offices) == 2
+    for office in offices:
+        assert office.hours[0].weekday == EVERY_DAY
+        assert {usual.weekday for usual in office.hours[1:]} <= {"Monday", "Tuesday", "Wednesday", "Thursday", "Friday"}
+        assert office.hours[0].departure[1] == pytest.approx(17.5, abs=0.5)
+
+
+def test_an_arrival_after_a_time_without_data_is_unknown():
+    walk = TimelineEntry(WALKING, 0.0, 600.0, 500.0)
+    silence = TimelineEntry(GAP, 600.0, 3600.0)
+    stay = TimelineEntry(STAY, 3600.0, 7200.0, latitude=1.0, longitude=2.0, place_number=1)
+    [visit] = joined_visits("Ada", [walk, silence, stay])
+    assert not visit.arrived
+    assert not visit.left, "the last one"
+    direct = replace(stay, start=600.0)
+    [visit] = joined_visits("Ada", [walk, direct, replace(walk, start=7200.0, end=9000.0)])
+    assert visit.arrived
+    assert visit.left
+
+
+def test_quartiles_of_hours_about_midnight_are_about_midnight():
+    low, middle, high = clock_quartiles(np.array([23.0, 23.5, 0.0, 0.5, 1.0]))
+    assert (low, middle % 24, high) == pytest.approx((23.5, 0.0, 0.5))
+    assert np.isnan(clock_quartiles(np.array([7.0]))).all()
+
+
+@given(st.lists(st.floats(0, 24), min_size=2, max_size=20), st.floats(0, 24))
+def test_quartiles_turn_with_the_clock(hours, later):
+    """Property: adding hours to all times adds them to the quartiles, unless the times have no mean direction."""
+    angle = np.array(hours) * np.pi / 12
+    if np.hypot(np.cos(angle).mean(), np.sin(angle).mean()) < 0.1:
+        return
+    turned = np.array(clock_quartiles((np.array(hours) + later) % 24))
+    off = (turned - np.array(clock_quartiles(np.array(hours))) - later + 12) % 24 - 12
+    assert off == pytest.approx(np.zeros(3), abs=1e-6)
+
+
+def entries(seed, n):
+    """Entries of a day of random kinds and durations."""
+    random = np.random.default_rng(seed)
+    bounds = np.sort(random.uniform(0, DAY, n + 1))
+    kinds = random.choice([WALKING, VEHICLE, STAY, GAP], n)
+    return [
+        TimelineEntry(str(kind), start, end, 10.0 if kind in (WALKING, VEHICLE) else 0.0, x=float(place), y=0.0)
+        for kind, start, end, place in zip(kinds, bounds[:-1], bounds[1:], random.integers(0, 5, n), strict=True)
+    ]
+
+
+@given(st.integers(0, 10**6), st.integers(1, 200))
+def test_the_list_of_a_day_fits_a_screen_and_covers_the_day(seed, n):
+    day = entries(seed, n)
+    rows = day_list(day)
+    assert len(rows) <= MOST_ROWS
+    assert (rows[0].start, rows[-1].end) == (day[0].start, day[-1].end)
+    assert all(one.end == other.start for one, other in pairwise(rows))
+    assert sum(row.distance for row in rows) == pytest.approx(sum(entry.distance for entry in day))
+    assert len(rows) + sum(sum(row.merged.values()) for row in rows) <= n  # neighbours that became one are not counted
+
+
+def test_short_stops_of_a_walk_are_counted():
+    kinds = [WALKING, STAY, WALKING, STAY, WALKING, STAY]
+    ends = np.cumsum([0, 600, 30, 600, 40, 600, 7200.0])
+    day = [
+        TimelineEntry(k, a, b, place_number=n)
+        for n, (k, a, b) in enumerate(zip(kinds, ends[:-1], ends[1:], strict=True))
+    ]
+    walk, stay = day_list(day, 2)
+    assert (walk.entry.kind, stay.entry.kind) == (WALKING, STAY)
+    assert row_texts(walk)[-1].endswith("and 2 short stops")
+    assert (walk.start, walk.end) == (0.0, 1870.0)
+
+
+def test_a_distance_has_the_usual_precision():
+    assert [distance_text(d) for d in (0, 640.4, 999.6, 6240, 15_000, 123_456, 1_250_000)] == [
+        "0 m",
+        "640 m",
+        "1.0 km",
+        "6.2 km",
+        "15.0 km",
+        "123 km",
+        "1,250 km",
+    ]
+
+
+@pytest.mark.parametrize(
+    "period", [{"day": "2024-05-21"}, {"week": "2024-W20"}, {"month": "2024-05"}, {"year": "2024"}, {}]
+)
+@pytest.mark.parametrize("persons", [("Ada",), ("Ada", "Ben")])
+def test_every_line_has_at_most_100_columns(log, period, persons):
+    text = shown(log, *persons, **period).text
+    assert max(text_width(line) for line in text.splitlines()) <= 100
+    assert all(person in text for person in persons)
+
+
+def test_a_long_name_of_wide_letters_is_cut_to_its_columns():
+    assert text_width(fitted("東京オフィス" * 10, 25)) <= 25
+    assert fitted("Office", 25) == "Office"
+
+
+def test_a_day_without_data_in_the_period_is_named(log):
+    assert "1 day without data" in shown(log, "Ada", month="2024-05").text  # the 31st
+
+
+@pytest.mark.parametrize(
+    ("option", "first", "last"),
+    [
+        ({"day": "2024-02-29"}, date(2024, 2, 29), date(2024, 2, 29)),
+        ({"week": "2020-W53"}, date(2020, 12, 28), date(2021, 1, 3)),
+        ({"month": "2024-02"}, date(2024, 2, 1), date(2024, 2, 29)),
+        ({"year": "1999"}, date(1999, 1, 1), date(1999, 12, 31)),
+    ],
+)
+def test_a_period_has_its_dates(option, first, last):
+    period = period_of(**option)
+    assert (period.first, period.last, len(list(period.dates))) == (first, last, len(period))
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"day": "May"}, "--date: found 'May', expected a day such as 2024-05-01"),
+        ({"week": "2024-W60"}, "a week such as 2024-W18"),
+        ({"week": "2024"}, "a week such as"),
+        ({"month": "2024-13"}, "a month such as 2024-05"),
+        ({"year": "0"}, "a year such as 2024"),
+        ({"year": "9999"}, "a year such as 2024"),
+        ({"year": "2024", "month": "2024-05"}, "found 2 periods, expected one of them"),
+    ],
+)
+def test_another_text_is_refused_with_an_example(options, complaint):
+    with pytest.raises(InputError, match=complaint):
+        period_of(**options)
+
+
+def test_a_place_is_chosen_by_number_and_shows_its_visits_alone(log, month):
+    home = month.places[0].number
+    own = shown(log, "Ada", place=str(home)).overview
+    assert {visit.number for visit in own.visits} == {home}
+    assert [place.number for place in own.places] == [home]
+    with pytest.raises(InputError, match="a place that was visited: place 1, place 2"):
+        shown(log, "Ada", place="Mars")
+
+
+@pytest.mark.parametrize(
+    ("choice", "complaint"),
+    [
+        ({"persons": ("Carl",)}, "one of Ada, Ben"),
+        ({"day": "2023-05-01"}, "--date: found '2023-05-01', expected a recorded day from 2024-05-01 to 2024-05-30"),
+        ({"year": "2023"}, "--year: found '2023', expected a recorded day"),
+    ],
+)
+def test_a_choice_without_data_is_refused(log, choice, complaint):
+    with pytest.raises(InputError, match=complaint):
+        shown(log, *choice.pop("persons", ()), **choice)
+
+
+def test_the_default_is_the_last_day_and_all_days_of_a_person(log):
+    assert shown(log).overview.period.name == "2024-05-30"
+    assert shown(log).overview.persons == ("Ada", "Ben")
+    everything = shown(log, "Ben").overview
+    assert (everything.period.first, everything.period.last) == (date(2024, 5, 1), date(2024, 5, 30))
+
+
+def test_home_is_guessed_for_those_who_ask_alone(log, month):
+    assert not any(place.name for place in month.places)
+    guessed = show(log, Choice(("Ada",), period_of(month="2024-05"), guess_home=True), write=False).overview
+    assert guessed.places[0].name == "home?"
+    assert guessed.places[0].number == month.places[0].number
+    assert not any(place.name for place in guessed.places[1:])
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["lifelog", *map(str, arguments)])
+
+
+KEYS = {
+    "": "format version period place persons days places visits",
+    "period": "kind name first last",
+    "persons": "person days days_with_data walking riding staying no_data observed walked ridden steps",
+    "days": "person date start end walking riding staying no_data observed walked ridden steps entries",
+    "places": "person number place latitude longitude sigma visits duration first last hours",
+    "visits": "person place number start end duration observed arrived left latitude longitude sigma",
+}
+
+
+def test_json_is_one_object_alone_with_the_documented_keys(log, tmp_path):
+    result = run("show", log, "--week", "2024-W20", "--person", "Ada", "--json")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert list(document) == KEYS[""].split()
+    for name, keys in list(KEYS.items())[1:]:
+        rows = document[name] if isinstance(document[name], list) else [document[name]]
+        assert all(list(row) == keys.split() for row in rows), name
+    assert len(document["days"]) == 7
+    [person] = document["persons"]
+    for key in ("walking", "riding", "staying", "no_data", "walked", "ridden", "steps"):
+        assert person[key] == pytest.approx(sum(day[key] for day in document["days"]), abs=0.01)
+    kinds = {entry["kind"] for day in document["days"] for entry in day["entries"]}
+    assert kinds == {"stay", "walking", "vehicle"}
+    assert document["days"][0]["entries"][0]["start"].endswith("+02:00")
+    assert not list(log.parent.glob("days-2024*")), "no files without --out"
+
+
+def test_tables_have_the_rows_of_the_overview(month):
+    read = {name: list(csv.DictReader(io.StringIO(table.decode()))) for name, table in tables(month).items()}
+    assert [row["date"] for row in read["days.csv"]] == [day.date for day in month.days]
+    assert sum(float(row["duration"]) for row in read["visits.csv"]) == pytest.approx(
+        sum(float(row["duration"]) for row in read["places.csv"]), abs=len(month.visits)
+    )
+    every = [row for row in read["hours.csv"] if row["weekday"] == EVERY_DAY]
+    assert len(every) == len(month.places)
+    assert every[0]["departure_50"] == "07:50"
+
+
+def test_days_follow_the_person_into_another_time_zone(month):
+    by_date = {day.date: day for day in month.days}
+    assert [by_date[on].offset / HOUR for on in ("2024-05-02", "2024-05-22")] == [2, 9]
+    _, work, *_ = (entry for entry in by_date["2024-05-22"].entries if entry.kind == STAY)
+    assert 7.5 <= (work.start + work.offset) % DAY / HOUR <= 8.5, "by the clock of Tokyo"

@@ -1,0 +1,74 @@
+"""A real building as bare CAD lines, without unit, outline and doors, and a walk in it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from pdr_graph import InputError
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.check import problems
+from pdr_graph.inputs import Options, read
+from pdr_graph.io.tables import read_trajectory
+from pdr_graph.pipeline import smooth_recording
+
+SCALE = 4.3197  # [m] per unit
+START = (8.0, 26.75)  # [m] surveyed; the walk heads along -y and is closed
+
+
+@pytest.fixture(scope="module")
+def plan(folder):
+    return Building.load(folder / "cad_lines.csv", SCALE)
+
+
+@pytest.fixture(scope="module")
+def folder(data):
+    return data / "apf_pdr"
+
+
+def test_the_unit_is_asked_for(folder):
+    with pytest.raises(InputError, match=r"517 segments, 11.36 by 15.55 units, unit not stated"):
+        Building.load(folder / "cad_lines.csv")
+
+
+def test_the_corridors_are_one_walkable_area_around_the_start(plan):
+    floor = plan.floors[0]
+    (corridor,) = floor.of_kind("corridor")
+    assert shapely.contains(corridor.shape, shapely.Point(START))
+    assert 700 < shapely.area(corridor.shape) < 850
+    ways = [(8.0, 12.0), (0.0, 9.0), (-2.5, 0.0), (-6.0, -8.5), (-9.8, -20.0)]
+    assert all(shapely.contains(corridor.shape, shapely.Point(place)) for place in ways)
+    assert not floor.crosses_wall(np.array([START]), np.array([[8.0, 12.0]])).any()
+    assert floor.crosses_wall(np.array([START]), np.array([[0.0, 20.0]])).all()
+
+
+def test_spaces_without_a_door_are_reported(plan):
+    (line,) = problems(plan)
+    assert "cells that cannot be reached from the rest" in line
+
+
+def test_the_walk_returns_to_its_start_through_the_corridors(folder, tmp_path):
+    first = read(folder / "walk").walk.accelerometer.time[0]
+    origin = read(folder / "walk").walk.clock_origin
+    fixes = tmp_path / "fixes.csv"
+    fixes.write_text(f"time,x,y,sigma\n{first + origin:.3f},{START[0]},{START[1]},0.5\n")
+    options = Options(plan=folder / "cad_lines.csv", scale=SCALE, fixes=fixes, start_heading=180.0)
+    assert smooth_recording(folder / "walk", tmp_path / "out", options) == ()
+    track = read_trajectory(tmp_path / "out" / "trajectory.csv")
+    assert np.hypot(*(track.position[-1] - START)) < 2.0, "the walk is closed; dead reckoning ends 26.6 m away"
+    floor = Building.load(Path(folder) / "cad_lines.csv", SCALE).floors[0]
+    assert np.mean(floor.crosses_wall(track.position[:-1], track.position[1:])) < 0.02
+
+
+def test_the_walk_is_found_on_the_lines_without_any_position(folder, tmp_path):
+    """The published walk, by plan and steps alone: start and end to 1.5 m, and no wall between."""
+    options = Options(plan=folder / "cad_lines.csv", scale=SCALE)
+    assert smooth_recording(folder / "walk", tmp_path / "out", options) == ()
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    track = read_trajectory(tmp_path / "out" / "trajectory.csv")
+    assert np.hypot(*(track.position[[0, -1]] - START).T).max() < 1.5
+    assert summary["verdict"]["state"] == "ok"
+    assert summary["wall_crossings"] <= 2
+    assert [route["probability"] > 0.9 for route in summary["routes"]] == [True]

@@ -1,0 +1,97 @@
+"""A broker for tests: MQTT 3.1.1 with quality of service 0 and exact topics, over TCP."""
+
+import asyncio
+from contextlib import asynccontextmanager
+
+CONNECT, CONNACK, PUBLISH, SUBSCRIBE, SUBACK, PINGREQ, PINGRESP, DISCONNECT = 1, 2, 3, 8, 9, 12, 13, 14
+ACCEPTED, BAD_CREDENTIALS = 0, 4
+
+
+def packet(kind, body, flags=0):
+    size, length = len(body), bytearray()
+    while True:
+        size, digit = divmod(size, 128)
+        length.append(digit | (128 if size else 0))
+        if not size:
+            return bytes([kind << 4 | flags]) + bytes(length) + body
+
+
+async def received(reader):
+    """Kind and body of the next packet."""
+    head, size, shift = (await reader.readexactly(1))[0], 0, 0
+    while True:
+        digit = (await reader.readexactly(1))[0]
+        size |= (digit & 127) << shift
+        shift += 7
+        if not digit & 128:
+            return head >> 4, await reader.readexactly(size)
+
+
+def text(body, at):
+    """A text at an offset of a body, and the offset behind it."""
+    end = at + 2 + int.from_bytes(body[at : at + 2], "big")
+    return body[at + 2 : end].decode(), end
+
+
+class Broker:
+    """password: that clients need, None without; subscribers: writers by topic."""
+
+    def __init__(self, password=None):
+        self.password, self.subscribers, self.writers = password, {}, set()
+        self.subscribed = asyncio.Event()
+
+    def _accepts(self, body):
+        flags = body[7]
+        at = 10
+        fields = []
+        for present in (True, flags & 0x80, flags & 0x40):  # client, user name, password
+            if present:
+                field, at = text(body, at)
+                fields.append(field)
+        return self.password is None or fields[-1] == self.password
+
+    async def serve(self, reader, writer):
+        self.writers.add(writer)
+        try:
+            while True:
+                kind, body = await received(reader)
+                if kind == CONNECT:
+                    accepted = self._accepts(body)
+                    writer.write(packet(CONNACK, bytes([0, ACCEPTED if accepted else BAD_CREDENTIALS])))
+                elif kind == SUBSCRIBE:
+                    topic, _ = text(body, 2)
+                    self.subscribers.setdefault(topic, set()).add(writer)
+                    writer.write(packet(SUBACK, body[:2] + b"\0"))
+                    self.subscribed.set()
+                elif kind == PUBLISH:
+                    topic, _ = text(body, 0)
+                    for other in self.subscribers.get(topic, ()):
+                        other.write(packet(PUBLISH, body))
+                elif kind == PINGREQ:
+                    writer.write(packet(PINGRESP, b""))
+                elif kind == DISCONNECT:
+                    return
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            self.writers.discard(writer)
+            for others in self.subscribers.values():
+                others.discard(writer)
+            writer.close()
+
+    def drop_all(self):
+        """Lose all connections."""
+        self.subscribed.clear()
+        for writer in list(self.writers):
+            writer.transport.abort()
+
+
+@asynccontextmanager
+async def running(broker):
+    """Serve on a free port of this machine, which it yields."""
+    server = await asyncio.start_server(broker.serve, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+        broker.drop_all()

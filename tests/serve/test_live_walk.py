@@ -1,0 +1,277 @@
+"""One walker: order, repeats, gaps, damage, and the walk that goes on after the process ended at any moment."""
+
+import contextlib
+from functools import partial
+
+import msgspec
+import numpy as np
+import pytest
+import simulated
+
+from pdr_graph.errors import InputError
+from pdr_graph.frames import enu
+from pdr_graph.lifelog.store import Store
+from pdr_graph.online.interface import events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.serve import live_walk
+from pdr_graph.serve.finishing import finish
+from pdr_graph.serve.live_walk import JOURNAL, LOG, SESSION, TURNS, LiveWalk, Queue, Session
+from pdr_graph.serve.message_log import MAGIC, Entry, MessageLog, read_body, read_entries
+from pdr_graph.simulation.streaming import batches, message
+from pdr_graph.types import LONLAT, Fixes, Recording, Signal
+
+SECONDS = 30
+EPOCH = 1_700_000_000.0  # Unix time [s]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """A walk of half a minute with a fix every five seconds."""
+    walk = simulated.walk_along(np.array([[0.0, 0.0], [25.0, 0.0], [25.0, 15.0]]), seed=3)
+    frame, every = enu(48.0, 11.0), slice(0, None, 500)
+    places = frame.to_lonlat(walk.position[every])
+    time = np.where(walk.time == walk.time[0], 0.0, walk.time + 0.003)  # [s]: but the first none where packets meet
+    time = (round(EPOCH * 1e9) + np.round(time * 1e9).astype(int)) * 1e-9 - EPOCH  # as messages have it
+    fixes = Fixes(time[every], places, np.full(len(places), 2.0), (), LONLAT, ("GNSS",) * len(places))
+    signals = {"accelerometer": Signal(time, walk.acceleration), "gyroscope": Signal(time, walk.angular_rate)}
+    return Recording("walk", 0.0, EPOCH, **signals, fixes=fixes)
+
+
+@pytest.fixture(scope="module")
+def bodies(recording):
+    return [message("s", n, payload) for n, payload in enumerate(batches(recording)[:SECONDS])]
+
+
+def opened(folder, open_=LiveWalk):
+    session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
+    return open_(folder, session, partial(Navigator, lag=20.0), partial(Navigator.restored, lag=20.0), {"lag": 20.0})
+
+
+def received(n):
+    """When message n arrives [s]: with its last sample, by a clock that is the phone's. It is in the pose: no clock of today."""
+    return EPOCH + n + 1.0
+
+
+def logged(folder, bodies, numbers=None, late=0.0):
+    """A log of messages; numbers: their order of arrival; late [s]: by the server's clock."""
+    log = MessageLog(folder / LOG)
+    for n in range(len(bodies)) if numbers is None else numbers:
+        log.append(n, received(n) + late, bodies[n])
+    log.close()
+
+
+def used(walk, now=np.inf):
+    while walk.work(now):
+        pass
+    return walk.pose()
+
+
+@pytest.fixture(scope="module")
+def expected(bodies, tmp_path_factory):
+    """The pose after all messages, in order and without an interruption."""
+    folder = tmp_path_factory.mktemp("expected")
+    logged(folder, bodies)
+    walk = opened(folder)
+    pose = used(walk)
+    walk.close()
+    return pose
+
+
+def test_the_pose_is_that_of_a_navigator_that_gets_the_recording(recording, bodies, expected):
+    """To the millimetre: its events are the same."""
+    nav = Navigator(lag=20.0, epoch=recording.epoch)
+    for event in events_of(recording):
+        if event.time[-1] < SECONDS - 0.1:  # the packet that the last message ends within waits
+            nav.push(event)
+            nav.review()
+    assert expected["x"] == pytest.approx(nav.pose.x, abs=0.001)
+    assert expected["y"] == pytest.approx(nav.pose.y, abs=0.001)
+    assert expected["steps"] == nav.steps
+
+
+def test_messages_out_of_order_are_put_in_order(bodies, expected, tmp_path):
+    numbers = list(range(SECONDS))
+    for n in range(2, SECONDS - 2, 5):
+        numbers[n], numbers[n + 1] = numbers[n + 1], numbers[n]
+    logged(tmp_path, bodies, numbers)
+    walk = opened(tmp_path)
+    assert used(walk, now=0.0) | {"message": 0} == expected | {"message": 0}
+    walk.close()
+
+
+def test_a_repeated_message_changes_nothing(bodies, expected, tmp_path):
+    logged(tmp_path, bodies, [n for n in range(SECONDS) for _ in range(2)])
+    walk = opened(tmp_path)
+    assert used(walk) == expected
+    walk.close()
+
+
+def test_a_lost_message_is_a_gap_of_the_walk(bodies, tmp_path):
+    logged(tmp_path, bodies, [n for n in range(SECONDS) if n != 15])
+    walk = opened(tmp_path)
+    assert used(walk)["state"] == "running"
+    walk.close()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_walk_goes_on_after_an_end_at_any_moment(bodies, expected, tmp_path, seed, monkeypatch):
+    """The process ends within a message: before, after or between its events."""
+    rng, ends = np.random.default_rng(seed), 4
+    for end in range(ends + 1):
+        logged(tmp_path, bodies[: SECONDS * (end + 1) // (ends + 1)])
+        walk = opened(tmp_path)
+        if end < ends:
+            remaining = int(rng.integers(1, 250))
+            with monkeypatch.context() as patch, contextlib.suppress(KeyboardInterrupt):
+                _end_after(patch, remaining)
+                used(walk)
+        else:
+            pose = used(walk)
+        walk.close()
+    assert pose == expected
+
+
+def _end_after(patch, remaining):
+    """KeyboardInterrupt after some events: it passes all handlers, as a signal does."""
+    push, left = live_walk.Journal.push, [remaining]
+
+    def interrupted(journal, event):
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        push(journal, event)
+
+    patch.setattr(live_walk.Journal, "push", interrupted)
+
+
+def test_other_options_begin_again_from_the_messages(bodies, tmp_path):
+    logged(tmp_path, bodies)
+    walk = opened(tmp_path)
+    pose = used(walk)
+    walk.close()
+
+    def reopened(folder):
+        session = Session("s", "s", "phone", "owner", "sensorlogger", "android", 0.0)
+        make = partial(Navigator, lag=20.0), partial(Navigator.restored, lag=20.0)
+        return live_walk.opened(folder, session, *make, {"lag": 20.0, "map": "another plan"})
+
+    walk = reopened(tmp_path)
+    assert walk.waiting == SECONDS
+    assert used(walk) == pose
+    walk.close()
+
+
+@pytest.mark.parametrize("name", [JOURNAL, TURNS])
+def test_a_damaged_file_is_made_again_from_the_messages(bodies, expected, tmp_path, name):
+    logged(tmp_path, bodies)
+    walk = opened(tmp_path)
+    used(walk)
+    walk.close()
+    content = bytearray((tmp_path / name).read_bytes())
+    content[200:4000] = b"\xff" * 3800
+    (tmp_path / name).write_bytes(content)
+    walk = opened(tmp_path, live_walk.opened)
+    assert used(walk) == expected
+    walk.close()
+
+
+def test_the_path_comes_in_parts_that_are_the_whole(bodies, tmp_path):
+    log, points = MessageLog(tmp_path / LOG), {"time": [], "x": []}
+    walk = opened(tmp_path)
+    for n, body in enumerate(bodies):
+        log.append(n, received(n), body)
+        walk.look()
+        used(walk)
+        path = walk.path()
+        if path is None:
+            continue
+        assert path["from"] == len(points["time"])
+        for name, column in points.items():
+            column += path["finalised"][name]
+    whole = walk.path(whole=True)
+    assert whole["finalised"]["time"] == points["time"]
+    assert whole["finalised"]["x"] == points["x"]
+    assert (np.diff(points["time"] + path["current"]["time"]) > 0).all()
+    log.close()
+    walk.close()
+
+
+def test_a_finished_walk_has_its_whole_path(bodies, tmp_path):
+    logged(tmp_path, bodies)
+    walk = opened(tmp_path)
+    pose, path = walk.finish()
+    walk.close()
+    assert pose["state"] == "finished"
+    assert path["current"]["time"] == []
+    assert len(path["finalised"]["time"]) > 30
+
+
+def test_a_clock_hours_off_is_an_issue(bodies, tmp_path):
+    logged(tmp_path, bodies[:5], late=2 * 3600.0)
+    walk = opened(tmp_path)
+    assert "the phone's clock is 2.0 h behind this machine's" in used(walk)["issues"]
+    walk.close()
+
+
+def entry(identity, received=0.0):
+    return Entry(identity, received, identity, identity + 1)
+
+
+def test_a_message_waits_two_seconds_for_those_before_it():
+    queue = Queue(ordered=True)
+    for identity in (0, 2, 3):
+        queue.add(entry(identity, received=100.0))
+    assert queue.next(100.0).identity == 0
+    assert queue.next(101.9) is None
+    assert [queue.next(102.1).identity, queue.next(102.1).identity] == [2, 3]
+
+
+def test_too_many_waiting_messages_go_on_without_the_lost_one():
+    queue = Queue(ordered=True)
+    for identity in range(5, 5 + live_walk.MOST_WAITING + 1):
+        queue.add(entry(identity, received=100.0))
+    assert queue.next(100.0).identity == 5
+
+
+def test_a_message_cut_short_by_a_kill_is_no_message(tmp_path):
+    log = MessageLog(tmp_path / "log")
+    log.append(1, 0.0, b"one")
+    log.append(2, 0.0, b"two" * 100)
+    log.close()
+    whole = (tmp_path / "log").read_bytes()
+    for end in range(len(MAGIC), len(whole)):
+        (tmp_path / "log").write_bytes(whole[:end])
+        log = MessageLog(tmp_path / "log")
+        assert log.identities <= {1}
+        assert log.append(2, 0.0, b"again")
+        log.close()
+        bodies = [read_body(tmp_path / "log", each) for each in read_entries(tmp_path / "log")]
+        assert bodies[-1] == b"again"
+
+
+def test_a_damaged_last_message_is_no_message(tmp_path):
+    log = MessageLog(tmp_path / "log")
+    log.append(1, 0.0, b"one")
+    log.close()
+    content = (tmp_path / "log").read_bytes()
+    (tmp_path / "log").write_bytes(content[:-1] + b"?")
+    assert MessageLog(tmp_path / "log").identities == set()
+
+
+def test_another_file_is_no_log(tmp_path):
+    (tmp_path / "log").write_bytes(b"x" * 100)
+    with pytest.raises(InputError):
+        MessageLog(tmp_path / "log")
+
+
+def test_a_finished_walk_is_a_day_of_the_lifelog(bodies, tmp_path):
+    folder = tmp_path / "s"
+    folder.mkdir()
+    logged(folder, bodies)
+    session = Session("s", "s", "phone", "ann", "sensorlogger", "android", EPOCH, True)
+    (folder / SESSION).write_bytes(msgspec.json.encode(session))
+    for _ in range(2):  # a walk that was resumed is finished again
+        assert finish(str(folder), str(tmp_path / "days.db"), None) == ""
+    with Store(tmp_path / "days.db") as log:
+        ((person, date),) = log.days()
+    assert (person, date) == ("ann", "2023-11-14")

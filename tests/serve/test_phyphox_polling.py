@@ -1,0 +1,253 @@
+"""phyphox polling against a stand-in that speaks the documented calls."""
+
+import asyncio
+import contextlib
+
+import numpy as np
+import pytest
+from phyphox_phone import Phone, serving
+
+from pdr_graph.errors import InputError
+from pdr_graph.serve import phyphox_polling
+from pdr_graph.serve.phyphox_polling import (
+    HISTORY,
+    Input,
+    PhoneError,
+    PhyphoxPhone,
+    follow,
+    inputs_of,
+    messages_of,
+    query,
+    rows_of,
+    stored_of,
+)
+from pdr_graph.serve.sensor_messages import parse, tables_of
+
+pytestmark = pytest.mark.timeout(20)
+UNIX = 1_700_000_000.0
+
+
+@pytest.fixture
+def phone():
+    return Phone()
+
+
+@pytest.fixture
+def polled(phone):
+    with serving(phone) as url:
+        yield PhyphoxPhone(url, timeout=2.0)
+
+
+def walk(phone, begin, end, step=0.01):
+    """Samples of the accelerometer whose x is their experiment time, one of the gyroscope each, a fix each second."""
+    for time in np.arange(begin, end, step).round(6).tolist():
+        phone.record("accelerometer", time, time, 0.0, 9.8)
+        phone.record("gyroscope", time, 0.0, 0.0, 0.1)
+    phone.record("location", begin, 49.45, 11.08, 300.0, 4.0)
+
+
+def test_each_sample_comes_once_at_its_unix_time(phone, polled):
+    phone.start(0.0, UNIX)
+    tables = []
+    for second in range(4):
+        walk(phone, second, second + 1)
+        tables.append(polled.poll().tables["accelerometer"])
+    rows = np.concatenate(tables)
+    assert [len(table) for table in tables] == [100] * 4
+    np.testing.assert_allclose(rows[:, 0], UNIX + np.arange(0, 4, 0.01), atol=1e-6)
+    np.testing.assert_allclose(rows[:, 1], np.arange(0, 4, 0.01), atol=1e-6)
+
+
+def test_the_location_has_its_accuracy_and_the_phone_its_name(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    poll = polled.poll()
+    np.testing.assert_allclose(poll.tables["location"], [[UNIX, 49.45, 11.08, 4.0]])
+    assert (poll.name, poll.measuring, poll.ignored) == ("Fairphone 5", True, ("light",))
+
+
+def test_a_phone_that_has_not_started_has_no_run(phone, polled):
+    poll = polled.poll()
+    assert (poll.run, poll.measuring, poll.tables) == ("", False, {})
+
+
+def test_a_pause_is_a_gap_in_unix_time(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    first = polled.poll()
+    phone.pause(1.0, UNIX + 1.0)
+    assert not polled.poll().measuring
+    phone.start(1.0, UNIX + 61.0)
+    walk(phone, 1, 2)
+    then = polled.poll()
+    assert then.run == first.run
+    assert then.tables["accelerometer"][0, 0] == pytest.approx(UNIX + 61.0)
+
+
+def test_cleared_data_are_another_run(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 3)
+    first = polled.poll()
+    phone.clear()
+    assert polled.poll().run == ""
+    phone.start(0.0, UNIX + 100.0)
+    walk(phone, 0, 1)
+    second = polled.poll()
+    assert second.run not in ("", first.run)
+    assert len(second.tables["accelerometer"]) == 100
+    assert second.tables["accelerometer"][0, 0] == pytest.approx(UNIX + 100.0)
+
+
+def test_data_cleared_between_two_questions_of_a_poll_are_not_given_the_old_clock(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 3)
+    polled.poll()
+    phone.clear()
+    phone.start(0.0, UNIX)  # /time as before
+    walk(phone, 0, 1)
+    phone._part, part = lambda name, how: part(name, how and f"-1|{how.partition('|')[2] or name}"), phone._part
+    assert polled.poll().tables == {}, "an answer in full, with times before those asked for"
+
+
+def test_another_session_is_another_run(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    first = polled.poll()
+    phone.session = "ffee00"
+    walk(phone, 1, 2)
+    assert polled.poll().tables == {}
+    assert polled.poll().run not in ("", first.run)
+
+
+def test_a_restarted_server_asks_for_what_it_does_not_have(phone):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 5)
+    with serving(phone) as url:
+        first = PhyphoxPhone(url)
+        (message,) = messages_of(first.poll(), 0)
+        walk(phone, 5, 6)
+        again = PhyphoxPhone(url, stored=lambda run: stored_of(7, message))
+        poll = again.poll()
+    assert again.messages == 7
+    for sensor in ("accelerometer", "gyroscope", "location"):
+        assert poll.tables[sensor][0, 0] == pytest.approx(UNIX + 5.0, abs=1e-6)
+    assert len(poll.tables["accelerometer"]) == 100
+
+
+def test_messages_are_those_of_sensor_logger(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 50)
+    numbers, times = [], []
+    for number, text in enumerate(messages_of(polled.poll(), 3), 3):
+        message = parse(text)
+        tables, ignored = tables_of(message.payload)
+        assert (message.messageId, message.sessionId, ignored) == (number, f"phyphox-ab12cd-{UNIX:.0f}000", {})
+        assert sorted(set(tables) - {"location"}) == ["accelerometeruncalibrated", "gyroscope"]
+        numbers.append(number)
+        times.append(tables["accelerometeruncalibrated"][:, 0])
+    assert numbers == [3, 4, 5], "20 s each"
+    np.testing.assert_allclose(np.concatenate(times), UNIX + np.arange(0, 50, 0.01), atol=1e-6)
+
+
+def test_a_phone_is_followed_through_its_faults(phone, monkeypatch):
+    monkeypatch.setattr(phyphox_polling, "INTERVAL", 0.02)
+    monkeypatch.setattr(phyphox_polling, "FIRST_RETRY", 0.02)
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    received, said = [], []
+
+    async def receive(message, name):
+        received.append((parse(message).messageId, name))
+
+    async def run():
+        with serving(phone) as url:
+            task = asyncio.create_task(follow(PhyphoxPhone(url, timeout=1.0), receive, said.append))
+            async with asyncio.timeout(10):
+                while len(received) < 1:
+                    await asyncio.sleep(0.01)
+                phone.faults = ["reset", 500]
+                while len(said) < 3:
+                    await asyncio.sleep(0.01)
+                walk(phone, 1, 2)
+                while len(received) < 2:
+                    await asyncio.sleep(0.01)
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await task
+
+    asyncio.run(run())
+    assert [number for number, _ in received] == [0, 1]
+    assert ["no answer" in said[1], "answers" in said[0], "answers" in said[2]] == [True] * 3
+
+
+def test_of_a_long_experiment_the_last_minutes_are_asked_for(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1000, step=1.0)
+    times = polled.poll().tables["accelerometer"][:, 0]
+    assert times[0] - UNIX == pytest.approx(999 - HISTORY, abs=1.0)
+
+
+def test_nulls_and_unequal_buffers_cost_only_their_rows(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 0.05)
+    phone.buffers["accY"][2] = float("nan")
+    phone.buffers["accZ"].pop()
+    assert len(polled.poll().tables["accelerometer"]) == 3
+    phone.buffers["accZ"].append(9.8)
+    assert len(polled.poll().tables["accelerometer"]) == 1, "the row whose last value came late"
+
+
+def test_each_request_has_a_connection_of_its_own(phone, polled):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    polled.poll()
+    assert {connection for _, connection in phone.asked} == {"close"}
+
+
+@pytest.mark.parametrize("fault", ["reset", "half", 500])
+def test_a_fault_is_one_line_and_loses_nothing(phone, polled, fault):
+    phone.start(0.0, UNIX)
+    walk(phone, 0, 1)
+    polled.poll()
+    walk(phone, 1, 2)
+    phone.faults = [None, fault]  # of /get, after /time
+    with pytest.raises(PhoneError, match="127"):
+        polled.poll()
+    again = polled.poll()
+    assert len(again.tables["accelerometer"]) == 100
+
+
+def test_nobody_there_is_one_line():
+    with pytest.raises(PhoneError, match="no answer"):
+        PhyphoxPhone("http://127.0.0.1:9", timeout=1.0).poll()
+
+
+def test_something_else_there_is_one_line(phone, polled):
+    phone.events = [{"event": "START"}]
+    with pytest.raises(PhoneError, match="expected an answer of phyphox"):
+        polled.poll()
+
+
+def test_an_old_phyphox_is_named(phone, polled):
+    phone.faults = [404]
+    with pytest.raises(PhoneError, match=r"1\.1\.8"):
+        polled.poll()
+
+
+def test_an_address_may_lack_the_scheme():
+    assert PhyphoxPhone("192.168.0.12:8080").url == "http://192.168.0.12:8080"
+    with pytest.raises(InputError, match="as phyphox shows it"):
+        PhyphoxPhone("ftp://phone")
+
+
+def test_the_query_encodes_its_thresholds():
+    assert query([Input("accelerometer", "t", ("x",))], {"t": 1.5}) == "t=1.5000000&x=1.5000000%7Ct"
+
+
+def test_inputs_without_times_are_ignored():
+    config = {"inputs": [{"source": "pressure", "outputs": [{"x": "p"}]}, {"source": "bluetooth"}]}
+    assert inputs_of(config) == ([], ["pressure", "bluetooth"])
+
+
+def test_an_empty_answer_has_no_rows():
+    assert rows_of({}, Input("accelerometer", "t", ("x", "y", "z"))).shape == (0, 4)
