@@ -30,6 +30,13 @@ class InputError(ValueError):
         return InputError, self._parts  # pickling: workers raise it in another process
 
 
+class Interrupted(BaseException):
+    """Ctrl-C, or a request of the system to end: the number of the signal. Only the command line raises it.
+
+    It is no KeyboardInterrupt: for that, libraries have words of their own.
+    """
+
+
 def expect(place: str, argument: object, *kinds: type | None, instead: str = "") -> None:
     """Raise TypeError unless `argument` is of one of the types `kinds`; None among them allows None.
 

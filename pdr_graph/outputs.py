@@ -121,14 +121,13 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
         )
         gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
     try:
-        from pdr_graph.plotting import plot
+        from pdr_graph.plotting import picture_bytes, plot
 
         truth = _truth_beside(inputs, estimate)
-        plot(estimate, inputs.building, truth, f"{walk.source}   {_length(estimate):.0f} m").savefig(
-            out / "figure.png", dpi=120
-        )
+        picture = picture_bytes(plot(estimate, inputs.building, truth, f"{walk.source}   {_length(estimate):.0f} m"))
     except Exception as error:  # without a picture the result is still useful
         return (f"figure.png ({type(error).__name__}: {error})",)
+    (out / "figure.png").write_bytes(picture)
     return ()
 
 
@@ -147,9 +146,10 @@ def write_report(
         shown = WalkReport(
             inputs.walk, inputs.building, estimate, method, summary, result.steps, tracks, truth, sources
         )
-        (out / "report.html").write_bytes(page(content(shown)))
+        html = page(content(shown))
     except Exception as error:  # without a report the result is still useful
         return (f"report.html ({type(error).__name__}: {error})",)
+    (out / "report.html").write_bytes(html)
     return ()
 
 

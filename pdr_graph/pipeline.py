@@ -36,6 +36,7 @@ from pdr_graph.measurements import by_type
 from pdr_graph.outputs import Result, Stages, write
 from pdr_graph.plausibility import check_floors
 from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Signal, Steps, Trajectory
+from pdr_graph.whole_files import output_folder, write_file
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -55,10 +56,10 @@ def smooth_recording(recording: Path, out: Path, options: Options | None = None)
         inputs = read(recording, options)
     with stage("steps"):
         evidence = observe(inputs, options)
-    out.mkdir(parents=True, exist_ok=True)
-    with stage("estimate"):
-        result = estimate(evidence, options.method)
-    return write(out, inputs, result, options, stage)
+    with output_folder(out) as staged:
+        with stage("estimate"):
+            result = estimate(evidence, options.method)
+        return write(staged, inputs, result, options, stage)
 
 
 @dataclass(frozen=True)
@@ -237,7 +238,7 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | Non
 
     Returns the profile and the number of laps. Raises InputError if an input cannot be used.
     """
-    from pdr_graph.plotting import plot
+    from pdr_graph.plotting import picture_bytes, plot
 
     walk, person = io.load(recording), Walker.load(walker) if walker else Walker()
     if walk.gyroscope is None:
@@ -245,10 +246,11 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | Non
     steps = detect_steps(walk, replace(person, profile=None))
     line = read_route(route)
     profile, estimate, laps = calibrate(steps, line, walk.source)
-    replace(person, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
     reference = Trajectory(np.arange(float(len(line))), line, np.zeros(len(line)), ("",) * len(line))
     title = f"{walk.source} along {route.name}   {profile.residual:.2f} m from it (rms)"
-    plot(replace(estimate, reports={}), truth=reference, title=title).savefig(out.with_suffix(".png"), dpi=120)
+    picture = picture_bytes(plot(replace(estimate, reports={}), truth=reference, title=title))
+    write_file(out.with_suffix(".png"), picture)
+    replace(person, profile=profile).save(out, f"{walk.source} along {route.name}, {laps} times")
     return profile, laps
 
 

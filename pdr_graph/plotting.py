@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+import warnings
 from typing import Any
 
 import numpy as np
 import shapely
+from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -105,6 +108,16 @@ def _on(track: Trajectory, label: str | None) -> Array:
     """Positions ``(n, 2)`` [m], NaN where the walk is on another floor."""
     elsewhere = np.array([label is not None and floor not in ("", label) for floor in track.floor], dtype=bool)
     return np.where(elsewhere[:, None], np.nan, track.position)
+
+
+def picture_bytes(figure: Figure, dpi: float = 120, file_format: str = "png") -> bytes:
+    """A figure as PNG or SVG; letters that no font has are drawn as boxes in a PNG."""
+    content = io.BytesIO()
+    with warnings.catch_warnings(), rc_context({"svg.fonttype": "none", "svg.hashsalt": "pdr_graph"}):
+        warnings.filterwarnings("ignore", "Glyph")
+        about = {"Date": None, "Creator": None} if file_format == "svg" else None
+        figure.savefig(content, format=file_format, dpi=dpi, metadata=about)
+    return content.getvalue()
 
 
 def plot_plan(*floors: FloorPlan) -> Figure:

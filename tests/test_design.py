@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 HOUSE = ROOT / "pdr_graph"
 # From the top: a file may import what stands on its own floor or below
 FLOORS = [
+    ["__main__"],
     ["cli", "papers"],
     ["serve"],
     ["lifelog", "evaal"],
@@ -24,7 +25,8 @@ FLOORS = [
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io"],
     ["inertial", "floor"],
-    ["geometry", "frames", "storage", "source", "measurements", "types", "contradiction", "columns", "errors"],
+    ["geometry", "frames", "storage", "source", "measurements", "types", "contradiction", "columns"],
+    ["errors", "whole_files"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {

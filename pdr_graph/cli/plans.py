@@ -32,11 +32,12 @@ def map_show(
     pdr-graph map show plan.geojson --out plan.png
     """
     from pdr_graph.floor.plan import FloorPlan
-    from pdr_graph.plotting import plot_plan
+    from pdr_graph.plotting import picture_bytes, plot_plan
+    from pdr_graph.whole_files import write_file
 
     floors = FloorPlan.load_all(plan, scale)
     target = out or Path(plan.resolve().stem + ".png")
-    plot_plan(*floors).savefig(target, dpi=150)
+    write_file(target, picture_bytes(plot_plan(*floors), dpi=150))
     for floor in floors:
         size = f"{len(floor.areas)} areas, {len(floor.cells)} cells, {floor.walkable_area:.0f} m² walkable"
         echo(f"{floor.label or plan.stem}: {size} -> {target}")
@@ -86,12 +87,13 @@ def map_convert(
     """
     from pdr_graph.floor.formats.conversion import convert
     from pdr_graph.floor.plan import FloorPlan
-    from pdr_graph.plotting import plot_conversion
+    from pdr_graph.plotting import picture_bytes, plot_conversion
+    from pdr_graph.whole_files import write_file
 
     target = out or Path(plan.resolve().stem + ".geojson")
     drawing = convert(plan, target, scale, two_points, georeference, floor)
     picture = _picture_beside(target, plan)
-    plot_conversion(drawing.ignored, *FloorPlan.of(plan, drawing)).savefig(picture, dpi=150)
+    write_file(picture, picture_bytes(plot_conversion(drawing.ignored, *FloorPlan.of(plan, drawing)), dpi=150))
     frame = "longitude and latitude" if drawing.frame.georeferenced else "metres along the drawing's own axes"
     for note in drawing.notes:
         echo(f"note: {note}")

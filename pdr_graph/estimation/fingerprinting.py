@@ -9,6 +9,7 @@ information of one.
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
 import zlib
@@ -26,6 +27,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, length_along, nearest
 from pdr_graph.measurements import Closures
 from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Sightings, Trajectory
+from pdr_graph.whole_files import write_file
 
 WINDOW, SCAN_INTERVAL = 4, 1  # [s] of one scan, and from one to the next: a phone needs 2 to 4 s for all channels
 FAINTEST = -100.0  # [dBm] level that counts as not received
@@ -212,8 +214,9 @@ class RadioMap:
         """Write the map as a numpy archive."""
         arrays = {name: np.asarray(getattr(self, name)) for name in ARRAYS if name != "frame"}
         arrays |= {"level": self.level.astype(np.float32), "frame": np.array(json.dumps(self.frame))}
-        with Path(path).open("wb") as file:  # a name without .npz stays as it is
-            np.savez_compressed(file, allow_pickle=False, **arrays)
+        archive = io.BytesIO()
+        np.savez_compressed(archive, allow_pickle=False, **arrays)
+        write_file(path, archive.getvalue())
 
     @classmethod
     def load(cls, path: str | Path) -> RadioMap:

@@ -26,6 +26,7 @@ from urllib.error import HTTPError
 from urllib.parse import quote, urlsplit
 
 from pdr_graph.errors import InputError
+from pdr_graph.whole_files import lock
 
 # Status codes of HTTP, as the EvAAL API uses them
 GOOD, CREATED = 200, 201
@@ -212,19 +213,21 @@ class RequestLog:
     """
 
     def __init__(self, folder: Path, url: str, trial: str):
-        """Open or create the log. Raises InputError if it is damaged or that of another trial."""
+        """Open or create the log. Raises InputError if it is damaged, in use or that of another trial."""
         folder.mkdir(parents=True, exist_ok=True)
         self.path, self.received = folder / "requests.log", folder / "received.txt"
+        self._lines = self.path.open("ab")
+        lock(self._lines.fileno(), self.path)
         self.asked: list[tuple[str, str]] = []
         self.sizes: list[int] = []
         self.initial: str | None = None
         self.end: str | None = None
-        whole = self.path.read_bytes() if self.path.exists() else b""
+        whole = self.path.read_bytes()
         whole = whole[: whole.rfind(b"\n") + 1]  # the request of an incomplete line was not sent
         for number, line in enumerate(whole.decode("ascii", errors="replace").splitlines(), start=1):
             self._parse_line(number, line.split("\t"), ["trial", url, trial])
         self._check_received()
-        self._lines, self._rows = self.path.open("ab"), self.received.open("ab")
+        self._rows = self.received.open("ab")
         self._lines.truncate(len(whole))
         self._rows.truncate(self.sizes[-1] if self.sizes else 0)
         if not whole:

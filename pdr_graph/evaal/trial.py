@@ -27,6 +27,7 @@ from pdr_graph.io.tables import read_trajectory
 from pdr_graph.online.interface import Georeferenced, Pose, trajectory_of
 from pdr_graph.plausibility import check_initial
 from pdr_graph.types import LONLAT, Array, Fixes
+from pdr_graph.whole_files import output_folder, write_file
 
 INITIAL_SIGMA = 0.5  # [m] per axis of the initial position, a mark on the floor; chosen by hand
 
@@ -155,7 +156,7 @@ def _write_initial(log: RequestLog, out: Path, form: PositionFormat, floors: tup
     position = f"{y:.8f},{x:.8f}" if form.lonlat else f"{x:.3f},{y:.3f}"
     columns = "time,lat,lon,sigma,floor" if form.lonlat else "time,x,y,sigma,floor"
     path = out / "initial.csv"
-    path.write_text(f"{columns}\n{fix.time[0]:.4f},{position},{fix.sigma[0]},{fix.floor[0]}\n", encoding="utf-8")
+    write_file(path, f"{columns}\n{fix.time[0]:.4f},{position},{fix.sigma[0]},{fix.floor[0]}\n")
     return path
 
 
@@ -223,9 +224,11 @@ def run_trial(api: Api, out: Path, entry: Entry) -> Ending:
         if state and state.begun and not log.asked:
             walk.notes.append(f"the trial had begun already: its rows before {state.time:.1f} s are lost")
         normal, text = _run_online(api, log, walk, entry.progress) if log.end is None else _online_end(log.end)
-        text, missing = one_line(text), walk.write(out, api.log())
-        summary = {"trial": api.trial, "url": api.url, "ended": text, "missing": list(missing)}
-        writers.write_summary(out / "summary.json", summary | walk.describe(log))
+        text = one_line(text)
+        with output_folder(out) as staged:
+            missing = walk.write(staged, api.log())
+            summary = {"trial": api.trial, "url": api.url, "ended": text, "missing": list(missing)}
+            writers.write_summary(staged / "summary.json", summary | walk.describe(log))
     return Ending(normal and not missing, text, missing)
 
 

@@ -13,6 +13,7 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, one_line, read_toml
 from pdr_graph.gait.step_length import MODELS, REFERENCE_HEIGHT
 from pdr_graph.types import Array, Steps
+from pdr_graph.whole_files import write_file
 
 COEFFICIENTS = ("E_length", "E_straight", "E_corner")
 
@@ -118,7 +119,7 @@ class Walker(OneLineRepr):
         lines += [f"{name} = {value:.6g}" for name, value in self.constants.items()]
         if self.profile is not None:
             lines += ["", *_calibration_table(self.profile)]
-        Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        write_file(path, "\n".join(lines) + "\n")
 
 
 def _calibration_table(profile: Profile) -> list[str]:

@@ -12,6 +12,7 @@ import numpy as np
 from pdr_graph.frames import Frame
 from pdr_graph.storage import write_text
 from pdr_graph.types import Array, Estimate, Steps, Trajectory
+from pdr_graph.whole_files import write_file
 
 TRAJECTORY_HEADER = "time,x,y,heading,floor,sigma_x,sigma_y,cov_xy,sigma_heading"
 ROUTES_HEADER = "route,probability,time,x,y,heading,floor"
@@ -66,7 +67,7 @@ def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:
         [steps.time + clock_origin, steps.length, steps.turn, steps.sigma_length, steps.sigma_turn], axis=1
     )
     lines += [f"{t:.4f},{length:.4f},{turn:.6f},{sl:.4f},{st:.6f}" for t, length, turn, sl, st in table]
-    write_text(path, "\n".join(lines) + "\n")
+    write_file(path, "\n".join(lines) + "\n")
 
 
 def write_geojson(path: Path, estimate: Estimate, frame: Frame, clock_origin: float) -> None:

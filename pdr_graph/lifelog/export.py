@@ -27,6 +27,7 @@ from pdr_graph.lifelog.private_places import PrivatePlace, private_places
 from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.lifelog.timeline import PASSING, STAY, timeline, timeline_csv
 from pdr_graph.types import Array, Trajectory
+from pdr_graph.whole_files import output_folder, write_file
 
 HEADER = f"outing,{TRAJECTORY_HEADER},latitude,longitude"
 
@@ -187,15 +188,16 @@ def export_days(
         wanted = _selected_days(log, person, _checked_date("--from", since), _checked_date("--to", until))
         places = _private_places(log, cut), _private_places(log, blur)
         days = _public_days(log, wanted, file_format, places, notes)
-        for target, content in (
-            _one_file(out, file_format, list(days))
-            if single
-            else _tables(out, days, log, bool(cut or blur))
-            if file_format == PARQUET
-            else _files_by_day(out, file_format, days, zone)
-        ):
-            cache.write(target, content)
-            written.append(target)
+        if single:
+            return _write_one_file(out, file_format, list(days)), notes
+        with output_folder(out, private=True) as staged:
+            for target, content in (
+                _tables(staged, days, log, bool(cut or blur))
+                if file_format == PARQUET
+                else _files_by_day(staged, file_format, days, zone)
+            ):
+                cache.write(target, content)
+                written.append(out / target.relative_to(staged))
     return written, notes
 
 
@@ -255,9 +257,13 @@ def _public_days(
             notes.append(f"{person}, {day}: nothing left to export")
 
 
-def _one_file(out: Path, file_format: str, days: Sequence[Day]) -> Iterator[tuple[Path, bytes]]:
-    if days:
-        yield out, DOCUMENTS[file_format](days)
+def _write_one_file(out: Path, file_format: str, days: Sequence[Day]) -> list[Path]:
+    """Write all days to one file; returns it, nothing without a day."""
+    if not days:
+        return []
+    cache.make_folder(out.parent)
+    write_file(out, DOCUMENTS[file_format](days), private=True)
+    return [out]
 
 
 def _tables(out: Path, days: Iterator[Day], log: Store, private: bool) -> Iterator[tuple[Path, bytes]]:

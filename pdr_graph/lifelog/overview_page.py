@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Iterator, Sequence
 from html import escape
 from itertools import groupby
-
-from matplotlib import rc_context
-from matplotlib.figure import Figure
 
 from pdr_graph.errors import count, one_line
 from pdr_graph.lifelog.day_list import distance_text, list_texts
@@ -19,7 +14,6 @@ from pdr_graph.lifelog.period import DAY
 from pdr_graph.lifelog.place_visits import PlaceSummary, PlaceVisit
 from pdr_graph.lifelog.timeline import duration_text
 
-PICTURE_DPI = 130
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 STYLE = """
 body { font: 14px/1.45 system-ui, sans-serif; color: #26241f; background: #fff; margin: 1.5rem auto; max-width: 1180px;
@@ -36,16 +30,6 @@ MOST_VISITS = 500  # rows of the page's table; visits.csv has all
 MOST_DAYS = 400
 MOST_PLACES = 200
 Rows = Sequence[Sequence[str]]
-
-
-def picture_bytes(figure: Figure, file_format: str) -> bytes:
-    """A picture as PNG or SVG; letters that no font has are drawn as boxes in a PNG."""
-    buffer = io.BytesIO()
-    with warnings.catch_warnings(), rc_context({"svg.fonttype": "none", "svg.hashsalt": "pdr_graph"}):
-        warnings.filterwarnings("ignore", "Glyph")
-        about = {"Date": None, "Creator": None} if file_format == "svg" else None
-        figure.savefig(buffer, format=file_format, dpi=PICTURE_DPI, metadata=about)
-    return buffer.getvalue()
 
 
 def page(shown: Overview, svg: bytes, remarks: Sequence[str]) -> bytes:

@@ -6,8 +6,6 @@ names or paths of recordings and plans.
 
 from __future__ import annotations
 
-import io
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, tzinfo
@@ -37,7 +35,7 @@ from pdr_graph.lifelog.timeline import (
     timeline_csv,
     totals,
 )
-from pdr_graph.plotting import TRACK
+from pdr_graph.plotting import TRACK, picture_bytes
 from pdr_graph.report import charts_and_tables, page
 from pdr_graph.report.charts_and_tables import Table, table
 from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, rings, runs, track
@@ -71,18 +69,9 @@ def write_day(day: Day, zone: tzinfo, out: Path | None, rows: DayRows | None = N
     if out is not None:
         cache.write(out / "timeline.csv", timeline_csv(timeline(day), zone).encode())
         cache.write(out / "day.geojson", as_geojson([day]))
-        cache.write(out / "day.png", _picture_bytes(day, zone))
+        cache.write(out / "day.png", picture_bytes(picture(day, zone), PICTURE_DPI))
         missing += _write_page(out / "report.html", day, zone, missing, notes, rows)
     return [*(f"note: {line}" for line in notes), *(f"missing: {line}" for line in missing)]
-
-
-def _picture_bytes(day: Day, zone: tzinfo) -> bytes:
-    """The picture of a day as PNG."""
-    buffer = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph")  # letters that no font has are drawn as boxes
-        picture(day, zone).savefig(buffer, format="png", dpi=PICTURE_DPI)
-    return buffer.getvalue()
 
 
 def _write_page(
@@ -90,9 +79,10 @@ def _write_page(
 ) -> tuple[str, ...]:
     """Write the HTML page of a day; returns a line for a failure, else nothing."""
     try:
-        cache.write(path, page.page(content(day, zone, missing, notes, rows)))
+        html = page.page(content(day, zone, missing, notes, rows))
     except Exception as error:  # a failing report must not lose the result
         return (one_line(f"{path.name} ({type(error).__name__}: {error})"),)
+    cache.write(path, html)
     return ()
 
 

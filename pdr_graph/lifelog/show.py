@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -19,6 +20,7 @@ from pdr_graph.lifelog.place_visits import place_label
 from pdr_graph.lifelog.places import Place, likely_home
 from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.lifelog.timeline import TimelineEntry
+from pdr_graph.whole_files import output_folder
 
 TOLERANCES = {DAY: 1.0}  # [m] by which drawn tracks may be simplified
 COARSE_TOLERANCE = 10.0  # [m], of longer periods
@@ -79,9 +81,10 @@ def show(path: Path, choice: Choice, out: Path | None = None, template: str = ""
         if choice.place and not chosen.visits:
             raise _no_place(choice.place, days, period)
         folder = out or path.with_name(_folder_name(path, period))
-        remarks = _written_day(log, chosen, folder if write else None)
-    if write:
-        remarks += _write(chosen, folder, template, remarks)
+        with output_folder(folder, private=True) if write else nullcontext() as staged:
+            remarks = _written_day(log, chosen, staged)
+            if staged is not None:
+                remarks += _write(chosen, staged, template, remarks)
     return Shown(chosen, tuple(remarks), folder)
 
 
@@ -170,11 +173,13 @@ def _labelled(entry: TimelineEntry) -> TimelineEntry:
 def _write(chosen: Overview, folder: Path, template: str, remarks: Sequence[str]) -> list[str]:
     """Write the files of an overview; returns a line for each map without tiles."""
     from pdr_graph.lifelog import overview_page, overview_picture
+    from pdr_graph.lifelog.report import PICTURE_DPI
+    from pdr_graph.plotting import picture_bytes
 
     figure, failures = overview_picture.picture(chosen, template)
     for name, table in tables(chosen).items():
         cache.write(folder / name, table)
-    cache.write(folder / "overview.png", overview_page.picture_bytes(figure, "png"))
-    svg = overview_page.picture_bytes(figure, "svg")
+    cache.write(folder / "overview.png", picture_bytes(figure, PICTURE_DPI))
+    svg = picture_bytes(figure, PICTURE_DPI, "svg")
     cache.write(folder / "overview.html", overview_page.page(chosen, svg, [*remarks, *failures]))
     return failures

@@ -34,6 +34,7 @@ from pdr_graph.pipeline import NO_ACCELEROMETER
 from pdr_graph.plausibility import check_beacons_on_plan, check_floors
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
+from pdr_graph.whole_files import output_folder
 
 PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
 MEMORY_INTERVAL = 50.0  # [s] of the walk between measurements of the memory, doubled at MOST_MEASUREMENTS
@@ -125,22 +126,22 @@ def replay_recording(recording: Path, out: Path, options: Options | None = None,
         inputs = read(recording, options)
         outside = _outside(inputs.walk, inputs.other_fixes)
         events = list(events_of(replace(inputs.walk, fixes=inputs.other_fixes[~outside])))
-    out.mkdir(parents=True, exist_ok=True)
-    with stage("opening"):
-        nav = _opened(inputs, options, len(events), kind or _navigator())
-    gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
-    with nav if isinstance(nav, Journal) else nullcontext():
-        done = nav.count if isinstance(nav, Journal) else 0
-        began = time.perf_counter()
-        causal = walked(nav, _shown(events[done:]), latency)
-        stage.seconds["replay"] = round(time.perf_counter() - began, 4)
-        with stage("finish"):
-            result = _finished(nav, inputs, inputs.other_fixes[outside])
-    write_trajectory(out / "causal.csv", causal, inputs.walk.clock_origin)
-    write_summary(out / "latency.json", latency.describe())
-    resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
-    result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
-    return write(out, inputs, result, options, stage)
+    with output_folder(out) as staged:
+        with stage("opening"):
+            nav = _opened(inputs, options, len(events), kind or _navigator())
+        gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
+        with nav if isinstance(nav, Journal) else nullcontext():
+            done = nav.count if isinstance(nav, Journal) else 0
+            began = time.perf_counter()
+            causal = walked(nav, _shown(events[done:]), latency)
+            stage.seconds["replay"] = round(time.perf_counter() - began, 4)
+            with stage("finish"):
+                result = _finished(nav, inputs, inputs.other_fixes[outside])
+        write_trajectory(staged / "causal.csv", causal, inputs.walk.clock_origin)
+        write_summary(staged / "latency.json", latency.describe())
+        resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
+        result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
+        return write(staged, inputs, result, options, stage)
 
 
 def _outside(walk: Recording, fixes: Fixes) -> Mask:

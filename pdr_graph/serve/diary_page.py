@@ -29,6 +29,7 @@ from pdr_graph.lifelog.period import period_of
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
 from pdr_graph.lifelog.timeline import TimelineEntry
+from pdr_graph.plotting import picture_bytes
 from pdr_graph.serve.access import COOKIE, OWNER, Access
 from pdr_graph.serve.application import Guard
 
@@ -171,7 +172,7 @@ def day_picture(store: Path, query: Fields) -> bytes:
     """The picture of a day as SVG."""
     choice = Choice((query.get("person", ""),), period_of(day=query.get("date", "")))
     figure, _ = overview_picture.picture(show(store, choice, write=False).overview, "")
-    return overview_page.picture_bytes(figure, "svg")
+    return picture_bytes(figure, file_format="svg")
 
 
 def entry_page(store: Path, query: Fields) -> str:

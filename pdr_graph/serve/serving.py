@@ -18,7 +18,7 @@ import uvicorn
 from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, Interrupted
 from pdr_graph.floor.building import Building
 from pdr_graph.inputs import LIVE, Options
 from pdr_graph.online.replay import navigator_of
@@ -160,7 +160,7 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
     )
     server = uvicorn.Server(config)
     ready(listening.getsockname()[1])
-    with contextlib.suppress(KeyboardInterrupt), listening:
+    with contextlib.suppress(KeyboardInterrupt, Interrupted), listening:
         server.run(sockets=[listening])
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.writers import cell
 from pdr_graph.types import STANDARD_GRAVITY, Array
+from pdr_graph.whole_files import output_folder
 
 if TYPE_CHECKING:
     from pdr_graph.simulation.simulate import Simulation
@@ -25,7 +26,11 @@ def write(walk: Simulation, folder: Path) -> None:
     Times in all of them are on the recorder's clock. A plan of one file is copied there, as ``plan.geojson``,
     ``plan.osm`` or ``plan.zip``.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with output_folder(folder) as staged:
+        _write(walk, staged)
+
+
+def _write(walk: Simulation, folder: Path) -> None:
     if walk.scenario.plan is not None and walk.scenario.plan.is_file():
         suffix = walk.scenario.plan.suffix if walk.scenario.plan.suffix in OTHER_PLANS else ".geojson"
         (folder / f"plan{suffix}").write_bytes(walk.scenario.plan.read_bytes())

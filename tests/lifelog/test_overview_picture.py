@@ -23,11 +23,12 @@ from pdr_graph.lifelog.day import STANDING, WALKING
 from pdr_graph.lifelog.day_rows import rows_of
 from pdr_graph.lifelog.map_tiles import MercatorFrame, check_template, tiles
 from pdr_graph.lifelog.overview_map import regions
-from pdr_graph.lifelog.overview_page import page, picture_bytes
+from pdr_graph.lifelog.overview_page import page
 from pdr_graph.lifelog.overview_picture import offset_text, picture
 from pdr_graph.lifelog.period import period_of
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
+from pdr_graph.plotting import picture_bytes
 
 FILES = {"overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
 REPORT = {"report.html", "timeline.csv", "day.geojson", "day.png"}
@@ -144,7 +145,7 @@ def test_names_are_text_in_the_page(tmp_path):
         store.put_day(rows_of(made, "key", ["5f3b" * 16]))
     shown = show(tmp_path / "days.db", Choice(), write=False)
     figure, _ = drawn(shown.overview)
-    html = page(shown.overview, picture_bytes(figure, "svg"), [evil]).decode()
+    html = page(shown.overview, picture_bytes(figure, file_format="svg"), [evil]).decode()
     assert "<script" not in html
     assert "&lt;script&gt;" in html
 

@@ -48,7 +48,7 @@ def opened(folder, open_=LiveWalk):
 
 
 def received(n):
-    """When message n arrives [s]: with its last sample, by a clock that is the phone's. It is in the pose: no clock of today."""
+    """When message n arrives [s]: with its last sample. It is in the pose, so that no clock of today may say it."""
     return EPOCH + n + 1.0
 
 

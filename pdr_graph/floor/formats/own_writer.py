@@ -13,7 +13,7 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.own_format import LOCAL
 from pdr_graph.frames import Frame
-from pdr_graph.storage import write_text
+from pdr_graph.whole_files import write_file
 
 DEGREES, METRES = 8, 3  # digits of coordinates: 1 mm
 WRITTEN_ANEW = ("kind", "name", "floor", "level", "Type")  # properties that are not copied
@@ -36,7 +36,7 @@ def write(path: Path, drawing: Drawing) -> None:
             floors.setdefault(id(area), []).append(label)
     features = [_feature(area, floors[key] if len(labels) > 1 else [], drawing.frame) for key, area in areas.items()]
     collection = {"type": "FeatureCollection", "pdr_graph": about, "features": features}
-    write_text(path, json.dumps(collection, ensure_ascii=False, allow_nan=False))
+    write_file(path, json.dumps(collection, ensure_ascii=False, allow_nan=False))
 
 
 def _feature(area: Area, floors: list[str], frame: Frame) -> dict[str, Any]:

@@ -1,0 +1,155 @@
+"""Output files that are written as a whole or not at all, whatever ends the process or fills the disk.
+
+New files are written under another name, forced to the disk and then renamed. A lock tells a second process that the
+first still writes; the system releases it when a process ends, so that what a killed one left is removed by the next.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from pdr_graph.errors import InputError
+
+UNFINISHED = ".unfinished"  # folder of the files of a run, in its output folder; ending of a single file
+LAST = "summary.json"  # the file that says that a folder is complete
+PRIVATE_FILE, PRIVATE_FOLDER = 0o600, 0o700
+INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@contextmanager
+def output_folder(out: Path, private: bool = False) -> Iterator[Path]:
+    """A folder for the files of `out`: they take their places there when the block ends without an exception.
+
+    Otherwise `out` stays as it was. private: for its owner alone. Raises InputError if another process writes to `out`;
+    OSError of the disk.
+    """
+    made = _make(out, PRIVATE_FOLDER if private else 0o777)
+    try:
+        with _locked(os.open(out, os.O_RDONLY), out):
+            staged = out / UNFINISHED
+            shutil.rmtree(staged, ignore_errors=True)  # of a process that was killed
+            try:
+                staged.mkdir(PRIVATE_FOLDER if private else 0o777)
+                yield staged
+                _publish(staged, out)
+            finally:
+                with uninterrupted():
+                    shutil.rmtree(staged, ignore_errors=True)
+    except BaseException as error:
+        for folder in made:  # innermost first; those with other files stay
+            with suppress(OSError):
+                folder.rmdir()
+        if isinstance(error, OSError):
+            where = str(error.filename or out).replace(f"{os.sep}{UNFINISHED}", "", 1)
+            raise OSError(error.errno, error.strerror or str(error), where) from None
+        raise
+
+
+def _make(folder: Path, mode: int) -> list[Path]:
+    """Create a folder and its parents; returns those that did not exist, innermost first."""
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    for path in reversed(made):
+        path.mkdir(mode, exist_ok=True)
+    if not folder.is_dir():
+        raise NotADirectoryError(20, "not a folder", str(folder))
+    return made
+
+
+def _publish(staged: Path, out: Path) -> None:
+    """Move all files to their places, the summary last, after they are on the disk."""
+    files = [path for path in staged.rglob("*") if path.is_file()]
+    for file in files:
+        _to_disk(file)
+    with uninterrupted():
+        for file in sorted(files, key=lambda file: file.name == LAST):
+            target = out / file.relative_to(staged)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(target)
+    _to_disk(out)
+
+
+def write_file(path: str | Path, content: str | bytes, private: bool = False) -> None:
+    r"""Write one output file; an earlier file of that name is replaced by the whole new one, or stays.
+
+    Texts are UTF-8; bytes of a file name in them that are not UTF-8 become escapes: \udcff. private: for its owner
+    alone. Raises InputError if another process writes it; OSError of the disk.
+    """
+    data = content if isinstance(content, bytes) else content.encode("utf-8", errors="backslashreplace")
+    path = Path(os.path.realpath(path))  # a link is followed, not replaced
+    if path.exists() and not path.is_file():
+        path.write_bytes(data)  # a device or a pipe has no earlier content
+        return
+    part = path.with_name(f".{path.name}{UNFINISHED}")
+    try:
+        with _locked(os.open(part, os.O_CREAT | os.O_WRONLY, PRIVATE_FILE if private else 0o666), path) as handle:
+            try:
+                if not part.exists() or os.fstat(handle).st_ino != part.stat().st_ino:
+                    raise _in_use(path)  # which has just renamed it
+                os.truncate(handle, 0)
+                with os.fdopen(handle, "wb", closefd=False) as file:
+                    file.write(data)
+                os.fsync(handle)
+                part.replace(path)
+            except BaseException:
+                part.unlink(missing_ok=True)
+                raise
+        _to_disk(path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from None
+
+
+@contextmanager
+def _locked(handle: int, path: Path) -> Iterator[int]:
+    """The handle of a file or folder, locked; closed at the end. Raises InputError if another process has the lock."""
+    try:
+        lock(handle, path)
+        yield handle
+    finally:
+        os.close(handle)
+
+
+def lock(handle: int, path: Path) -> None:
+    """Lock an open file until it is closed. Raises InputError if another process has the lock."""
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise _in_use(path) from None
+    except OSError:
+        pass  # a file system without locks, as of some networks: files are whole all the same
+
+
+def _in_use(path: Path) -> InputError:
+    return InputError(path, "", "another process that writes to it", "another name, or the end of that process")
+
+
+def _to_disk(path: Path) -> None:
+    """Force a file or the names in a folder to the disk, so that a power cut does not lose them."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C and requests to end the process take effect after the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals interrupt the main thread alone
+        return
+    arrived = list[int]()
+    before = {number: signal.signal(number, lambda number, _: arrived.append(number)) for number in INTERRUPTIONS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        if arrived:
+            signal.raise_signal(arrived[0])
