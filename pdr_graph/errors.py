@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -80,9 +81,21 @@ def first_look(folder: Path) -> Path:
     return next((folder / page for page in PAGES if (folder / page).exists()), folder)
 
 
+LARGEST_TOML = 1_000_000  # [bytes]
+LONG_NAME = re.compile(rb"""(?:\.\s*[\w"'-]{1,100}\s*){20}""")  # tables in tables, whose cost grows with the square
+
+
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises InputError if it cannot be read or parsed."""
+    """The tables of a TOML file. Raises InputError if it cannot be read or parsed, or is too large."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        with Path(path).open("rb") as file:
+            content = file.read(LARGEST_TOML + 1)
+        if len(content) > LARGEST_TOML:
+            raise InputError(path, "", f"more than {LARGEST_TOML} bytes", "a TOML file written by hand")
+        if LONG_NAME.search(content):
+            raise InputError(path, "", "a name of more than 20 parts", "names of one or two parts")
+        return tomllib.loads(content.decode())
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(path, "", str(error), "a TOML file") from None

@@ -141,6 +141,7 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         fixes = Fixes.concatenate([fixes, _radio_fixes(radio_map, walk, frame, options.radio_map, notes)])
     places = Plausibility.of(walk, frame, fixes, building, fastest)
     places.check_fixes(options.plan, options.fixes, listed_fixes, recorded, metric)
+    fixes = _thinned(fixes, places.span, notes)
     beacons = _placed_beacons(walk, frame, notes)
     beacons = _plausible(beacons, walk, options.beacons, listed, places, notes)
     if options.ranges is not None:
@@ -158,6 +159,18 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
         if options.start_heading is None
         else replace(inputs, start_heading=_in_frame(inputs, options.start_heading))
     )
+
+
+FASTEST_FIXES = 25.0  # [Hz] of the fastest receivers; each fix costs milliseconds, and denser ones repeat each other
+
+
+def _thinned(fixes: Fixes, span: tuple[float, float], notes: list[str]) -> Fixes:
+    """The fixes, of which every k-th is kept if they are more than FASTEST_FIXES allows in the time of the walk [s]."""
+    every = int(np.ceil(len(fixes) / (FASTEST_FIXES * (span[1] - span[0] + 1))))
+    if every <= 1:
+        return fixes
+    notes.append(f"{len(fixes)} fixes: more than {FASTEST_FIXES:.0f} per second, so one in {every} is used")
+    return fixes[np.arange(0, len(fixes), every)]
 
 
 def _in_frame(inputs: Inputs, bearing: float) -> float:

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, BinaryIO, cast
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
@@ -22,6 +22,8 @@ from pdr_graph.errors import InputError, count
 MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
+ENTRY = 300  # bytes of a zip's directory for a file: twice what a file of an app has
+METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
 ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -60,7 +62,7 @@ class Source(OneLineRepr):
         )
         if not path.exists():
             raise InputError(path, "", "no such file", f"a {subject}")
-        self._zip = _open_zip(path)
+        self._zip = _open_zip(path, most_files)
         if self._zip is not None:
             entries = _zip_entries(path, self._zip)
         elif path.is_dir():
@@ -164,7 +166,22 @@ def _limit() -> int:
     return int(limit) * 10**6
 
 
-def _open_zip(path: Path) -> zipfile.ZipFile | None:
+class _BoundedReads:
+    """A file of an archive for reading its directory alone, which is refused before it is read if it is too long."""
+
+    def __init__(self, file: BinaryIO, path: Path, most_files: int):
+        self._file, self._path, self._most_files = file, path, most_files
+        self.seek, self.tell = file.seek, file.tell
+
+    def read(self, size: int = -1) -> bytes:
+        """The next bytes. Raises InputError for more than the directory of so many files has."""
+        if size > max(ENTRY * self._most_files, 1 << 20):
+            found = f"a directory of {size / 1e6:.1f} MB"
+            raise InputError(self._path, "", found, f"an archive of at most {self._most_files} files")
+        return self._file.read(size)
+
+
+def _open_zip(path: Path, most_files: int) -> zipfile.ZipFile | None:
     """The open archive; None if the file is not a zip."""
     if not path.is_file():
         return None
@@ -172,7 +189,11 @@ def _open_zip(path: Path) -> zipfile.ZipFile | None:
         if stream.read(4) not in (b"PK\x03\x04", b"PK\x05\x06"):
             return None
     try:
+        with path.open("rb") as file:
+            zipfile.ZipFile(cast("BinaryIO", _BoundedReads(file, path, most_files))).close()
         return zipfile.ZipFile(path)
+    except InputError:
+        raise
     except ZIP_ERRORS as error:
         raise InputError(path, "", f"a damaged zip ({error})", "a complete zip: was the download cut off?") from None
 
@@ -188,6 +209,12 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
         if is_link or ".." in parts or parts[0].startswith("/") or ":" in parts[0]:
             found = f"a member {'link' if is_link else 'name'} that leads elsewhere, {info.filename[:60]!r}"
             raise InputError(path, "", found, "an archive of plain files")
+        if info.compress_type not in METHODS:
+            method = zipfile.compressor_names.get(info.compress_type, f"method {info.compress_type}")
+            found = f"{info.filename[:60]!r} packed by {method}"
+            raise InputError(
+                path, "", found, f"an archive whose files are {' or '.join(METHODS.values())}: pack it again"
+            )
         name = "/".join(parts)
         if name in entries:
             raise InputError(path, "", f"two members named {name[:60]!r}", "an archive with each file once")

@@ -57,3 +57,13 @@ def test_a_fix_that_is_nan_is_refused_with_its_line(folder, tmp_path):
     code, errors, _ = smoothed(folder, tmp_path, [(begin + 1, 0, 0), (begin + 9, "nan", 3)])
     assert code == 2
     assert "line 3, x: found 'nan'" in errors[0]
+
+
+def test_fixes_a_thousand_times_a_second_cost_no_more_than_those_of_the_fastest_receiver(folder, tmp_path):
+    """Each costs the solver milliseconds; of 20 000 in twenty seconds some hundred are used, and a note says so."""
+    begin, _ = times_of(folder)
+    rows = [(round(begin + 1 + n / 1000, 3), 0, 0) for n in range(20_000)]
+    code, _, summary = smoothed(folder, tmp_path, rows)
+    assert code in (0, 3)
+    assert any("20000 fixes: more than 25 per second" in warning for warning in summary["warnings"])
+    assert 100 < len(summary["fixes"]) < 5000

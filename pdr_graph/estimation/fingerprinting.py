@@ -26,6 +26,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, length_along, nearest
 from pdr_graph.measurements import Closures
+from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Sightings, Trajectory
 from pdr_graph.whole_files import write_file
 
@@ -144,6 +145,8 @@ ENOUGH = 20  # scans at mapped places needed to estimate the errors of a map
 MOST_CHECKED = 1000  # scans for that, evenly chosen
 ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
 UNREADABLE = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+UNREADABLE += (MemoryError,)  # numpy allocates what the header of an array states
+LARGEST_MAP = 500_000_000  # [bytes] unpacked: 60 000 fingerprints of 2000 transmitters
 
 
 @dataclass(frozen=True)
@@ -220,7 +223,10 @@ class RadioMap:
 
     @classmethod
     def load(cls, path: str | Path) -> RadioMap:
-        """Read a map that `save` wrote. Raises InputError if it is another file, or damaged."""
+        """Read a map that `save` wrote. Raises InputError if it is another file, damaged or larger than LARGEST_MAP."""
+        files = Source(Path(path), "radio map")
+        if (size := sum(files.size(name) for name in files.names)) > LARGEST_MAP:
+            raise InputError(path, "", f"{size} bytes unpacked", f"at most {LARGEST_MAP}: fewer fingerprints")
         try:
             with zipfile.ZipFile(path) as archive:
                 if damaged := archive.testzip():

@@ -43,10 +43,12 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
     label = words["beacon"] if any(words["beacon"]) else words["bleid"]
     position = np.stack([numbers[n] for n in (("lon", "lat") if geodetic else ("x", "y"))], axis=1)
     sigma = np.nan_to_num(numbers.get("sigma", np.full(len(label), np.nan)), nan=unstated)
+    before = set[str]()
     for n, name in enumerate(label):
-        if not name or name in label[:n]:
+        if not name or name in before:
             found = f"{name[:40]!r} twice" if name else "no name"
             raise InputError(path, f"data row {n + 1}", found, "one row for each beacon, with its name")
+        before.add(name)
     epsg = LONLAT if geodetic else None
     return Beacons(_names(label, recording), position, np.maximum(sigma, MINIMUM_SIGMA), words["floor"], label, epsg)
 

@@ -110,6 +110,9 @@ def _covariance(numbers: dict[str, Array]) -> Array:
 ALIASES = {"timestamp": "time", "yaw": "heading"}  # names in the PDR Benchmark's tools: ours
 
 
+FARTHEST = 1e8  # [m] from the origin of a metric frame: eastings with the number of their zone have up to 6e7
+
+
 def read_table(
     path: Path, required: list[tuple[str, ...]], optional: tuple[str, ...] = (), words: tuple[str, ...] = ()
 ) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
@@ -133,6 +136,8 @@ def read_table(
         for row in np.flatnonzero(np.isnan(numbers[name]))[:1]:
             cell = table.rows.words(header.index(name))[row]
             raise InputError(path, f"line {table.rows.numbers[row]}, {name}", repr(cell[:40]), "a finite number")
+    for name in {"x", "y"}.intersection(present):
+        _check_rows(path, np.abs(numbers[name]) > FARTHEST, numbers[name], name, f"a place within {FARTHEST:.0e} m")
     empty = ("",) * len(values)
     return numbers, {w: tuple(table.rows.words(header.index(w))) if w in header else empty for w in words}
 

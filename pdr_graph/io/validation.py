@@ -15,6 +15,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError
+from pdr_graph.io.signal_checks import (
+    FASTEST_TURN,
+    GRAVITY,
+    GRAVITY_IN_G,
+    WINDOW,
+    Windows,
+    check_one_unit,
+    check_times,
+    note_clipping,
+    slow_rate,
+)
 from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
 
 IMPLAUSIBLE = 1e12  # times [s] and values in any unit from here on are damage, as are NaN and infinity
@@ -63,7 +74,10 @@ def build_recording(
         cleaned = _clean(path, sensor, table, notes)
         if len(cleaned):
             signals[sensor] = Signal(cleaned[:, 0], cleaned[:, 1:])
+    check_times(path, signals)
+    check_one_unit(path, signals)
     signals = _units(path, signals, notes)
+    note_clipping(signals, notes)
     _check_rates(signals, notes)
     _check_clocks(path, signals, notes)
 
@@ -102,7 +116,11 @@ def _clean(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
     valid = np.ones(len(table), dtype=bool) if plausible.all() else plausible.all(axis=1)
     missing = int((~valid).sum())
     if missing > DAMAGE.missing * len(table):
-        raise InputError(path, sensor, f"{missing} of {len(table)} rows without a value", "rows of finite numbers")
+        found, expected = f"{missing} of {len(table)} rows without a value", "rows of finite numbers"
+        if (late := np.isfinite(table[:, 0]) & (np.abs(table[:, 0]) >= IMPLAUSIBLE)).mean() > DAMAGE.missing:
+            found = f"{late.sum()} times from {table[late, 0].min():.3g} s on"
+            expected = "times in the recorder's unit (are these in a smaller one?)"
+        raise InputError(path, sensor, found, expected)
     if missing:
         notes.append(f"{sensor}: {missing} rows without a value were left out")
     ordered = _in_order(path, sensor, table[valid], notes)
@@ -161,7 +179,6 @@ def _units(path: str, signals: dict[str, Signal], notes: list[str]) -> dict[str,
     return signals
 
 
-FASTEST_TURN = 10.0  # [rad/s] median angular rate; larger values can only be deg/s
 PASCAL_FROM, KILOPASCAL_TO = 2000.0, 200.0  # a larger pressure is in Pa, a smaller in kPa: people walk at 400–1050 hPa
 
 
@@ -187,17 +204,13 @@ def unit_of(path: str, sensor: str, signal: Signal, notes: list[str]) -> tuple[s
     return sensor, 1.0
 
 
-GRAVITY = (8.0, 11.5)  # [m/s²] accepted means over GRAVITY_WINDOW; 9.5–10.2 on real walks
-GRAVITY_IN_G = (0.85, 1.15)  # [g] the same range for a recorder that writes g
-GRAVITY_WINDOW = 2.0  # [s] one or two strides, over which the walker's own acceleration averages out
-
-
 def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, float]:
     """The kind of an accelerometer, with or without gravity, and the factor that converts it to m/s².
 
     Over a stride the walker's own acceleration averages out, and gravity remains.
     """
-    gravity, median = _mean_of_windows(signal), float(np.median(np.linalg.norm(signal.values, axis=1)))
+    gravity = float(np.median(Windows.of(signal).mean))
+    median = float(np.median(np.linalg.norm(signal.values, axis=1)))
     if GRAVITY[0] <= gravity <= GRAVITY[1]:
         return "accelerometer", 1.0
     if GRAVITY_IN_G[0] <= gravity <= GRAVITY_IN_G[1] and gravity > 0.7 * median:
@@ -207,17 +220,7 @@ def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, flo
         notes.append(f"accelerometer: gravity is {gravity:.3f} m/s²: the recorder removed it")
         return "linear_acceleration", 1.0
     expected = f"{STANDARD_GRAVITY:.2f} m/s², 1 g, or 0 where the recorder removes it"
-    raise InputError(
-        path, "accelerometer", f"gravity of {gravity:.3f} (median of {GRAVITY_WINDOW:.0f} s means)", expected
-    )
-
-
-def _mean_of_windows(signal: Signal) -> float:
-    """Median magnitude of the means over windows of GRAVITY_WINDOW, in the unit of the signal."""
-    samples = min(max(1, round(GRAVITY_WINDOW * signal.rate)), len(signal))
-    windows = len(signal) // samples
-    means = signal.values[: windows * samples].reshape(windows, samples, -1).mean(axis=1)
-    return float(np.median(np.linalg.norm(means, axis=1)))
+    raise InputError(path, "accelerometer", f"gravity of {gravity:.3f} (median of {WINDOW:.0f} s means)", expected)
 
 
 def _scaled(signal: Signal, factor: float) -> Signal:
@@ -232,7 +235,7 @@ def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
     for sensor in (s for s in INERTIAL if s in signals and len(signals[s]) > 1):
         signal = signals[sensor]
         if signal.rate < SLOWEST_RATE:
-            notes.append(f"{sensor}: {signal.rate:.1f} Hz is too slow to detect every step")
+            notes.append(f"{sensor}: {signal.rate:.1f} Hz is too slow to detect every step{slow_rate(signal.rate)}")
         interval = np.diff(signal.time)
         gaps = interval[are_gaps(signal)]
         if len(gaps):

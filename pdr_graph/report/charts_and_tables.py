@@ -10,6 +10,7 @@ import numpy as np
 
 from pdr_graph.evaluation import circular_error, error_text, evaluate, pair
 from pdr_graph.floor.building import Building
+from pdr_graph.io.signal_checks import clipped
 from pdr_graph.io.validation import INERTIAL, are_gaps
 from pdr_graph.plotting import FIX, GREY, RADIO, TRACK
 from pdr_graph.report.page import CENTISECOND, column, thinned
@@ -163,7 +164,6 @@ PURPOSE = {  # what each sensor is required for
     "barometer": "floor changes",
 }
 STUCK_INERTIAL, STUCK = 1.0, 10.0  # [s] of exactly the same value above which a sensor is stuck: noise alone changes it
-CLIPPED = 3  # consecutive samples at the extreme value: an unclipped peak has one, two by rounding
 
 
 @dataclass(frozen=True)
@@ -209,19 +209,8 @@ def health(name: str, signal: Signal) -> Health:
         gaps=int(gap.sum()),
         longest_gap=float(interval[gap].max(initial=0.0)),
         stuck=still if still > (STUCK_INERTIAL if inertial else STUCK) else 0.0,
-        clipped=sum(_clipped(axis) for axis in axes) if inertial else 0,
+        clipped=sum(clipped(axis) for axis in axes) if inertial else 0,
     )
-
-
-def _clipped(values: Array) -> int:
-    """Count samples of one axis in runs at its largest or smallest value; 0 for a constant axis."""
-    if np.ptp(values) == 0:
-        return 0
-    edge = np.flatnonzero(
-        np.diff(np.concatenate([[False], (values == values.max()) | (values == values.min()), [False]]))
-    )
-    length = edge[1::2] - edge[::2]
-    return int(length[length >= CLIPPED].sum())
 
 
 def sensor_rows(walk: Recording) -> tuple[list[str], list[list[str]]]:

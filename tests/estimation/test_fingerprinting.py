@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pdr_graph.errors import InputError
+from pdr_graph.estimation import fingerprinting
 from pdr_graph.estimation.fingerprinting import SHARED, RadioMap, scans_of
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate
@@ -209,6 +210,57 @@ def test_arrays_of_inconsistent_shapes_are_input_errors(name, wrong, learnt, tmp
     np.savez(path, **arrays | {name: wrong(arrays[name])})
     with pytest.raises(InputError, match=f"map.npz, {name}: found"):
         RadioMap.load(path)
+
+
+def with_levels(path, header, size=0):
+    """Put an array with another header and so many zeros in the place of a map's levels."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    text = header.encode().ljust(117) + b"\n"
+    levels = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + bytes(size)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in (members | {"level.npy": levels}).items():
+            archive.writestr(name, content)
+
+
+def test_a_map_that_states_terabytes_is_refused_before_they_are_needed(learnt, tmp_path):
+    path = tmp_path / "map.npz"
+    learnt.save(path)
+    with_levels(path, "{'descr': '<f4', 'fortran_order': False, 'shape': (1000000, 1000000), }")
+    with pytest.raises(InputError, match=r"map.npz: found"):
+        RadioMap.load(path)
+
+
+def test_a_map_of_gigabytes_of_zeros_is_refused_by_its_size(learnt, tmp_path, monkeypatch):
+    path = tmp_path / "map.npz"
+    learnt.save(path)
+    monkeypatch.setattr(fingerprinting, "LARGEST_MAP", 3_000_000)
+    RadioMap.load(path)
+    with_levels(path, "{'descr': '<f4', 'fortran_order': False, 'shape': (1000, 1000), }", 4_000_000)
+    with pytest.raises(InputError, match=r"map.npz: found \d+ bytes unpacked, expected at most 3000000"):
+        RadioMap.load(path)
+
+
+class Obedient:
+    """A pickle that creates a file when it is read."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (self.path, "w")
+
+
+def test_a_pickle_in_a_map_is_not_run(learnt, tmp_path):
+    path, proof = tmp_path / "map.npz", tmp_path / "proof"
+    learnt.save(path)
+    arrays = dict(np.load(path))
+    np.savez(path, **arrays | {"frame": np.array(Obedient(str(proof)), dtype=object)}, allow_pickle=True)
+    with pytest.raises(InputError):
+        RadioMap.load(path)
+    assert not proof.exists()
+    np.load(path, allow_pickle=True)["frame"]
+    assert proof.exists(), "the control: who allows pickles obeys it"
 
 
 def test_too_few_scans_make_no_map():

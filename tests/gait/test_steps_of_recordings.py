@@ -200,6 +200,10 @@ def test_walker_toml(tmp_path):
         ("height = 181", "between 0 and 3"),
         ("height = true", "number"),
         ("height", "TOML"),
+        ("height = " + "9" * 10_000, "TOML"),
+        ("height = " + "[" * 10_000, "TOML"),
+        ("a" + ".a" * 100_000 + " = 1", "a name of more than 20 parts"),
+        ("#" * 1_000_001, "more than 1000000 bytes"),
     ):
         path.write_text(text)
         with pytest.raises(InputError, match=complaint):

@@ -2,6 +2,8 @@
 
 import os
 import stat
+import struct
+import tracemalloc
 import zipfile
 
 import pytest
@@ -105,3 +107,28 @@ def test_pipes_and_devices_do_not_hang(tmp_path, files):
 def test_an_empty_folder_is_named(tmp_path):
     (tmp_path / "empty").mkdir()
     refused(tmp_path / "empty", "an empty folder")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_methods_that_unpack_without_bound_are_refused(tmp_path, files, method):
+    """A block of bzip2 or LZMA unpacks to megabytes from a few bytes, whatever is asked for."""
+    path = tmp_path / "walk.zip"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    refused(path, "packed by (bzip2|lzma), expected an archive whose files are stored or deflated")
+
+
+def test_the_directory_of_a_million_members_is_refused_before_it_is_read(tmp_path, files):
+    """zipfile would make an object of each, of a gigabyte together."""
+    path = tmp_path / "many.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.csv", "1")
+    data, size = path.read_bytes(), 90_000_000
+    record = data[data.index(b"PK\x01\x02") : data.index(b"PK\x05\x06")]
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 65_535, 65_535, size, data.index(b"PK\x01\x02"), 0)
+    path.write_bytes(data[: data.index(b"PK\x01\x02")] + (record * (size // len(record) + 1))[:size] + end)
+    tracemalloc.start()
+    refused(path, "a directory of 90.0 MB, expected an archive of at most 1000 files")
+    assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    tracemalloc.stop()

@@ -52,6 +52,7 @@ def test_fixes_in_degrees_are_transformed_into_the_frame(tmp_path):
         (f"time,x,y,sigma\n{ORIGIN},1,2,0\n", "sigma"),
         (f"time,x,y,sigma\n{ORIGIN},1,2\n", "line 2.*3 fields.*4"),
         (f"time,lat,lon,sigma\n{ORIGIN},100,2,1\n", "latitude"),
+        (f"time,x,y,sigma\n{ORIGIN},1e15,2,1\n", "data row 1, x: .* a place within"),
         ("time,x,y,sigma\n5,1,2,1\n", "times within the recording"),
         ("\x00\x01\x02", "header"),
     ],

@@ -203,6 +203,28 @@ def test_a_file_that_is_cut_off_is_imported_up_to_there(tmp_path):
     assert "imported up to there" in result.refused[0]
 
 
+@pytest.mark.parametrize("indent", [None, 1])
+@pytest.mark.parametrize("root", ["locations", "semanticSegments", ""])
+def test_a_document_that_is_cut_anywhere_is_said_to_be(tmp_path, root, indent):
+    """Also behind an element, a bracket or a comma, where what remains looks whole."""
+    rows = [location(NOON + n) for n in range(2)]
+    text = json.dumps({root: rows, "other": rows} if root else rows, indent=indent).encode()
+    for end in range(1, len(text)):
+        with (
+            saved(tmp_path / "a", text[:end]).open("rb") as stream,
+            pytest.raises(InputError, match="an end in the middle"),
+        ):
+            list(pieces(stream, "a"))
+
+
+def test_two_documents_in_one_file_are_not_read_as_the_first(tmp_path):
+    one = json.dumps({"locations": [location(NOON)]})
+    result = imported(tmp_path / "log", saved(tmp_path / "a", one + one))
+    assert result.positions.new == 1
+    assert "after the end, expected one document" in result.refused[0]
+    assert not imported(tmp_path / "log", saved(tmp_path / "a", one + "\r\n\n")).refused
+
+
 def test_a_damaged_zip_is_refused_in_one_line(tmp_path):
     file = zipped(tmp_path / "t.zip", {"a.json": records(tmp_path / "a", [location(NOON + n) for n in range(9000)])})
     damaged = bytearray(file.read_bytes())

@@ -90,15 +90,20 @@ def _read_file(path: Path) -> Drawing:
     return replace(drawing, repairs=tuple(repairs))
 
 
+MOST_CORNERS = 10_000  # of a route; one drawn by hand has some tens
+
+
 def read_route(path: str | Path) -> Array:
     """Corners ``(m, 2)`` [m] of the only ``link`` in a plan of our own format.
 
-    Raises InputError unless there is exactly one.
+    Raises InputError unless there is exactly one, of at most MOST_CORNERS.
     """
     drawing = read(Path(path))
     lines = {area.shape for areas in drawing.floors.values() for area in areas if area.kind == LINK}
     if len(lines) != 1:
         raise InputError(path, "", f"{len(lines)} features of kind 'link'", "one: the line that was walked")
     corners = shapely.get_coordinates(lines.pop())
+    if len(corners) > MOST_CORNERS:
+        raise InputError(path, "", f"{len(corners)} corners", f"a line of at most {MOST_CORNERS}: simplify it")
     apart = np.hypot(*np.diff(corners, axis=0).T) > 0
     return corners[np.append(True, apart)]

@@ -76,7 +76,8 @@ class _State:
 def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
     """Split a JSON document into pieces of whole elements. where: name of the file in messages.
 
-    Raises InputError if an element is too long, the document is neither a list nor an object, or is cut off.
+    Raises InputError if an element is too long, the document is neither a list nor an object, is cut off, or if
+    something follows its end.
     """
     text = stream.read(PIECE)
     text = text.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -91,7 +92,9 @@ def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
             consumed = cut
             if len(end):
                 yield Piece(state.key, text[begin : int(end[-1])], end - begin)
-        if len(brackets[1]) and (brackets[1] == 0).any():
+        closing = brackets[0][brackets[1] == 0]
+        if len(closing):
+            _check_end(text[int(closing[0]) + 1 :] + stream.read(PIECE), where)
             return
         text = text[consumed:]
         if len(text) > LONGEST_ELEMENT:
@@ -100,6 +103,12 @@ def pieces(stream: BinaryIO, where: str) -> Iterator[Piece]:
         if not more:
             raise InputError(where, state.key, "an end in the middle", "the whole file: was the download cut off?")
         text += more
+
+
+def _check_end(text: bytes, where: str) -> None:
+    """Raise InputError for more than blanks after the end of the document. text: what follows the end."""
+    if more := text.strip():
+        raise InputError(where, "", f"{more[:20]!r} after the end", "one document (two files, one behind the other?)")
 
 
 def _brackets(text: bytes, depth: int) -> tuple[Index, Index, Index]:
