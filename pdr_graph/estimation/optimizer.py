@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -27,8 +28,11 @@ STRAINED = 3.0  # cost above the usual at which further paths are searched
 ATTEMPTS = 2  # of the particle filter
 DIRECTIONS = 8  # initial directions where any is possible
 UNSEEN = 4.5  # cost above the usual of a path that the particles may have missed
+RESCUING = (1e-8, 1e-6, 1e-4, 1e-2)  # damping of a system that is indeterminate by rounding errors
 DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
-LEAST_LOGARITHM = -500.0  # of a probability: a walk that fits nothing is still the best there is
+LEAST_LOGARITHM = (
+    -300.0
+)  # of a probability: its square is not 0, as a walk that fits nothing is still the best there is
 SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance between two aisles
 
 
@@ -143,7 +147,7 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
     ordering = at.ordering(linear)
     stay = dict[float, gtsam.GaussianFactorGraph]()
     for iteration in range(1, MOST_ITERATIONS + 1):
-        net = _damped(linear, damping, stay).eliminateSequential(ordering)
+        net = eliminated(linear, ordering, damping, stay)
         candidate = graph.evaluate(at.state.retracted(net.optimize(), longest))
         decrease = at.cost - candidate.cost
         if decrease < 0 and damping < MOST_DAMPING:
@@ -153,12 +157,30 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
         if decrease >= 0:
             at = candidate
         if last:
-            net = linear.eliminateSequential(ordering) if damping else net
+            net = eliminated(linear, ordering, 0.0, stay) if damping else net
             return Optimum(graph, at, net, iteration, converged=True)
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
         linear = at.linearized()
-    net = linear.eliminateSequential(ordering)
+    net = eliminated(linear, ordering, 0.0, stay)
     return Optimum(graph, at, net, MOST_ITERATIONS, converged=False)
+
+
+def eliminated(
+    linear: gtsam.GaussianFactorGraph,
+    ordering: gtsam.Ordering,
+    damping: float = 0.0,
+    stay: dict[float, gtsam.GaussianFactorGraph] | None = None,
+) -> gtsam.GaussianBayesNet:
+    """The damped graph, factorised; with more damping if rounding errors make it indeterminate.
+
+    That happens where variables hang on a gap of half an hour alone, which says next to nothing of them. stay: see
+    `_damped`.
+    """
+    stay = {} if stay is None else stay
+    for least in (0.0, *RESCUING[:-1]):
+        with suppress(RuntimeError):
+            return _damped(linear, max(damping, least), stay).eliminateSequential(ordering)
+    return _damped(linear, max(damping, RESCUING[-1]), stay).eliminateSequential(ordering)
 
 
 def _damped(

@@ -1,5 +1,7 @@
 """The aisle of a walk, and its probability."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import shapely
@@ -70,3 +72,11 @@ def test_missed_paths_have_a_probability_only_on_a_plan():
     assert probabilities(optima, paths(optima)).sum() == pytest.approx(1.0)
     optima = solutions(straight(28, aisles((50, 0))))
     assert 0 < 1 - probabilities(optima, paths(optima)).sum() < 2 * np.exp(-UNSEEN)
+
+
+def test_a_walk_that_fits_nothing_at_all_has_a_probability():
+    """The live search for a place divides by it: `replay` of a real walk on a plan without a position ended there."""
+    optima = [SimpleNamespace(surprise=surprise, unseen=UNSEEN) for surprise in (6e8, 7e8)]
+    share = probabilities(optima, np.array([0, 1]))
+    assert (share > 0).all()
+    assert share.sum() < 1e-9

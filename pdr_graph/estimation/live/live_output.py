@@ -26,6 +26,7 @@ from pdr_graph.estimation.live.prediction import (
 )
 from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
 from pdr_graph.estimation.live.window import ALL
+from pdr_graph.estimation.optimizer import eliminated
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.measurements import take
 from pdr_graph.types import Array, Calibration, Estimate, Fixes, Headings, Steps
@@ -136,7 +137,7 @@ class LiveOutput:
         part = window.part(ALL)
         at = part.chain.evaluate(part.state(graph.isam.values, ()))
         linear = graph.isam.graph().linearize(graph.isam.values)
-        net = linear.eliminateSequential(metis_ordering(linear))
+        net = eliminated(linear, metis_ordering(linear))
         keys = [(X(interval.i), X(interval.j), C(interval.segment)) for interval in window.intervals]
         which = np.concatenate(
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
