@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, TypeVar
 
@@ -150,7 +151,12 @@ def concatenate(parts: Sequence[Data]) -> Data:
     tables = getattr(type(first), "tables", ())
     if tables:
         named: dict[tuple[str, int], tuple[Data, int]] = {}
-        rows = [np.array([_row_of(named, part, m) for m in range(len(part.label))], dtype=np.intp) for part in parts]
+        keys = [list(_keys(part)) for part in parts]
+        for part, of_part in zip(parts, keys, strict=True):
+            for m, key in enumerate(of_part):
+                named.setdefault(key, (part, m))
+        row_of = {key: row for row, key in enumerate(named)}
+        rows = [np.array([row_of[key] for key in of_part], dtype=np.intp) for of_part in keys]
         column = type(first).reference
         joined[column] = np.concatenate([row[getattr(part, column)] for row, part in zip(rows, parts, strict=True)])
         for name in tables:
@@ -184,11 +190,12 @@ def _stacked(columns: Sequence[Any]) -> Any:
     return tuple(value for column in columns for value in column)
 
 
-def _row_of(named: dict[tuple[str, int], tuple[Any, int]], part: Any, m: int) -> int:
-    """Row number of beacon or anchor `m` of a part in the merged tables `named`, to which a new label is added.
+def _keys(part: Data) -> Iterator[tuple[str, int]]:
+    """The label of each beacon or anchor of a part, and how often it stands before in its list.
 
     A label that stands several times in one list names several things, in the order of the list.
     """
-    key = part.label[m], part.label[:m].count(part.label[m])
-    named.setdefault(key, (part, m))
-    return list(named).index(key)
+    before = Counter[str]()
+    for label in part.label:
+        yield label, before[label]
+        before[label] += 1

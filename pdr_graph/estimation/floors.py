@@ -308,6 +308,8 @@ class LiveFloors:
         rows = rows[np.isfinite(rows).all(axis=1) & (rows[:, 1] > LOWEST) & (rows[:, 1] < HIGHEST)]
         if np.isfinite(self.end):
             rows = rows[np.abs(rows[:, 0] - self.end) < APART]
+        else:
+            self.pressure = self.pressure[-round(LONGEST / CLIMB.grid) :]
         for sample in rows:
             self._sample(sample)
 

@@ -13,7 +13,7 @@ from pdr_graph.gait.step_segment import STEP_STREAM, SegmentCheckpoint, SegmentS
 from pdr_graph.gait.steps import concatenate_steps, gap
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, SHORTEST_WALK
-from pdr_graph.inertial.attitude_stream import GravityRestorer, Health, SensorStream
+from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION, GravityRestorer, Health, SensorStream
 from pdr_graph.types import Array, Steps
 
 
@@ -141,6 +141,8 @@ class StepStream:
         accelerometer, gyroscope = self._sensors.values()
         accelerometer.ingest(gyroscope.offset)
         gyroscope.ingest(accelerometer.offset)
+        if gyroscope.last > accelerometer.last + 2 * SENSOR_VALIDATION.longest_packet:  # it runs alone
+            gyroscope.drop_until(gyroscope.last - SENSOR_VALIDATION.longest_packet)
 
     def _usable_until(self) -> float:
         """Time up to which both sensors have samples, or the accelerometer if the gyroscope stopped. [s]"""

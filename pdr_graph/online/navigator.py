@@ -8,17 +8,16 @@ No data can end the walk: unusable data are counted, and the status states the p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import expect
 from pdr_graph.estimation.calibration import prior_of
-from pdr_graph.estimation.consistency import ROUTE, plan_placement, verdict, wall_crossings
+from pdr_graph.estimation.consistency import verdict
+from pdr_graph.estimation.factors import kind_of
 from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA
 from pdr_graph.estimation.factors.start import Prior
@@ -27,7 +26,6 @@ from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
 from pdr_graph.estimation.live.live_smoother import LiveSmoother, SmootherCheckpoint
 from pdr_graph.estimation.live.window import Window
-from pdr_graph.estimation.results import Placement, calibration_warnings, contradiction_warnings, used_fixes
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
@@ -36,18 +34,19 @@ from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
 from pdr_graph.gait.steps import concatenate_steps
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
+from pdr_graph.measurements import last_time, take
 from pdr_graph.online.display import Display, modes_of
+from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks
 from pdr_graph.online.interface import EVENTS, Event, Pose, Samples, Scan, trajectory_of_rows
-from pdr_graph.online.status import Status, issues_of, missing_inputs, state_of
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Headings, Steps, Trajectory
+from pdr_graph.online.live_warnings import contradictions_of, warnings_of
+from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
-FARTHEST, FINEST = 1e8, 1e-4  # [m] largest coordinate and sigma of a usable fix; least sigma
-AHEAD = 30.0  # [s] by which a fix may lie in the future, if its clock is not that of the sensors
-UNSURE = "the measurements leave open which way the walk went: the most probable one is given"
 SENSORS_SILENT = 5.0  # [s] by which a fix is later than the last sample, until fixes alone are followed
+MOST_RECEIVERS = 100  # whose last positions are stored, to recognise duplicate epochs
 DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 
 
@@ -55,8 +54,9 @@ DIRECTED = 0.5  # [rad] sigma of the heading below which it is known
 class NavigatorCheckpoint:
     """State of a `Navigator`, without the rows that `finalized` returned.
 
-    taken, early, absurd: numbers of accepted, early and unusable fixes; certain: of certain steps; gaps: of gaps;
-    unknown: notes of the steps; place: first position ``(2,)``; last_fixes: the last position of each receiver.
+    taken, absurd: numbers of accepted and unusable fixes; early: of measurements; certain: of certain steps; gaps: of
+    gaps; unknown: notes of the steps; place: first position ``(2,)``; last_fixes: the last position of each receiver;
+    unused: see `EventChecks`.
     """
 
     taken: int
@@ -73,6 +73,8 @@ class NavigatorCheckpoint:
     floors: FloorsCheckpoint
     alone: FixesAlone | None
     graph: SmootherCheckpoint
+    unused: tuple[tuple[str, str, int], ...] = ()
+    added: ClassVar = ("unused",)  # bytes of earlier versions have none
 
 
 class Navigator:
@@ -127,7 +129,8 @@ class Navigator:
         self._beacons = beacons
         self._tail: Steps | None = None
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
-        self._accepted, self._early, self._absurd, self._certain, self._gaps = 0, 0, 0, 0, 0
+        self._checks = EventChecks()
+        self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
         self._unknown = dict[str, None]()  # what the sensors do not measure, each line once
         common_frame = frame or (self.building.floors[0].frame if self.building else None)
         if radio_map is not None:
@@ -146,13 +149,12 @@ class Navigator:
         if isinstance(event, Samples):
             self._sample(event)
         elif isinstance(event, Steps):
-            self._extend(event)
-        elif isinstance(event, Fixes):
-            self._fix(event)
+            if (steps := self._checks.in_order(event, self._window.steps.end)) is not None:
+                self._extend(steps)
         elif isinstance(event, Scan):
-            self._graph.collect(replace(event.heard, time=self._on_clock(event.heard.time)))
-        else:
-            self._graph.append(replace(event, time=self._on_clock(event.time)))
+            self._scan(event.heard)
+        elif (data := self._checks.valid(kind_of(event).name, event)) is not None:
+            self._fix(data) if isinstance(data, Fixes) else self._measure(data)
 
     def review(self) -> None:
         """Compare the sources, if that is due, in an idle moment between pushes; the results are the same without."""
@@ -221,7 +223,7 @@ class Navigator:
             state=state_of(walking, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
             missing=tuple(missing_inputs(walking, located or graph.graph.has_position, graph.sure or directed)),
-            issues=tuple(issues_of(self._gait.health, self._absurd, located and not walking)),
+            issues=tuple(issues_of(self._gait.health, located and not walking)) + self._unused(),
             unknown=self.unknown,
             sensors=self._gait.health,
             keyframes=len(self._window.keyframes),
@@ -232,6 +234,10 @@ class Navigator:
             rebuilds=tuple(graph.graph.isam.rebuilds),
             judge=lambda: verdict(self._estimate()),
         )
+
+    def _unused(self) -> tuple[str, ...]:
+        """What was not used of the events, a line each."""
+        return (*self._checks.issues(), *issues_of_times(self._early, self._graph.graph.too_late))
 
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
@@ -248,7 +254,8 @@ class Navigator:
         if self._graph.final is not None:
             return self._graph.final
         estimate = self._estimate()
-        return replace(estimate, dead_reckoning=self._dead_reckoning(), warnings=self._warnings(estimate))
+        warnings = warnings_of(self._graph, self.building, estimate)
+        return replace(estimate, dead_reckoning=self._dead_reckoning(), warnings=warnings)
 
     def _estimate(self) -> Estimate:
         """The walk smoothed so far, without dead reckoning and warnings."""
@@ -264,43 +271,7 @@ class Navigator:
             iterations=smoother.graph.isam.updates,
             cost=smoother.graph.cost,
             converged=True,
-            contradictions=self._contradictions(rows, reports),
-        )
-
-    def _contradictions(self, rows: Trajectory, reports: Mapping[str, Sequence[Any]]) -> tuple[Contradiction, ...]:
-        """What sources get wrong; an open direction, or else contradictions of the walk with the plan."""
-        found, plan = self._graph.findings.contradictions, self.building
-        if self._graph.graph.has_position and not self._graph.sure:
-            return (*found, Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"))
-        if plan is None:
-            return found
-        walled, places = self._placed(reports)
-        graph = self._graph.graph
-        if not len(places) and (graph.has_position or graph.finalized.anchored):  # by beacons, or by earlier fixes
-            places, walled = rows.position[-1:], True
-        return (*found, *(plan_placement(plan, walled, places) or wall_crossings(plan, rows)))
-
-    def _placed(self, reports: Mapping[str, Sequence[Any]]) -> tuple[bool, Array]:
-        """Whether walls are used, and the positions ``(n, 2)`` [m] of the fixes that are used."""
-        places = np.array([(fix.x, fix.y) for fix in used_fixes(reports.get("fixes", ()))]).reshape(-1, 2)
-        plan = self.building
-        return plan is not None and bool(plan.near(places).any()), places
-
-    def _warnings(self, estimate: Estimate) -> tuple[str, ...]:
-        """The warnings of the smoothed walk, as those of `smooth`."""
-        if not self._window.keyframes:
-            return ()
-        smoother, reports, calibration = self._graph, estimate.reports, estimate.calibration
-        fixes, (walled, places) = reports.get("fixes", ()), self._placed(reports)
-        used = 2 if smoother.sure else len(places)  # a certain walk had fixes, perhaps long ago
-        placement = Placement(
-            used, bool(reports.get("headings")), bool(len(places)) and self.building is not None, walled
-        )
-        return (
-            *placement.warnings(),
-            *(() if calibration is None else calibration_warnings(calibration)),
-            *contradiction_warnings(fixes),
-            *(() if smoother.sure or not smoother.graph.has_position else (UNSURE,)),
+            contradictions=contradictions_of(smoother, self.building, rows, reports),
         )
 
     def _dead_reckoning(self) -> Trajectory:
@@ -325,7 +296,7 @@ class Navigator:
         return NavigatorCheckpoint(
             taken=self._accepted,
             early=self._early,
-            absurd=self._absurd,
+            absurd=self._checks.unused["fixes", UNUSABLE],
             certain=self._certain,
             gaps=self._gaps,
             unknown=tuple(self._unknown),
@@ -337,13 +308,15 @@ class Navigator:
             floors=self._floors.checkpoint(),
             alone=self._alone,
             graph=self._graph.checkpoint(),
+            unused=self._checks.checkpoint(),
         )
 
     @classmethod
     def restored(cls, checkpoint: NavigatorCheckpoint, **options: Any) -> Navigator:
         """Create a navigator from a checkpoint; options: those of the navigator of the checkpoint."""
         nav = cls(**options)
-        nav._accepted, nav._early, nav._absurd = checkpoint.taken, checkpoint.early, checkpoint.absurd
+        nav._accepted, nav._early = checkpoint.taken, checkpoint.early
+        nav._checks.restore(checkpoint.unused or (("fixes", UNUSABLE, checkpoint.absurd),))
         nav._gaps, nav._unknown = checkpoint.gaps, dict.fromkeys(checkpoint.unknown)
         nav._certain, nav._last_fixes = checkpoint.certain, dict(checkpoint.last_fixes)
         if nav.frame is None and checkpoint.frame is not None:
@@ -407,31 +380,48 @@ class Navigator:
 
     def _fix(self, fixes: Fixes) -> None:
         """Append fixes in the frame of the walk, which the first may define; unusable ones are counted."""
-        on_earth = fixes.epsg != LONLAT or (np.abs(fixes.position) <= [180.0, 90.0]).all(axis=1)
-        usable = np.abs(fixes.position).max(axis=1, initial=0.0) < FARTHEST
-        usable &= on_earth & (fixes.sigma > FINEST) & (fixes.sigma < FARTHEST)
-        self._absurd += int((~usable).sum())
-        fixes = fixes[usable]
-        if not len(fixes):
+        if fixes.epsg == LONLAT:
+            fixes = self._checks.on_earth(fixes)
+        if fixes is None or not len(fixes):
             return
         frame = self.frame or self._lie_in(frame_of(fixes))
         if fixes.epsg is not None and not frame.georeferenced:
             return
         if self._place is None:
             self._locate(frame, frame.place(fixes).position[0])
-        fixes = frame.place(replace(fixes, time=self._on_clock(fixes.time)))
+        fixes = frame.place(fixes)
         for n in range(len(fixes)):
             source, place = fixes.source[n], tuple(fixes.position[n].tolist())
             if source and self._last_fixes.get(source) == place:
                 continue  # duplicate epoch
             self._last_fixes[source] = place
-            if self._window.keyframes and fixes.time[n] > self._now + AHEAD:
-                self._early += 1
-                continue
-            self._accepted += 1
-            self._floors.add_fixes(fixes[n])
-            self._graph.append(fixes[n])
-            self._alone = after_fixes(self._alone, fixes[n])
+            if len(self._last_fixes) > MOST_RECEIVERS:
+                del self._last_fixes[next(iter(self._last_fixes))]
+            self._measure(fixes[n])
+
+    def _measure(self, data: Any) -> None:
+        """Append valid measurements; those of the future, and those that come too often, are counted."""
+        data = replace(data, time=self._on_clock(data.time))
+        data = self._checks.thinned(kind_of(data).name, self._until_soon(data), self._graph.graph.log.rows(type(data)))
+        if data is None or not len(data):
+            return
+        if isinstance(data, Fixes):
+            self._accepted += len(data)
+            self._floors.add_fixes(data)
+        self._graph.append(data)
+        if isinstance(data, Fixes):
+            self._alone = after_fixes(self._alone, data)
+
+    def _scan(self, received: Sightings) -> None:
+        """Pass the usable signals of a scan to the collectors."""
+        received = self._checks.heard(received)
+        self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))))
+
+    def _until_soon(self, data: Any) -> Any:
+        """The rows that are not later than AHEAD from now, once there are steps."""
+        early = last_time(data) > (self._now + AHEAD if self._window.keyframes else np.inf)
+        self._early += int(early.sum())
+        return take(data, np.flatnonzero(~early)) if early.any() else data
 
     def _use_radio_fixes(self, fixes: Fixes) -> None:
         """Use fixes of the radio map for the floor and the first position too."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from pdr_graph.contradiction import Verdict
 from pdr_graph.inertial.attitude_stream import Health
+from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
 
 SILENT = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
@@ -23,9 +24,9 @@ class Status:
     "initialising heading" until the direction of the walk is known, "running".
     sigma: of the current position per axis [m], NaN without an absolute position; missing: what would make the pose
     better, a line each; issues: present problems, a line each; unknown: what the sensors do not measure, a line each;
-    sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers of fixes too
-    old for the window or far in the future; restarts: how often fixes contradicted the estimate; rebuilds: reason of
-    each rebuild of the solver; judge: returns the verdict.
+    sensors: health of each; keyframes: number in the window; fixes: number accepted; late, early: numbers of
+    measurements too old for the window or far in the future; restarts: how often fixes contradicted the estimate;
+    rebuilds: reason of each rebuild of the solver; judge: returns the verdict.
     """
 
     state: str
@@ -67,13 +68,19 @@ def missing_inputs(walking: bool, located: bool, directed: bool) -> Iterator[str
         yield "a second fix, or a few steps for the compass: the direction is not known yet"
 
 
-def issues_of(health: Mapping[str, Health], absurd: int, stepless: bool) -> Iterator[str]:
-    """Yield the present problems, a line each.
+def issues_of_times(early: int, late: int) -> Iterator[str]:
+    """Yield what is wrong with the times of measurements, a line each. early, late: numbers not used."""
+    if early:
+        yield f"measurements: {early} have times more than {AHEAD:.0f} s ahead of the sensors: another clock?"
+    if late:
+        yield f"measurements: {late} came too late, when their time was finalised"
 
-    health: of each sensor; absurd: number of fixes that could not be used; stepless: there are fixes and no steps.
+
+def issues_of(health: Mapping[str, Health], stepless: bool) -> Iterator[str]:
+    """Yield the present problems of the sensors, a line each.
+
+    health: of each sensor; stepless: there are fixes and no steps.
     """
-    if absurd:
-        yield f"fixes: {absurd} could not be used"
     if stepless:
         yield f"accelerometer: {NO_STEPS}"
     latest = max((sensor.last for sensor in health.values() if np.isfinite(sensor.last)), default=np.nan)

@@ -42,6 +42,8 @@ PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.
 BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
 LONGEST = 6.0  # [s] that a stretch may take while a walk is under way
 RANGE = 60.0  # [m] from which no phone receives a beacon; at half of it the usual level is the weakest
+STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
+MOST_RECEPTIONS = 100_000  # that are stored of a walk under way: an hour of a receiver that hears 25 a second
 ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
 
 # A wrong list
@@ -79,10 +81,30 @@ class BeaconRssiFactor(Measurement):
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
-        """The levels of one walk."""
+        """The levels of one walk; of more than MOST_BEACONS, those of the ones that were received most often."""
+        beacons, count = np.unique(levels.beacon, return_counts=True)
+        if len(levels.position) > MOST_BEACONS:
+            return cls._of_some(levels, np.sort(beacons[np.argsort(-count, kind="stable")[:MOST_BEACONS]]), number)
         unknown = np.column_stack([levels.position, np.zeros(len(levels.position))])
         number, beacons = np.arange(len(levels)) if number is None else number, np.arange(len(levels.position))
         return cls(levels, levels.position, unknown, beacons, number, np.full(len(levels), -1))
+
+    @classmethod
+    def _of_some(cls, levels: Levels, beacons: Index, number: Index | None) -> BeaconRssiFactor:
+        """The levels of some beacons ``(m,)``, which are numbered as in the whole table."""
+        kept = np.flatnonzero(np.isin(levels.beacon, beacons))
+        place = levels.position[beacons]
+        some = Levels(
+            time=levels.time[kept],
+            beacon=np.searchsorted(beacons, levels.beacon[kept]),
+            rssi=levels.rssi[kept],
+            label=tuple(levels.label[m] for m in beacons.tolist()),
+            position=place,
+            sigma=levels.sigma[beacons],
+        )
+        number = kept if number is None else number[kept]
+        prior = np.column_stack([place, np.zeros(len(place))])
+        return cls(some, place, prior, beacons, number, np.full(len(kept), -1))
 
     def keyframe_times(self) -> Array:
         """The middles of the stretches."""
@@ -282,6 +304,11 @@ def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons
     middle = np.bincount(of_stretch, time, minlength=len(stretches)) / size
     first = np.unique(group, return_index=True)[1]
     mean = np.bincount(group, rssi, minlength=len(count)) / count
+    if len(mean) > STRONGEST:
+        order = np.lexsort((-mean, of_stretch[first]))
+        rank = np.arange(len(order)) - np.searchsorted(of_stretch[first][order], of_stretch[first][order])
+        kept = np.sort(order[rank < STRONGEST])
+        first, mean = first[kept], mean[kept]
     received, row = np.unique(beacon[first], return_inverse=True)
     label = tuple(beacons.label[m] for m in received)
     return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[received], beacons.sigma[received])
@@ -300,7 +327,7 @@ class LevelCollector:
         self._by_minor = {number_of(name): m for name, m in self._by_name.items()}
         self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
         self._window = np.empty((0, 3))  # the same of all advertisements in the window
-        self._met = list[int]()  # beacons, in the order in which they were first received
+        self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
 
     def collect(self, data: Any) -> bool:
         """Store advertisements; True if any is of a surveyed beacon."""
@@ -315,7 +342,8 @@ class LevelCollector:
             if beacon is not None and np.isfinite([time, rssi]).all():
                 rows.append((time, beacon, rssi))
         table = np.array(rows).reshape(-1, 3)
-        self._waiting, self._window = np.vstack([self._waiting, table]), np.vstack([self._window, table])
+        self._waiting = np.vstack([self._waiting, table])[-MOST_RECEPTIONS:]
+        self._window = np.vstack([self._window, table])[-MOST_RECEPTIONS:]
         return len(rows) > 0
 
     def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
@@ -327,15 +355,16 @@ class LevelCollector:
         complete = (time <= until) & ((stretch < now) | (time < until - LONGEST))
         if complete.any():
             time, beacon, rssi = self._waiting[complete].T
-            self._met += [m for m in dict.fromkeys(beacon.astype(int).tolist()) if m not in self._met]
+            for m in beacon.astype(int).tolist():
+                self._met.setdefault(m, len(self._met))
             levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
             yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
         self._waiting = self._waiting[~complete]
 
     def _among_met(self, levels: Levels, received: Index) -> Levels:
         """The levels, renumbered in the table of all received beacons. received: ``(m,)`` those of ``levels``."""
-        row = np.array([self._met.index(int(m)) for m in received])
-        met, beacons = np.array(self._met), self._beacons
+        row = np.array([self._met[m] for m in received.tolist()])
+        met, beacons = np.array(list(self._met)), self._beacons
         return Levels(
             time=np.round(levels.time, DECIMALS),
             beacon=row[levels.beacon],
@@ -358,12 +387,12 @@ class LevelCollector:
 
     def checkpoint(self) -> dict[str, AnyArray]:
         """Return the state as arrays by name."""
-        return {"waiting": self._waiting, "window": self._window, "met": np.array(self._met, dtype=float)}
+        return {"waiting": self._waiting, "window": self._window, "met": np.array(list(self._met), dtype=float)}
 
     def restore(self, checkpoint: Mapping[str, Array]) -> None:
         """Set the state to a checkpoint with the same beacons."""
         self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
-        self._met = checkpoint["met"].astype(int).tolist()
+        self._met = {m: n for n, m in enumerate(checkpoint["met"].astype(int).tolist())}
 
 
 def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesis]:

@@ -23,6 +23,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.isam import IsamCheckpoint, Linear, Name, TransactionalISAM
 from pdr_graph.estimation.live.measurement_log import (
+    WAITING,
     Collector,
     Decisions,
     MeasurementLog,
@@ -113,6 +114,9 @@ class LiveGraph:
             self.log.append(data, number)
             self._arrivals += times.ravel().tolist()
             self._outdated = True
+        if not self.window.times:
+            self.log.keep_latest()
+            del self._arrivals[:-WAITING]
 
     @property
     def overhangs(self) -> dict[str, float]:
@@ -252,13 +256,7 @@ class LiveGraph:
         if self._current is not None and not self._outdated:
             part, measurements = self._current
             walls = part.walls()
-            self._current = (
-                part,
-                [
-                    walls if isinstance(measurement, WallFactor) and walls else measurement
-                    for measurement in measurements
-                ],
-            )
+            self._current = part, [walls if isinstance(kind, WallFactor) and walls else kind for kind in measurements]
         return price
 
     def rebuild(self, lag: float) -> None:
@@ -290,10 +288,8 @@ class LiveGraph:
     def _changes(self, at: Evaluation, tighter: float = 1.0, again: Collection[Name] = ()) -> dict[Name, Linear]:
         """New and relinearised factors of the evaluation ``at``."""
         self._checked_poses = self.window.pose.copy()
-        add: dict[Name, Linear] = {}
-        for block in at.blocks:
-            add |= self.isam.changes(block, at.state, tighter, again)
-        return add
+        blocks = (self.isam.changes(block, at.state, tighter, again) for block in at.blocks)
+        return {name: factor for block in blocks for name, factor in block.items()}
 
     def _new_variables(self, at: Evaluation) -> tuple[gtsam.Values, dict[int, float]]:
         """Variables that the solver does not have yet, and the time [s] until which each variable is needed."""

@@ -233,6 +233,8 @@ class LiveSmoother(NewFixes):
             self._try(solution.path, solution.decisions)
         elif solution is not None:
             self._adopt_batch(solution)
+        if not self.sure and self.graph.window.duration > SCHEDULE.longest_open and np.isinf(self.graph.isam.lag):
+            self.graph.rebuild(self.graph.lag)  # keyframes leave the window although the direction is open
         if not self.sure and self._batch.idle and self.graph.has_position and self._batch_due(now):
             if not (self.solved or self.graph.finalized.anchored) and np.isfinite(self.graph.isam.lag):
                 self.graph.rebuild(np.inf)  # no keyframe leaves the window before the batch has placed the walk
@@ -287,14 +289,14 @@ class LiveSmoother(NewFixes):
         if self._restarting:
             graph.c_prior, self._restarting = self._first_calibration(self._carried), False
         self._adopt(solution)
-        long = window.times[-1] - window.times[0] > SCHEDULE.longest_ambiguous
+        long = window.duration > SCHEDULE.longest_ambiguous
         self.sure, self.solved = solution.sure or (long and len(graph.log.position_times()) > 2), True
         self.modes.adopt(None if self.sure else solution)
         if not graph.finalized.anchored:
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= self.sure
         self.next_comparison = -np.inf if self.sure else self.next_comparison
-        graph.rebuild(graph.lag if self.sure else np.inf)
+        graph.rebuild(graph.lag if self.sure or window.duration > SCHEDULE.longest_open else np.inf)
         self._associate_walls(ALL)
         for _ in range(SCHEDULE.rounds if self.finished else 0):  # else the next steps do, see `_refine`
             graph.relinearize()

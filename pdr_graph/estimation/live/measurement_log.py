@@ -16,6 +16,7 @@ from pdr_graph.measurements import appended, last_time, take
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import INSTANT, Array, Index, Mask, Steps
 
+WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 
 
@@ -179,6 +180,15 @@ class MeasurementLog:
             if not kept.all():
                 self._keep(kind, table, kept)
                 self.version += 1
+
+    def keep_latest(self, count: int = WAITING) -> None:
+        """Drop all rows but the ``count`` of each type that arrived last; of the longer log too."""
+        for kind, table in list(self._tables.items()):
+            if len(table.number) > count:
+                self._keep(kind, table, table.number >= np.sort(table.number)[-count])
+                self.version += 1
+        if self.longer is not None:
+            self.longer.keep_latest(count)
 
     def checkpoint(self) -> list[TableCheckpoint]:
         """Return all tables."""

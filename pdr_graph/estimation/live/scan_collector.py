@@ -10,6 +10,9 @@ import numpy as np
 from pdr_graph.estimation.fingerprinting import SCAN_INTERVAL, WINDOW, RadioMap, scans_in
 from pdr_graph.types import Array, Fixes, Sightings
 
+MOST_RECEPTIONS = 20_000  # that are stored: some minutes where 100 transmitters are heard
+LONGEST_SPAN = 600.0  # [s] of the walk whose levels are stored: the scans are a table of windows times transmitters
+
 
 class ScanCollector:
     """Makes fixes of a radio map, one per block of scans; a `Collector`. listener: is called with each."""
@@ -26,11 +29,14 @@ class ScanCollector:
             return False
         names = [self._names.setdefault(name, len(self._names)) for name in data.transmitter]
         rows = np.column_stack([data.time, names, data.rssi])
-        self._received = np.concatenate([self._received, rows[np.isfinite(rows).all(axis=1)]])
+        self._received = np.concatenate([self._received, rows[np.isfinite(rows).all(axis=1)]])[-MOST_RECEPTIONS:]
+        if len(self._names) > len(self._map.transmitter) + MOST_RECEPTIONS:
+            self._forget_names()
         return len(data) > 0
 
     def due(self, until: float, walked: object) -> Iterator[Fixes]:
         """Yield, once, the fixes of the blocks of scans that are complete until ``until`` [s]."""
+        self.forget(max((self._block + 0.5) * WINDOW, until - LONGEST_SPAN))
         complete = (until - 1.5 * WINDOW + SCAN_INTERVAL) // WINDOW  # its last scan ends half a window after it
         if complete <= self._block or not len(self._received):
             return
@@ -52,6 +58,13 @@ class ScanCollector:
     def forget(self, before: float) -> None:
         """Drop levels received before ``before`` [s]."""
         self._received = self._received[self._received[:, 0] >= before]
+
+    def _forget_names(self) -> None:
+        """Drop the transmitters that are neither in the map nor among the stored levels."""
+        stored, names = set(self._received[:, 1].astype(int).tolist()), list(self._names)
+        kept = [n for n in range(len(names)) if n < len(self._map.transmitter) or n in stored]
+        self._received[:, 1] = np.searchsorted(kept, self._received[:, 1])
+        self._names = {names[n]: row for row, n in enumerate(kept)}
 
     def checkpoint(self) -> dict[str, Any]:
         """Return the state as arrays by name."""

@@ -15,8 +15,9 @@ class Schedule:
     the cost by which a final round must lower it for another to follow.
     batch_interval [s], batch_share: the batch solves an ambiguous walk again after this time and this share of the
     walk's duration, whichever is longer, and its solution is adopted batch_time [s] later; longest_ambiguous: time [s]
-    after which the most probable path is accepted; batch_rounds: most relinearisations of a path of the batch before it
-    is compared with the present one.
+    after which the most probable path is accepted if there are three fixes; longest_open: duration of the window [s]
+    after which keyframes leave it although the direction is open; batch_rounds: most relinearisations of a path of the
+    batch before it is compared with the present one.
     comparison_interval [s], comparison_share: the sources are compared again after this share of the walk's duration,
     between 5 s and comparison_interval, and the result is adopted comparison_time [s] later.
     review_after: time [s] after which the batch solves a walk on a plan once more, while all of it is in the window.
@@ -37,6 +38,7 @@ class Schedule:
     batch_time: float = 1.0
     batch_rounds: int = 12
     longest_ambiguous: float = 180.0
+    longest_open: float = 900.0
     comparison_interval: float = 30.0
     comparison_share: float = 0.5
     comparison_time: float = 2.0

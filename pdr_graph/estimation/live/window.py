@@ -73,6 +73,11 @@ class Window:
         """True if the whole walk is still in the window."""
         return bool(self.keyframes) and self.keyframes[0] == 0
 
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last keyframe. [s]"""
+        return self.times[-1] - self.times[0]
+
     def cut(self, ends: Iterable[float]) -> list[Interval]:
         """Close the intervals since the last keyframe that end at these times [s], and return them."""
         new: list[Interval] = []

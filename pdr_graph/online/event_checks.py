@@ -1,0 +1,159 @@
+"""What a live walk can use of an event: values of a possible size, times near the walk, and not too many rows a second.
+
+All else is left out and counted, and the status says so. A rate beyond what walking needs would only cost time: each
+measurement is a keyframe.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.gait.steps import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
+from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
+from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
+from pdr_graph.types import INSTANT, LARGEST_HEADING, Array, Fixes, Headings, Mask, Sightings, Steps
+
+FARTHEST, FINEST = 1e8, 1e-4  # [m] largest coordinate and sigma of a usable fix; least sigma
+AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
+Limits = dict[str, tuple[float, float]]
+ROWS: dict[type, Limits] = {  # least and largest value of each column [m, rad, dBm]
+    Fixes: {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)},
+    Headings: {"heading": (-LARGEST_HEADING, LARGEST_HEADING), "sigma": (FINEST, 1e3)},
+    Levels: {"rssi": (-200.0, 200.0)},
+    Closures: {"sigma": (FINEST, FARTHEST)},
+    Ranges: {"range": (0.0, FARTHEST), "sigma": (FINEST, FARTHEST)},
+}
+TABLES: dict[type, Limits] = {  # the same of the beacons or anchors that rows refer to; a position may be unknown
+    Levels: {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)},
+    Ranges: {"position": (-FARTHEST, FARTHEST), "position_sigma": (FINEST, FARTHEST)},
+}
+STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no gaps
+    "length": (-100.0, 100.0),
+    "turn": (-100.0, 100.0),
+    "pause_turn": (-100.0, 100.0),
+    "sigma_length": (1e-6, 1e4),
+    "sigma_turn": (1e-6, 1e3),
+}
+SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3 m
+MOST: dict[type, int] = {Fixes: 2, Headings: 1, Closures: 2, Ranges: 10}
+UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"
+TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
+
+
+class EventChecks:
+    """Leaves out rows of live events; unused: how many, by what the status says of them."""
+
+    def __init__(self) -> None:
+        self.unused = Counter[tuple[str, str]]()
+
+    def valid(self, name: str, data: Any) -> Any:
+        """The rows of a table of measurements whose values are possible; None if there are none."""
+        soon = np.abs(data.time) < SENSOR_VALIDATION.latest
+        within = _within(data, ROWS[type(data)]) & (soon if soon.ndim == 1 else soon.all(axis=1))
+        for column, (least, most) in TABLES.get(type(data), {}).items():
+            listed = getattr(data, column)
+            unknown = np.isnan(listed) if column == "position" else False
+            within &= bool(((listed >= least) & (listed <= most) | unknown).all())
+        return self._counted(name, data, within, UNUSABLE)
+
+    def on_earth(self, fixes: Fixes) -> Fixes | None:
+        """The fixes whose longitude and latitude are possible [deg]; None if there are none."""
+        return self._counted("fixes", fixes, (np.abs(fixes.position) <= [180.0, 90.0]).all(axis=1), UNUSABLE)
+
+    def thinned(self, name: str, data: Any, used: Any | None) -> Any:
+        """The rows that are not too many in SPAN seconds; None if all are.
+
+        used: the rows of this type so far, in order of time, None without any.
+        """
+        most = MOST.get(type(data))
+        if most is None or not len(data):
+            return data
+        span = np.floor(last_time(data) / SPAN)
+        order = np.argsort(span, kind="stable")
+        place = np.empty(len(data), dtype=np.intp)
+        place[order] = np.arange(len(data)) - np.searchsorted(span[order], span[order])
+        if used is not None:
+            times = last_time(used)  # sorted
+            place += np.searchsorted(times, (span + 1) * SPAN) - np.searchsorted(times, span * SPAN)
+        return self._counted(name, data, place < most, TOO_OFTEN.format(most))
+
+    def heard(self, received: Sightings) -> Sightings:
+        """The receptions whose times and levels are possible."""
+        least, most = ROWS[Levels]["rssi"]
+        within = (np.abs(received.time) < SENSOR_VALIDATION.latest) & (received.rssi >= least) & (received.rssi <= most)
+        return received if within.all() else some_of(received, self._note("scans", within, UNUSABLE))
+
+    def in_order(self, steps: Steps, end: float) -> Steps | None:
+        """The steps after ``end`` [s], NaN before the first, with a gap up to the first of them; None without any.
+
+        Rows of impossible values become gaps.
+        """
+        if not np.abs([steps.start, steps.end]).max() < SENSOR_VALIDATION.latest:
+            self.unused["steps", UNUSABLE] += max(1, len(steps))
+            return None
+        possible = _within(steps, STEPS) | (steps.is_gap & (np.abs(steps.turn) <= STEPS["turn"][1]))
+        if not possible.all() or abs(steps.final_turn) > STEPS["turn"][1]:
+            steps = _as_gaps(steps, ~possible)
+            self.unused["steps", UNUSABLE] += max(1, int((~possible).sum()))
+        if not steps.start < end - INSTANT:
+            return concatenate_steps([gap(end, steps.start), steps]) if steps.start > end + INSTANT else steps
+        later = steps.time - steps.duration >= end - INSTANT
+        self.unused["steps", OUT_OF_ORDER] += max(1, int((~later).sum()))
+        if steps.end <= end + INSTANT:
+            return None
+        columns = {name: column[later] for name, column in vars(steps).items() if isinstance(column, np.ndarray)}
+        return replace(steps, start=end, **columns)
+
+    def issues(self) -> list[str]:
+        """A line for each reason why rows were left out."""
+        return [f"{name}: {count} {reason}" for (name, reason), count in self.unused.items() if count]
+
+    def checkpoint(self) -> tuple[tuple[str, str, int], ...]:
+        """Return the counts."""
+        return tuple((*key, count) for key, count in self.unused.items())
+
+    def restore(self, counts: tuple[tuple[str, str, int], ...]) -> None:
+        """Set the counts to those of a checkpoint."""
+        self.unused = Counter({(name, reason): count for name, reason, count in counts})
+
+    def _counted(self, name: str, data: Any, within: Mask, reason: str) -> Any:
+        """The rows within; None without any."""
+        if within.all():
+            return data
+        self._note(name, within, reason)
+        return take(data, np.flatnonzero(within)) if within.any() else None
+
+    def _note(self, name: str, within: Mask, reason: str) -> Mask:
+        self.unused[name, reason] += int((~within).sum())
+        return within
+
+
+def some_of(received: Sightings, which: Mask) -> Sightings:
+    """Some of the receptions."""
+    rows = np.flatnonzero(which).tolist()
+    names = tuple(received.transmitter[n] for n in rows)
+    minor = tuple(received.minor[n] for n in rows) if received.minor else ()
+    return Sightings(received.time[rows], names, received.rssi[rows], minor)
+
+
+def _within(data: Any, limits: Limits) -> Mask:
+    """``(n,)`` True for rows whose columns are all within their limits; NaN is not."""
+    within = np.ones(len(data), dtype=bool)
+    for name, (least, most) in limits.items():
+        column: Array = getattr(data, name)
+        possible = (column >= least) & (column <= most)
+        within &= possible if possible.ndim == 1 else possible.all(axis=1)
+    return within
+
+
+def _as_gaps(steps: Steps, which: Mask) -> Steps:
+    """The steps, with some rows as gaps."""
+    unknown = {"length": 0.0, "turn": 0.0, "pause_turn": 0.0, "sigma_turn": GAP_SIGMA_TURN}
+    columns = {name: np.where(which, value, getattr(steps, name)) for name, value in unknown.items()}
+    sigma_length = np.where(which, GAP_SPEED * steps.duration, steps.sigma_length)
+    final_turn = steps.final_turn if abs(steps.final_turn) <= STEPS["turn"][1] else 0.0
+    return replace(steps, sigma_length=sigma_length, final_turn=final_turn, **columns)

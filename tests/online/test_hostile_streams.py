@@ -1,0 +1,201 @@
+"""Hostile streams: what cannot be used is counted and changes nothing, and memory and work stay bounded.
+
+The long runs, with latency and memory, are scripts/hostile_streams.py, scripts/random_silences.py and scripts/soak.py.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pdr_graph.estimation.factors import beacon_rssi
+from pdr_graph.estimation.live import live_smoother, scan_collector
+from pdr_graph.estimation.live.measurement_log import WAITING
+from pdr_graph.estimation.live.schedule import SCHEDULE
+from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.online.event_checks import MOST, SPAN
+from pdr_graph.online.interface import Samples, Scan
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.storage import decode, encode
+from pdr_graph.types import Beacons, Fixes, Headings, Sightings, Steps
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+from live_speed import said_events  # noqa: E402
+from stream_attacks import bad_row, ranges_of, unchecked  # noqa: E402
+from synthetic_walks import held_by_walls  # noqa: E402
+
+STEPS = 80
+
+
+def walk(count=STEPS):
+    return list(said_events(*held_by_walls(count, period=0.5)))
+
+
+def pushed(events, **options):
+    nav = Navigator(**options)
+    for event in events:
+        nav.push(event)
+    return nav
+
+
+def track(nav):
+    return nav.finish().trajectory.position.tobytes()
+
+
+def said(nav, *words):
+    return any(all(word in line for word in words) for line in nav.status.issues)
+
+
+def test_steps_that_are_repeated_or_late_change_nothing():
+    events = walk()
+    late = [e for n, event in enumerate(events) for e in (event, event, *events[max(0, n - 20) : n : 7])]
+    late = [e for n, e in enumerate(late) if isinstance(e, Steps) or e not in late[:n]]
+    nav = pushed(late)
+    assert said(nav, "steps", "out of order")
+    assert track(nav) == track(pushed(events))
+
+
+def test_steps_that_leave_time_out_have_a_gap_between():
+    events = [event for event in walk() if isinstance(event, Steps)]
+    nav = pushed(events[:30] + events[60:])
+    assert any("1 gaps" in line for line in nav.unknown)
+    assert nav.steps == 50
+
+
+@pytest.mark.parametrize("value", [1e300, 1e8])
+@pytest.mark.parametrize("column", ["length", "turn", "sigma_length"])
+def test_a_step_of_impossible_size_is_a_gap(column, value):
+    events = walk()
+    events[40] = replace(events[40], **{column: np.array([value])})
+    nav = pushed(events)
+    assert said(nav, "steps: 1 could not be used")
+    assert np.isfinite(nav.finish().trajectory.covariance).all()
+
+
+def test_absurd_rows_of_any_kind_change_nothing():
+    """NaN, inf, 0, negative and huge values in every column of every kind."""
+    random, events, disturbed = np.random.default_rng(0), walk(), []
+    for event in events:
+        disturbed += [event, *(bad_row(random, event.end) for _ in range(8) if isinstance(event, Steps))]
+    nav = pushed(disturbed)
+    for name in ("fixes", "headings", "ranges", "beacons", "scans"):
+        assert said(nav, f"{name}: ", "could not be used"), name
+    assert track(nav) == track(pushed(events))
+
+
+def test_measurements_far_ahead_are_counted_and_not_stored():
+    events = walk()
+    random = np.random.default_rng(0)
+    future = [m for n in range(200) for m in (ranges_of(random, 1e6 + n), Headings(*np.array([[1e6 + n], [0], [1]])))]
+    scans = [Scan("bluetooth", Sightings(np.array([1e6 + n]), ("x",), np.array([-60.0]))) for n in range(200)]
+    nav = pushed([*events[:40], *future, *scans, *events[40:]])
+    assert nav.status.early == 600
+    assert said(nav, "600", "ahead of the sensors")
+    assert track(nav) == track(pushed(events))
+
+
+def test_late_measurements_are_an_issue():
+    events = walk(300)
+    nav = pushed([*events, *(event for event in events[:20] if isinstance(event, Fixes))], lag=10.0)
+    assert nav.status.late > 0
+    assert said(nav, f"{nav.status.late} came too late")
+
+
+def test_fixes_at_100_hz_are_thinned():
+    steps, fixes = held_by_walls(20, period=0.5)
+    time = np.arange(0.5, 10.0, 0.01)
+    place = np.tile(fixes.position[:1], (len(time), 1)) + np.random.default_rng(0).normal(0, 3, (len(time), 2))
+    many = Fixes(time, place, np.full(len(time), 3.0))
+    nav = pushed([many[:300], *said_events(steps, many[300:])])
+    assert nav.status.fixes <= MOST[Fixes] * len(time) * 0.01 / SPAN + 1
+    assert nav.status.keyframes < 100
+    assert said(nav, "fixes: ", "came more often than")
+
+
+def test_fixes_without_steps_are_not_hoarded():
+    """But for those that the first steps need."""
+    nav = pushed(Fixes(np.array([float(t)]), np.zeros((1, 2)) + t % 3, np.ones(1)) for t in range(WAITING + 500))
+    assert len(nav._graph.graph.log.rows(Fixes)) == WAITING
+    assert len(nav._graph.history.log.rows(Fixes)) == WAITING
+    assert nav.status.fixes == WAITING + 500
+
+
+def test_a_gyroscope_alone_is_not_hoarded():
+    stream, time = StepStream(), np.arange(0, 1, 0.01)
+    still = np.zeros((100, 3))
+    for second in range(600):
+        stream.push("gyroscope", second + time, still)
+        if second < 5:
+            stream.push("accelerometer", second + time, still + np.array([0.0, 0.0, 9.81]))
+        stream.advance()
+    assert len(stream._sensors["gyroscope"].time) < 150 * 100
+
+
+def test_a_barometer_alone_is_not_hoarded():
+    nav = pushed(Samples("barometer", np.array([float(t)]), np.array([[1000.0]])) for t in range(3000))
+    assert len(nav._floors.pressure) < 1500
+
+
+def test_a_walk_whose_direction_stays_open_leaves_the_window(monkeypatch):
+    """One fix and nothing else: the direction is never known, and the window would hold all of the walk."""
+    monkeypatch.setattr(live_smoother, "SCHEDULE", replace(SCHEDULE, longest_open=60.0))
+    steps, fixes = held_by_walls(600, period=0.5)
+    nav, most = Navigator(lag=20.0), 0
+    for event in said_events(steps, fixes[:1]):
+        nav.push(event)
+        most = max(most, nav.status.keyframes)
+    assert most < 20
+    assert nav.status.state == "initialising heading"
+    assert np.isfinite(nav.pose.covariance).all()
+
+
+def listed(count):
+    names = tuple(f"b{n}" for n in range(count))
+    return Beacons(names, np.random.default_rng(0).uniform(0, 45, (count, 2)), np.ones(count), ("",) * count, names)
+
+
+def test_ten_thousand_beacons_in_every_scan_are_as_few_as_can_be_used():
+    """The strongest of each stretch, and of these the ones that are received most often."""
+    random, count = np.random.default_rng(0), 10_000
+    names = listed(count).name
+    nav = Navigator(beacons=listed(count))
+    for event in walk(40):
+        nav.push(event)
+        if isinstance(event, Steps) and round(event.end) % 4 == 0:
+            nav.push(Scan("bluetooth", Sightings(np.full(count, event.end), names, random.uniform(-95, -60, count))))
+    _, measurements = nav._graph.graph.current()
+    [beacons] = [kind for kind in measurements if kind.name == "beacons"]
+    assert 0 < len(beacons.position) <= beacon_rssi.MOST_BEACONS
+    assert np.unique(beacons.listed.time, return_counts=True)[1].max() <= beacon_rssi.STRONGEST
+
+
+def test_the_names_of_transmitters_are_forgotten(monkeypatch):
+    monkeypatch.setattr(scan_collector, "MOST_RECEPTIONS", 100)
+    radio_map = type("Map", (), {"transmitter": ("a", "b"), "located": lambda self, scans: Fixes.none()})()
+    collector = scan_collector.ScanCollector(radio_map, lambda fixes: None)
+    for n in range(50):
+        names = (*(f"x{n}.{k}" for k in range(30)), "b")
+        collector.collect(Sightings(np.full(31, float(n)), names, np.full(31, -60.0)))
+        list(collector.due(float(n), None))
+    assert len(collector._names) <= 250
+    received = [list(collector._names)[n] for n in collector._received[:, 1].astype(int)]
+    assert received[-2:] == ["x49.29", "b"]
+
+
+def test_a_scan_of_another_hour_takes_no_memory():
+    """A window for each second between the scans, times the transmitters, would be 80 GB."""
+    radio_map = type("Map", (), {"transmitter": ("a",), "located": lambda self, scans: Fixes.none()})()
+    collector = scan_collector.ScanCollector(radio_map, lambda fixes: None)
+    names = tuple(f"x{n}" for n in range(100))
+    collector.collect(Sightings(np.append(np.zeros(99), 1e8), names, np.full(100, -60.0)))
+    assert list(collector.due(1e8 + 10, None)) == []
+
+
+def test_the_counts_survive_a_snapshot():
+    nav = pushed([*walk(20), unchecked(Fixes(np.ones(1), np.ones((1, 2)), np.ones(1)), sigma=-1.0)])
+    again = Navigator.restored(decode(encode(nav.snapshot()), Navigator.Checkpoint))
+    assert again.status.issues == nav.status.issues
+    assert said(again, "fixes: 1 could not be used")
