@@ -471,6 +471,6 @@ ATTACKS: dict[str, Callable[[], Stream]] = {
     "6 h without a position, plan": nothing_but_steps_on_plan,
     "sensors that stop and return": sensors_that_stop,
     "400 Hz": lambda: at_rate(400),
-    "5 Hz": lambda: at_rate(5),
+    "20 Hz": lambda: at_rate(20),
     "rates from 5 to 400 Hz": mixed_rates,
 }

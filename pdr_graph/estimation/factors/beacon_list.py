@@ -21,6 +21,7 @@ MOST_EVIDENCE = 4.5  # log-odds of one level at most
 RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
 GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
+MOST_AT_ONCE = 1_000_000  # costs of places, powers and stretches in memory
 
 
 def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
@@ -47,8 +48,8 @@ def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Ar
     places = np.concatenate([levels.position[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
     expected = q[0] - 5 * q[1] * np.log10(square)
-    cost = [[_negative_log_likelihood(table[m], at) for at in expected] for m in surveyed.tolist()]
-    return surveyed, places, np.array(cost).reshape(len(surveyed), len(places))
+    parts = np.array_split(expected, 1 + expected.size * len(POWERS) // MOST_AT_ONCE)
+    return surveyed, places, np.concatenate([_negative_log_likelihood(table[surveyed], part) for part in parts], axis=1)
 
 
 def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[Array, Array]:
@@ -67,10 +68,21 @@ def _grid(track: Array) -> Array:
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
-def _negative_log_likelihood(level: Array, expected: Array) -> float:
-    """Negative log-likelihood of levels ``(n,)``, NaN where not received, at the most likely power of the beacon."""
-    received = np.isfinite(level)
-    off = (level[received] - expected[received] - POWERS[:, None]) / LEVEL_SIGMA
-    silent = -log_ndtr((WEAKEST - expected[~received] - POWERS[:, None]) / LEVEL_SIGMA)
-    total = np.minimum(0.5 * off**2, MOST_EVIDENCE).sum(axis=1) + np.minimum(silent, MOST_EVIDENCE).sum(axis=1)
-    return float(np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2))
+def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
+    """Negative log-likelihood ``(m, p)`` of the levels of each beacon at each place, at its most likely power.
+
+    levels: ``(m, s)`` of each stretch, NaN where not received; expected: ``(p, s)``.
+    """
+    silent = _bounded(-log_ndtr((WEAKEST - expected[:, None] - POWERS[:, None]) / LEVEL_SIGMA))
+    least = np.empty((len(levels), len(expected)))
+    for m, received in enumerate(np.isfinite(levels)):
+        expected_here = np.compress(received, expected, axis=1)[:, None]
+        off = (levels[m, received] - expected_here - POWERS[:, None]) / LEVEL_SIGMA
+        total = _bounded(0.5 * off**2).sum(axis=2) + np.compress(~received, silent, axis=2).sum(axis=2)
+        least[m] = np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2, axis=1)
+    return least
+
+
+def _bounded(cost: Array) -> Array:
+    """Costs of levels, each at most MOST_EVIDENCE."""
+    return np.minimum(cost, MOST_EVIDENCE)
