@@ -40,14 +40,3 @@ def walk(folder):
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (target / name).write_text(text)
     return target
-
-
-def commands(path):
-    """The commands that read a recording, by name."""
-    return {
-        "smooth": ["smooth", path, "--out", "OUT/s"],
-        "replay": ["replay", path, "--out", "OUT/r"],
-        "steps": ["steps", path, "--out", "OUT/s.csv"],
-        "lifelog add": ["lifelog", "add", "OUT/days.db", path],
-        "radio-map": ["radio-map", path, path, "--out", "OUT/m.npz"],
-    }

@@ -1,7 +1,9 @@
 """Recordings: endless lines, encodings, hours at 400 Hz, changes of rate and unit, clocks that jump, saturation."""
 
 import numpy as np
-from hostile_attack import EITHER, REFUSED, USED, Attack, commands, honest
+import pyarrow
+from hostile_attack import EITHER, REFUSED, USED, Attack, honest
+from pyarrow.csv import write_csv
 from recorders import UNIX, get_sensor_data, sample, sensor_logger, table, xyz
 
 from pdr_graph.types import STANDARD_GRAVITY
@@ -14,7 +16,6 @@ FIRST_LINES = {
     "GetSensorData": b"ACCE;0.1;0.1;",
     "indoor location": b"#\tstartTime:1\n1\tTYPE_ACCELEROMETER\t",
     "GPX": b'<?xml version="1.0"?><gpx version="1.1"><trk><name>',
-    "IPIN21": b"",
     "GeoLife": b"Geolife trajectory\nWGS 84\nAltitude is in Feet\nReserved 3\n0,2,255,My Track,0,0,2,8421376\n0\n",
 }
 NAMES = {"GPX": "t.gpx", "GeoLife": "t.plt"}
@@ -35,7 +36,7 @@ def one_line(form, letters, size):
 
 def header_line(folder):
     path = folder / "long.csv"
-    path.write_bytes(HEAD[:-1] + b',"Acceleration q (m/s^2)"' * 12_000_000)
+    path.write_bytes(HEAD[:-1] + b',"Acceleration q (m/s^2)"' * 1_200_000)
     return ["smooth", path, "--out", "OUT/s"], 0
 
 
@@ -60,21 +61,14 @@ def encoded(encoding, mark=b""):
 def hours(folder):
     """Ten hours of accelerometer and gyroscope at 400 Hz, with a step every half second: 0.9 GB."""
     time = np.arange(0, 36_000, 1 / 400)
+    swing, sway = np.sin(12.6 * time), np.cos(6.3 * time)
     for name, unit, values in (
-        ("Accelerometer", "m/s^2", lambda t: (np.sin(12.6 * t), np.cos(6.3 * t), 9.8 + 2.5 * np.sin(12.6 * t))),
-        ("Gyroscope", "rad/s", lambda t: (0.2 * np.sin(6.3 * t), 0.1 * np.cos(6.3 * t), 0.05 * np.sin(0.01 * t))),
+        ("Accelerometer", "m/s^2", (swing, sway, 9.8 + 2.5 * swing)),
+        ("Gyroscope", "rad/s", (0.2 * sway, 0.1 * swing, 0.05 * np.sin(0.01 * time))),
     ):
-        with (folder / f"{name}.csv").open("w") as file:
-            file.write(",".join(xyz(unit, name + " {}")) + "\n")
-            for part in np.array_split(time, 100):
-                x, y, z = values(part)
-                rows = zip(part.tolist(), x.tolist(), y.tolist(), z.tolist(), strict=True)
-                file.write("".join(f"{row[0]:.4f},{row[1]:.3f},{row[2]:.3f},{row[3]:.3f}\n" for row in rows))
-    return folder
-
-
-def long_hours(command):
-    return lambda folder: (commands(hours(folder))[command], 0)
+        columns = [column.round(4) for column in (time, *values)]
+        write_csv(pyarrow.table(columns, names=xyz(unit, name + " {}")), folder / f"{name}.csv")
+    return ["steps", folder, "--out", "OUT/s.csv"], 0
 
 
 def changed(change, sensors=("acceleration", "angular_rate"), make_files=None):
@@ -211,24 +205,25 @@ def xdr_unit_change(folder):
     return ["smooth", folder / "log.txt", "--out", "OUT/s"], 0
 
 
-LONG = 990 * MB
 G = STANDARD_GRAVITY
 RECORDINGS = (
-    *(Attack(f"{form}: one line of 1 GB", one_line(form, b"1", LONG)) for form in FIRST_LINES if form != "IPIN21"),
-    Attack("phyphox: one line of 1 GB of commas", one_line("phyphox", b",", LONG)),
-    Attack("phyphox: one line of 1 GB, beyond the BMP", one_line("phyphox", "😀".encode(), LONG)),
-    Attack("phyphox: 1 GB of empty lines", one_line("phyphox", b"\n", LONG)),
-    Attack("phyphox: 300 MB of rows of one digit", one_line("phyphox", b"1\n", 300 * MB)),
-    Attack("phyphox: 300 MB of quotes", one_line("phyphox", b'"\n', 300 * MB)),
-    Attack("phyphox: a header of 300 MB", header_line),
+    Attack("phyphox: one line of 1 GB", one_line("phyphox", b"1", 990 * MB)),
+    *(
+        Attack(f"{form}: one line of 100 MB", one_line(form, b"1", 100 * MB))
+        for form in FIRST_LINES
+        if form != "phyphox"
+    ),
+    Attack("phyphox: one line of 100 MB of commas", one_line("phyphox", b",", 100 * MB)),
+    Attack("phyphox: one line of 100 MB, beyond the BMP", one_line("phyphox", "😀".encode(), 100 * MB)),
+    Attack("phyphox: 100 MB of empty lines", one_line("phyphox", b"\n", 100 * MB)),
+    Attack("phyphox: 30 MB of rows of one digit", one_line("phyphox", b"1\n", 30 * MB)),
+    Attack("phyphox: 30 MB of quotes", one_line("phyphox", b'"\n', 30 * MB)),
+    Attack("phyphox: a header of 30 MB", header_line),
     Attack("phyphox: 1 GB, sparse (NUL)", sparse),
     Attack("phyphox in UTF-16 with its mark", encoded("utf-16"), EITHER),
     Attack("phyphox in UTF-16 without a mark", encoded("utf-16-le"), REFUSED),
     Attack("phyphox in UTF-8 with its mark", encoded("utf-8", b"\xef\xbb\xbf"), USED),
     Attack("phyphox in Latin-1", encoded("latin-1"), EITHER),
-    Attack("steps: 10 h at 400 Hz", long_hours("steps"), USED),
-    Attack("smooth: 10 h at 400 Hz", long_hours("smooth"), USED),
-    Attack("lifelog add: 10 h at 400 Hz", long_hours("lifelog add"), USED),
     Attack("m/s² to g in mid-walk", changed(second_half(1 / G), ("acceleration",)), REFUSED, "unit"),
     Attack("g to m/s² in mid-walk", changed(lambda t, r: second_half(G)(t, r / G), ("acceleration",)), REFUSED, "unit"),
     Attack("m/s² to g for 10 s", changed(some_seconds(1 / G, 10), ("acceleration",)), REFUSED, "unit"),
@@ -256,4 +251,5 @@ RECORDINGS = (
         for u, k in (("s", 1), ("µs", 10**6), ("ns", 10**9))
     ),
     Attack("phyphox: milliseconds in a column of seconds", phyphox_milliseconds, EITHER, "millisec|Hz"),
+    Attack("steps: 10 h at 400 Hz", hours, USED),
 )

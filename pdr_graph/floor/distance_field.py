@@ -14,6 +14,8 @@ NODE_SPACING = 0.25  # [m] between grid nodes: bilinear error of 0.05 m at the 9
 NODES = 33  # per side of a tile, whose border nodes it shares with its neighbours: 8 m
 TILE = NODE_SPACING * (NODES - 1)
 NARROWEST_GAP = 0.3  # [m] narrower gaps are not walkable: slits between neighbouring shop polygons; chosen by hand
+DENSEST = 20.0  # corners per metre of walls: a finer outline is a curve that was cut into pieces
+SIMPLIFIED = 0.01  # [m] by which such an outline may change
 PIXEL_BITS = 6
 PIXELS = 1 << PIXEL_BITS  # per side of a tile, for `DistanceField.approximate`
 NOT_COMPUTED = np.iinfo(np.intp).min  # address of a tile that was not computed
@@ -32,6 +34,8 @@ class DistanceField:
     def __init__(self, walkable: shapely.Geometry, barriers: shapely.Geometry | None = None):
         """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls. [m]"""
         half = NARROWEST_GAP / 2
+        if shapely.get_num_coordinates(walkable) > DENSEST * shapely.length(walkable):
+            walkable = shapely.simplify(walkable, SIMPLIFIED)
         self._walkable = shapely.buffer(shapely.buffer(walkable, -half), half, join_style="mitre")
         if shapely.is_empty(self._walkable):
             raise ValueError(f"no walkable area wider than {NARROWEST_GAP} m")

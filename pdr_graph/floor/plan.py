@@ -12,10 +12,11 @@ import shapely
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor import formats
-from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
+from pdr_graph.floor.cells import OUTLINE, SOLID, WALKABLE, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.formats.units import check_size
 from pdr_graph.floor.network import Network, derived_network, drawn_network
+from pdr_graph.floor.plan_limits import check_floor_count, check_neighbours
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
@@ -74,11 +75,13 @@ class FloorPlan(OneLineRepr):
     @classmethod
     def of(cls, path: Path, drawing: formats.Drawing) -> tuple[FloorPlan, ...]:
         """The floors of a drawing, lowest first, checked as by `load_all`; path: its file, for messages."""
+        check_floor_count(path, len(drawing.floors))
         plans = tuple(
             cls(label, areas, drawing.frame, drawing.notes, drawing.repairs, drawing.heights.get(label, 0.0))
             for label, areas in drawing.floors.items()
         )
         for plan in plans:
+            check_neighbours(path, plan.label, [area.shape for area in plan.of_kind(*WALKABLE) if area.is_polygon])
             if shapely.is_empty(plan.walkable):
                 expected = "an outline or a corridor that is not all solid"
                 raise InputError(path, f"floor {plan.label}" if plan.label else "", "no walkable area", expected)

@@ -14,6 +14,7 @@ import shapely
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.formats.prerequisites import check_file_size
+from pdr_graph.floor.plan_limits import check_crossings
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array
 
@@ -65,6 +66,7 @@ def features_of(path: Path, collection: dict[str, Any], notes: list[str], repair
         if not (np.abs(shapely.get_coordinates(shape)) < LARGEST_COORDINATE).all():
             raise InputError(path, f"feature {n}", "coordinates that are not on Earth", "degrees or metres")
         if not shapely.is_valid(shape):
+            check_crossings(path, f"feature {n}", shape)
             repairs.append(f"{_name_of(n, properties)}: its outline crosses itself{_crossing(shape)}, and was repaired")
             shape = repaired(shape)
         if opened:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import re
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +20,8 @@ from pdr_graph.floor.formats.prerequisites import check_file_size, required_libr
 from pdr_graph.types import Array
 
 LARGEST_FILE = 100_000_000  # [bytes]
+LARGEST_CONTENT = 30_000_000  # [bytes] a plan of 200 000 segments has some 5 MB
+STREAM = re.compile(rb"\bstream\r?\n")
 LARGEST_PAGE = 15_000  # [point] 5 m of paper
 FEWEST_LINES = 20  # on a page whose plan is drawn with vectors
 RENDERED = 3000  # [pixel] longer side of a page without vectors
@@ -37,12 +41,32 @@ def read(path: Path, scale: float | None) -> Drawing:
     with required_library(path, "a PDF page", "pypdfium2"):
         import pypdfium2
     check_file_size(path, LARGEST_FILE)
+    _check_unpacked(path)
     try:
         document = pypdfium2.PdfDocument(path)
     except (pypdfium2.PdfiumError, OSError, ValueError) as error:
         raise InputError(path, "", f"a damaged PDF file ({str(error)[:80]})", "a whole one without password") from None
     with document:
         return _read_page(path, document, scale)
+
+
+def _check_unpacked(path: Path) -> None:
+    """Raise InputError if the packed streams that are no pictures have more than LARGEST_CONTENT, all of them together.
+
+    A page's content takes twenty times its size when it is read.
+    """
+    content, size = path.read_bytes(), 0
+    for stream in STREAM.finditer(content):
+        if b"/Image" in content[max(0, stream.start() - 300) : stream.start()]:
+            continue
+        unpacking, packed = zlib.decompressobj(), memoryview(content)[stream.end() :]
+        try:
+            while size <= LARGEST_CONTENT and (piece := unpacking.decompress(packed, 1_000_000)):
+                size, packed = size + len(piece), unpacking.unconsumed_tail
+        except zlib.error:
+            continue
+        if size > LARGEST_CONTENT:
+            raise InputError(path, "", f"a page of more than {LARGEST_CONTENT} bytes unpacked", "the plan of one floor")
 
 
 def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:

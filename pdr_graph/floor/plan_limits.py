@@ -1,0 +1,51 @@
+"""Limits of an untrusted plan where cost grows with the square: floors, areas on one another, crossings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from pdr_graph.errors import InputError
+
+MOST_FLOORS = 500  # the tallest building has 163
+MOST_NEIGHBOURS = 40  # areas that touch an area, on average; real plans have up to ten
+MOST_CROSSINGS = 10  # sides whose boxes meet that of a side, on average, in an outline that crosses itself
+FREE = 20_000  # pairs that are never too many
+AT_ONCE = 1_000_000  # pairs that are sought together
+
+
+def check_floor_count(path: Path, number: int) -> None:
+    """Raise InputError unless a plan has 1 to MOST_FLOORS floors."""
+    if not 0 < number <= MOST_FLOORS:
+        raise InputError(path, "", f"{number} floors", f"1 to {MOST_FLOORS}")
+
+
+def check_neighbours(path: Path, floor: str, areas: list[shapely.Geometry]) -> None:
+    """Raise InputError if the areas of a floor lie on one another so that pairs of them cannot be compared."""
+    if _pairs(np.array(areas, dtype=object), MOST_NEIGHBOURS, "intersects"):
+        found = f"{len(areas)} areas, each of which touches more than {MOST_NEIGHBOURS} others on average"
+        raise InputError(path, f"floor {floor}" if floor else "", found, "areas beside one another")
+
+
+def check_crossings(path: Path, where: str, shape: shapely.Geometry) -> None:
+    """Raise InputError for an outline that crosses itself too often to be repaired."""
+    corners, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(shape)), return_index=True)
+    inside = ring[1:] == ring[:-1]
+    sides = shapely.linestrings(np.stack([corners[:-1], corners[1:]], axis=1)[inside])
+    if _pairs(sides, MOST_CROSSINGS, None):
+        found = f"an outline of {len(sides)} sides that cross one another in most places"
+        raise InputError(path, where, found, "an outline around an area")
+
+
+def _pairs(shapes: NDArray[np.object_], most: int, predicate: str | None) -> bool:
+    """True if each shape meets more than `most` others on average; predicate None: their boxes do."""
+    tree, number, limit = shapely.STRtree(shapes), 0, FREE + most * len(shapes)
+    size = max(1, AT_ONCE // max(1, len(shapes)))
+    for first in range(0, len(shapes), size):
+        number += tree.query(shapes[first : first + size], predicate=predicate).shape[1]
+        if number > limit:
+            return True
+    return False
