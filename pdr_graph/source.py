@@ -21,9 +21,11 @@ from pdr_graph.errors import InputError, count
 
 MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched
+MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
 ENTRY = 300  # bytes of a zip's directory for a file: twice what a file of an app has
 METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
+OTHER_METHODS = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}
 ZIP_ERRORS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -119,8 +121,13 @@ class Source(OneLineRepr):
         return data
 
     def text(self, name: str, errors: str = "strict") -> str:
-        """A whole file as text: UTF-8, or UTF-16 with its byte-order mark, as spreadsheets save it."""
+        """A whole file as text: UTF-8, or UTF-16 with its byte-order mark, as spreadsheets save it.
+
+        Raises InputError for other bytes, and for more than MOST_LINES, each of which takes some 200 bytes of memory.
+        """
         data = self.content(name)
+        if (lines := data.count(b"\n")) > MOST_LINES:
+            raise InputError(self.where(name), "", f"{lines} lines", f"at most {MOST_LINES}: a shorter recording")
         encoding = "utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig"
         try:
             return data.decode(encoding, errors)
@@ -210,7 +217,7 @@ def _zip_entries(path: Path, archive: zipfile.ZipFile) -> dict[str, str]:
             found = f"a member {'link' if is_link else 'name'} that leads elsewhere, {info.filename[:60]!r}"
             raise InputError(path, "", found, "an archive of plain files")
         if info.compress_type not in METHODS:
-            method = zipfile.compressor_names.get(info.compress_type, f"method {info.compress_type}")
+            method = OTHER_METHODS.get(info.compress_type, f"method {info.compress_type}")
             found = f"{info.filename[:60]!r} packed by {method}"
             raise InputError(
                 path, "", found, f"an archive whose files are {' or '.join(METHODS.values())}: pack it again"

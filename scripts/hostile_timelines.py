@@ -146,7 +146,7 @@ TIMELINES = (
         Attack(
             f"{name}: {what}",
             imported(f"t.{name.lower()}", xml(root, doctype, inside.format(entity))),
-            says="document type",
+            says="document type|amplification",
         )
         for name, root, inside in (("GPX", "gpx", POINT), ("KML", "kml", MARK))
         for what, doctype, entity in (("billion laughs", LAUGHS, "&l9;"), ("external entity", OUTSIDE, "&x;"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import shapely
@@ -34,13 +35,13 @@ def check_crossings(path: Path, where: str, shape: shapely.Geometry) -> None:
     """Raise InputError for an outline that crosses itself too often to be repaired."""
     corners, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(shape)), return_index=True)
     inside = ring[1:] == ring[:-1]
-    sides = shapely.linestrings(np.stack([corners[:-1], corners[1:]], axis=1)[inside])
+    sides = np.atleast_1d(shapely.linestrings(np.stack([corners[:-1], corners[1:]], axis=1)[inside]))
     if _pairs(sides, MOST_CROSSINGS, None):
         found = f"an outline of {len(sides)} sides that cross one another in most places"
         raise InputError(path, where, found, "an outline around an area")
 
 
-def _pairs(shapes: NDArray[np.object_], most: int, predicate: str | None) -> bool:
+def _pairs(shapes: NDArray[np.object_], most: int, predicate: Literal["intersects"] | None) -> bool:
     """True if each shape meets more than `most` others on average; predicate None: their boxes do."""
     tree, number, limit = shapely.STRtree(shapes), 0, FREE + most * len(shapes)
     size = max(1, AT_ONCE // max(1, len(shapes)))

@@ -9,7 +9,7 @@ import zipfile
 import pytest
 from recorders import in_folder, in_zip, phyphox, sample
 
-from pdr_graph import InputError, io
+from pdr_graph import InputError, io, source
 from pdr_graph.source import MAXIMUM_FILES
 
 
@@ -132,3 +132,12 @@ def test_the_directory_of_a_million_members_is_refused_before_it_is_read(tmp_pat
     refused(path, "a directory of 90.0 MB, expected an archive of at most 1000 files")
     assert tracemalloc.get_traced_memory()[1] < 5_000_000
     tracemalloc.stop()
+
+
+def test_more_lines_than_ten_hours_have_are_refused_before_they_are_split(tmp_path, files, monkeypatch):
+    """A row of one digit takes a hundred times its size in memory."""
+    path = in_zip(tmp_path / "walk.zip", files)
+    monkeypatch.setattr(source, "MOST_LINES", 1000)
+    assert len(io.load(path).accelerometer) > 900
+    long = files["Accelerometer.csv"] + 1001 * "1\n"
+    refused(in_zip(tmp_path / "rows.zip", files | {"Accelerometer.csv": long}), r"\d+ lines, expected at most 1000")
