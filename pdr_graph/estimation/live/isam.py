@@ -25,6 +25,7 @@ IntegerArray = NDArray[np.int64]
 
 Name = tuple[str, int]  # of the block, and of the factor within it
 RELINEARIZE = 0.01  # [m, rad, -] change of a variable at which GTSAM relinearises its own factors; chosen by hand
+LARGEST = 1e9  # [m, rad, -] of any variable: rounding errors of the solver can lead to 1e17, which is finite
 HOLD, HOLD_SIGMA = "hold", 1e3  # prior of a variable that no factor determines: name; sigma [m, rad, -]
 DROPPED = "left out, not finite"
 WEIGHT_CHANGE = 0.1  # change of a robust weight at which a factor is linearised again; chosen by hand
@@ -187,10 +188,10 @@ class TransactionalISAM:
         return isam
 
     def _accept(self, added: list[Name]) -> None:
-        """Copy the estimate after an update. Raises RuntimeError if it is not finite."""
+        """Copy the estimate after an update. Raises RuntimeError if it is not that of any walk."""
         estimate = self._smoother.calculateEstimate()
-        if not all(np.isfinite(extract(estimate, chr(symbol))).all() for symbol in self._symbols):
-            raise RuntimeError("the estimate is not finite")
+        if not all((np.abs(extract(estimate, chr(symbol))) < LARGEST).all() for symbol in self._symbols):
+            raise RuntimeError("the estimate is not finite, or of no walk")
         slots = dict(zip(added, self._smoother.getISAM2Result().getNewFactorsIndices(), strict=False))
         self._slots |= slots
         if estimate.size() < len(self._times):
