@@ -85,8 +85,18 @@ LARGEST_TOML = 1_000_000  # [bytes]
 LONG_NAME = re.compile(rb"""(?:\.\s*[\w"'-]{1,100}\s*){20}""")  # tables in tables, whose cost grows with the square
 
 
+def check_not_special(path: Path, expected: str) -> None:
+    """Raise InputError for a pipe, a socket, a terminal or another device: reading one may never end.
+
+    expected: what the file should be. A path that does not exist passes.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise InputError(path, "", "neither a file nor a folder", expected)
+
+
 def read_toml(path: str | Path) -> dict[str, Any]:
     """The tables of a TOML file. Raises InputError if it cannot be read or parsed, or is too large."""
+    check_not_special(Path(path), "a TOML file")
     try:
         with Path(path).open("rb") as file:
             content = file.read(LARGEST_TOML + 1)

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO, cast
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError, check_not_special, count
 
 MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched
@@ -64,15 +64,14 @@ class Source(OneLineRepr):
         )
         if not path.exists():
             raise InputError(path, "", "no such file", f"a {subject}")
+        check_not_special(path, f"a {subject}")
         self._zip = _open_zip(path, most_files)
         if self._zip is not None:
             entries = _zip_entries(path, self._zip)
         elif path.is_dir():
             entries = _folder_entries(path, most_files, deepest)
-        elif path.is_file():
-            entries = {path.name: path.name}
         else:
-            raise InputError(path, "", "neither a file nor a folder", f"a {subject}")
+            entries = {path.name: path.name}
         if len(entries) > most_files:
             raise InputError(path, "", f"more than {most_files} files", f"the files of one {subject}")
         self._entries = _without_top_folder(entries)

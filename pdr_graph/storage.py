@@ -30,7 +30,7 @@ from typing import Any, TypeVar, get_args, get_origin
 import msgspec
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, check_not_special
 
 FORMAT = 2  # of the bytes; 1 was JSON with the arrays behind it
 HEADER = struct.Struct("<IB")  # checksum, format
@@ -316,6 +316,7 @@ def _recognise(path: Path, kind: Kind) -> None:
     """
     if not path.exists():
         return
+    check_not_special(path, f"a {kind.name}, or a name that is not taken")
     with path.open("rb") as file:
         header = file.read(100)
     if not header:

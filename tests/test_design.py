@@ -25,7 +25,7 @@ FLOORS = [
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io"],
     ["inertial", "floor"],
-    ["geometry", "frames", "storage", "source", "measurements", "types", "contradiction", "columns"],
+    ["geometry", "frames", "storage", "web_request", "source", "measurements", "types", "contradiction", "columns"],
     ["errors", "whole_files"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}

@@ -16,16 +16,16 @@ A request without ``got`` is sent again under the same label, and the server rep
 
 from __future__ import annotations
 
+import math
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from http.client import HTTPException, HTTPResponse, IncompleteRead
 from pathlib import Path
-from urllib.error import HTTPError
 from urllib.parse import quote, urlsplit
+from urllib.request import Request
 
 from pdr_graph.errors import InputError
+from pdr_graph.web_request import FAULTS, REDIRECTS, TooLongError, answer_to, body_of
 from pdr_graph.whole_files import lock
 
 # Status codes of HTTP, as the EvAAL API uses them
@@ -36,9 +36,9 @@ RETRIED = (TOO_FAST, 429, 502, 503, 504)  # too early, or a server that is unava
 NOT_BEGUN, NOT_BEGUN_OFFLINE = -1.0, -2.0  # time left of a trial before its first call
 CSV = "text/csv; charset=us-ascii"  # the only content type that the server accepts
 TRIES, FIRST_PAUSE = 10, 0.05  # of one call; [s] after the first try, doubled each time: 26 s in all
-SILENCE, LONGEST_CALL = 10.0, 120.0  # [s] timeout without a byte, and of one call
-# [bytes] of the rows of one request, some hundred times those of a phone; of a state; of a whole trial or its log
-MAXIMUM_ROWS, MAXIMUM_TEXT, MAXIMUM_DATA = 4_000_000, 100_000, 1_000_000_000
+SILENCE, LONGEST_CALL = 10.0, 120.0  # [s] without a byte; of one call with all its tries, without the pauses
+# [bytes] of the rows of one request, some hundred times those of a phone; of a state; of a whole trial; of its log
+MAXIMUM_ROWS, MAXIMUM_TEXT, MAXIMUM_DATA, MAXIMUM_LOG = 4_000_000, 100_000, 1_000_000_000, 100_000_000
 
 
 class UnreachableError(OSError):
@@ -67,6 +67,8 @@ class State:
         try:
             ts, left, speed, slack, _, _, _ = (float(field) for field in fields[:7])
         except ValueError:
+            return None
+        if not all(map(math.isfinite, (ts, left, speed, slack))):
             return None
         return cls(ts, left, speed, slack, fields[7].strip() if len(fields) > 7 else "", text.strip())
 
@@ -147,7 +149,7 @@ class Api:
     def log(self) -> bytes:
         """The server's log of the trial; empty if it sends none."""
         try:
-            reply = self._ask("log", most=MAXIMUM_DATA, tries=1)
+            reply = self._ask("log", most=MAXIMUM_LOG, tries=1)
         except (UnreachableError, InputError):
             return b""
         return reply.body if reply.code == GOOD else b""
@@ -159,47 +161,37 @@ class Api:
             UNKNOWN: "the base URL, which ends in /evaalapi/, and the trial's name as the organisers gave them",
             OVER: "a trial that has not ended",
         }
+        if reply.code in REDIRECTS:
+            return InputError(self.url, self.trial, f"a redirect {reply.text[:200]}", "the URL to which it leads")
         return InputError(self.url, self.trial, found, expected.get(reply.code, "an answer of the EvAAL API"))
 
     def _ask(self, query: str, data: bytes | None = None, most: int = MAXIMUM_TEXT, tries: int = TRIES) -> Reply:
         """One call, repeated while the server does not answer or asks to retry. Raises UnreachableError."""
-        started, found = time.monotonic(), ""
-        for n in range(tries):
-            if n:
-                self._sleep(FIRST_PAUSE * 2 ** (n - 1))
+        started, found, made = time.monotonic(), "", 0
+        for made in range(1, tries + 1):
             try:
-                code, body = self._once(query, data, most)
-            except (OSError, HTTPException) as error:
+                code, body = self._once(query, data, most, started + LONGEST_CALL - time.monotonic())
+                if code not in RETRIED:
+                    return Reply(code, body, time.monotonic() - started, made)
+                found = f"{code} {body[:100]!r}"
+            except FAULTS as error:
                 found = f"no answer ({getattr(error, 'reason', None) or error or type(error).__name__})"
-                continue
-            if code not in RETRIED:
-                return Reply(code, body, time.monotonic() - started, n + 1)
-            found = f"{code} {body[:100]!r}"
-        raise UnreachableError(f"{found} after {tries} {'try' if tries == 1 else 'tries'}")
+            if made < tries:
+                self._sleep(FIRST_PAUSE * 2 ** (made - 1))
+            if time.monotonic() > started + LONGEST_CALL:
+                break
+        raise UnreachableError(f"{found} after {made} {'try' if made == 1 else 'tries'}")
 
-    def _once(self, query: str, data: bytes | None, most: int) -> tuple[int, bytes]:
+    def _once(self, query: str, data: bytes | None, most: int, seconds: float) -> tuple[int, bytes]:
         """Status code and body of one try. Codes 4xx are answers, too: the normal end of a trial is one."""
-        request = urllib.request.Request(self._base + query, data, {"Content-type": CSV} if data else {})
+        request = Request(self._base + query, data, {"Content-type": CSV} if data else {})
         try:
-            with urllib.request.urlopen(request, timeout=SILENCE) as response:
-                return response.status, self._read(response, most)
-        except HTTPError as error:
-            with error:
-                return error.code, error.read(MAXIMUM_TEXT)
-
-    def _read(self, response: HTTPResponse, most: int) -> bytes:
-        """A whole body. Raises IncompleteRead if it was cut off, InputError if it is too long."""
-        body, until = bytearray(), time.monotonic() + LONGEST_CALL
-        while piece := response.read1(1 << 16):
-            body += piece
-            if len(body) > most:
-                raise InputError(self.url, self.trial, f"an answer of more than {most} bytes", "rows of sensors")
-            if time.monotonic() > until:
-                raise TimeoutError(f"an answer that takes longer than {LONGEST_CALL:.0f} s")
-        whole = response.headers.get("Content-Length", "")
-        if whole.isdecimal() and len(body) < int(whole):
-            raise IncompleteRead(bytes(body), int(whole) - len(body))
-        return bytes(body)
+            with answer_to(request, SILENCE, seconds) as answer:
+                if answer.status in REDIRECTS:
+                    return answer.status, f"to {answer.headers.get('Location')}".encode()
+                return answer.status, body_of(answer, most if answer.status == GOOD else MAXIMUM_TEXT)
+        except TooLongError as error:
+            raise InputError(self.url, self.trial, str(error), "one of the EvAAL API") from None
 
 
 OFFLINE = "offline"  # the label of the one request of an offline trial
@@ -250,7 +242,9 @@ class RequestLog:
 
     def got(self, body: bytes) -> None:
         """Save the rows of the last request unchanged."""
-        self._rows.write(body if not body or body.endswith(b"\n") else body + b"\n")
+        self._rows.write(body)
+        if body and not body.endswith(b"\n"):
+            self._rows.write(b"\n")
         self._rows.flush()
         self.sizes.append(self._rows.tell())
         self._write("got", self.asked[-1][0], str(self.sizes[-1]))

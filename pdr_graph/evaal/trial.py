@@ -19,7 +19,18 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.evaal.client import CREATED, GOOD, OFFLINE, OVER, SOME_REJECTED, Api, RequestLog, State, UnreachableError
+from pdr_graph.evaal.client import (
+    CREATED,
+    GOOD,
+    MAXIMUM_DATA,
+    OFFLINE,
+    OVER,
+    SOME_REJECTED,
+    Api,
+    RequestLog,
+    State,
+    UnreachableError,
+)
 from pdr_graph.evaal.row_stream import RowStream
 from pdr_graph.frames import Frame
 from pdr_graph.io import writers
@@ -161,6 +172,8 @@ def _write_initial(log: RequestLog, out: Path, form: PositionFormat, floors: tup
 
 
 INTERVAL = 0.5  # [s] between positions, of which the server scores each; also of the rows of an online request
+MAXIMUM_REQUESTS = 200_000  # of an online trial: more than a day
+MAXIMUM_EMPTY = 1200  # answers in a row without a row that can be read: ten minutes of a trial
 
 
 def _position_lines(out: Path, form: PositionFormat) -> str:
@@ -264,10 +277,14 @@ def _run_online(
             if not number:
                 raise error
             return False, str(error)
+        if sum(log.sizes[-1:]) + len(reply.body) > MAXIMUM_DATA or number >= MAXIMUM_REQUESTS:
+            return False, f"more than {MAXIMUM_DATA} bytes or {MAXIMUM_REQUESTS} requests: a trial without an end"
         log.got(reply.body)
         walk.seconds.append(reply.seconds)
         walk.repeated += reply.tries - 1
         walk.feed(reply.text)
+        if walk.empty >= MAXIMUM_EMPTY:
+            return False, f"no readable row in {walk.empty} answers, found {reply.text[:100]!r}, expected sensor rows"
         if progress:
             progress(f"{walk.stream.rows.total()} rows, {(number + 1) * INTERVAL:.0f} s of the trial")
     raise AssertionError("the loop ends by return")
@@ -284,13 +301,14 @@ def _online_end(text: str) -> tuple[bool, str]:
 class _OnlineWalk:
     """The walk of an online trial so far, and the poses that were sent.
 
-    seconds: duration of each request of this run [s]; repeated: number of repeated requests.
+    seconds: duration of each request of this run [s]; repeated: number of repeated requests; empty: of answers without
+    a readable row since the last one with some.
     """
 
     def __init__(self, navigator: Georeferenced, form: PositionFormat, floors: tuple[str, ...], log: RequestLog):
         """Replays the slots that an interrupted client had received."""
         self.stream, self.notes = RowStream(), list[str]()
-        self.seconds, self.repeated = list[float](), 0
+        self.seconds, self.repeated, self.empty = list[float](), 0, 0
         self._navigator, self._form, self._floors = navigator, form, floors
         self._started = False
         self._sent: list[Pose] = []
@@ -311,6 +329,7 @@ class _OnlineWalk:
     def feed(self, text: str) -> None:
         """Push the events of one slot of rows into the navigator; the initial position before the first."""
         events = self.stream.feed(text)
+        self.empty = 0 if events else self.empty + 1
         if not self._started and self.stream.begin is not None:
             self._started = True
             initial = self._form.initial_fix(self.stream.begin, self._floors)

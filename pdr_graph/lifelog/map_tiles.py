@@ -7,11 +7,12 @@ which area is drawn.
 from __future__ import annotations
 
 import io
+import struct
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from urllib.error import URLError
 from urllib.parse import urlsplit
-from urllib.request import Request, urlopen
+from urllib.request import Request
 
 import numpy as np
 from matplotlib.image import imread
@@ -19,6 +20,7 @@ from matplotlib.image import imread
 from pdr_graph import __version__
 from pdr_graph.errors import InputError
 from pdr_graph.types import Array
+from pdr_graph.web_request import FAULTS, answer_to, body_of, same_host
 
 MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
 TILE_PIXELS = 256
@@ -27,8 +29,9 @@ HIGHEST_ZOOM = 19
 MAX_TILES = 64  # of a map
 MAX_BYTES = 2_000_000  # of a tile
 MAX_SIDE = 1024  # [pixels] of a tile
-TIMEOUT = 10.0  # [s] of a request
+TIMEOUT, LONGEST = 10.0, 60.0  # [s] of a request; of all tiles of a map
 MAX_FAILURES = 3  # requests that may fail before no other is made
+PNG_HEAD = struct.Struct(">8s8xII")  # signature, width and height
 
 
 @dataclass(frozen=True)
@@ -87,26 +90,28 @@ def check_template(template: str) -> None:
 def tiles(template: str, frame: MercatorFrame, corners: Array, pixels: float) -> Iterator[Tile]:
     """Yield the tiles of an area ``(2, 2)`` [m] that is drawn `pixels` wide.
 
-    Stops after MAX_FAILURES failures; raises OSError if not a single tile was fetched.
+    Stops after MAX_FAILURES failures, or LONGEST seconds; raises OSError if not a single tile was fetched.
     """
     low, high = corners
     (west, north), (east, south) = frame.shares(np.array([[low[0], high[1]], [high[0], low[1]]]))
     zoom = _zoom(west, north, east, south, pixels)
-    number, failures, made = 2**zoom, 0, 0
+    number, failures, made, end = 2**zoom, 0, 0, time.monotonic() + LONGEST
     for y in range(max(int(north * number), 0), min(int(south * number), number - 1) + 1):
         for x in range(int(np.floor(west * number)), int(np.floor(east * number)) + 1):
             address = _filled_in(template, zoom, x % number, y)
             try:
                 picture = _fetched(address)
-            except (OSError, ValueError, SyntaxError) as error:  # of the network, or not a picture
+            except (*FAULTS, ValueError, SyntaxError) as error:  # of the network, or not a picture
                 failures += 1
-                if failures >= MAX_FAILURES:
+                if failures >= MAX_FAILURES or time.monotonic() > end:
                     if not made:
                         raise OSError(f"{address}: {error}") from None
                     return
                 continue
             made += 1
             yield Tile(picture, np.sort(frame.position(np.array([[x, y + 1], [x + 1, y]]) / number), axis=0))
+            if time.monotonic() > end:
+                return
 
 
 def _filled_in(template: str, zoom: int, x: int, y: int) -> str:
@@ -124,13 +129,16 @@ def _zoom(west: float, north: float, east: float, south: float, pixels: float) -
 
 
 def _fetched(address: str) -> Array:
-    """The picture at an address. Raises OSError, ValueError or SyntaxError if there is none."""
+    """The picture at an address, a PNG. Raises OSError, HTTPException, ValueError or SyntaxError if there is none."""
     request = Request(address, headers={"User-Agent": f"pdr_graph/{__version__}"})
-    with urlopen(request, timeout=TIMEOUT) as answer:
-        content = answer.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise URLError(f"more than {MAX_BYTES} bytes")
+    with answer_to(request, TIMEOUT, TIMEOUT, same_host(address)) as answer:
+        if answer.status != 200:
+            raise OSError(f"status {answer.status}")
+        content = body_of(answer, MAX_BYTES)
+    if len(content) < PNG_HEAD.size:
+        raise ValueError("no picture")
+    _, width, height = PNG_HEAD.unpack_from(content)  # before it is unpacked: a thousandth may be a gigabyte
+    if max(width, height) > MAX_SIDE:
+        raise ValueError(f"no PNG, or one of {width} × {height} pixels")
     picture = imread(io.BytesIO(content))
-    if max(picture.shape[:2]) > MAX_SIDE:
-        raise ValueError(f"a picture of {picture.shape[1]} × {picture.shape[0]} pixels")
     return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)

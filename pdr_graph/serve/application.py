@@ -192,7 +192,8 @@ async def events(request: Request) -> Response:
 async def _stream(request: Request, subscriber: Subscriber) -> AsyncIterator[bytes]:
     try:
         yield b"retry: 2000\n\n"
-        while not await request.is_disconnected():
+        hub = _server(request).hub
+        while not (hub.closed or await request.is_disconnected()):
             if not await subscriber.wait(HEARTBEAT):
                 yield b": alive\n\n"
             for name, data in subscriber.events():
@@ -210,7 +211,8 @@ async def socket(websocket: WebSocket) -> None:
     await websocket.accept()
     reading = asyncio.create_task(_until_closed(websocket))
     try:
-        while not reading.done():
+        hub = _server(websocket).hub
+        while not (hub.closed or reading.done()):
             await subscriber.wait(HEARTBEAT)
             for name, data in subscriber.events():
                 async with asyncio.timeout(STUCK):

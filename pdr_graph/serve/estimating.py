@@ -30,7 +30,8 @@ LATEST_POSE = 1.0  # [s] the same of a pose
 RETRY = 5.0  # [s] after a failure of a walker
 MOST_FAILURES = 3  # after which a walker is left alone until the next start
 SLOWEST_WAIT = 3600.0  # [s]
-STOP = "stop"  # the action that ends the process
+STOP, PING = "stop", "ping"  # actions: ends the process; is answered
+READY = "ready"  # the first update
 
 
 @dataclass
@@ -45,10 +46,14 @@ class Task:
 
 
 class Estimating:
-    """All walkers of this process. root: folder of the sessions; send: gives an update to the serving process."""
+    """All walkers of this process.
 
-    def __init__(self, root: Path, options: Options, send: Callable[[str, dict[str, Any]], None]):
-        self._root, self._send = root, send
+    root: folder of the sessions; send: gives an update to the serving process; working: shared buffer whose ``value``
+    is the id of the walker at which this process works, for the case that it ends there.
+    """
+
+    def __init__(self, root: Path, options: Options, send: Callable[[str, dict[str, Any]], None], working: Any):
+        self._root, self._send, self._working = root, send, working
         create, _ = navigator_of(options)
         self._executor = ThreadPoolExecutor(1)
         arguments = {**create.keywords, "executor": self._executor}  # type: ignore[attr-defined]
@@ -68,6 +73,8 @@ class Estimating:
             self._send("looked", {"id": id_})
         elif action == "finish":
             self._guarded(id_, self._finish)
+        elif action == PING:
+            self._send(PING, {})
 
     @property
     def wait(self) -> float:
@@ -100,6 +107,7 @@ class Estimating:
 
     def _guarded(self, id_: str, action: Callable[[Task], Any]) -> bool:
         """Do something with a walker, which is opened if necessary; a failure is published and tried again later."""
+        self._working.value = id_.encode()
         try:
             if id_ not in self._tasks:
                 folder = self._root / id_
@@ -114,6 +122,8 @@ class Estimating:
             text = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
             self._send("failed", {"id": id_, "text": one_line(text), "again": bool(np.isfinite(again))})
             return False
+        finally:
+            self._working.value = b""
         return done
 
     def _use_message(self, task: Task) -> bool:
@@ -154,14 +164,14 @@ class Estimating:
             task.walker.close()
 
 
-def run(connection: Connection, root: str, options: Mapping[str, Any]) -> None:
-    """Estimate until the connection closes. options: fields of `Options`."""
+def run(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:
+    """Estimate until the connection closes. options: fields of `Options`; working: as of `Estimating`."""
 
     def send(kind: str, update: dict[str, Any]) -> None:
         connection.send_bytes(msgspec.msgpack.encode((kind, update)))
 
-    estimating = Estimating(Path(root), Options(**options), send)
-    send("ready", {})
+    estimating = Estimating(Path(root), Options(**options), send, working)
+    send(READY, {})
     try:
         while True:
             while connection.poll(estimating.wait):
@@ -176,8 +186,8 @@ def run(connection: Connection, root: str, options: Mapping[str, Any]) -> None:
         estimating.close()
 
 
-def run_process(connection: Connection, root: str, options: Mapping[str, Any]) -> None:
+def run_process(connection: Connection, root: str, options: Mapping[str, Any], working: Any) -> None:
     """`run` in a process of its own, which Ctrl-C ends through its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()  # imported modules stay
-    run(connection, root, options)
+    run(connection, root, options, working)

@@ -63,6 +63,10 @@ class Subscriber:
         pending[kind][id_] = None
         self._changed.set()
 
+    def wake(self) -> None:
+        """End a `wait`."""
+        self._changed.set()
+
     async def wait(self, timeout: float) -> bool:
         """Wait for news; False after ``timeout`` [s] without any."""
         try:
@@ -104,7 +108,14 @@ class Hub:
 
     def __init__(self) -> None:
         self.walkers = dict[str, Published]()
+        self.closed = False
         self._subscribers = set[Subscriber]()
+
+    def close(self) -> None:
+        """Wake all subscribers, whose connections end since the server does."""
+        self.closed = True
+        for subscriber in self._subscribers:
+            subscriber.wake()
 
     def pose(self, user: str, pose: dict[str, Any]) -> None:
         """Publish a pose; the first creates the walker."""

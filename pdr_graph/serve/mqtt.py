@@ -11,6 +11,7 @@ import os
 import ssl
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from pdr_graph.errors import InputError, one_line
@@ -18,7 +19,8 @@ from pdr_graph.errors import InputError, one_line
 TOPIC = "sensor-logger"  # the app's default
 PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 8000, "wss": 8884}  # by scheme
 PASSWORD = "PDR_GRAPH_MQTT_PASSWORD"  # environment variable: an address is seen by all users of a machine
-WAITING = 500  # messages that wait for this process; further ones are lost, as QoS 0 may
+# Messages that wait for this process, and their bytes; further ones are lost, as QoS 0 may
+WAITING, WAITING_BYTES = 500, 32 << 20
 FIRST_RETRY, LAST_RETRY = 1.0, 60.0  # [s] until a lost connection is tried again, doubled each time
 TIMEOUT = 10.0  # [s] for the broker to answer
 
@@ -68,6 +70,30 @@ def broker_of(url: str, topic: str = TOPIC) -> Broker:
     )
 
 
+def bounded_queue() -> type[asyncio.Queue[Any]]:
+    """A class of queues that are full with WAITING_BYTES of payload: a single message may have 256 MB."""
+
+    class Bounded(asyncio.Queue[Any]):
+        size = 0  # [bytes]
+
+        def put_nowait(self, item: Any) -> None:
+            if self.size + _size(item) > WAITING_BYTES:
+                raise asyncio.QueueFull
+            super().put_nowait(item)
+            self.size += _size(item)
+
+        def get_nowait(self) -> Any:
+            item = super().get_nowait()
+            self.size -= _size(item)
+            return item
+
+    return Bounded
+
+
+def _size(message: Any) -> int:
+    return len(message.payload) if isinstance(message.payload, bytes | bytearray) else 0
+
+
 async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Callable[[str], None]) -> None:
     """Give each message of a broker to ``receive``, for ever; a lost connection is tried again.
 
@@ -89,6 +115,7 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
                 transport="websockets" if broker.websocket else "tcp",
                 websocket_path=broker.path if broker.websocket else None,
                 max_queued_incoming_messages=WAITING,
+                queue_type=bounded_queue(),
                 timeout=TIMEOUT,
             ) as client:
                 await client.subscribe(broker.topic)

@@ -14,26 +14,26 @@ What is new becomes messages as Sensor Logger sends them, so that phones of both
 from __future__ import annotations
 
 import asyncio
-import http.client
-import json
-import urllib.error
-import urllib.request
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, urlsplit
+from urllib.request import Request
 
 import msgspec
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.io.phyphox import ExperimentClock
+from pdr_graph.serve.daemon_thread import in_daemon_thread
 from pdr_graph.types import Array
+from pdr_graph.web_request import FAULTS, TooLongError, answer_to, body_of
 
 INTERVAL = 1.0  # [s] between two polls
-PATIENCE = 5.0  # [s] for the phone to answer
+PATIENCE, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
 HISTORY = 600.0  # [s] of an experiment under way that the first poll asks for
 LARGEST_ANSWER = 2**26  # bytes; ten minutes of three sensors at 400 Hz are 40 MB
+LATEST = 9e9  # [s] Unix time; nanoseconds since 1970 fit into 64 bits until then
 LONGEST_MESSAGE = 20.0  # [s]; at 400 Hz and three sensors 2 MB
 FIRST_RETRY, LAST_RETRY = 2.0, 30.0  # [s] after a fault of the phone, doubled each time
 SENSORS = {  # of phyphox: ours, and its outputs
@@ -55,6 +55,17 @@ MESSAGE_NAMES = {  # ours: Sensor Logger's, which has gravity in the uncalibrate
     "location": ("location", ("latitude", "longitude", "horizontalAccuracy")),
 }
 PLATFORM = "android"  # phyphox has the signs of Android on iPhones too
+
+
+# What an answer causes that is none of phyphox
+UNREADABLE = (
+    LookupError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    ArithmeticError,
+    RecursionError,
+)
 
 
 class PhoneError(OSError):
@@ -170,7 +181,7 @@ class PhyphoxPhone:
         """Return what is new since the last poll. Raises PhoneError."""
         try:
             return self._poll()
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+        except UNREADABLE as error:
             raise PhoneError(f"{self.url}: found {one_line(repr(error))}, expected an answer of phyphox") from None
 
     def _poll(self) -> Poll:
@@ -218,23 +229,22 @@ class PhyphoxPhone:
 
     def _json(self, path: str, missing: Any = None) -> Any:
         """The JSON at a path; ``missing`` where there is none. Raises PhoneError."""
-        request = urllib.request.Request(self.url + path, headers={"Connection": "close"})
-        direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # the phone is in the same network
+        request = Request(self.url + path, headers={"Connection": "close"})
         try:
-            with direct.open(request, timeout=self._timeout) as answer:
-                text = answer.read(LARGEST_ANSWER + 1)
-        except urllib.error.HTTPError as error:
-            if missing is not None and error.code == 404:
-                return missing
-            if path == "/time" and error.code == 404:
-                raise PhoneError(f"{self.url}: found no /time, expected phyphox 1.1.8 or later") from None
-            raise PhoneError(f"{self.url}{path[:20]}: status {error.code}") from None
-        except (OSError, http.client.HTTPException) as error:
+            with answer_to(request, self._timeout, LONGEST_ANSWER, proxies={}) as answer:  # in the same network
+                status, text = answer.status, body_of(answer, LARGEST_ANSWER)
+        except TooLongError as error:
+            raise PhoneError(f"{self.url}: found {error}, expected less") from None
+        except FAULTS as error:
             reason = one_line(str(getattr(error, "reason", "")) or repr(error))
             raise PhoneError(f"{self.url}: no answer ({reason}); is remote access on, in the same Wi-Fi?") from None
-        if len(text) > LARGEST_ANSWER:
-            raise PhoneError(f"{self.url}: found an answer of more than {LARGEST_ANSWER} bytes, expected less")
-        return json.loads(text)
+        if missing is not None and status == 404:
+            return missing
+        if path == "/time" and status == 404:
+            raise PhoneError(f"{self.url}: found no /time, expected phyphox 1.1.8 or later")
+        if status != 200:
+            raise PhoneError(f"{self.url}{path[:20]}: status {status}")
+        return msgspec.json.decode(text)
 
 
 def _run(session: str, begun: float) -> str:
@@ -247,7 +257,8 @@ def _table(each: Input, rows: Array, clock: ExperimentClock) -> Array:
         rows = np.column_stack([rows, np.full(len(rows), np.nan)])
     needed = rows[:, :3] if each.sensor == "location" else rows
     rows = rows[np.isfinite(needed).all(axis=1)]
-    return np.column_stack([clock(rows[:, 0]), rows[:, 1:]])
+    rows = np.column_stack([clock(rows[:, 0]), rows[:, 1:]])
+    return rows[np.abs(rows[:, 0]) < LATEST]
 
 
 def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
@@ -255,12 +266,15 @@ def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
     times = np.concatenate([table[:, 0] for table in poll.tables.values()] or [np.empty(0)])
     if not len(times):
         return
-    parts = np.unique(np.floor((times - times.min()) / LONGEST_MESSAGE))
-    for part in parts.tolist():
+    part_of = {sensor: np.floor((table[:, 0] - times.min()) / LONGEST_MESSAGE) for sensor, table in poll.tables.items()}
+    order = {sensor: np.argsort(part, kind="stable") for sensor, part in part_of.items()}
+    parts = np.unique(np.concatenate(list(part_of.values())))
+    ends = {sensor: np.searchsorted(part[order[sensor]], parts, side="right") for sensor, part in part_of.items()}
+    for n in range(len(parts)):
         payload = list[dict[str, Any]]()
         for sensor, table in poll.tables.items():
             name, keys = MESSAGE_NAMES[sensor]
-            rows = table[np.floor((table[:, 0] - times.min()) / LONGEST_MESSAGE) == part]
+            rows = table[order[sensor][ends[sensor][n - 1] if n else 0 : ends[sensor][n]]]
             stamps = np.round(rows[:, 0] * 1e9).astype(np.int64).tolist()
             for time, values in zip(stamps, rows[:, 1:].tolist(), strict=True):
                 payload.append({"name": name, "time": time, "values": dict(zip(keys, values, strict=True))})
@@ -275,7 +289,7 @@ SENSOR_NAMES = {name: sensor for sensor, (name, _) in MESSAGE_NAMES.items()}
 def stored_of(messages: int, last_message: bytes) -> Stored:
     """What is stored of a run by the number of its messages and the last one."""
     last = dict[str, float]()
-    for sample in json.loads(last_message)["payload"]:
+    for sample in msgspec.json.decode(last_message)["payload"]:
         sensor = SENSOR_NAMES[sample["name"]]
         last[sensor] = max(last.get(sensor, -np.inf), sample["time"] * 1e-9)
     return Stored(messages, last)
@@ -288,7 +302,7 @@ async def follow(
     wait, answered = FIRST_RETRY, None
     while True:
         try:
-            poll = await asyncio.to_thread(phone.poll)
+            poll = await in_daemon_thread(phone.poll)
             if answered is not True:
                 say(f"phyphox: {phone.url} answers, {'measuring' if poll.measuring else 'not measuring: tap ▶'}")
             wait, answered = FIRST_RETRY, True

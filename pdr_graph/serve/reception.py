@@ -136,6 +136,8 @@ class Reception:
         """
         if platform and platform not in PLATFORMS:
             raise RefusalError(400, f"found platform {one_line(platform)[:40]!r}, expected ios or android")
+        if len(body) > self.limits.body:
+            raise RefusalError(413, f"found more than {self.limits.body >> 20} MB, expected smaller messages")
         if protocol == SENSOR_LOGGER and sensor_messages.is_test(body):
             return ""
         try:

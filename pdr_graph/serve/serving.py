@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import multiprocessing
 import socket
 import sys
@@ -24,7 +25,7 @@ from pdr_graph.inputs import LIVE, Options
 from pdr_graph.online.replay import navigator_of
 from pdr_graph.serve.access import LOCAL, Access
 from pdr_graph.serve.application import Server, application
-from pdr_graph.serve.estimators import Estimators
+from pdr_graph.serve.estimators import STOPPING, Estimators, end_all
 from pdr_graph.serve.finishing import finish
 from pdr_graph.serve.hub import Hub
 from pdr_graph.serve.live_walk import Session
@@ -107,7 +108,9 @@ def build(settings: Settings) -> Starlette:
         finally:
             await estimators.stop()
             reception.close()
+            finishers = list((pool._processes or {}).values())  # else the interpreter's end waits for them
             pool.shutdown(wait=False, cancel_futures=True)
+            await end_all(finishers, STOPPING, force=True)
 
     access, study = Access(settings.tokens), settings.sources.study
     return application(Server(hub, access, plan, settings.tiles, reception, study), lifespan)
@@ -129,6 +132,24 @@ class Protocol(H11Protocol):
     def _close_if_silent(self) -> None:
         if self.cycle is None and not self.transport.is_closing():
             self.transport.close()
+
+
+class Uvicorn(uvicorn.Server):
+    """A server whose streams end when it does: else it waits for them."""
+
+    def __init__(self, config: uvicorn.Config, end_streams: Callable[[], None]):
+        super().__init__(config)
+        self._end_streams = end_streams
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End streams, then all else."""
+        self._end_streams()
+        await super().shutdown(sockets)
+
+
+def is_news(record: logging.LogRecord) -> bool:
+    """False for the traceback of a request that was cancelled because the server ends."""
+    return not (record.exc_info and isinstance(record.exc_info[1], asyncio.CancelledError))
 
 
 def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = lambda port: None) -> None:
@@ -158,7 +179,9 @@ def serve(app: Starlette, host: str, port: int, ready: Callable[[int], None] = l
         server_header=False,
         ws_max_size=1 << 16,
     )
-    server = uvicorn.Server(config)
+    logging.getLogger("uvicorn.error").addFilter(is_news)
+    hub = getattr(getattr(app.state, "server", None), "hub", None)
+    server = Uvicorn(config, hub.close if isinstance(hub, Hub) else lambda: None)
     ready(listening.getsockname()[1])
     with contextlib.suppress(KeyboardInterrupt, Interrupted), listening:
         server.run(sockets=[listening])

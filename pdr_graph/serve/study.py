@@ -9,24 +9,24 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import http.client
 import json
 import sys
 import tempfile
-import time
-import urllib.error
-import urllib.request
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from http.client import HTTPResponse
 from pathlib import Path
-from typing import Any
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlencode
+from urllib.request import Request
 
 import msgspec
 
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, one_line
 from pdr_graph.lifelog.cache import write
+from pdr_graph.serve.daemon_thread import in_daemon_thread
 from pdr_graph.serve.study_report import refusal, report
+from pdr_graph.web_request import FAULTS, TooLongError, answer_to, anywhere, nowhere, pieces_of
 
 API = "https://sensorlogger.app/api"
 ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
@@ -34,10 +34,9 @@ LONGEST_NAME = 200  # characters of an identity
 MOST_PENDING = 1000  # uploads, each a file of 1 kB
 LARGEST_RECORDING = 2**30  # bytes; an hour at 100 Hz is 100 MB
 PATIENCE = 30.0  # [s] for an answer of the cloud to begin or go on
-DOWNLOAD = 600.0  # [s] for all of a recording
+DOWNLOAD, POST = 600.0, 60.0  # [s] for all of a recording; for a report
 SMOOTHING = 1800.0  # [s] for an estimate
 ATTEMPTS, PAUSE = 5, 60.0  # to reach the cloud; [s] between two, times their number
-CHUNK = 2**20  # bytes
 SMOOTH = "from pdr_graph.cli import main; main()"
 
 
@@ -58,11 +57,11 @@ class Upload(msgspec.Struct, frozen=True):
 
 
 class CloudError(OSError):
-    """The cloud did not answer (again: worth another attempt), or refused."""
+    """The cloud did not answer (again: worth another attempt), or refused (status: of HTTP)."""
 
-    def __init__(self, text: str, again: bool):
+    def __init__(self, text: str, again: bool, status: int = 0):
         super().__init__(text)
-        self.again = again
+        self.again, self.status = again, status
 
 
 def upload_of(body: bytes) -> Upload:
@@ -136,9 +135,9 @@ class StudyReports:
 
     async def _once(self, upload: Upload, folder: Path) -> None:
         recording = folder / "recording.zip"
-        await asyncio.to_thread(fetch, self.api, upload, recording)
+        await in_daemon_thread(fetch, self.api, upload, recording)
         text = await smoothed(recording, folder / "result", self.plan, self.say)
-        await asyncio.to_thread(post, self.api, upload, text)
+        await in_daemon_thread(post, self.api, upload, text)
         self.say(f"study: {upload!r} reported")
 
 
@@ -169,57 +168,42 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
 
 def fetch(api: str, upload: Upload, file: Path) -> None:
     """Download a recording. Raises CloudError."""
-    end, size = time.monotonic() + DOWNLOAD, 0
-    with _asked(api, "study/file/v1", upload, {}) as answer, file.open("wb") as out:
-        while chunk := _chunk(answer):
-            size += len(chunk)
-            if size > LARGEST_RECORDING:
-                raise CloudError(f"{upload!r}: more than {LARGEST_RECORDING} bytes", again=False)
-            if time.monotonic() > end:
-                raise CloudError(f"{upload!r}: not within {DOWNLOAD:.0f} s", again=True)
-            out.write(chunk)
-        if size < int(answer.headers.get("Content-Length") or 0):
-            raise CloudError(f"{upload!r}: the recording broke off after {size} bytes", again=True)
+    with _asked(api, "study/file/v1", upload, DOWNLOAD) as answer, file.open("wb") as out:
+        for piece in pieces_of(answer, LARGEST_RECORDING):
+            out.write(piece)
 
 
 def post(api: str, upload: Upload, text: str) -> None:
     """Post a report. Raises CloudError."""
-    kind, body = {"Content-Type": "text/markdown"}, text.encode()
     try:
-        _asked(api, "study/webhook/v1", upload, kind, body, "POST").close()
+        _post(api, upload, text.encode(), "POST")
     except CloudError as error:
-        if not isinstance(error.__cause__, urllib.error.HTTPError) or error.__cause__.code != 405:
+        if error.status != 405:
             raise
-        _asked(api, "study/webhook/v1", upload, kind, body, "PUT").close()  # as the demonstration of the app does
+        _post(api, upload, text.encode(), "PUT")  # as the demonstration of the app does
 
 
-class _Redirect(urllib.request.HTTPRedirectHandler):
-    """Follows redirects, and gives the code to no other host."""
-
-    def redirect_request(self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> Any:
-        new = super().redirect_request(req, fp, code, msg, headers, newurl)
-        if new is not None and urlsplit(newurl)[:2] != urlsplit(req.full_url)[:2]:
-            new.remove_header("Authorization")
-        return new
+def _post(api: str, upload: Upload, body: bytes, method: str) -> None:
+    with _asked(api, "study/webhook/v1", upload, POST, body, method):
+        pass
 
 
+@contextmanager
 def _asked(
-    api: str, path: str, upload: Upload, headers: dict[str, str], body: bytes | None = None, method: str = "GET"
-) -> Any:
-    """The answer of the cloud. Raises CloudError."""
+    api: str, path: str, upload: Upload, whole: float, body: bytes | None = None, method: str = "GET"
+) -> Iterator[HTTPResponse]:
+    """The answer of the cloud, which may redirect to its storage. Raises CloudError, also where the body ends early."""
     address = f"{api}/{path}?{urlencode({'studyId': upload.studyId, 'uploadId': upload.uploadId})}"
-    headers = headers | {"Authorization": upload.secretCode}
-    request = urllib.request.Request(address, body, headers, method=method)
+    headers = {"Authorization": upload.secretCode} | ({} if body is None else {"Content-Type": "text/markdown"})
+    request = Request(address, body, headers, method=method)
     try:
-        return urllib.request.build_opener(_Redirect).open(request, timeout=PATIENCE)
-    except urllib.error.HTTPError as error:
-        raise CloudError(f"{upload!r}, {path}: status {error.code}", again=error.code >= 500) from error
-    except (OSError, http.client.HTTPException) as error:
-        raise CloudError(f"{upload!r}, {path}: {one_line(str(error))}", again=True) from None
-
-
-def _chunk(answer: Any) -> bytes:
-    try:
-        return answer.read(CHUNK)
-    except (OSError, http.client.HTTPException) as error:
-        raise CloudError(f"the recording broke off: {one_line(repr(error))}", again=True) from None
+        with answer_to(request, PATIENCE, whole, anywhere if body is None else nowhere) as answer:
+            if not 200 <= answer.status < 300:
+                text = f"{upload!r}, {path}: status {answer.status}"
+                raise CloudError(text, again=answer.status >= 500, status=answer.status)
+            yield answer
+    except CloudError:
+        raise
+    except FAULTS as error:
+        again = not isinstance(error, TooLongError)
+        raise CloudError(f"{upload!r}, {path}: {one_line(str(error) or repr(error))}", again) from None

@@ -45,7 +45,7 @@ def no_network(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("a request")
 
-    monkeypatch.setattr(map_tiles, "urlopen", refuse)
+    monkeypatch.setattr(map_tiles, "answer_to", refuse)
 
 
 def drawn(chosen, template=""):

@@ -52,6 +52,10 @@ class Serving:
         os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait(PATIENCE)
 
+    def kill_if_alive(self):
+        if self.process.poll() is None:
+            self.kill()
+
     def stop(self):
         self.process.terminate()
         self.process.wait(PATIENCE)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, check_not_special
 from pdr_graph.floor.cells import LINK
 from pdr_graph.floor.formats import (
     drafts,
@@ -59,6 +59,7 @@ def read(path: Path, scale: float | None = None) -> Drawing:
     path = root_of(path)
     if not path.exists():
         raise InputError(path, "", "no such file", "a floor plan")
+    check_not_special(path, "a floor plan")
     if several_files.is_zip(path):
         with several_files.unpacked(path) as folder:
             return read(folder, scale)

@@ -6,11 +6,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, check_not_special
 
 
 def check_file_size(path: Path, largest: int, advice: str = "") -> None:
-    """Raise InputError for a file larger than `largest` [bytes]. advice: what to do, appended to the message."""
+    """Raise InputError for a file larger than `largest` [bytes], or one without an end, such as a pipe.
+
+    advice: what to do, appended to the message.
+    """
+    check_not_special(path, "a file of a floor plan")
     size = path.stat().st_size
     if size > largest:
         raise InputError(path, "", f"{size} bytes", f"at most {largest} bytes{advice and ': ' + advice}")

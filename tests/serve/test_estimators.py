@@ -1,0 +1,95 @@
+"""Estimating processes that die, hang or read nothing: the server goes on, and says so."""
+
+import asyncio
+import os
+import signal
+import time
+
+import estimating_standin
+import pytest
+
+from pdr_graph.serve import estimators
+from pdr_graph.serve.estimating import MOST_FAILURES
+from pdr_graph.serve.estimators import Estimators
+
+PATIENCE = 60.0  # [s] on a machine under load
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Processes of the stand-in, with short limits."""
+    monkeypatch.setattr(estimators, "run_process", estimating_standin.run_process)
+    for name, seconds in (("RESTART", 0.05), ("PING_PERIOD", 0.1), ("LONGEST_SILENCE", 2.0), ("STOPPING", 1.0)):
+        monkeypatch.setattr(estimators, name, seconds)
+
+
+def with_walkers(tmp_path, ids, until, act=lambda running: None):
+    """All updates of processes with these walkers, of which each new process hears, until a condition on them."""
+    updates = []
+
+    async def go():
+        def started(number):
+            for id_ in ids:
+                running.tell("new", id_)
+
+        running = Estimators(1, tmp_path, {}, lambda kind, update: updates.append((kind, update)), started)
+        await running.start()
+        try:
+            async with asyncio.timeout(PATIENCE):
+                while not until(updates):
+                    act(running)
+                    await asyncio.sleep(0.02)
+        finally:
+            began = time.monotonic()
+            await running.stop()
+            assert time.monotonic() - began < 10.0
+
+    asyncio.run(go())
+    return updates
+
+
+def failures(updates):
+    return [update for kind, update in updates if kind == "failed"]
+
+
+def test_a_walker_that_kills_its_process_again_and_again_is_left_alone(tmp_path, quick):
+    """And the others of the process go on."""
+
+    def until(updates):
+        return len(failures(updates)) >= MOST_FAILURES and ("looked", {"id": "calm"}) in updates
+
+    found = failures(with_walkers(tmp_path, ["deadly", "calm"], until))
+    assert [failure["id"] for failure in found] == ["deadly"] * MOST_FAILURES
+    assert [failure["again"] for failure in found] == [True, True, False]
+    assert found[-1]["text"] == (
+        "its process was killed or crashed; it is left alone until the next start; its messages are kept"
+    )
+
+
+def test_a_process_that_hangs_is_ended_and_its_walker_named(tmp_path, quick):
+    def until(updates):
+        return len(failures(updates)) >= MOST_FAILURES and ("looked", {"id": "calm"}) in updates
+
+    found = failures(with_walkers(tmp_path, ["freezing", "calm"], until))
+    assert all(failure["text"].startswith("its process did not answer for 2 s") for failure in found)
+
+
+def test_a_stopped_process_is_replaced_and_no_message_to_it_waits(tmp_path, quick):
+    """With nobody at work no walker is blamed. More messages than a pipe holds do not stop the event loop."""
+    stopped = []
+
+    def act(running):
+        process = running._running[0].runner
+        if not stopped and process.is_alive():
+            os.kill(process.pid, signal.SIGSTOP)
+            stopped.append(process.pid)
+            for _ in range(20_000):
+                running.tell("finish", "calm")
+        elif stopped != [process.pid] and not stopped[1:]:
+            stopped.append(process.pid)
+            running.tell("new", "later")
+
+    def until(updates):
+        return ("looked", {"id": "later"}) in updates
+
+    assert failures(with_walkers(tmp_path, ["calm"], until, act)) == []
