@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Attack each client of the program as a server that it asks: how it ends, when, and how much memory it took.
 
-scripts/hostile_server.py [--client evaal] [--jobs 4] [WORD …]      only attacks with one of the words
+scripts/hostile_servers.py [--client evaal] [--jobs 4] [WORD …]      only attacks with one of the words
 """
 
 import argparse

@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-LIMIT, MEMORY = 20.0, 2 << 30  # [s] and [bytes] of a command
+LIMIT, MEMORY = 60.0, 2 << 30  # [s] and [bytes] of a command
 PROGRAM = [sys.executable, "-c", "from pdr_graph.cli import main; main()"]
 COMMANDS = [  # @ is the special file
     "smooth @ --out o",
