@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
@@ -158,6 +158,7 @@ def _rows(number: int, outing: Outing, track: Trajectory) -> Iterator[str]:
         yield f"{number},{row},{',' if np.isnan(lat) else f'{lat:.8f},{lon:.8f}'}"
 
 
+TABLE_NAMES = ("positionfixes", "triplegs", "staypoints", "locations")  # of PARQUET
 GPX, GEOJSON, CSV, PARQUET = "gpx", "geojson", "csv", "parquet"
 DOCUMENTS = {GPX: as_gpx, GEOJSON: as_geojson}
 SECRET, SECRET_BYTES = "secret", 32  # setting that determines how private areas are moved, and its length
@@ -189,16 +190,33 @@ def export_days(
         places = _private_places(log, cut), _private_places(log, blur)
         days = _public_days(log, wanted, file_format, places, notes)
         if single:
-            return _write_one_file(out, file_format, list(days)), notes
-        with output_folder(out, private=True) as staged:
-            for target, content in (
-                _tables(staged, days, log, bool(cut or blur))
-                if file_format == PARQUET
-                else _files_by_day(staged, file_format, days, zone)
-            ):
-                cache.write(target, content)
-                written.append(out / target.relative_to(staged))
-    return written, notes
+            written = _write_one_file(out, file_format, list(days))
+        else:
+            with output_folder(out, private=True) as staged:
+                for target, content in (
+                    _tables(staged, days, log, bool(cut or blur))
+                    if file_format == PARQUET
+                    else _files_by_day(staged, file_format, days, zone)
+                ):
+                    cache.write(target, content)
+                    written.append(out / target.relative_to(staged))
+    possible = [out] if single else _possible_files(out, file_format, wanted)
+    return written, [*notes, *_without_earlier(path for path in possible if path not in written)]
+
+
+def _possible_files(out: Path, file_format: str, wanted: Sequence[tuple[str, str]]) -> list[Path]:
+    """The files that an export of some days to a folder can have."""
+    if file_format == PARQUET:
+        return [out / f"{name}.parquet" for name in TABLE_NAMES]
+    return [file for person, day in wanted for file in _day_files(out, file_format, person, day)]
+
+
+def _without_earlier(files: Iterable[Path]) -> Iterator[str]:
+    """Remove files of an earlier export, which would show what is private now; yields a note for each."""
+    for file in files:
+        if file.is_file():
+            file.unlink()
+            yield f"{file}: of an earlier export, removed: nothing is left for it now"
 
 
 def _checked_date(option: str, text: str) -> str:
@@ -232,11 +250,7 @@ def _private_places(log: Store, texts: Sequence[str]) -> tuple[PrivatePlace, ...
 
 def _secret(log: Store) -> bytes:
     """The secret of the lifelog. It must stay the same: averaging over exports would reveal a private place."""
-    try:
-        return bytes.fromhex(log.setting(SECRET))
-    except IndexError:  # its first export
-        log.put_setting(SECRET, secrets.token_hex(SECRET_BYTES))
-        return _secret(log)
+    return bytes.fromhex(log.lasting_setting(SECRET, secrets.token_hex(SECRET_BYTES)))
 
 
 def _public_days(
@@ -275,9 +289,13 @@ def _tables(out: Path, days: Iterator[Day], log: Store, private: bool) -> Iterat
 
 def _files_by_day(out: Path, file_format: str, days: Iterator[Day], zone: str) -> Iterator[tuple[Path, bytes]]:
     for day in days:
-        name = f"{quote(day.person, safe=' ')}_{day.date}"
-        if file_format == CSV:
-            yield out / f"{name}_trajectory.csv", as_csv(day)
-            yield out / f"{name}_timeline.csv", timeline_csv(timeline(day), zone_of_outings(zone, day.outings)).encode()
-        else:
-            yield out / f"{name}.{file_format}", DOCUMENTS[file_format]([day])
+        first, *others = _day_files(out, file_format, day.person, day.date)
+        yield first, as_csv(day) if file_format == CSV else DOCUMENTS[file_format]([day])
+        for file in others:
+            yield file, timeline_csv(timeline(day), zone_of_outings(zone, day.outings)).encode()
+
+
+def _day_files(out: Path, file_format: str, person: str, date: str) -> list[Path]:
+    """The file of a day, or its ``trajectory.csv`` and ``timeline.csv``."""
+    endings = ("_trajectory.csv", "_timeline.csv") if file_format == CSV else (f".{file_format}",)
+    return [out / f"{quote(person, safe=' ')}_{date}{ending}" for ending in endings]

@@ -15,8 +15,8 @@ What would reveal a place, and the remedy:
 * sources, plans, hashes and notes: left out.
 
 Rows to cut are left out. Rows to blur become one row per quarter of an hour, in the middle of a square of a grid that
-is the same everywhere and always (a grid about the place would reveal its middle), with the covariance of a square;
-their stays have no name, and begin and end on a quarter of an hour.
+is the same everywhere and always (a grid about the place would reveal its middle) and nested (`nested_squares`), with
+the covariance of a square; their stays have no name, and begin and end on a quarter of an hour.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from itertools import pairwise
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.frames import enu
-from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.frames import Frame, enu
+from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.lifelog.day import (
     PRIVATE,
     WALKING,
@@ -42,11 +42,13 @@ from pdr_graph.lifelog.day import (
     shift,
     without_gap_rows,
 )
+from pdr_graph.lifelog.nested_squares import nested_squares
 from pdr_graph.lifelog.private_places import PrivatePlace, is_hidden, normalized_name
 from pdr_graph.types import INSTANT, Array, Index, Mask, Trajectory
 
 # Chosen by hand
 SHORTEST_SHOWN = 60.0  # [s] of a track between two hidden ones
+SHORTEST_BREAK = 1.0  # [s] between two shown parts
 LEG_LENGTH = 30.0  # [m] over which the direction of a track is measured
 ROWS_PER_BLOCK = 50  # rows whose direction is tested at a time, from the end of a track backwards
 MAX_LEG_ROWS = 1000  # rows among which a leg begins: half a kilometre of steps
@@ -115,15 +117,15 @@ def _trimmed(track: Trajectory, run: ShownRun, lonlat: Array, places: Sequence[P
 
 
 def _trimmed_end(position: Array, lonlat: Array, rows: Index, places: Sequence[PrivatePlace]) -> Index:
-    """The rows up to the last one that is far from the hidden area, or from which the track does not point at it."""
+    """The rows up to the last one that is far from each hidden area, or from which the track does not point at it."""
     if not len(rows):
         return rows
-    place = min(places, key=lambda p: p.distance(lonlat[rows[-1:]])[0])
     for after in range(len(rows), 0, -ROWS_PER_BLOCK):
         number = range(max(after - ROWS_PER_BLOCK, 0), after)
         behind = [rows[_leg_start(position[rows[max(0, n - MAX_LEG_ROWS) : n + 1]], n)] for n in number]
         here = lonlat[rows[number]]
-        good = np.flatnonzero((place.distance(here) > 2 * place.radius) | ~place.ahead(here, lonlat[behind]))
+        away = [(p.distance(here) > 2 * p.radius) | ~p.ahead(here, lonlat[behind]) for p in places]
+        good = np.flatnonzero(np.all(away, axis=0))
         if len(good):
             return rows[: number[good[-1]] + 1]
     return rows[:0]
@@ -139,19 +141,19 @@ def _leg_start(position: Array, number: int) -> int:
 
 
 QUARTER = 900.0  # [s] to which times are rounded; chosen by hand
-SQUARE_SIDE = 500.0  # [m] of the squares of blurred positions, at least the radius of the place; chosen by hand
-METRES_PER_DEGREE = 111_320.0  # of latitude; approximate, for the squares of a grid
+SQUARE_SIDE = 500.0  # [m] least side of the squares of blurred positions, and the radius of the place; chosen by hand
 
 
 def blurred_part(
     outing: Outing,
     hidden: HiddenRows,
     rows: Index,
+    cut: Sequence[PrivatePlace],
     blur: Sequence[PrivatePlace],
     free: tuple[float, float],
     first: bool,
 ) -> ExportedPart | None:
-    """Blurred rows as one row per quarter of an hour; None if there are none.
+    """Blurred rows as one row per quarter of an hour; None if there are none, or if their line is in an area to cut.
 
     rows: numbers of the blurred rows; free: Unix times [s] from and to which nothing else is shown; first: True if no
     earlier part of the outing is shown.
@@ -169,14 +171,17 @@ def blurred_part(
         return None
     usual = [np.median(hidden.lonlat[rows[quarter == t - QUARTER / 2]], axis=0) for t in time]
     centre, side = _grid_squares(np.array(usual), blur)
+    if any(place.hides(centre).any() or place.crossed(centre).any() for place in cut):
+        return None
     covariance = np.zeros((len(time), 3, 3))
     covariance[:, 0, 0] = covariance[:, 1, 1] = side**2 / 12
     covariance[:, 2, 2] = ANY_HEADING**2
     heading, floor = np.full(len(time), np.nan), ("",) * len(time)
     track = Trajectory(time, outing.frame.from_lonlat(centre), heading, floor, covariance)
-    return ExportedPart(
-        start, end, track, (Segment(PRIVATE, start, end, 0.0),), _blurred_stays(outing, blur, rows, start, end)
+    stays = tuple(
+        s for s in _blurred_stays(outing, blur, rows, start, end) if not is_hidden(cut, outing.frame, s.position)
     )
+    return ExportedPart(start, end, track, (Segment(PRIVATE, start, end, 0.0),), stays)
 
 
 def _blurred_stays(
@@ -198,11 +203,9 @@ def _blurred_stays(
 
 def _grid_squares(lonlat: Array, blur: Sequence[PrivatePlace]) -> tuple[Array, Array]:
     """The middles ``(n, 2)`` [deg] of the grid squares in which positions lie, and their sides ``(n,)`` [m]."""
-    side = np.max([np.full(len(lonlat), SQUARE_SIDE), *(p.hides(lonlat) * p.radius for p in blur)], axis=0)
-    height = side / METRES_PER_DEGREE
-    lat = (np.floor(lonlat[:, 1] / height) + 0.5) * height
-    width = height / np.cos(np.radians(lat))
-    return np.stack([(np.floor(lonlat[:, 0] / width) + 0.5) * width, lat], axis=1), side
+    least = np.max([np.full(len(lonlat), SQUARE_SIDE), *(p.hides(lonlat) * p.radius for p in blur)], axis=0)
+    middle, side, _ = nested_squares(lonlat, least)
+    return middle, side
 
 
 def quarter_after(time: float) -> float:
@@ -249,7 +252,7 @@ def _exported_parts(
     for before, run in pairwise([None, *shown_runs(outing.trajectory, hidden, (*cut, *blur)), None]):
         passed = np.arange(before.last + 1 if before else 0, run.first if run else len(outing.trajectory))
         begin = _shown_begin(outing, run, free) if run else np.inf
-        coarse = blurred_part(outing, hidden, passed[hidden.blurred[passed]], blur, (free, begin), not parts)
+        coarse = blurred_part(outing, hidden, passed[hidden.blurred[passed]], cut, blur, (free, begin), not parts)
         parts += [coarse] if coarse else []
         parts += [_shown_part(outing, run, begin, (*cut, *blur))] if run else []
         free = parts[-1].end if parts else free
@@ -259,7 +262,8 @@ def _exported_parts(
 def _shown_begin(outing: Outing, run: ShownRun, free: float) -> float:
     """Unix time at which a run is shown [s]: on a quarter of an hour if it is beside hidden rows or before `free`."""
     begin = outing.epoch + float(outing.trajectory.time[run.first])
-    return quarter_after(max(begin, free)) if any(run.at_hidden) or begin < free else begin
+    after = free + SHORTEST_BREAK  # a part that begins where another ends would make one line across what is hidden
+    return quarter_after(max(begin, after)) if any(run.at_hidden) or begin < after else begin
 
 
 def _shown_part(outing: Outing, run: ShownRun, begin: float, places: Sequence[PrivatePlace]) -> ExportedPart:
@@ -311,16 +315,31 @@ def _step_count(of: Outing, left: Sequence[Segment]) -> int:
 def _with_new_origin(outing: Outing) -> Outing:
     """The outing in a local frame with another origin.
 
-    North of both frames differs by minutes of arc within a day's reach, which is ignored.
+    Headings are turned by the angle between both norths: beside the direction of the track, the headings of a day would
+    reveal the old origin to tens of metres.
     """
     if outing.frame.kind != "enu":
         return outing
     position = outing.trajectory.position
     lon, lat = np.round(outing.frame.to_lonlat(position[:1])[0], ORIGIN_DIGITS).tolist()
     frame, old = enu(lat, lon), outing.frame
-    track = replace(outing.trajectory, position=frame.from_frame(old, position))
-    stays = tuple(replace(s, position=frame.from_frame(old, s.position[None])[0]) for s in outing.stays)
+    turned = wrap_angle(outing.trajectory.heading + _convergence(frame, old, position))
+    track = replace(outing.trajectory, position=frame.from_frame(old, position), heading=turned)
+    stays = tuple(
+        replace(
+            s,
+            position=frame.from_frame(old, s.position[None])[0],
+            heading=float(wrap_angle(s.heading + _convergence(frame, old, s.position[None]))[0]),
+        )
+        for s in outing.stays
+    )
     return replace(outing, frame=frame, trajectory=track, stays=stays)
+
+
+def _convergence(frame: Frame, old: Frame, position: Array) -> Array:
+    """The angles ``(n,)`` by which headings at positions ``(n, 2)`` [m] of the old frame are turned to a new one."""
+    ahead = frame.from_frame(old, position + np.array([100.0, 0.0])) - frame.from_frame(old, position)
+    return np.arctan2(ahead[:, 1], ahead[:, 0])
 
 
 def _private_names(day: Day, cut: Sequence[PrivatePlace], blur: Sequence[PrivatePlace]) -> set[str]:

@@ -1,20 +1,21 @@
 """Places that a user wants to keep private, and the area that is hidden about each so that it cannot be located.
 
-Tracks that end at a circle reveal its centre: three ends are enough. The hidden area is therefore the place enlarged by
-its own radius r and moved by an offset, which the secret of the lifelog determines and which leaves the place inside.
-Anyone who locates the hidden area exactly knows only that the place is within r of its middle: the best guess is within
-ρ of the place with a probability of (ρ/r)², and 2/3 r away on average.
+Tracks that end at a circle reveal its centre: three ends are enough. The hidden area is therefore the place moved to
+the middle of the square of a grid in which its centroid lies, and enlarged by half the diagonal of the square. Anyone
+who locates the hidden area exactly knows only the square: its middle is 0.38 of a side away on average. The grid is
+shifted by the secret of the lifelog, and its squares are nested (`nested_squares`): a place that is hidden with several
+radii, or as a circle and as an area, is in squares that lie within one another, so all exports together reveal no more
+than the smallest square.
 
 Habits show in many days, whatever is hidden: the mean of the points where somebody appears who leaves home in all
-directions alike is home, ± 2 r / √n after n walks. A place should be described in the same words every time, since each
-description has an offset of its own.
+directions alike is home, ± 2 r / √n after n walks. A place should be described in the same words every time: of two
+descriptions whose centroids lie in different squares both squares are known, and the place is near the line between.
 """
 
 from __future__ import annotations
 
 import hashlib
 import hmac
-import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -31,11 +32,16 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, SOLID
 from pdr_graph.floor.formats.geojson import check_degrees, features_of, read_json
 from pdr_graph.frames import Frame, enu
+from pdr_graph.lifelog.nested_squares import nested_squares
 from pdr_graph.types import Array, Mask
 
 CIRCLE = re.compile(r"\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*,\s*([\d.]+)\s*m?\s*", re.ASCII)
 NAMED_KINDS = (*CLOSED, *SOLID)  # kinds of areas of a plan that have names
 MIN_RADIUS, MAX_RADIUS = 1.0, 100_000.0  # [m] radius of a place
+MAX_LATITUDE = 89.0  # [deg] of a place: the squares are Mercator's
+# Least side of the square that hides a place within it, in radii of the place: its middle is then at least 2/3 of a
+# radius from the place on average
+SQUARE_RADII = 1.75
 EXPECTED = "latitude,longitude,radius, the name of a shop or room on a plan of the lifelog, or a GeoJSON file of areas"
 
 
@@ -43,8 +49,8 @@ EXPECTED = "latitude,longitude,radius, the name of a shop or room on a plan of t
 class PrivatePlace(OneLineRepr):
     """A place, and the area that is hidden about it.
 
-    name: in the user's words; frame: east-north about the place; shape: the place itself [m]; hidden: the area that is
-    left out of exports [m]; radius: of a circle with the area of the place [m], by which it is enlarged.
+    name: in the user's words; frame: east-north about the hidden area; shape: the place itself [m]; hidden: the area
+    that is left out of exports [m]; radius: of a circle with the area of the place [m].
     """
 
     name: str
@@ -184,14 +190,18 @@ def _places_by_name(text: str, plans: Sequence[str], secret: bytes) -> Iterator[
 
 
 def _private_place(name: str, frame: Frame, shape: shapely.Geometry, secret: bytes) -> PrivatePlace:
-    """The place of a shape [m] in a frame, with the area that is hidden about it."""
-    radius = max(MIN_RADIUS, float(np.sqrt(shapely.area(shape) / np.pi)))
+    """The place of a shape [m] in a frame about it, with the area that is hidden."""
     assert frame.origin is not None, "a frame about the place"
-    described = json.dumps([*np.round(frame.origin, 6), *np.round(shapely.bounds(shape), 1)])
-    drawn = np.frombuffer(hmac.digest(secret, described.encode(), hashlib.sha256)[:16], dtype="<u8") / 2.0**64
-    distance, angle = radius * np.sqrt(drawn[0]), 2 * np.pi * drawn[1]  # evenly over the circle of that radius
-    dx, dy = distance * np.cos(angle), distance * np.sin(angle)
+    if abs(frame.origin[0]) > MAX_LATITUDE:
+        raise InputError(
+            "a private place", name, f"latitude {frame.origin[0]:.2f}", f"up to {MAX_LATITUDE:.0f} degrees"
+        )
+    radius = max(MIN_RADIUS, float(np.sqrt(shapely.area(shape) / np.pi)))
+    drawn = np.frombuffer(hmac.digest(secret, b"squares", hashlib.sha256)[:16], dtype="<u8") / 2.0**64
+    lonlat, least = np.array([frame.origin[::-1]]), np.array([SQUARE_RADII * radius])
+    middle, _, corners = nested_squares(lonlat, least, (float(drawn[0]), float(drawn[1])))
+    own = enu(*middle[0, ::-1].tolist())  # about the square: its coordinates do not depend on where the place is in it
+    reach = float(np.hypot(*own.from_lonlat(corners[0]).T).max())
     # quad_segs: the polygon lies within the circle, by 0.03 % of its radius, which is added
-    wider = shapely.buffer(shape, 1.001 * radius, quad_segs=32)
-    hidden = shapely.transform(wider, lambda p: p + np.array([dx, dy]))
-    return PrivatePlace(name, frame, shape, hidden, radius)
+    hidden = shapely.buffer(shape, 1.001 * reach, quad_segs=32)  # as if the place were in the middle of the square
+    return PrivatePlace(name, own, shapely.transform(shape, partial(own.from_frame, frame)), hidden, radius)

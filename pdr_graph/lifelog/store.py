@@ -303,6 +303,13 @@ class Store:
         with self._transaction() as execute:
             execute(_insert("setting", 2), (name, value))
 
+    def lasting_setting(self, name: str, value: str) -> str:
+        """The value of a setting, which is `value` for ever if it has none: two processes get the same one."""
+        if not self._all("SELECT value FROM setting WHERE name = ?", name):
+            with self._transaction() as execute:
+                execute("INSERT OR IGNORE INTO setting VALUES (?, ?)", (name, value))
+        return self.setting(name)
+
     def put_versions(self, versions: dict[str, str]) -> None:
         """Store the versions of packages."""
         with self._transaction() as execute:

@@ -19,12 +19,13 @@ from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import length_along
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Segment, sampled
 from pdr_graph.lifelog.export import as_csv, as_geojson, as_gpx
+from pdr_graph.lifelog.nested_squares import nested_squares
 from pdr_graph.lifelog.privacy import without_private_places
 from pdr_graph.lifelog.private_places import PrivatePlace, private_places
 from pdr_graph.lifelog.timeline import timeline, timeline_csv
 from pdr_graph.types import Trajectory
 
-SECRET, RADIUS = b"of one lifelog", 150.0
+SECRET, RADIUS = b"of one lifelog", 143.0  # [m] in a square of 250 m, the least that hides it
 HOME = np.array([0.0, 0.0])  # in made days: where the frame's origin is, as in a lifelog that begins at home
 ZONE = ZoneInfo("America/Santiago")
 
@@ -186,7 +187,7 @@ def test_the_distance_of_a_short_hidden_visit_is_not_revealed():
     assert np.allclose([t for _, *t in times[0]], [t for _, *t in times[1]], atol=PERIOD)
 
 
-@given(seed=st.integers(0, 10**6), radius=st.floats(1, 5000), lat=st.floats(-80, 80), lon=st.floats(-179, 179))
+@given(seed=st.integers(0, 10**6), radius=st.floats(1, 1e5), lat=st.floats(-89, 89), lon=st.floats(-180, 180))
 @settings(max_examples=50, deadline=None)
 def test_the_hidden_area_covers_the_place_and_depends_on_the_secret_alone(seed, radius, lat, lon):
     text = f"{lat:.6f},{lon:.6f},{radius:.1f}"
@@ -194,16 +195,40 @@ def test_the_hidden_area_covers_the_place_and_depends_on_the_secret_alone(seed, 
     assert shapely.covers(one.hidden, one.shape)
     assert shapely.equals(one.hidden, again.hidden)
     assert shapely.distance(shapely.centroid(one.hidden), shapely.centroid(other.hidden)) > 0
-    assert shapely.area(one.hidden) == pytest.approx(4 * shapely.area(one.shape), rel=0.01)
+    assert 2.2 * radius < np.sqrt(shapely.area(one.hidden) / np.pi) < 3.6 * radius
 
 
-def test_the_hidden_area_locates_the_place_to_two_thirds_of_a_radius():
-    """Within ρ with a probability of (ρ/r)², over 500 secrets, to 4 standard deviations."""
+def test_the_hidden_area_locates_the_place_to_a_square_that_the_secret_shifts():
+    """Its middle is 0.38 of a side and at least 2/3 r away on average, over 500 secrets, to 4 standard deviations."""
     areas = [hidden(secret=n.to_bytes(4, "big"))[0] for n in range(500)]
-    apart = np.array([shapely.distance(shapely.centroid(a.hidden), shapely.centroid(a.shape)) for a in areas]) / RADIUS
-    assert apart.mean() == pytest.approx(2 / 3, abs=4 * np.sqrt(1 / 18) / np.sqrt(500))
-    for share in (0.25, 0.5, 0.75):
-        assert (apart < share).mean() == pytest.approx(share**2, abs=4 * np.sqrt(share**2 * (1 - share**2) / 500))
+    apart = np.array([HERE.from_lonlat(a.frame.to_lonlat(np.zeros((1, 2))))[0] - HOME for a in areas])
+    side = nested_squares(np.array([[-71.0, -35.0]]), np.array([1.75 * RADIUS]))[1][0]
+    assert (np.abs(apart) <= 0.501 * side).all()
+    assert (apart.var(axis=0) / (side**2 / 12)) == pytest.approx(np.ones(2), abs=4 * np.sqrt(0.8 / 500))
+    assert np.hypot(*apart.T).mean() == pytest.approx(0.3826 * side, abs=4 * 0.142 * side / np.sqrt(500))
+    assert 0.3826 * side > 2 / 3 * RADIUS
+
+
+def test_several_radii_reveal_no_more_than_the_smallest_square():
+    """Each hidden area gives its square away; they lie within one another, so the smallest is all that is learned."""
+    for n in range(50):
+        secret = n.to_bytes(4, "big")
+        places = [hidden(circle(radius=r), secret=secret)[0] for r in (60, 90, 143, 200, 320, 450, 800)]
+        squares = [square_of(place) for place in places]
+        home = shapely.Point(HERE.to_lonlat(HOME[None])[0])
+        assert all(shapely.covers(rounded(square), home) for square in squares)
+        assert all(shapely.covers(rounded(outer), inner) for inner, outer in pairwise(squares))
+
+
+def square_of(place):
+    """The square [deg] whose middle is that of a hidden area, as anyone finds out who locates it."""
+    half = np.sqrt(0.5) * (np.sqrt(shapely.area(place.hidden) / np.pi) / 1.001 - place.radius)
+    return shapely.Polygon(place.frame.to_lonlat(half * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)])))
+
+
+def rounded(square):
+    """A square and 0.5 % of its side around it: a circle of an area is a polygon."""
+    return shapely.buffer(square, 0.005 * np.sqrt(square.area))
 
 
 def ends(days):
@@ -373,7 +398,7 @@ def test_a_blurred_place_is_a_grid_square_per_quarter_of_an_hour(seed, radius):
     walk = outing(legs, start=home, stays=[stay(0.0, legs[0][1], home, [("Home", 0.9)])])
     [place] = hidden(circle(home, radius))
     [left], _ = without_private_places([day(walk)], [], [place])
-    side = max(500.0, place.radius)
+    side = 2 * max(500.0, place.radius)  # at most
     for part in left.outings:
         private = [s for s in part.segments if s.kind == PRIVATE]
         lonlat = part.frame.to_lonlat(part.trajectory.position)
@@ -381,11 +406,11 @@ def test_a_blurred_place_is_a_grid_square_per_quarter_of_an_hour(seed, radius):
         assert not (place.hides(lonlat) & ~blurred).any()
         times = part.epoch + part.trajectory.time[blurred]
         assert times % 900 == pytest.approx(450)
-        steps = lonlat[blurred, 1] / (side / 111_320)
-        assert steps % 1 == pytest.approx(0.5, abs=1e-4)  # in the middle of a square, wherever home is
+        middle, sides, _ = nested_squares(lonlat[blurred], np.full(len(times), max(500.0, place.radius)))
+        assert lonlat[blurred] == pytest.approx(middle, abs=1e-7)  # the middle of a square, wherever home is
         apart = HERE.from_lonlat(lonlat[blurred]) - home
-        assert np.abs(apart).max(initial=0) <= side / 2 + 2 * RADIUS + 2 * radius + 1
-        assert (part.trajectory.covariance[blurred][:, 0, 0] >= side**2 / 12 - 1e-6).all()
+        assert np.abs(apart).max(initial=0) <= side / 2 + 7 * radius
+        assert part.trajectory.covariance[blurred][:, 0, 0] == pytest.approx(sides**2 / 12)
         for s in part.stays:
             assert s.facing == ()
             assert (part.epoch + np.array([s.start, s.end])) % 900 == pytest.approx([0, 0])
@@ -404,6 +429,52 @@ def test_the_covariance_of_blurred_rows_is_honest():
         errors.append(error**2 / np.diag(track.covariance[0])[:2])
     # the fourth moment of a uniform error is 9/5 of its variance squared: 4 standard errors of 400 numbers
     assert np.mean(errors) == pytest.approx(1, abs=4 * np.sqrt(0.8 / 400))
+
+
+@given(seed=st.integers(0, 10**6), lat=st.floats(-85, 85), lon=st.floats(-180, 180))
+@settings(max_examples=50, deadline=None)
+def test_blurs_with_several_radii_reveal_no_more_than_the_smallest_square(seed, lat, lon):
+    """Squares that are not nested would have little in common but the position, after a few radii."""
+    least = np.sort(np.random.default_rng(seed).uniform(500, 5000, 6))
+    _, _, corners = nested_squares(np.full((6, 2), (lon, lat)), least)
+    squares = [shapely.box(*own.min(axis=0), *own.max(axis=0)) for own in corners]
+    assert all(shapely.covers(shapely.buffer(b, 1e-9), a) for a, b in pairwise(squares))
+
+
+def test_parts_that_follow_one_another_to_the_second_are_not_joined_across_a_cut_place():
+    """A part of exactly 15 min begins and ends on a quarter, when the next one could begin."""
+    [place] = hidden(circle((0.0, 0.0), 60))
+    through = shapely.bounds(place.hidden)[2] * 2  # [m]
+    before, inside = 900.0 * PACE[VEHICLE], through / PACE[VEHICLE]
+    for extra in np.arange(0.0, 120.0, 1.0):
+        walk = outing([(VEHICLE, 900.0 + extra + inside + 900.0, 0.0)], start=(-before - through / 2 - extra * 10, 0.0))
+        [left], _ = without_private_places([day(walk)], [place], [])
+        for feature in json.loads(as_geojson([left]))["features"]:
+            line = np.array(feature["geometry"]["coordinates"])
+            assert not place.crossed(line).any(), extra
+
+
+def test_headings_do_not_reveal_the_origin_of_the_old_frame():
+    """North of a frame is that of its origin, often home: the angle between both norths gives its longitude away."""
+    home = enu(-35.0, -71.0)
+    walk = replace(outing([(WALKING, 3000.0, 0.3)], start=(4000.0, 0.0)), frame=home)
+    [left], _ = without_private_places([day(walk)], hidden(), [])
+    track, frame = left.outings[0].trajectory, left.outings[0].frame
+    here = frame.to_lonlat(track.position)
+    own = enu(*here[0, ::-1]).from_lonlat(here)
+    towards = np.arctan2(*(own[-1] - own[0])[::-1])
+    north = frame.bearing_of_east(track.position[0])  # of the export's frame, whose origin everybody knows
+    assert track.heading[0] - north == pytest.approx(towards, abs=1e-6)
+    assert abs(walk.trajectory.heading[0] - track.heading[0]) > 1e-5  # it had to be turned
+
+
+def test_a_track_does_not_point_at_a_second_hidden_area_either():
+    """It ends at the nearest area, a small one, on the way to a larger one."""
+    home, kiosk = hidden(circle(radius=200.0), circle((900.0, 0.0), 10.0))
+    walk = outing([(WALKING, 1600.0, np.pi)], start=(2000.0, 0.0))
+    [left], _ = without_private_places([day(walk)], [home, kiosk], [])
+    lonlat = np.concatenate([o.frame.to_lonlat(o.trajectory.position) for o in left.outings])
+    assert home.distance(lonlat).min() > 2 * home.radius - 2
 
 
 def test_time_never_goes_back():
