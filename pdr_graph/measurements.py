@@ -190,7 +190,7 @@ def _stacked(columns: Sequence[Any]) -> Any:
     return tuple(value for column in columns for value in column)
 
 
-def _keys(part: Data) -> Iterator[tuple[str, int]]:
+def _keys(part: Any) -> Iterator[tuple[str, int]]:
     """The label of each beacon or anchor of a part, and how often it stands before in its list.
 
     A label that stands several times in one list names several things, in the order of the list.

@@ -35,7 +35,8 @@ def check_crossings(path: Path, where: str, shape: shapely.Geometry) -> None:
     """Raise InputError for an outline that crosses itself too often to be repaired."""
     corners, ring = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(shape)), return_index=True)
     inside = ring[1:] == ring[:-1]
-    sides = np.atleast_1d(shapely.linestrings(np.stack([corners[:-1], corners[1:]], axis=1)[inside]))
+    ends = np.stack([corners[:-1], corners[1:]], axis=1)[inside]
+    sides = np.asarray(shapely.linestrings(ends), dtype=np.object_)  # (n,): ends has three dimensions
     if _pairs(sides, MOST_CROSSINGS, None):
         found = f"an outline of {len(sides)} sides that cross one another in most places"
         raise InputError(path, where, found, "an outline around an area")

@@ -62,7 +62,7 @@ class EventChecks:
 
     def on_earth(self, fixes: Fixes) -> Fixes | None:
         """The fixes whose longitude and latitude are possible [deg]; None if there are none."""
-        return self._counted("fixes", fixes, (np.abs(fixes.position) <= [180.0, 90.0]).all(axis=1), UNUSABLE)
+        return self._counted("fixes", fixes, np.all(np.abs(fixes.position) <= [180.0, 90.0], axis=1), UNUSABLE)
 
     def thinned(self, name: str, data: Any, used: Any | None) -> Any:
         """The rows that are not too many in SPAN seconds; None if all are.

@@ -378,10 +378,9 @@ class Navigator:
     def _now(self) -> float:
         return self._tail.end if self._tail is not None else self._window.steps.end
 
-    def _fix(self, fixes: Fixes) -> None:
+    def _fix(self, received: Fixes) -> None:
         """Append fixes in the frame of the walk, which the first may define; unusable ones are counted."""
-        if fixes.epsg == LONLAT:
-            fixes = self._checks.on_earth(fixes)
+        fixes = self._checks.on_earth(received) if received.epsg == LONLAT else received
         if fixes is None or not len(fixes):
             return
         frame = self.frame or self._lie_in(frame_of(fixes))
