@@ -18,6 +18,7 @@ from hostile_server import ATTACKS, attacking, body
 
 LIMIT = 400.0  # [s] after which a client hangs
 SHORT = "import pdr_graph.evaal.client as c; c.SILENCE, c.LONGEST_CALL = 2.0, 10.0; "  # the same with smaller limits
+SHORT_STUDY = "import pdr_graph.serve.study as s; s.DOWNLOAD = 20.0\n"
 MAIN = "from pdr_graph.cli import main; main()"
 ROWS = "".join(f"ACCE;{1 + n / 100:.3f};{1 + n / 100:.3f};0.1;0.2;9.8;3\n" for n in range(50)).encode()
 STATE = b"1.0,-1,1.0,20.0,0.0,0.5,1.0,0.0;0.0;0"
@@ -112,11 +113,13 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--client", default="")
     parser.add_argument("--jobs", type=int, default=4)
-    parser.add_argument("--short", action="store_true", help="shorter limits of evaal: 2 s of silence, 10 s a call")
+    parser.add_argument(
+        "--short", action="store_true", help="evaal: 2 s of silence, 10 s a call; study: 20 s a recording"
+    )
     parser.add_argument("words", nargs="*")
     options = parser.parse_args()
     if options.short:
-        globals()["MAIN"] = SHORT + MAIN
+        globals().update(MAIN=SHORT + MAIN, STUDY=SHORT_STUDY + STUDY)
     cases = [
         (client, name)
         for client in CLIENTS
@@ -140,7 +143,17 @@ def main():
 
 FINE = {  # answers that are as good as any other
     "evaal, log": tuple(ATTACKS),  # without the server's log nothing is missing
-    "study": ("random bytes", "an empty answer"),
+    "study": (  # a file that `smooth` refuses then
+        "random bytes",
+        "an empty answer",
+        "a bomb of gzip",
+        "a length too short",
+        "two lengths",
+        "JSON nested 10^5 deep",
+        "JSON of NaN",
+        "a state of NaN",
+        "control characters",
+    ),
 }
 
 

@@ -47,7 +47,6 @@ COMMANDS = {
     "lifelog build --workers": ([ADD], [*BUILD, "--workers", "2"], []),
     "lifelog show": ([ADD, BUILD], ["lifelog", "show", "days.db", "--out", "out"], ["out"]),
     "lifelog export": ([ADD, BUILD], [*EXPORT, "--format", "csv", "--out", "out"], ["out"]),
-    "lifelog export FILE": ([ADD, BUILD], [*EXPORT, "--out", "days.gpx"], ["days.gpx"]),
 }
 
 

@@ -126,6 +126,15 @@ def test_a_full_disk_leaves_the_earlier_file(tmp_path, size):
     assert names(tmp_path) == ["steps.csv"]
 
 
+@pytest.fixture
+def interruptible():
+    """SIGINT raises KeyboardInterrupt, also in a test run that a shell has put into the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interruption_waits_for_the_end_of_a_block():
     done = []
 

@@ -200,8 +200,10 @@ def export_days(
                 ):
                     cache.write(target, content)
                     written.append(out / target.relative_to(staged))
-    possible = [out] if single else _possible_files(out, file_format, wanted)
-    return written, [*notes, *_without_earlier(path for path in possible if path not in written)]
+    if cut or blur:
+        possible = [out] if single else _possible_files(out, file_format, wanted)
+        notes += _without_earlier(path for path in possible if path not in written)
+    return written, notes
 
 
 def _possible_files(out: Path, file_format: str, wanted: Sequence[tuple[str, str]]) -> list[Path]:
