@@ -6,6 +6,7 @@ import ctypes
 import re
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from pdr_graph.types import Array
 
 LARGEST_FILE = 100_000_000  # [bytes]
 LARGEST_CONTENT = 30_000_000  # [bytes] a plan of 200 000 segments has some 5 MB
+PIECE, MOST_UNPACKED = 10_000, 1_000_000  # [bytes] of a stream that are unpacked at a time, and of what comes out
 STREAM = re.compile(rb"\bstream\r?\n")
 LARGEST_PAGE = 15_000  # [point] 5 m of paper
 FEWEST_LINES = 20  # on a page whose plan is drawn with vectors
@@ -59,14 +61,23 @@ def _check_unpacked(path: Path) -> None:
     for stream in STREAM.finditer(content):
         if b"/Image" in content[max(0, stream.start() - 300) : stream.start()]:
             continue
-        unpacking, packed = zlib.decompressobj(), memoryview(content)[stream.end() :]
-        try:
-            while size <= LARGEST_CONTENT and (piece := unpacking.decompress(packed, 1_000_000)):
-                size, packed = size + len(piece), unpacking.unconsumed_tail
-        except zlib.error:
-            continue
+        size += _unpacked_size(content, stream.end(), LARGEST_CONTENT - size)
         if size > LARGEST_CONTENT:
             raise InputError(path, "", f"a page of more than {LARGEST_CONTENT} bytes unpacked", "the plan of one floor")
+
+
+def _unpacked_size(content: bytes, begin: int, most: int) -> int:
+    """The size of a stream that begins there, up to its end, to damage, or to more than `most` [bytes]."""
+    unpacking, size = zlib.decompressobj(), 0
+    with suppress(zlib.error):
+        for start in range(begin, len(content), PIECE):  # in pieces: zlib copies what lies behind a stream's end
+            packed = content[start : start + PIECE]
+            while packed and size <= most:
+                size += len(unpacking.decompress(packed, MOST_UNPACKED))
+                packed = unpacking.unconsumed_tail
+            if unpacking.eof or size > most:
+                break
+    return size
 
 
 def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
