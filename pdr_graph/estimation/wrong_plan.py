@@ -11,7 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.factors.base import Hypothesis
+from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import (
     DROPPED,
@@ -24,8 +26,10 @@ from pdr_graph.estimation.optimizer import (
 )
 from pdr_graph.types import Array
 
-WRONG_PLAN = 6.0  # [nats] price of a plan that does not fit; between right walls a walk costs 0 to 4.5 nats more, on 60
-# simulated walks of development and 45 real ones; where the plan is wrong, mostly 5 to 140
+WRONG_PLAN = 6.0  # [nats] least price of a plan that does not fit; between right walls a walk of some minutes costs 0
+# to 4.5 nats more, on 60 simulated walks of development and 45 real ones; where the plan is wrong, mostly 5 to 140
+PER_MEASUREMENT = 0.25  # [nats] per measurement that walls amount to; right walls add less: 0.10 to 0.21 in laps of 4
+# to 66 min, up to 53 nats in all; 0.5 to 1.0 where the fixes are 3 m beside the plan, 0.6 where it is turned by 10°
 CORRELATED = 0.25  # share of the cost by which walls add more where the errors of fixes are correlated; IPIN21 at 1 Hz
 MOST_ADDED = 5.0  # [nats] that right walls hardly add: beyond it a displaced plan or position is tried
 DISPLACED = 3.0  # [nats] price of a plan or a single position that is displaced: they then cost 0 to 5 nats, walks
@@ -46,9 +50,10 @@ def solutions_on_plan(graph: WalkGraph, explained: list[Optimum]) -> list[Optimu
     for other in likely[1:]:
         alike = _apart(other, likely[0]) < SAME_PATH
         optima.append(_assuming(near_walk(graph, other, optima[0].state if alike else None), other))
-    if optima[0].surprise > likely[0].surprise + MOST_ADDED and _single_position(graph):
+    usual = PER_MEASUREMENT * _measurements_by_walls(optima[0])
+    if optima[0].surprise > likely[0].surprise + max(MOST_ADDED, usual) and _single_position(graph):
         optima += _displaced(graph, likely[0])
-    optima += [free for other in likely for free in _without_walls(other)]
+    optima += [free for other in likely for free in _without_walls(other, max(WRONG_PLAN, usual))]
     ordered = sorted(optima, key=lambda optimum: optimum.surprise)
     return [optimum for optimum in ordered if optimum.surprise < ordered[0].surprise + DROPPED]
 
@@ -62,10 +67,25 @@ def _wrong(price: float) -> Hypothesis:
     return Hypothesis((), price, "plan", TEXT, CHECK)
 
 
-def _without_walls(free: Optimum) -> list[Optimum]:
+def _measurements_by_walls(optimum: Optimum) -> float:
+    """The number of independent measurements that the walls amount to: tr(J Σ Jᵀ) over the steps that they press.
+
+    It grows with the corridors walked through, and what right walls add to the cost grows with it: a walk errs anew
+    between two corridors. J: whitened derivatives; Σ: covariance of the walk between the walls.
+    """
+    blocks = [block for block in optimum.at.blocks if block.name == WallFactor.name]
+    pressed = [term for block in blocks for term in block.terms(optimum.state)]
+    if not pressed:
+        return 0.0
+    covariance = CovarianceBlocks(optimum.net).joint([tuple(key for key, _ in pairs) for _, pairs, _ in pressed])
+    slopes = (np.hstack([by for _, by in pairs]) for _, pairs, _ in pressed)
+    return float(sum(np.sum(J @ own * J) for J, own in zip(slopes, covariance, strict=True)))
+
+
+def _without_walls(free: Optimum, price: float) -> list[Optimum]:
     """The walk if the plan does not fit; in each direction if the other sources do not determine it."""
     walks = different_directions(free)
-    price = WRONG_PLAN + float(np.log(len(walks)))
+    price += float(np.log(len(walks)))
     without = [replace(walk, burden=CORRELATED * walk.cost) for walk in walks]
     return [_assuming(walk, free, price, _wrong(price)) for walk in without]
 

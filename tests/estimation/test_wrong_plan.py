@@ -15,7 +15,8 @@ from pdr_graph.estimation.hypotheses import joint_solutions
 from pdr_graph.estimation.optimizer import probabilities
 from pdr_graph.geometry import interpolate
 
-ARCADE = Path(__file__).parents[2] / "maps" / "arcade.geojson"
+MAPS = Path(__file__).parents[2] / "maps"
+ARCADE, LOOP = MAPS / "arcade.geojson", MAPS / "loop.geojson"
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +110,31 @@ def test_the_probability_of_a_walk_beside_the_plan_is_zero_in_python_too(arcade,
     steps, truth, plan = arcade
     assert method(pdr.WalkGraph(steps, fixes(truth), floor=displaced(plan, 900.0, 0.0))).probability == 0
     assert method(pdr.WalkGraph(steps, fixes(truth), floor=plan)).probability > 0.9
+
+
+@pytest.fixture(scope="module")
+def laps():
+    """Twelve laps of a corridor in 21 min: steps, true trajectory and plan."""
+    corners = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]
+    route = [corners[0], {"stand": 5}, *({"to": [*corners[1:], corners[0]]} for _ in range(12))]
+    made = pdr.simulate(pdr.Scenario.of({"route": route, "plan": str(LOOP), "phone": {"rate": 50}}))
+    return pdr.detect_steps(made.recording("accelerometer", "gyroscope")), made.truth, pdr.FloorPlan.load(LOOP)
+
+
+def noisy_fixes(truth, east=0.0, north=0.0):
+    time = np.arange(10.0, truth.time[-1], 60.0)
+    noise = np.random.default_rng(0).normal(0, 3, (len(time), 2))
+    return fixes_at(time, interpolate(time, truth.time, truth.position) + noise + [east, north], 3.0)
+
+
+def test_what_right_walls_add_in_many_corridors_does_not_make_a_plan_wrong(laps):
+    steps, truth, plan = laps
+    walk = pdr.smooth(pdr.WalkGraph(steps, noisy_fixes(truth), floor=plan))
+    assert pdr.verdict(walk).state == "ok"
+    assert np.median(error(walk, truth)) < 0.8
+
+
+def test_in_many_corridors_a_plan_five_metres_off_is_named(laps):
+    steps, truth, plan = laps
+    walk = pdr.smooth(pdr.WalkGraph(steps, noisy_fixes(truth, 4.0, 3.0), floor=plan))
+    assert reasons(walk, "plan")
