@@ -46,6 +46,7 @@ ROOMS = {
     "dask": {"lifelog"},
     "geopandas": {"lifelog"},
     "pandas": {"lifelog"},
+    "pyarrow": {"io", "lifelog"},
     "sqlite3": {"storage", "online", "lifelog"},
     "starlette": {"serve"},
     "uvicorn": {"serve"},

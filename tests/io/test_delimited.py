@@ -1,12 +1,14 @@
 """Delimited text reads back as written, in every dialect."""
 
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pdr_graph import InputError
-from pdr_graph.io.delimited import table
+from pdr_graph.io.delimited import FOR_ARROW, TextRows, table
 
 NUMBERS = st.one_of(st.just(float("nan")), st.floats(-1e12, 1e12, allow_subnormal=False))
 
@@ -71,3 +73,26 @@ def test_an_open_quote_does_not_swallow_the_next_row():
     read = table("t.csv", 'time,x,floor\n1,2,"F1\n3,4,F2\n')
     assert read.floats("time", "x").tolist() == [[1, 2], [3, 4]]
     assert read.rows.words(2) == ["F1", "F2"]
+
+
+ROW = "1777629600003677440,-0.1,1e-7,4"
+ODD = ["nan,1,2,3", "1,,2,3", " 1,2,3,4", "1 ,2,3,4", '"1",2,3,4', "1,2,3", "1,2,3,4,5", "inf,1,2,3", "1e400,1,2,3"]
+ODD += ["0x10,1,2,3", "+1,2,3,4", "1_0,2,3,4", "true,1,2,3", "1e5,2,3,4", ".5,1,2,3", "5.,1,2,3", "1,2,3,4\r", ""]
+
+
+@pytest.mark.parametrize("row", [ROW, *ODD])
+def test_pyarrow_reads_what_numpy_reads_to_the_same_bits_or_nothing(row):
+    pytest.importorskip("pyarrow")
+    rng = np.random.default_rng(0)
+    lines = [",".join(map(repr, rng.normal(0, 1e3, 4).tolist())) for _ in range(50)] + [row, ROW]
+    rows = TextRows("t.csv", lines, range(1, len(lines) + 1))
+    by_arrow, by_numpy = rows._floats_by_arrow([0, 2, 3]), rows._floats_by_numpy([0, 2, 3])
+    assert by_arrow is None if by_numpy is None else by_arrow is None or np.array_equal(by_arrow, by_numpy)
+    assert by_arrow is not None or row in ODD
+
+
+def test_long_tables_are_the_same_with_and_without_pyarrow(monkeypatch):
+    text = "time,x\n" + "".join(f"{k / 7!r},{k}\n" for k in range(FOR_ARROW + 1))
+    with_it = table("t.csv", text).floats("time", "x")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert np.array_equal(with_it, table("t.csv", text).floats("time", "x"))
