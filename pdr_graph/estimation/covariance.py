@@ -15,44 +15,59 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from contextlib import suppress
 
 import gtsam
 import numpy as np
 
+from pdr_graph.estimation.block_cholesky import INDETERMINATE_TEXT
 from pdr_graph.estimation.factors.chain import Evaluation
+from pdr_graph.estimation.normal_equations import RESCUING, Solution
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
 
 
-def covariance_of_ends(at: Evaluation, net: gtsam.GaussianBayesNet, which: Index) -> tuple[Array, Array]:
+def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tuple[Array, Array]:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a
-    step given both ends. at, net: the walk at the optimum, and its graph factorised there.
+    step given both ends. at, solution: the walk at the optimum, and its linear system there.
 
     Also returns the covariances of c ``(s, 3, 3)``.
     """
-    blocks, R_0, state = CovarianceBlocks(net), pose_rotation(at.pose_i[:1, 2]), at.state
-    x, c = state.keys("x").tolist(), state.keys("c").tolist()
-    keys = [(i, j, c[s]) for i, j, s in zip(x[:-1], x[1:], at.chain.segment.tolist(), strict=True)]
-    of_pieces = covariance_of_pieces(blocks, keys, at, which)
-    of_start = R_0 @ blocks.joint([(x[0],)]) @ R_0.transpose(0, 2, 1)
-    of_c = blocks.joint([(key,) for key in c])
-    return np.concatenate([of_start, of_pieces]), of_c
+    R_0, i, first = pose_rotation(at.pose_i[:1, 2]), np.arange(len(at.chain.segment)), np.zeros(1, dtype=np.intp)
+    joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment))
+    of_start = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
+    of_c = solution.joint(("c", np.arange(len(at.state.c))))
+    return np.concatenate([of_start, covariance_of_pieces(joint, at, which)]), of_c
 
 
-def covariance_of_pieces(
-    blocks: CovarianceBlocks, keys: Sequence[tuple[int, ...]], at: Evaluation, which: Index
-) -> Array:
+def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
     """Covariance ``(n, 3, 3)`` of the poses at the ends of some pieces, in the output axes.
 
-    keys: of x_i, x_j and c of each interval.
+    joint: covariance ``(k, 9, 9)`` of x_i, x_j and c of each interval.
     """
-    joint, placed, interval = blocks.joint(keys), at.poses_of(which), at.pieces.interval[which]
+    placed, interval = at.poses_of(which), at.pieces.interval[which]
     D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
     R = pose_rotation(at.pose_i[interval, 2])
     spread = at.chain.bridge.spread[which]
     return D @ joint[interval] @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
+
+
+def eliminated(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesNet:
+    """The graph, factorised by GTSAM; with zero priors if rounding errors make it indeterminate.
+
+    That happens where variables hang on a gap of half an hour alone, which says next to nothing of them.
+    """
+    unit = gtsam.noiseModel.Unit.Create(3)
+    for damping in RESCUING:
+        damped = gtsam.GaussianFactorGraph()
+        damped.push_back(linear)
+        for key in linear.keyVector() if damping else ():
+            damped.add(key, np.sqrt(damping) * np.eye(3), np.zeros(3), unit)
+        with suppress(RuntimeError):
+            return damped.eliminateSequential(ordering)
+    raise RuntimeError(INDETERMINATE_TEXT)
 
 
 class CovarianceBlocks:

@@ -28,6 +28,7 @@ from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
+from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.plan import FloorPlan
@@ -35,6 +36,7 @@ from pdr_graph.measurements import Closures, Levels
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
 STEPS_PER_SEGMENT = 100
+MOST_EQUATIONS = 3  # places of blocks that are kept
 FIX_KINDS = (FixFactor.name, GnssBias.name)
 Kind = TypeVar("Kind", bound=Measurement)
 
@@ -101,6 +103,7 @@ class WalkGraph:
         self._measurements = (*kinds, CalibrationFactor(prior_of_segment, self.prior.change), hold)
         self.start = initial_state(initial.poses, initial.c, self._measurements)
         self.walled = False
+        self._equations = list[NormalEquations]()  # shared by all versions of this graph
         if self.unplaced and self.floor_sequence is not None:
             self._use_plan(self.floor_sequence)
         used = self.positions.fixes.position[self.positions.used]
@@ -178,6 +181,12 @@ class WalkGraph:
     def _floor_of_pieces(self) -> list[str]:
         row = np.searchsorted(self.pieces.row_end, np.arange(len(self.pieces.length))) + 1
         return [self.floors[r] for r in row.tolist()]
+
+    def normal_equations(self, at: Evaluation) -> NormalEquations:
+        """The normal equations of the factors at ``at``; those of the last graphs alike are used again."""
+        found = next((known for known in self._equations if known.fits(at)), None) or NormalEquations(at)
+        self._equations[:] = [found, *(known for known in self._equations if known is not found)][:MOST_EQUATIONS]
+        return found
 
     def evaluate(self, state: State) -> Evaluation:
         """All factors at one state."""

@@ -91,7 +91,7 @@ def _assuming(old: Optimum, hypothesis: Hypothesis, start: State, first: Optimum
     """The optimum near ``start`` under one more assumption than ``old``."""
     graph = old.graph.assuming(hypothesis.measurements)
     optimum = optimize(graph, continued(graph.start, start, hypothesis.fresh))
-    information = optimum.net.logDeterminant() - first.net.logDeterminant()
+    information = optimum.solution.log_determinant - first.solution.log_determinant
     assumed = (*old.assumed, hypothesis)
     burden = information + sum(hypothesis.price for hypothesis in assumed)
     return replace(optimum, assumed=assumed, burden=burden, unseen=first.unseen)

@@ -137,7 +137,7 @@ def _rows(optimum: Optimum, time: Array) -> tuple[Array, Array, Array]:
     """Poses ``(n, 3)`` and covariances ``(n, 3, 3)`` in the output axes at times ``(n,)`` [s]; covariances of c."""
     pieces, at = optimum.graph.pieces, optimum.at
     which = nearest(pieces.keyframe_time[pieces.interval] + pieces.to_end[1], time[1:])
-    covariance, of_c = covariance_of_ends(at, optimum.net, which)
+    covariance, of_c = covariance_of_ends(at, optimum.solution, which)
     return np.concatenate([at.pose_i[:1], at.ends[which]]), covariance, of_c
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
+from pdr_graph.estimation.normal_equations import LinearSystem, Solution
 from pdr_graph.estimation.path_modes import alternative_endings, fixes_determine_path, hypotheses
 from pdr_graph.types import Array, Index
 
@@ -28,7 +27,6 @@ STRAINED = 3.0  # cost above the usual at which further paths are searched
 ATTEMPTS = 2  # of the particle filter
 DIRECTIONS = 8  # initial directions where any is possible
 UNSEEN = 4.5  # cost above the usual of a path that the particles may have missed
-RESCUING = (1e-8, 1e-6, 1e-4, 1e-2)  # damping of a system that is indeterminate by rounding errors
 DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
 LEAST_LOGARITHM = (
     -300.0
@@ -40,19 +38,24 @@ SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance
 class Optimum:
     """Result of the optimiser.
 
-    at: all factors at the optimum; net: the graph factorised just before the last move; unseen: the negative log
+    at: all factors at the optimum; system: linearised just before the last move; unseen: the negative log
     posterior of a path that the search may have missed; assumed: about sources that err, see `hypotheses`; burden: of
     these assumptions, in addition to the cost, by their evidence [nats].
     """
 
     graph: WalkGraph
     at: Evaluation
-    net: gtsam.GaussianBayesNet
+    system: LinearSystem
     iterations: int
     converged: bool
     unseen: float = np.inf
     assumed: tuple[Hypothesis, ...] = ()
     burden: float = 0.0
+
+    @property
+    def solution(self) -> Solution:
+        """The solved linear system, for covariances."""
+        return self.system.solution
 
     @property
     def state(self) -> State:
@@ -139,16 +142,14 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
 
     converged: decrease of the cost, relative and absolute, below which the search ends.
 
-    The loop is not GTSAM's because that passes a copy of all values to each Python callback (quadratic in the length
-    of the walk). METIS ordering: the default overflows the stack on long chains.
+    The loop and its linear algebra are not GTSAM's: that passes a copy of all values to each Python callback (quadratic
+    in the length of the walk), and takes a Python call for each factor of each iteration.
     """
     at, damping, longest = graph.evaluate(start), 0.0, LONGEST_MOVE if graph.walled else np.inf
-    linear = at.linearized()
-    ordering = at.ordering(linear)
-    stay = dict[float, gtsam.GaussianFactorGraph]()
+    equations = graph.normal_equations(at)
+    system = equations.assembled(at)
     for iteration in range(1, MOST_ITERATIONS + 1):
-        net = eliminated(linear, ordering, damping, stay)
-        candidate = graph.evaluate(at.state.retracted(net.optimize(), longest))
+        candidate = graph.evaluate(at.state.retracted(system.step(damping), longest))
         decrease = at.cost - candidate.cost
         if decrease < 0 and damping < MOST_DAMPING:
             damping = max(10 * damping, LEAST_DAMPING)
@@ -157,47 +158,10 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
         if decrease >= 0:
             at = candidate
         if last:
-            net = eliminated(linear, ordering, 0.0, stay) if damping else net
-            return Optimum(graph, at, net, iteration, converged=True)
+            return Optimum(graph, at, system, iteration, converged=True)
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
-        linear = at.linearized()
-    net = eliminated(linear, ordering, 0.0, stay)
-    return Optimum(graph, at, net, MOST_ITERATIONS, converged=False)
-
-
-def eliminated(
-    linear: gtsam.GaussianFactorGraph,
-    ordering: gtsam.Ordering,
-    damping: float = 0.0,
-    stay: dict[float, gtsam.GaussianFactorGraph] | None = None,
-) -> gtsam.GaussianBayesNet:
-    """The damped graph, factorised; with more damping if rounding errors make it indeterminate.
-
-    That happens where variables hang on a gap of half an hour alone, which says next to nothing of them. stay: see
-    `_damped`.
-    """
-    stay = {} if stay is None else stay
-    for least in (0.0, *RESCUING[:-1]):
-        with suppress(RuntimeError):
-            return _damped(linear, max(damping, least), stay).eliminateSequential(ordering)
-    return _damped(linear, max(damping, RESCUING[-1]), stay).eliminateSequential(ordering)
-
-
-def _damped(
-    linear: gtsam.GaussianFactorGraph, damping: float, stay: dict[float, gtsam.GaussianFactorGraph]
-) -> gtsam.GaussianFactorGraph:
-    """The graph with Levenberg–Marquardt's zero prior on the step of every variable; ``stay`` caches these priors."""
-    if damping == 0:
-        return linear
-    if damping not in stay:
-        stay[damping], unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(3)
-        root, nothing = np.sqrt(damping) * np.eye(3), np.zeros(3)
-        for key in linear.keyVector():
-            stay[damping].add(key, root, nothing, unit)
-    damped = gtsam.GaussianFactorGraph()
-    damped.push_back(linear)
-    damped.push_back(stay[damping])
-    return damped
+        system = equations.assembled(at)
+    return Optimum(graph, at, system, MOST_ITERATIONS, converged=False)
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:
@@ -253,13 +217,13 @@ def solutions_near(graph: WalkGraph, starts: Sequence[State]) -> list[Optimum]:
 
 def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
     """An optimum for each path if the fixes determine it except for its end; else an empty list."""
-    until = fixes_determine_path(graph, without_walls.net)
+    until = fixes_determine_path(graph, without_walls.solution)
     if until is None:
         return []
     last, sigma = until
     rough = _solve_relaxed(graph, continued(graph.start, without_walls.state), sigma)
     first = _solve_tight_walls(rough)
-    others = alternative_endings(first.graph, first.state, first.net, last)
+    others = alternative_endings(first.graph, first.state, first.solution, last)
     return [first, *(_solve_tight_walls(_solve_loose_walls(graph, path)) for path in others)]
 
 

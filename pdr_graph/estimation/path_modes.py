@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import islice
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.normal_equations import Solution
 from pdr_graph.estimation.particle_filter import FEWEST, Paths, particle_filter, particles_from
 from pdr_graph.geometry import rotation
 from pdr_graph.types import Array, Index
@@ -33,17 +31,17 @@ FEWEST_FIXES = 3  # two do not check one another
 MOST_OPEN = 0.25  # share of the walk, at its end, that may be undetermined
 
 
-def fixes_determine_path(graph: WalkGraph, net: gtsam.GaussianBayesNet) -> tuple[int, Array] | None:
+def fixes_determine_path(graph: WalkGraph, solution: Solution) -> tuple[int, Array] | None:
     """The last keyframe up to which fixes determine the path, and the sigma of each piece ``(m,)`` [m].
 
-    None if they do not determine it. net: the factorised graph of the walk without its walls.
+    None if they do not determine it. solution: of the walk without its walls.
     """
     if any(measurement.converges_slowly for measurement in graph.measurements):
         return None
     if np.count_nonzero(graph.positions.held & ~graph.positions.outlier) < FEWEST_FIXES:
         return None
     count = len(graph.start.poses)
-    covariance = CovarianceBlocks(net).joint([(X(k),) for k in range(count)])[:, :2, :2]
+    covariance = solution.joint(("x", np.arange(count)))[:, :2, :2]
     sigma = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
     last = int(np.argmax(np.append(sigma, np.inf) > LARGEST_SIGMA)) - 1
     if last < (1 - MOST_OPEN) * (count - 1):
@@ -51,12 +49,12 @@ def fixes_determine_path(graph: WalkGraph, net: gtsam.GaussianBayesNet) -> tuple
     return last, np.maximum(sigma[:-1], sigma[1:])[graph.pieces.interval]
 
 
-def alternative_endings(graph: WalkGraph, state: State, net: gtsam.GaussianBayesNet, last: int) -> list[State]:
-    """Paths that differ from ``state`` after keyframe ``last``. net: the graph factorised at ``state``."""
+def alternative_endings(graph: WalkGraph, state: State, solution: Solution, last: int) -> list[State]:
+    """Paths that differ from ``state`` after keyframe ``last``. solution: at ``state``."""
     if last == len(state.poses) - 1:
         return []
     segment = int(graph.segment[last])
-    joint = CovarianceBlocks(net).joint([(X(last), C(segment))])[0]
+    joint = solution.joint(("x", np.array([last])), ("c", np.array([segment])))[0]
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), joint, FEWEST)
     place = state.poses[last, :2] + drawn[:, :2] @ rotation(state.poses[last, 2]).T
     particles = np.column_stack([place, state.poses[last, 2] + drawn[:, 2], state.c[segment] + drawn[:, 3:]]).T

@@ -46,7 +46,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     path = paths(optima)
     share = probabilities(optima, path)
     probability = (1.0 - found.elsewhere) * share
-    own, of_c = covariance_of_ends(best.at, best.net, best.at.pieces.row_end)
+    own, of_c = covariance_of_ends(best.at, best.solution, best.at.pieces.row_end)
     covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum(), own))
     fits = best.graph.walled == graph.walled
     of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(own))
@@ -125,7 +125,7 @@ def _mixture_covariance(optima: list[Optimum], weight: Array, own: Array) -> Arr
     rows = poses_of_rows(optima[0])
     total = weight[0] * own
     for w, other in zip(weight[1:], optima[1:], strict=True):
-        covariance, _ = covariance_of_ends(other.at, other.net, other.at.pieces.row_end)
+        covariance, _ = covariance_of_ends(other.at, other.solution, other.at.pieces.row_end)
         apart = differences(poses_of_rows(other), rows)
         total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
     return total

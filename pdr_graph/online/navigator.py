@@ -18,8 +18,8 @@ from pdr_graph.errors import expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors import kind_of
-from pdr_graph.estimation.factors.beacon_rssi import LevelCollector
 from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA
+from pdr_graph.estimation.factors.level_collector import LevelCollector
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.floors import FloorsCheckpoint, LiveFloors
 from pdr_graph.estimation.initialization import lay_dead_reckoning

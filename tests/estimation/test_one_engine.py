@@ -13,6 +13,7 @@ from pdr_graph import smooth
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
@@ -130,7 +131,7 @@ def relinearized(live):
 def optimum(at):
     """Gauss–Newton over the blocks of an evaluation, with a line search, to convergence."""
     for _ in range(ROUNDS):
-        move = at.linearized().optimize()
+        move = NormalEquations(at).assembled(at).step()
         candidate = at.chain.evaluate(at.state.retracted(move), at.measurements)
         longest = np.inf
         while candidate.cost > at.cost and longest > 1e-6:

@@ -100,21 +100,15 @@ class State:
         position = (self.poses[:, :2] - pivot) @ rotation(angle).T + pivot
         return self.replaced(x=np.column_stack([position, self.poses[:, 2] + angle]))
 
-    def retracted(self, move: gtsam.VectorValues, longest: float = np.inf) -> State:
+    def retracted(self, moves: Mapping[str, Array], longest: float = np.inf) -> State:
         """Move every variable by GTSAM's local coordinates; poses by Pose2's full exponential map.
 
-        longest: no pose may go further [m]; the whole move is shortened instead.
+        moves: ``(n, 3)`` of the variables of each symbol; longest: no pose may go further [m]; the whole move is
+        shortened instead.
         """
-        by_symbol, moves, first = sorted(self.arrays), {}, 0
-        rows = move.vector().reshape(-1, 3)
-        for symbol in by_symbol:
-            count = len(self.arrays[symbol])
-            moves[symbol] = np.empty((count, 3))
-            moves[symbol][np.argsort(self.number(symbol))] = rows[first : first + count]
-            first += count
         furthest = float(np.abs(moves[POSE][:, :2]).max())
         scale = min(1.0, longest / max(furthest, 1e-9))
-        arrays = {symbol: self.arrays[symbol] + scale * moves[symbol] for symbol in by_symbol}
+        arrays = {symbol: rows + scale * moves[symbol] for symbol, rows in self.arrays.items()}
         arrays[POSE] = retracted(self.poses, scale * moves[POSE])
         return replace(self, arrays=arrays)
 
@@ -192,6 +186,8 @@ class FactorBlock:
     tolerance: by symbol, change ``(3,)`` of a variable at which a live smoother linearises the factors again, None for
     linear factors; signature: ``(n,)`` of a factor's data, a change by 1 matters; prior: these are priors of variables
     that the kind adds.
+    curvature: returns second derivatives of the residuals times these ``(n, v, v, 3, 3)``, unweighted, without those
+    that would make the cost concave; the optimiser adds them to Gauss–Newton's matrix, covariances are without them.
     native: returns GTSAM's own version of factor n, where GTSAM has such a factor.
     """
 
@@ -207,6 +203,7 @@ class FactorBlock:
     tolerance: Mapping[str, Array] | None = field(default_factory=lambda: TOLERANCE)
     signature: Array | None = None
     prior: bool = False
+    curvature: Callable[[], Array] | None = None
     native: Callable[[int], gtsam.NonlinearFactor] | None = None
 
     @classmethod

@@ -13,9 +13,9 @@ stays the same where nobody moves, so levels are averaged over metres walked, no
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -28,9 +28,7 @@ from pdr_graph.estimation.factors.beacon_list import (
     relocated_beacons,
 )
 from pdr_graph.estimation.factors.losses import RobustLoss
-from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.io.beacons import number_of
 from pdr_graph.measurements import Levels
 from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps
 
@@ -40,10 +38,8 @@ if TYPE_CHECKING:
 STRETCH = 2.0  # [m] of the walk over which levels are averaged
 PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
 BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
-LONGEST = 6.0  # [s] that a stretch may take while a walk is under way
 RANGE = 60.0  # [m] from which no phone receives a beacon; at half of it the usual level is the weakest
 STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
-MOST_RECEPTIONS = 100_000  # that are stored of a walk under way: an hour of a receiver that hears 25 a second
 ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
 
 # A wrong list
@@ -170,10 +166,24 @@ class BeaconRssiFactor(Measurement):
             by_loss = np.stack([np.ones(len(pose)), -5 * np.log10(square), along / distance], axis=1)
             return [by[:, None] / LEVEL_SIGMA for by in (by_pose, by_beacon, by_loss)]
 
+        def curvature() -> Array:
+            """Of 10 n log₁₀ d, across and along the direction to the beacon, where it adds to the cost."""
+            pull = -10 * q[1] / np.log(10) / LEVEL_SIGMA * value[:, 0]
+            bend = np.maximum(0.0, pull / square), np.maximum(0.0, pull * (2 * HEIGHT**2 / square - 1) / square)
+            towards = np.stack([along, aside], axis=1) / np.maximum(np.hypot(along, aside), 1e-9)[:, None]
+            across = towards[:, ::-1] * [-1, 1]
+            parts = [np.sqrt(size)[:, None] * way for size, way in zip(bend, (across, towards), strict=True)]
+            by_pose = -np.stack(parts, axis=1)  # (l, 2, 2) in the axes of the pose
+            by_beacon = -by_pose @ np.stack([ahead, left], axis=1)
+            flat = [np.pad(by, ((0, 0), (0, 0), (0, 1))) for by in (by_pose, by_beacon, np.zeros((len(pose), 2, 2)))]
+            both = np.stack(flat, axis=2)
+            return np.einsum("lrvi,lrwj->lvwij", both, both)
+
         value = (expected - self.listed.rssi[which])[:, None] / LEVEL_SIGMA
         variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(which), dtype=np.intp))]
         loss = RobustLoss(np.zeros(len(which), dtype=bool))
-        return FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], loss=loss)
+        number = self.number[which]
+        return FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, curvature=curvature)
 
     def _priors(self, at: Evaluation) -> list[FactorBlock]:
         b, q = at.state["b"], at.state["q"]
@@ -312,87 +322,6 @@ def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons
     received, row = np.unique(beacon[first], return_inverse=True)
     label = tuple(beacons.label[m] for m in received)
     return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[received], beacons.sigma[received])
-
-
-class LevelCollector:
-    """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
-
-    A stretch ends after STRETCH metres, or after LONGEST seconds.
-    """
-
-    def __init__(self, beacons: Beacons):
-        self._beacons = beacons
-        surveyed = np.isfinite(beacons.position[:, 0])
-        self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if surveyed[m]}
-        self._by_minor = {number_of(name): m for name, m in self._by_name.items()}
-        self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
-        self._window = np.empty((0, 3))  # the same of all advertisements in the window
-        self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
-
-    def collect(self, data: Any) -> bool:
-        """Store advertisements; True if any is of a surveyed beacon."""
-        if not isinstance(data, Sightings):
-            return False
-        minors = data.minor or ("",) * len(data)
-        rows = []
-        for time, name, minor, rssi in zip(
-            data.time.tolist(), data.transmitter, minors, data.rssi.tolist(), strict=True
-        ):
-            beacon = self._by_name.get(name.lower(), self._by_minor.get(minor) if minor else None)
-            if beacon is not None and np.isfinite([time, rssi]).all():
-                rows.append((time, beacon, rssi))
-        table = np.array(rows).reshape(-1, 3)
-        self._waiting = np.vstack([self._waiting, table])[-MOST_RECEPTIONS:]
-        self._window = np.vstack([self._window, table])[-MOST_RECEPTIONS:]
-        return len(rows) > 0
-
-    def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
-        """Yield, once, the levels of the stretches that are complete until ``until`` [s]."""
-        time = self._waiting[:, 0]
-        if not len(time) or time.min() > until:
-            return
-        stretch, now = walked(time) // STRETCH, float(walked(np.array([until]))[0] // STRETCH)
-        complete = (time <= until) & ((stretch < now) | (time < until - LONGEST))
-        if complete.any():
-            time, beacon, rssi = self._waiting[complete].T
-            for m in beacon.astype(int).tolist():
-                self._met.setdefault(m, len(self._met))
-            levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
-            yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
-        self._waiting = self._waiting[~complete]
-
-    def _among_met(self, levels: Levels, received: Index) -> Levels:
-        """The levels, renumbered in the table of all received beacons. received: ``(m,)`` those of ``levels``."""
-        row = np.array([self._met[m] for m in received.tolist()])
-        met, beacons = np.array(list(self._met)), self._beacons
-        return Levels(
-            time=np.round(levels.time, DECIMALS),
-            beacon=row[levels.beacon],
-            rssi=levels.rssi,
-            label=tuple(beacons.label[m] for m in met),
-            position=beacons.position[met],
-            sigma=beacons.sigma[met],
-        )
-
-    def complete(self, steps: Steps) -> Iterable[Levels]:
-        """The levels of the window, as the batch makes them."""
-        time, beacon, rssi = self._window.T
-        names = tuple(self._beacons.name[int(m)] for m in beacon)
-        levels = levels_along(Sightings(time, names, rssi), self._beacons, steps)
-        return [levels] if len(levels) else []
-
-    def forget(self, before: float) -> None:
-        """Drop advertisements from before ``before`` [s]."""
-        self._window = self._window[self._window[:, 0] >= before]
-
-    def checkpoint(self) -> dict[str, AnyArray]:
-        """Return the state as arrays by name."""
-        return {"waiting": self._waiting, "window": self._window, "met": np.array(list(self._met), dtype=float)}
-
-    def restore(self, checkpoint: Mapping[str, Array]) -> None:
-        """Set the state to a checkpoint with the same beacons."""
-        self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
-        self._met = {m: n for n, m in enumerate(checkpoint["met"].astype(int).tolist())}
 
 
 def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesis]:

@@ -142,26 +142,6 @@ class Evaluation:
             block.add_to(graph, self.state)
         return graph
 
-    def ordering(self, linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
-        """METIS' ordering of ``linear``, all factors linearised; variables that no factor binds to others come first.
-
-        METIS crashes the process on such variables (gtsam 4.3.0), and the default ordering on long chains. As
-        `metis_ordering`, without a loop over the factors.
-        """
-        alone = {symbol: np.ones(len(rows), dtype=bool) for symbol, rows in self.state.arrays.items()}
-        binding = gtsam.GaussianFactorGraph()
-        bound = [block for block in self.blocks if len(block.variables) > 1]
-        for block in bound:
-            occurring = np.unique(block.row_of)
-            for symbol, rows in block.variables:
-                alone[symbol][rows[occurring]] = False
-        if not any(mask.any() for mask in alone.values()):
-            return gtsam.Ordering.MetisGaussianFactorGraph(linear)
-        for block in bound:
-            block.add_to(binding, self.state)
-        alone_keys = [self.state.keys(symbol, np.flatnonzero(mask)).tolist() for symbol, mask in alone.items()]
-        return _with_metis([key for keys in alone_keys for key in keys], binding)
-
     @cached_property
     def ends(self) -> Array:
         """Poses ``(m, 3)`` at the end of every piece."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS, sigma_direction
@@ -111,8 +110,8 @@ def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
     mean, covariance = [], []
     for optimum in optima:
         state = optimum.state
-        keys = state.keys("x", np.array([-1])).tolist() + state.keys("c", np.array([-1])).tolist()
-        joint = CovarianceBlocks(optimum.net).joint([tuple(keys)])[0]
+        last = (("x", np.array([len(state.poses) - 1])), ("c", np.array([len(state.c) - 1])))
+        joint = optimum.solution.joint(*last)[0]
         mean.append(np.append(state.poses[-1], state.c[-1]))
         covariance.append(in_output_axes(joint, float(state.poses[-1, 2])))
     share = probability / probability.max()

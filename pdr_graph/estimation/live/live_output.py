@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces
+from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces, eliminated
 from pdr_graph.estimation.factors.chain import metis_ordering
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.kalman import GaussianMixture
@@ -26,7 +26,6 @@ from pdr_graph.estimation.live.prediction import (
 )
 from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
 from pdr_graph.estimation.live.window import ALL
-from pdr_graph.estimation.optimizer import eliminated
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.measurements import take
 from pdr_graph.types import Array, Calibration, Estimate, Fixes, Headings, Steps
@@ -143,7 +142,7 @@ class LiveOutput:
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
         )
         time = np.concatenate([interval.row_time for interval in window.intervals])
-        covariance = covariance_of_pieces(CovarianceBlocks(net), keys, at, which) + graph.excess.at(time)
+        covariance = covariance_of_pieces(CovarianceBlocks(net).joint(keys), at, which) + graph.excess.at(time)
         labels = [interval.label for interval in window.intervals for _ in interval.row_time]
         parts = [first] * window.complete + [TrajectoryRows(time, at.ends[which], covariance, labels)]
         if self.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_graph.contradiction import Contradiction
-from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.factors.base import Hypothesis, poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, explanations
@@ -179,7 +178,7 @@ class Question:
         decided = plain.graph.decided(self.decisions)
         optimum = optimize(decided, decided.start)
         assumed = tuple(assumption.hypothesis(optimum.graph) for assumption in self.before.assumed)
-        information = optimum.net.logDeterminant() - plain.net.logDeterminant()
+        information = optimum.solution.log_determinant - plain.solution.log_determinant
         burden = information + sum(hypothesis.price for hypothesis in assumed) - KEPT * len(assumed)
         return replace(optimum, assumed=assumed, burden=plain.burden + burden, unseen=plain.unseen)
 
@@ -213,7 +212,6 @@ def _keyframes(optimum: Optimum, time: Array) -> tuple[Array, Array]:
     """Poses ``(n, 3)`` of a solution at times ``(n,)`` [s], and covariances ``(n, 3, 3)`` of the nearest keyframes."""
     chain, poses = optimum.at.chain, optimum.state.poses
     which = nearest(chain.time, time)
-    keys = optimum.state.keys("x", which).tolist()
     R = pose_rotation(poses[which, 2])
-    spread = R @ CovarianceBlocks(optimum.net).joint([(key,) for key in keys]) @ R.transpose(0, 2, 1)
+    spread = R @ optimum.solution.joint(("x", which)) @ R.transpose(0, 2, 1)
     return poses_at(time, chain.time, poses), spread

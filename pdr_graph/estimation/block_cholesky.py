@@ -1,0 +1,322 @@
+"""Cholesky factorisation of sparse symmetric matrices of 3 × 3 blocks, and their inverse where it is needed.
+
+Variables that are not neighbours are eliminated together, in rounds of array operations: of a chain every second one,
+so that an hour needs about ten rounds (nested dissection, George 1973; multiple minimum degree, Liu 1985). With F the
+block of a variable f, S its blocks with its parents p, the neighbours that are left,
+
+    A_pp ← A_pp − S F⁻¹ Sᵀ,    b_p ← b_p − S F⁻¹ b_f,    x_f = F⁻¹ b_f − (S F⁻¹)ᵀ x_p
+
+Variables that very many others are bound to (beacons) are the border: dense columns that are carried along, and whose
+matrix at the end is dense. The inverse follows backwards, since the parents of a variable are neighbours of each other
+(Golub & Plemmons 1980):
+
+    Σ_pf = −Σ_pp S F⁻¹,      Σ_ff = F⁻¹ − (S F⁻¹)ᵀ Σ_pf
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csr_array
+
+from pdr_graph.types import Array, Index, Mask
+
+ROOT = 48  # variables that are eliminated last, as one dense matrix
+FEWEST_BOUND, SHARE_BOUND = 32, 1 / 8  # neighbours, as number and as share of all variables, from which one is border
+SPARSE = 0.5  # share of all that are left to which each is bound, from which they are one dense matrix
+FEWEST, MORE_NEIGHBOURS = 0.5, 1.4  # quantile of the number of neighbours, and multiple of it, to be eliminated next
+INDETERMINATE = 1e-15  # share of a diagonal element that is left of it by rounding errors
+INDETERMINATE_TEXT = "the factors do not determine all variables"
+
+
+@dataclass(frozen=True)
+class Round:
+    """Variables ``n`` that are eliminated together.
+
+    eliminated: ``(n,)``; parents: ``(n, p)``, filled up with `Elimination.nothing`; own: ``(n,)`` slot of its
+    block; bound: ``(n, p)`` slots of the blocks of parents and variable, mirrored: of variable and parents; among:
+    ``(n, p, p)`` of parents with each other; to_slots, to_variables: sums of all contributions.
+    """
+
+    eliminated: Index
+    parents: Index
+    own: Index
+    bound: Index
+    mirrored: Index
+    among: Index
+    to_slots: Sum
+    to_variables: Sum
+
+
+class Sum:
+    """Sums of contributions to the same place."""
+
+    def __init__(self, place: Index):
+        """place: of each contribution, any shape."""
+        self.places, row = np.unique(place, return_inverse=True)
+        self._axes, self._count = place.ndim, place.size
+        ones, order = np.ones(self._count), np.argsort(row.ravel(), kind="stable")
+        bounds = np.concatenate([[0], np.cumsum(np.bincount(row.ravel(), minlength=len(self.places)))])
+        self._matrix = csr_array((ones, order, bounds), shape=(len(self.places), self._count))
+
+    def __call__(self, contribution: Array) -> Array:
+        """Sum of the contributions to each of ``places``: their first axes are those of ``place``."""
+        trailing = contribution.shape[self._axes :]
+        total = self._matrix @ contribution.reshape(self._count, int(np.prod(trailing)))
+        return total.reshape(len(self.places), *trailing)
+
+
+class Elimination:
+    """The order in which variables are eliminated, and where all blocks are stored: the same for every state.
+
+    count: of variables; codes: those of the blocks, ascending; border, root: variables that are eliminated last.
+    """
+
+    def __init__(self, count: int, first: Index, second: Index):
+        """first, second: ``(n,)`` pairs of variables that have a factor in common, in any order, repeated or not."""
+        self.count = count
+        diagonal = np.arange(count + 1) * (count + 2)
+        u, v = self._edges(first, second)
+        self.border = _border(u, count)
+        inner = np.ones(count + 1, dtype=bool)
+        inner[self.border] = False
+        within = inner[u] & inner[v]
+        eliminated, left, filled = _rounds(u[within], v[within], inner[:-1])
+        self.root = np.flatnonzero(left)
+        at_border = np.flatnonzero(~within)
+        among_root = self._code(self.root[:, None], self.root).ravel()
+        codes = [diagonal, self._code(u[at_border], v[at_border]), among_root, *filled]
+        self.codes = np.unique(np.concatenate(codes))
+        self.diagonal = self.slots(np.arange(count), np.arange(count))
+        self.rounds = [self._round(chosen, parents) for chosen, parents in eliminated]
+        place = np.full(count + 1, -1)
+        place[self.border] = np.arange(len(self.border))
+        at = at_border[place[v[at_border]] >= 0]
+        self._row, self._place = np.append(u[at], self.border), np.append(place[v[at]], place[self.border])
+        self._border_slots = self.slots(self._row, self.border[self._place])
+
+    @property
+    def nothing(self) -> int:
+        """The number of a variable without neighbours, with which tables are filled up."""
+        return self.count
+
+    def slots(self, first: Index, second: Index) -> Index:
+        """Index of the block of each pair of variables; the last block, which stays 0, for `nothing`."""
+        nowhere = (first == self.nothing) | (second == self.nothing)
+        found = np.searchsorted(self.codes, self._code(first, second))
+        return np.where(nowhere, len(self.codes) - 1, found)
+
+    def columns(self, blocks: Array, right: Array) -> Array:
+        """Columns ``(count + 1, 3, 3 g + 1)`` of the ``g`` variables of the border, and the right-hand side."""
+        columns = np.zeros((self.count + 1, len(self.border) + 1, 3, 3))
+        columns[self._row, self._place] = blocks[self._border_slots]
+        columns = columns.transpose(0, 2, 1, 3).reshape(self.count + 1, 3, -1)[:, :, : 3 * len(self.border) + 1]
+        columns[:-1, :, -1] = right
+        return np.ascontiguousarray(columns)
+
+    def corner(self, columns: Array) -> Array:
+        """Rows ``(3 g, 3 g + 1)`` of the border in its columns."""
+        return columns[self.border].reshape(3 * len(self.border), columns.shape[2])
+
+    def fill_in(self, inverse: Array, to_border: Array) -> None:
+        """Set the blocks of the border in ``inverse``. to_border: ``(count + 1, 3, 3 g)`` columns of the inverse."""
+        parts = to_border.reshape(self.count + 1, 3, len(self.border), 3)[self._row, :, self._place]
+        inverse[self._border_slots] = parts
+        inverse[self.slots(self.border[self._place], self._row)] = parts.transpose(0, 2, 1)
+
+    def _code(self, first: Index, second: Index) -> Index:
+        """A number for each pair of variables."""
+        return first * (self.count + 1) + second
+
+    def _edges(self, first: Index, second: Index) -> tuple[Index, Index]:
+        """Pairs of different variables, each once in both orders, ascending."""
+        differ = first != second
+        first, second = first[differ], second[differ]
+        codes = np.unique(np.concatenate([self._code(first, second), self._code(second, first)]))
+        u, v = np.divmod(codes, self.count + 1)
+        return u, v
+
+    def _round(self, chosen: Index, parents: Index) -> Round:
+        own = chosen[:, None]
+        among = self.slots(parents[:, :, None], parents[:, None, :])
+        return Round(
+            eliminated=chosen,
+            parents=parents,
+            own=self.diagonal[chosen],
+            bound=self.slots(parents, own),
+            mirrored=self.slots(own, parents),
+            among=among,
+            to_slots=Sum(among),
+            to_variables=Sum(parents),
+        )
+
+
+def _border(u: Index, count: int) -> Index:
+    """Variables that so many others are bound to that their columns are dense. u: ``(n,)`` first of each edge."""
+    degree = np.bincount(u, minlength=count)
+    return np.flatnonzero(degree > max(FEWEST_BOUND, SHARE_BOUND * count))
+
+
+def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]], Mask, list[Index]]:
+    """Variables of each round with their parents; those that are left; codes of all edges.
+
+    u, v: edges in both orders, ascending; alive: ``(count,)`` variables to eliminate.
+    """
+    count, alive = len(alive), alive.copy()
+    rounds, edges = list[tuple[Index, Index]](), [u * (count + 1) + v]
+    while np.count_nonzero(alive) > ROOT:
+        degree = np.bincount(u, minlength=count)
+        few, *_ = np.quantile(degree[alive], [FEWEST], method="lower")
+        if few > SPARSE * np.count_nonzero(alive):
+            break
+        candidate = alive & (degree <= MORE_NEIGHBOURS * few)
+        rank = np.cumsum(alive)
+        turn = np.where(rank % 2 == 0, rank, rank + count)  # every second one first
+        blocked = np.zeros(count, dtype=bool)
+        blocked[u[candidate[u] & candidate[v] & (turn[v] < turn[u])]] = True
+        chosen = candidate & ~blocked
+        alive &= ~chosen
+        leaving = chosen[u]
+        which = np.flatnonzero(chosen)
+        parents = _filled_up(v[leaving], degree[which], count)
+        rounds.append((which, parents))
+        first, second = np.broadcast_arrays(parents[:, :, None], parents[:, None, :])
+        new = (first != second) & (first < count) & (second < count)
+        kept = ~(leaving | chosen[v])
+        codes = np.concatenate([u[kept] * (count + 1) + v[kept], first[new] * (count + 1) + second[new]])
+        codes = np.unique(codes)
+        edges.append(codes)
+        u, v = np.divmod(codes, count + 1)
+    return rounds, alive, edges
+
+
+def _filled_up(parents: Index, degree: Index, nothing: int) -> Index:
+    """Parents ``(n, p)`` of variables with ``degree (n,)`` parents each, filled up with ``nothing``."""
+    table = np.full((len(degree), int(degree.max(initial=0))), nothing)
+    table[np.arange(table.shape[1]) < degree[:, None]] = parents
+    return table
+
+
+class Factorization:
+    """A factorised matrix: the solution of its system, its determinant and the blocks of its inverse."""
+
+    def __init__(self, elimination: Elimination, blocks: Array, right: Array):
+        """blocks: ``(s, 3, 3)`` in the slots of ``elimination``; right: ``(n, 3)`` right-hand side.
+
+        Raises RuntimeError if the matrix is not positive definite.
+        """
+        self.elimination, self._size = elimination, len(blocks)
+        least = INDETERMINATE * blocks[elimination.diagonal].diagonal(axis1=1, axis2=2)
+        columns = elimination.columns(blocks, right)
+        corner = elimination.corner(columns)
+        blocks = blocks.copy()
+        self._steps = list[tuple[Array, Array, Array]]()  # of each round: F⁻¹, S F⁻¹, F⁻¹ (border, right-hand side)
+        self.log_determinant = 0.0  # of the root of the matrix
+        for batch in elimination.rounds:
+            inverse, logarithm = _inverse(blocks[batch.own], least[batch.eliminated])
+            self.log_determinant += logarithm
+            bound, own = _joined(blocks[batch.bound][:, :, None]), columns[batch.eliminated]
+            share, solved = bound @ inverse, inverse @ own
+            self._steps.append((inverse, share, solved))
+            if bound.size:
+                blocks[batch.to_slots.places] -= batch.to_slots(_parted(share @ bound.transpose(0, 2, 1)))
+                above = (share @ own).reshape(*batch.parents.shape, *own.shape[1:])
+                columns[batch.to_variables.places] -= batch.to_variables(above)
+            if len(corner):
+                corner -= own.reshape(-1, own.shape[2])[:, :-1].T @ solved.reshape(-1, own.shape[2])
+        self._root, self._last = self._solve_root(blocks, columns, corner)
+        self.log_determinant += float(np.log(np.diag(self._root[0])).sum())
+
+    def _solve_root(self, blocks: Array, columns: Array, corner: Array) -> tuple[tuple[Array, bool], Array]:
+        """Cholesky factor of what is left, root and border, and its solution."""
+        root, size = self.elimination.root, 3 * len(self.elimination.root)
+        dense = np.empty((size + len(corner), size + len(corner) + 1))
+        slots = self.elimination.slots(root[:, None], root)
+        dense[:size, :size] = _joined(blocks[slots][None])[0]
+        dense[:size, size:] = columns[root].reshape(size, columns.shape[2])
+        dense[size:, :size] = dense[:size, size:-1].T
+        dense[size:, size:] = corner
+        try:
+            factor = cho_factor(dense[:, :-1], check_finite=False)
+        except np.linalg.LinAlgError as error:
+            raise RuntimeError(INDETERMINATE_TEXT) from error
+        if not np.isfinite(np.diag(factor[0])).all():
+            raise RuntimeError(INDETERMINATE_TEXT)
+        return factor, cho_solve(factor, dense[:, -1], check_finite=False)
+
+    @cached_property
+    def solution(self) -> Array:
+        """The solution ``(n, 3)`` of the system."""
+        elimination, size = self.elimination, 3 * len(self.elimination.root)
+        x, at_border = np.zeros((elimination.count + 1, 3)), self._last[size:]
+        x[elimination.root], x[elimination.border] = self._last[:size].reshape(-1, 3), at_border.reshape(-1, 3)
+        for batch, (_, share, solved) in zip(elimination.rounds[::-1], self._steps[::-1], strict=True):
+            above = x[batch.parents].reshape(len(share), share.shape[1], 1)
+            own = solved[:, :, -1] - (share.transpose(0, 2, 1) @ above)[:, :, 0]
+            x[batch.eliminated] = own - solved[:, :, :-1] @ at_border
+        return x[:-1]
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Blocks ``(s, 3, 3)`` of the inverse matrix, in the slots of ``elimination``."""
+        elimination, size = self.elimination, 3 * len(self.elimination.root)
+        root, blocks = elimination.root, np.zeros((self._size, 3, 3))
+        dense = cho_solve(self._root, np.eye(len(self._last)), check_finite=False)
+        slots = elimination.slots(root[:, None], root)
+        blocks[slots] = _parted(dense[None, :size, :size])[0]
+        corner, to_border = dense[size:, size:], np.zeros((elimination.count + 1, 3, len(dense) - size))
+        to_border[root] = dense[:size, size:].reshape(len(root), 3, len(corner))
+        to_border[elimination.border] = corner.reshape(len(elimination.border), 3, len(corner))
+        for batch, (inverse, share, solved) in zip(elimination.rounds[::-1], self._steps[::-1], strict=True):
+            turned, above = share.transpose(0, 2, 1), to_border[batch.parents].reshape(*share.shape[:2], len(corner))
+            of_border = solved[:, :, :-1]
+            across = -(_joined(blocks[batch.among]) @ share + above @ of_border.transpose(0, 2, 1))
+            beside = -(turned @ above + of_border @ corner)
+            blocks[batch.own] = inverse - turned @ across - of_border @ beside.transpose(0, 2, 1)
+            parts = across.reshape(*batch.parents.shape, 3, 3)
+            blocks[batch.bound], blocks[batch.mirrored] = parts, parts.transpose(0, 1, 3, 2)
+            to_border[batch.eliminated] = beside
+        elimination.fill_in(blocks, to_border)
+        return blocks
+
+    def joint(self, variables: Index) -> Array:
+        """Joint covariances ``(n, 3 d, 3 d)`` of groups ``(n, d)`` of variables that all have a factor in common."""
+        return _joined(self.inverse[self.elimination.slots(variables[:, :, None], variables[:, None, :])])
+
+
+def _joined(blocks: Array) -> Array:
+    """Matrices ``(n, 3 p, 3 q)`` of blocks ``(n, p, q, 3, 3)``."""
+    n, p, q = blocks.shape[:3]
+    return blocks.transpose(0, 1, 3, 2, 4).reshape(n, 3 * p, 3 * q)
+
+
+def _parted(matrices: Array) -> Array:
+    """Blocks ``(n, p, q, 3, 3)`` of matrices ``(n, 3 p, 3 q)``."""
+    n, rows, columns = matrices.shape
+    return matrices.reshape(n, rows // 3, 3, columns // 3, 3).transpose(0, 1, 3, 2, 4)
+
+
+def _inverse(matrices: Array, least: Array) -> tuple[Array, float]:
+    """Inverses of positive definite matrices ``(n, 3, 3)``, and the logarithm of the root of all determinants.
+
+    least: ``(n, 3)`` pivots up to which a matrix is not positive definite.
+    """
+    (a, _, _), (b, d, _), (c, e, f) = matrices.transpose(1, 2, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        p = 1 / np.sqrt(a)
+        u, v = b * p, c * p
+        second = d - u * u
+        q = 1 / np.sqrt(second)
+        w = (e - u * v) * q
+        third = f - v * v - w * w
+        r = 1 / np.sqrt(third)
+    if not ((a > least[:, 0]) & (second > least[:, 1]) & (third > least[:, 2])).all():
+        raise RuntimeError(INDETERMINATE_TEXT)
+    s, t = -u * p * q, -w * q * r
+    z = -(v * p + w * s) * r  # the inverse of the lower factor is [[p, 0, 0], [s, q, 0], [z, t, r]]
+    xy, xz, yz = s * q + z * t, z * r, t * r
+    inverse = np.array([[p * p + s * s + z * z, xy, xz], [xy, q * q + t * t, yz], [xz, yz, r * r]])
+    return np.ascontiguousarray(inverse.transpose(2, 0, 1)), -float(np.log(p * q * r).sum())

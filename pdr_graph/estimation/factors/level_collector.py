@@ -1,0 +1,99 @@
+"""Mean levels of beacons on a walk under way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from pdr_graph.estimation.factors.base import AnyArray
+from pdr_graph.estimation.factors.beacon_rssi import STRETCH, levels_along, mean_levels
+from pdr_graph.estimation.factors.preintegration import DECIMALS
+from pdr_graph.io.beacons import number_of
+from pdr_graph.measurements import Levels
+from pdr_graph.types import Array, Beacons, Index, Sightings, Steps
+
+LONGEST = 6.0  # [s] that a stretch may take
+MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second
+
+
+class LevelCollector:
+    """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
+
+    A stretch ends after STRETCH metres, or after LONGEST seconds.
+    """
+
+    def __init__(self, beacons: Beacons):
+        self._beacons = beacons
+        surveyed = np.isfinite(beacons.position[:, 0])
+        self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if surveyed[m]}
+        self._by_minor = {number_of(name): m for name, m in self._by_name.items()}
+        self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
+        self._window = np.empty((0, 3))  # the same of all advertisements in the window
+        self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
+
+    def collect(self, data: Any) -> bool:
+        """Store advertisements; True if any is of a surveyed beacon."""
+        if not isinstance(data, Sightings):
+            return False
+        minors = data.minor or ("",) * len(data)
+        rows = []
+        for time, name, minor, rssi in zip(
+            data.time.tolist(), data.transmitter, minors, data.rssi.tolist(), strict=True
+        ):
+            beacon = self._by_name.get(name.lower(), self._by_minor.get(minor) if minor else None)
+            if beacon is not None and np.isfinite([time, rssi]).all():
+                rows.append((time, beacon, rssi))
+        table = np.array(rows).reshape(-1, 3)
+        self._waiting = np.vstack([self._waiting, table])[-MOST_RECEPTIONS:]
+        self._window = np.vstack([self._window, table])[-MOST_RECEPTIONS:]
+        return len(rows) > 0
+
+    def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Levels]:
+        """Yield, once, the levels of the stretches that are complete until ``until`` [s]."""
+        time = self._waiting[:, 0]
+        if not len(time) or time.min() > until:
+            return
+        stretch, now = walked(time) // STRETCH, float(walked(np.array([until]))[0] // STRETCH)
+        complete = (time <= until) & ((stretch < now) | (time < until - LONGEST))
+        if complete.any():
+            time, beacon, rssi = self._waiting[complete].T
+            for m in beacon.astype(int).tolist():
+                self._met.setdefault(m, len(self._met))
+            levels = mean_levels(stretch[complete].astype(np.intp), time, beacon.astype(np.intp), rssi, self._beacons)
+            yield self._among_met(levels, np.unique(beacon.astype(np.intp)))
+        self._waiting = self._waiting[~complete]
+
+    def _among_met(self, levels: Levels, received: Index) -> Levels:
+        """The levels, renumbered in the table of all received beacons. received: ``(m,)`` those of ``levels``."""
+        row = np.array([self._met[m] for m in received.tolist()])
+        met, beacons = np.array(list(self._met)), self._beacons
+        return Levels(
+            time=np.round(levels.time, DECIMALS),
+            beacon=row[levels.beacon],
+            rssi=levels.rssi,
+            label=tuple(beacons.label[m] for m in met),
+            position=beacons.position[met],
+            sigma=beacons.sigma[met],
+        )
+
+    def complete(self, steps: Steps) -> Iterable[Levels]:
+        """The levels of the window, as the batch makes them."""
+        time, beacon, rssi = self._window.T
+        names = tuple(self._beacons.name[int(m)] for m in beacon)
+        levels = levels_along(Sightings(time, names, rssi), self._beacons, steps)
+        return [levels] if len(levels) else []
+
+    def forget(self, before: float) -> None:
+        """Drop advertisements from before ``before`` [s]."""
+        self._window = self._window[self._window[:, 0] >= before]
+
+    def checkpoint(self) -> dict[str, AnyArray]:
+        """Return the state as arrays by name."""
+        return {"waiting": self._waiting, "window": self._window, "met": np.array(list(self._met), dtype=float)}
+
+    def restore(self, checkpoint: Mapping[str, Array]) -> None:
+        """Set the state to a checkpoint with the same beacons."""
+        self._waiting, self._window = (checkpoint[name].reshape(-1, 3) for name in ("waiting", "window"))
+        self._met = {m: n for n, m in enumerate(checkpoint["met"].astype(int).tolist())}
