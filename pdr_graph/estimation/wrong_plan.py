@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.factors.base import Hypothesis
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.graph import WalkGraph
@@ -73,13 +72,12 @@ def _measurements_by_walls(optimum: Optimum) -> float:
     It grows with the corridors walked through, and what right walls add to the cost grows with it: a walk errs anew
     between two corridors. J: whitened derivatives; Σ: covariance of the walk between the walls.
     """
-    blocks = [block for block in optimum.at.blocks if block.name == WallFactor.name]
-    pressed = [term for block in blocks for term in block.terms(optimum.state)]
-    if not pressed:
-        return 0.0
-    covariance = CovarianceBlocks(optimum.net).joint([tuple(key for key, _ in pairs) for _, pairs, _ in pressed])
-    slopes = (np.hstack([by for _, by in pairs]) for _, pairs, _ in pressed)
-    return float(sum(np.sum(J @ own * J) for J, own in zip(slopes, covariance, strict=True)))
+    total = 0.0
+    for block in optimum.at.blocks_of(WallFactor.name):
+        J = np.hstack(block.weighted[1])[:, None]
+        of_rows = [(symbol, rows[block.row_of]) for symbol, rows in block.variables]
+        total += float(np.sum((J @ optimum.solution.joint(*of_rows)) * J))
+    return total
 
 
 def _without_walls(free: Optimum, price: float) -> list[Optimum]:
