@@ -251,8 +251,8 @@ ERRORS = {
 class Kind:
     """A kind of file. name: in messages, as "journal"; application, version: numbers in its header.
 
-    remedy: advice for a file of an older version without upgrade; upgrades: by version, the statements that upgrade a
-    file to the next version.
+    remedy: advice for a file of an older version without upgrade; repair: for a damaged one; upgrades: by version, the
+    statements that upgrade a file to the next version.
     """
 
     name: str
@@ -260,6 +260,7 @@ class Kind:
     version: int
     remedy: str
     upgrades: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    repair: str = ""
 
 
 def create_or_open(
@@ -300,13 +301,13 @@ def explained(path: Path, kind: Kind) -> Iterator[None]:
         yield
     except sqlite3.ProgrammingError:
         raise
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the latter where a message names a damaged table
         code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF  # without the details
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise InputError(path, "", f"a {kind.name} that another process writes", "one that none does") from None
         if code in ERRORS:
             raise OSError(ERRORS[code], f"{error}", str(path)) from None
-        raise InputError(path, "", f"a damaged {kind.name} ({error})", "one that is whole") from None
+        raise InputError(path, "", f"a damaged {kind.name} ({error})", f"one that is whole{kind.repair}") from None
 
 
 def _recognise(path: Path, kind: Kind) -> None:
@@ -327,9 +328,15 @@ def _recognise(path: Path, kind: Kind) -> None:
     if version != kind.version and version not in kind.upgrades:
         remedy = kind.remedy if version < kind.version else "use the newer pdr_graph that wrote it"
         raise InputError(path, "format", f"{version}", f"{kind.version}, which this version reads: {remedy}")
-    size = int.from_bytes(header[16:18], "big") * int.from_bytes(header[28:32], "big")  # pages
-    if path.stat().st_size < size and not path.with_name(f"{path.name}-wal").exists():  # where the rest may be
-        raise InputError(path, "", f"a damaged {kind.name} ({path.stat().st_size} bytes)", f"one of {size} bytes")
+    if is_cut(path) and not path.with_name(f"{path.name}-wal").exists():  # where the rest may be
+        raise InputError(path, "", f"a damaged {kind.name} ({path.stat().st_size} bytes)", "one of all its pages")
+
+
+def is_cut(path: Path) -> bool:
+    """True if a database has fewer bytes than its header says."""
+    with path.open("rb") as file:
+        header = file.read(100)
+    return path.stat().st_size < int.from_bytes(header[16:18], "big") * int.from_bytes(header[28:32], "big")  # pages
 
 
 def _make(

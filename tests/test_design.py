@@ -25,6 +25,7 @@ FLOORS = [
     ["estimation", "simulation", "plotting", "evaluation"],
     ["gait", "io"],
     ["inertial", "floor"],
+    ["recovery"],
     ["geometry", "frames", "storage", "web_request", "source", "measurements", "types", "contradiction", "columns"],
     ["errors", "whole_files"],
 ]
@@ -47,7 +48,7 @@ ROOMS = {
     "geopandas": {"lifelog"},
     "pandas": {"lifelog"},
     "pyarrow": {"io", "lifelog"},
-    "sqlite3": {"storage", "online", "lifelog"},
+    "sqlite3": {"storage", "recovery", "online", "lifelog"},
     "starlette": {"serve"},
     "uvicorn": {"serve"},
     "aiomqtt": {"serve"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import sys
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,6 +40,7 @@ from pdr_graph.cli.plans import maps
 from pdr_graph.cli.serve import serve
 from pdr_graph.cli.terminal import echo, echo_lines
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, first_look, printable
+from pdr_graph.recovery import DataLossWarning
 
 
 class Commands(TyperGroup):
@@ -419,8 +421,20 @@ def _report_end(missing: tuple[str, ...], out: Path) -> None:
         raise typer.Exit(EXIT_DEGRADED)
 
 
+_PYTHONS = warnings.showwarning
+
+
+def _show_warning(message: Warning | str, kind: type[Warning], *rest: Any) -> None:
+    """Print what a power cut has cost on one line."""
+    if issubclass(kind, DataLossWarning):
+        echo(f"pdr-graph: {message}", err=True)
+    else:
+        _PYTHONS(message, kind, *rest)
+
+
 def main() -> None:
     """Run a command. Bad input ends with one line of text and exit code 2, never with a traceback."""
+    warnings.showwarning = _show_warning
     try:
         app()
     except InputError as error:

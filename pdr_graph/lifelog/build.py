@@ -216,7 +216,7 @@ def build(
 
     Raises InputError if the lifelog, the zone or the scheduler cannot be used; OSError of the disk.
     """
-    with Store(store) as log, fleet(workers, scheduler, time_limit) as crew:
+    with Store(store, thorough=True) as log, fleet(workers, scheduler, time_limit) as crew:
         if zone is not None:
             log.put_setting(ZONE, checked_zone(zone))
         observe_work, reconstruct_work = (

@@ -11,9 +11,11 @@ import hashlib
 import json
 import math
 import sqlite3
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import astuple, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +23,11 @@ from pdr_graph import storage
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 from pdr_graph.gait.walker import Profile
+from pdr_graph.lifelog import checksums
 from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.day_rows import DAY_SCHEMA, TABLES, Rows, day_of, profile_of
 from pdr_graph.lifelog.facts import Correction, Guess
+from pdr_graph.recovery import DataLossWarning, checked
 from pdr_graph.storage import Kind
 
 REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
@@ -36,18 +40,20 @@ FACTS = (
         longitude REAL, probability REAL, PRIMARY KEY (person, source, start, stop, kind, name))""",
 )
 COMPARED = "(ifnull({0}probability, -1), ifnull({0}latitude, -99), ifnull({0}longitude, -999))"
-PUT_GUESS = f"""INSERT INTO guess VALUES ({", ".join("?" * 9)}) ON CONFLICT DO UPDATE SET
+PUT_GUESS = f"""INSERT INTO guess VALUES ({", ".join("?" * 9)}, NULL) ON CONFLICT DO UPDATE SET sum = NULL,
     probability = excluded.probability, latitude = excluded.latitude, longitude = excluded.longitude
     WHERE {COMPARED.format("excluded.")} > {COMPARED.format("guess.")}"""
 LIFELOG = Kind(
     "lifelog",
     0x5044524C,  # "PDRL"
-    4,
+    5,
     REMEDY,
     {
         2: ("ALTER TABLE recording ADD beacons TEXT DEFAULT ''", "ALTER TABLE recording ADD ranges TEXT DEFAULT ''"),
         3: (*FACTS, "ALTER TABLE recording ADD zone TEXT DEFAULT ''"),
+        4: checksums.SCHEMA,
     },
+    repair=": pdr-graph lifelog build recovers what is left of it",
 )
 SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, value TEXT)",
@@ -61,6 +67,7 @@ SCHEMA = (
     *FACTS,
     # days that the last build could not build; said: the reason
     "CREATE TABLE failure (person TEXT, date TEXT, said TEXT, PRIMARY KEY (person, date))",
+    *checksums.SCHEMA,
 )
 ZONE = "zone"
 TOGETHER = "together"
@@ -162,18 +169,33 @@ class StoredDay(OneLineRepr):
 class Store:
     """An open lifelog, a context manager. folder: ``STORE.d``, which may not exist."""
 
-    def __init__(self, path: Path, new: bool = False):
-        """Open a lifelog; new: create it if it does not exist.
+    def __init__(self, path: Path, new: bool = False, thorough: bool = False):
+        """Open a lifelog; new: create it if it does not exist; thorough: examine all of it, which reads it once.
 
-        Raises InputError if it is not a lifelog, of a newer version, damaged, in use or missing; OSError of the disk.
+        Of a damaged one all that is whole is recovered, with a `DataLossWarning`; the damaged file is kept beside it.
+        Raises InputError if it is not a lifelog, of a newer version, damaged beyond that, in use or missing; OSError of
+        the disk.
         """
         if not new and not path.exists():
             raise InputError(path, "", "no such file", "a lifelog: create it with pdr-graph lifelog add")
         self.path, self.folder = path, folder_of(path)
-        begins = {"INSERT INTO setting VALUES (?, ?)": list(SETTINGS.items())}
-        self._database = storage.create_or_open(path, LIFELOG, SCHEMA, begins)
+        begins = {"INSERT INTO setting (name, value) VALUES (?, ?)": list(SETTINGS.items())}
+        damaged, whole = partial(checksums.damaged_rows, days=thorough), checksums.whole_rows
+        self._database, loss = checked(path, LIFELOG, SCHEMA, begins, damaged, whole, pages=thorough)
+        if loss:
+            advice = f"pdr-graph lifelog add of recordings that are lost, then pdr-graph lifelog build {path}"
+            warnings.warn(DataLossWarning(f"{loss}; next: {advice}"), stacklevel=2)
         self._database.execute("PRAGMA synchronous = NORMAL")  # survives kill -9; a power cut loses the last days
         self._database.execute("PRAGMA secure_delete = ON")  # deleted rows are overwritten
+        try:
+            with storage.explained(self.path, LIFELOG):
+                sealed = checksums.are_sealed(self._database.execute)
+            if not sealed:
+                with self._transaction(*checksums.SUMMED):
+                    pass
+        except BaseException:
+            self.close()
+            raise
 
     def entries(self) -> tuple[Entry, ...]:
         """Entries of all recordings, ordered by hash."""
@@ -183,11 +205,13 @@ class Store:
 
     def setting(self, name: str) -> str:
         """Value of a setting."""
-        return self._all("SELECT value FROM setting WHERE name = ?", name)[0][0]
+        found = self._all("SELECT value FROM setting WHERE name = ?", name)
+        return found[0][0] if found else SETTINGS[name]  # lost with a damaged page
 
     def days(self) -> dict[tuple[str, str], StoredDay]:
         """Stored days by (person, date), in this order."""
-        profiles, days = self._all("SELECT * FROM profile"), self._all("SELECT * FROM day ORDER BY person, date")
+        profiles = self._all("SELECT * FROM profile")
+        days = self._all(f"SELECT {', '.join(checksums.DAY)} FROM day ORDER BY person, date")
         with self._reading("days"):
             known = {(person, date): profile_of(row) for person, date, *row in profiles}
             return {
@@ -204,6 +228,11 @@ class Store:
             columns = "SELECT * FROM {} WHERE person = ? AND date = ? ORDER BY rowid"
             return [row[2:] for row in self._all(columns.format(table), person, date)]
 
+        with storage.explained(self.path, LIFELOG):
+            whole = checksums.is_whole_day(self._database.execute, person, date)
+        if not whole:
+            expected = "those that were written: pdr-graph lifelog build makes the day again"
+            raise InputError(self.path, f"{person}, {date}", "damaged rows", expected)
         with self._reading(f"{person}, {date}"):
             return day_of(person, date, read)
 
@@ -222,14 +251,14 @@ class Store:
 
     def put(self, *entries: Entry) -> None:
         """Insert or replace entries of recordings."""
-        with self._transaction() as execute:
+        with self._transaction("recording") as execute:
             for entry in entries:
                 row = entry.row
                 execute(_insert("recording", len(row), f" ({', '.join(row)})"), tuple(row.values()))
 
     def delete(self, *hashes: str) -> None:
         """Delete entries of recordings; the next build deletes what was made from them."""
-        with self._transaction() as execute:
+        with self._transaction("recording") as execute:
             for name in hashes:
                 execute("DELETE FROM recording WHERE hash = ?", (name,))
 
@@ -245,7 +274,7 @@ class Store:
         """Insert guesses; returns how many are new. Of two that differ in place or probability alone, the larger stays,
         so that the order of insertion does not matter.
         """
-        with self._transaction() as execute:
+        with self._transaction("guess") as execute:
             before = execute("SELECT count(*) FROM guess", ()).fetchone()[0]
             for guess in guesses:
                 execute(PUT_GUESS, (person, *astuple(guess)))
@@ -253,7 +282,7 @@ class Store:
 
     def delete_guesses(self, person: str, start: float, stop: float) -> None:
         """Delete the guesses that touch a time (Unix times [s])."""
-        with self._transaction() as execute:
+        with self._transaction("guess") as execute:
             execute("DELETE FROM guess WHERE person = ? AND start <= ? AND stop >= ?", (person, stop, start))
 
     def phones(self) -> dict[str, str]:
@@ -262,34 +291,34 @@ class Store:
 
     def put_phone(self, person: str, transmitter: str) -> None:
         """Store that a person carries a Bluetooth transmitter."""
-        with self._transaction() as execute:
-            execute(_insert("phone", 2), (transmitter, person))
+        with self._transaction("phone") as execute:
+            execute(_insert("phone", 2, " (transmitter, person)"), (transmitter, person))
 
     def corrections(self, person: str | None = None) -> tuple[Correction, ...]:
         """Corrections of a person, of all persons by default, in the order in which they were made."""
-        rows = self._all("SELECT * FROM correction ORDER BY number")
+        rows = self._all(f"SELECT {', '.join(checksums.COLUMNS['correction'])} FROM correction ORDER BY number")
         with self._reading("corrections"):
             return tuple(c for c in map(Correction.of_row, rows) if person in (None, c.person))
 
     def put_correction(self, correction: Correction) -> int:
         """Insert a correction, or replace that of the same number; returns its number."""
-        with self._transaction() as execute:
-            return execute(_insert("correction", 7), correction.row).lastrowid or 0
+        with self._transaction("correction") as execute:
+            return execute(_insert("correction", 8), (*correction.row, None)).lastrowid or 0
 
     def delete_correction(self, number: int) -> None:
         """Delete a correction."""
-        with self._transaction() as execute:
+        with self._transaction("correction") as execute:
             execute("DELETE FROM correction WHERE number = ?", (number,))
 
     def delete_days(self, days: Iterable[tuple[str, str]]) -> None:
         """Delete days (person, date)."""
-        with self._transaction() as execute:
+        with self._transaction("day") as execute:
             for person, date in days:
                 _delete_day(execute, person, date)
 
     def delete_person(self, person: str) -> None:
         """Delete all rows of a person."""
-        with self._transaction() as execute:
+        with self._transaction(*checksums.SUMMED) as execute:
             for table in (*TABLES, "failure", "recording", "phone", "correction", "guess"):
                 execute(f"DELETE FROM {table} WHERE person = ?", (person,))
 
@@ -300,14 +329,14 @@ class Store:
 
     def put_setting(self, name: str, value: str) -> None:
         """Change a setting."""
-        with self._transaction() as execute:
-            execute(_insert("setting", 2), (name, value))
+        with self._transaction("setting") as execute:
+            execute(_insert("setting", 2, " (name, value)"), (name, value))
 
     def lasting_setting(self, name: str, value: str) -> str:
         """The value of a setting, which is `value` for ever if it has none: two processes get the same one."""
         if not self._all("SELECT value FROM setting WHERE name = ?", name):
-            with self._transaction() as execute:
-                execute("INSERT OR IGNORE INTO setting VALUES (?, ?)", (name, value))
+            with self._transaction("setting") as execute:
+                execute("INSERT OR IGNORE INTO setting (name, value) VALUES (?, ?)", (name, value))
         return self.setting(name)
 
     def put_versions(self, versions: dict[str, str]) -> None:
@@ -318,7 +347,7 @@ class Store:
 
     def begin_build(self, obsolete: Iterable[tuple[str, str]]) -> None:
         """Delete the failures of the last build, and days (person, date) whose recordings belong to other days now."""
-        with self._transaction() as execute:
+        with self._transaction("day") as execute:
             execute("DELETE FROM failure", ())
             for person, date in obsolete:
                 _delete_day(execute, person, date)
@@ -326,11 +355,12 @@ class Store:
     def put_day(self, rows: Rows) -> None:
         """Replace the stored rows of a day."""
         [(person, date, *_)] = rows["day"]
-        with self._transaction() as execute:
+        with self._transaction("day") as execute:
             _delete_day(execute, person, date)
             for table, table_rows in rows.items():
+                columns = f" ({', '.join(checksums.DAY)})" if table == "day" else ""
                 for row in table_rows:
-                    execute(_insert(table, len(row)), row)
+                    execute(_insert(table, len(row), columns), row)
 
     def put_failure(self, person: str, date: str, reason: str) -> None:
         """Store why a day failed; its earlier rows are kept."""
@@ -364,12 +394,13 @@ class Store:
             ) from None
 
     @contextmanager
-    def _transaction(self) -> Iterator[Execute]:
-        """A transaction, rolled back on any error."""
+    def _transaction(self, *summed: str) -> Iterator[Execute]:
+        """A transaction, rolled back on any error. summed: tables that it changes and whose rows have checksums."""
         with storage.explained(self.path, LIFELOG):
             self._database.execute("BEGIN IMMEDIATE")
             try:
                 yield self._database.execute
+                checksums.seal(self._database.execute, summed)
                 self._database.execute("COMMIT")
             except BaseException:
                 if self._database.in_transaction:  # a full disk may have ended it

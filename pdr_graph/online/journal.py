@@ -14,7 +14,8 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
@@ -23,6 +24,8 @@ import numpy as np
 from pdr_graph import storage
 from pdr_graph.errors import InputError, expect
 from pdr_graph.online.interface import EVENTS, Event, Journaled, Pose, Status
+from pdr_graph.online.journal_rows import LAST, PUT, Setting, damaged_rows, last_row, setting_row, whole_rows
+from pdr_graph.recovery import checked
 from pdr_graph.storage import Kind, decode, encode, encode_and_decode
 from pdr_graph.types import Estimate, Trajectory
 
@@ -36,29 +39,24 @@ SCHEMA = (
 )
 
 
-@dataclass(frozen=True)
-class Setting:
-    """An option of the navigator: texts, numbers, None, lists and dictionaries of these."""
+def open_store(
+    path: Path, settings: Mapping[str, Any], synchronous: str
+) -> tuple[sqlite3.Connection, dict[str, Any], str]:
+    """Open or create the database; returns it with its settings, which are ``settings`` if it is new, and what is lost.
 
-    value: Any
-
-
-def open_store(path: Path, settings: Mapping[str, Any], synchronous: str) -> tuple[sqlite3.Connection, dict[str, Any]]:
-    """Open or create the database; returns it with its settings, which are ``settings`` if it is new.
-
-    Raises InputError if the file is of another kind or version, damaged or in use; OSError if the disk fails.
+    Raises InputError if the file is of another kind or version, in use, or so damaged that no walk comes back; OSError
+    if the disk fails.
     """
-    rows = [(name, encode(Setting(value))) for name, value in settings.items()]
-    opened = storage.create_or_open(path, JOURNAL, SCHEMA, {"INSERT INTO setting VALUES (?, ?)": rows})
+    first = {PUT["setting"]: [*(setting_row(name, value) for name, value in settings.items()), last_row(0, [])]}
+    whole = partial(whole_rows, path, settings.keys())
+    opened, loss = checked(path, JOURNAL, SCHEMA, first, damaged_rows, whole, pages=True)
     try:
         with explained(path):
             opened.execute("PRAGMA wal_autocheckpoint = 0")  # it is done after each snapshot instead
             opened.execute(f"PRAGMA synchronous = {synchronous}")
-            verdict = opened.execute("PRAGMA quick_check(1)").fetchone()[0]
-            if verdict != "ok":
-                raise sqlite3.DatabaseError(verdict)
-            rows = opened.execute("SELECT name, bytes FROM setting").fetchall()
-        return opened, {name: read(path, f"setting {name}", blob, Setting).value for name, blob in rows}
+            rows = opened.execute("SELECT name, bytes FROM setting WHERE name != ?", (LAST,)).fetchall()
+        stored = {name: read(path, f"setting {name}", blob, Setting).value for name, blob in rows}
+        return opened, stored, loss
     except BaseException:
         opened.close()
         raise
@@ -88,6 +86,7 @@ class Journal(Generic[Navigator]):
     """A navigator whose events survive the process, started or resumed by `Journal.open`. One thread at a time.
 
     navigator: replaced at every snapshot, so do not store it. count: events acknowledged so far by all processes.
+    loss: what a power cut has damaged, "" if nothing; it is an issue of the status.
     """
 
     def __init__(
@@ -97,10 +96,12 @@ class Journal(Generic[Navigator]):
         make: Callable[[], Navigator],
         restored: Callable[[Any], Navigator],
         every: int,
+        loss: str = "",
     ):
         self._path, self._database, self._every = path, database, every
         self._make, self._restored = make, restored
         self._resume()
+        self.loss = loss and f"{loss}: the walk goes on after event {self.count}"
 
     @classmethod
     def open(
@@ -110,27 +111,29 @@ class Journal(Generic[Navigator]):
         restored: Callable[[Any], Navigator],
         settings: Mapping[str, Any] | None = None,
         *,
-        durable: Literal["process", "snapshot", "power"] = "process",
+        durable: Literal["process", "snapshot", "power"] = "snapshot",
         every: int = SNAPSHOT_EVENTS,
     ) -> Journal[Navigator]:
         """Start a journal, or continue the walk of an existing one.
 
         make: returns a navigator at the start of a walk; restored: returns one with the state of a snapshot.
         settings: options of the navigator, of JSON types; they must be the same when the walk continues.
-        durable: "process": every event survives the end of the process, but a power cut may damage the file, which is
-            detected; "snapshot": a power cut costs the events since the last snapshot, which waits for the disk;
-            "power": a power cut costs nothing, and each event waits for the disk.
+        durable: every event survives the end of the process. "snapshot": a power cut costs the events since the last
+            snapshot, which waits for the disk; "power": it costs nothing, and each event waits for the disk; "process":
+            it may damage the file, and nothing waits.
         every: events between snapshots of a new journal; an existing one has its own.
 
-        Raises InputError if the file is no journal, is damaged, of another version or other settings, or in use;
-        OSError if it cannot be written.
+        A damaged journal comes back to its last whole event, and ``loss`` says so; the damaged file is kept beside it.
+
+        Raises InputError if the file is no journal, of another version or other settings, in use, or so damaged that
+        no walk comes back; OSError if it cannot be written.
         """
         path, requested = Path(path), settings or {}
-        database, stored = open_store(path, {INTERVAL: every, **requested}, SYNCHRONOUS[durable])
+        database, stored, loss = open_store(path, {INTERVAL: every, **requested}, SYNCHRONOUS[durable])
         try:
             every = stored.pop(INTERVAL, every)
             _compare(path, stored, requested)
-            return cls(path, database, make, restored, every)
+            return cls(path, database, make, restored, every, loss)
         except BaseException:
             database.close()
             raise
@@ -143,7 +146,7 @@ class Journal(Generic[Navigator]):
         """
         expect("Journal.push, event", event, *EVENTS, instead="events_of(recording)")
         blob, event = encode_and_decode(event)
-        self._execute("INSERT INTO event VALUES (?, ?)", self.count + 1, blob)
+        self._execute(PUT["event"], self.count + 1, blob)
         try:
             self.navigator.push(event)
         except BaseException:  # also Ctrl-C: the navigator may have used half of the event
@@ -169,7 +172,8 @@ class Journal(Generic[Navigator]):
     @property
     def status(self) -> Status:
         """The state of the navigator."""
-        return self.navigator.status
+        status: Any = self.navigator.status  # a dataclass
+        return replace(status, issues=(*status.issues, self.loss)) if self.loss else status
 
     @property
     def trajectory(self) -> Trajectory:
@@ -201,6 +205,7 @@ class Journal(Generic[Navigator]):
             kind = self._make().Checkpoint
             self.navigator = self._restored(read(self._path, f"snapshot {self.count}", state, kind))
         self._snapshot_count, self._bytes = self.count, 0
+        self._parts = [number for (number,) in self._execute("SELECT number FROM trajectory ORDER BY number")]
         self._finalized: dict[int, bytes] = {}  # encoded rows that are not in the file yet, by number of events
         while (blob := self._blob_of(self.count + 1)) is not None:
             event = read(self._path, f"event {self.count + 1}", blob, *EVENTS)
@@ -212,9 +217,6 @@ class Journal(Generic[Navigator]):
                 self._execute("DELETE FROM event WHERE number > ?", self.count)
                 return self._resume()
             self._acknowledge(blob)
-        (last,) = self._execute("SELECT max(number) FROM event").fetchone()
-        if last is not None and last > self.count:
-            raise InputError(self._path, f"event {self.count + 1}", "none", f"all the events up to {last}")
 
     def _blob_of(self, number: int) -> bytes | None:
         row = self._execute("SELECT bytes FROM event WHERE number = ?", number).fetchone()
@@ -251,11 +253,14 @@ class Journal(Generic[Navigator]):
         """Write a snapshot and the finalised rows, and delete the events before, in one transaction."""
         execute = self._database.execute
         execute("BEGIN")
-        self._database.executemany("INSERT OR REPLACE INTO trajectory VALUES (?, ?)", self._finalized.items())
+        self._database.executemany(PUT["trajectory"], self._finalized.items())
         execute("DELETE FROM snapshot")
-        execute("INSERT INTO snapshot VALUES (?, ?)", (self.count, state))
+        execute(PUT["snapshot"], (self.count, state))
+        parts = sorted({*self._parts, *self._finalized})
+        execute(PUT["setting"], last_row(self.count, parts))
         execute("DELETE FROM event WHERE number <= ?", (self.count,))
         execute("COMMIT")
+        self._parts = parts
         execute("PRAGMA wal_checkpoint(RESTART)")  # reuses the space of the log; truncating it would take longer
 
     def _from_the_beginning(self, latest: Trajectory) -> Trajectory:

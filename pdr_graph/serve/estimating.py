@@ -22,7 +22,7 @@ import numpy as np
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.inputs import Options
 from pdr_graph.online.replay import journal_settings, navigator_of
-from pdr_graph.serve.live_walk import SESSION, LiveWalk, Session, opened
+from pdr_graph.serve.live_walk import LiveWalk, opened, read_session
 from pdr_graph.serve.publishing import PATH_INTERVAL
 
 LATEST_PATH = 10.0  # [s] after which a path is published even while messages wait
@@ -111,7 +111,7 @@ class Estimating:
         try:
             if id_ not in self._tasks:
                 folder = self._root / id_
-                session = msgspec.json.decode((folder / SESSION).read_bytes(), type=Session)
+                session = read_session(folder)
                 self._tasks[id_] = Task(opened(folder, session, *self._arguments), posed=False)
             done = bool(action(self._tasks[id_]))
         except Exception as error:  # of one walker: the others go on

@@ -9,17 +9,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TextIO
 
-import msgspec
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, count
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import cell
 from pdr_graph.serve import positions, sensor_messages
 from pdr_graph.serve.access import OWNER
 from pdr_graph.serve.intake import SENSOR_LOGGER
-from pdr_graph.serve.live_walk import LOG, RECORDINGS, SESSION, Session
+from pdr_graph.serve.live_walk import LOG, RECORDINGS, Session, read_session
 from pdr_graph.serve.message_log import read_body, read_entries
 
 FILES = {  # name in a message: table of an export, and its columns
@@ -41,7 +40,7 @@ def write_recording(folder: Path) -> Path:
 
     Raises InputError if the log is damaged or has no samples; OSError of the disk.
     """
-    session = msgspec.json.decode((folder / SESSION).read_bytes(), type=Session)
+    session = read_session(folder)
     target = folder / RECORDINGS[0 if session.protocol == SENSOR_LOGGER else 1]
     new = target.with_name(f"new-{target.name}")
     new.unlink(missing_ok=True)
@@ -115,9 +114,10 @@ def finish(folder: str, store: str | None, plan: str | None) -> str:
         file = write_recording(Path(folder))
         if store is not None:
             _add(Path(store), file, Path(folder), plan)
+        damaged = sum(entry.skipped for entry in read_entries(Path(folder) / LOG))
     except (InputError, OSError) as error:
         return f"the recording could not be completed: {error}"
-    return ""
+    return f"{count(damaged, 'byte')} of {LOG} are damaged: not in the recording" if damaged else ""
 
 
 def _add(store: Path, file: Path, folder: Path, plan: str | None) -> None:
@@ -126,7 +126,7 @@ def _add(store: Path, file: Path, folder: Path, plan: str | None) -> None:
     from pdr_graph.lifelog.ingest import DEFAULT_PERSON, add
     from pdr_graph.lifelog.store import RecordingOptions
 
-    session: Any = msgspec.json.decode((folder / SESSION).read_bytes(), type=Session)
+    session = read_session(folder)
     person = DEFAULT_PERSON if session.user == OWNER else session.user
     options = RecordingOptions(plan=None if plan is None else Path(plan))
     added = add(store, [file], options, person=person, copy=True)

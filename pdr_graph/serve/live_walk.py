@@ -8,17 +8,19 @@ the process was killed at any moment, the walk goes on from the three as if noth
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.errors import InputError, count
 from pdr_graph.online.journal import Journal
 from pdr_graph.online.navigator import Navigator
+from pdr_graph.serve.checked_json import read_checked, write_checked
 from pdr_graph.serve.intake import SENSOR_LOGGER, Intake
 from pdr_graph.serve.message_log import MAGIC, Entry, read_body, read_entries
 from pdr_graph.serve.publishing import path_columns, pose_json
@@ -30,11 +32,23 @@ MOST_WAITING = 64  # messages that wait for one; then it is given up
 CLOCK_ERROR = 600.0  # [s] between the phone's clock and this machine's from which it is an issue
 LOG, TURNS, JOURNAL, SESSION, PUBLISHED = "messages.log", "turns.db", "walk.journal", "session.json", "published.json"
 RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
-TURN = Kind("order of messages", 0x50445254, 1, "delete it: it is made from messages.log")
+TURN = Kind("order of messages", 0x50445254, 2, "delete it: it is made from messages.log")
 SCHEMA = (
     "CREATE TABLE turn (turn INTEGER PRIMARY KEY, offset INTEGER NOT NULL, events INTEGER NOT NULL, intake BLOB)",
 )
 Make = Callable[..., Navigator]
+
+
+@dataclass(frozen=True)
+class Turn:
+    """A message that is used. number: of the message, from 1; offset: in the log [bytes]; events: in the journal before
+    it; intake: the state of the intake before it, encoded.
+    """
+
+    number: int
+    offset: int
+    events: int
+    intake: bytes
 
 
 @dataclass(frozen=True)
@@ -53,6 +67,10 @@ class Session:
     platform: str
     began: float
     finished: bool = False
+
+
+class LostMessagesError(InputError):
+    """The log of a session has lost messages that were used already."""
 
 
 class Queue:
@@ -107,7 +125,8 @@ class LiveWalk:
         self.intake = Intake(session.protocol, session.platform)
         self._queue = Queue(session.protocol == SENSOR_LOGGER)
         self._read_until, self._used, self._turn = len(MAGIC), dict[int, None](), 0
-        self._clock_error, self._refused = 0.0, 0
+        self._clock_error, self._refused, self._damaged = 0.0, 0, 0
+        self.loss = ""  # messages that were used and are no longer in the log
         self._journal: Journal[Navigator] | None = None
         self._navigator: Navigator | None = None  # that the finalised part was read from
         self._finalised = 0  # number of rows published
@@ -120,25 +139,46 @@ class LiveWalk:
             raise
 
     def _resume(self) -> None:
-        """Continue where the process ended: finish the message that was being used."""
+        """Continue where the process ended: finish the message that was being used.
+
+        Raises InputError if the files do not belong together, as after a power cut or from a backup of some of them.
+        """
         with storage.explained(self.folder / TURNS, TURN):
             rows = self._turns.execute("SELECT turn, offset, events, intake FROM turn ORDER BY turn").fetchall()
         self._used = dict.fromkeys(row[1] for row in rows)
         if rows:
-            self._turn, offset, events, state = rows[-1]
-            self.intake = self._decoded(state)
-            entry = next(read_entries(self.folder / LOG, offset))
-            for used in read_entries(self.folder / LOG):
-                if used.offset in self._used:
-                    self._queue.used(used.identity)
-            self._push(entry, events)
-            if (self.folder / JOURNAL).exists():
+            turn = self._last_turn(rows)
+            entries = {entry.offset: entry for entry in read_entries(self.folder / LOG)}
+            lost = self._used.keys() - entries.keys()
+            if turn.offset in lost:  # others may be damaged: the journal has their events
+                raise LostMessagesError(self.folder / LOG, "", f"{count(len(lost), 'message')} less than used", "all")
+            for offset in self._used:  # in their order
+                if offset not in lost:
+                    self._queue.used(entries[offset].identity)
+            self._turn = turn.number
+            self.intake = self._decoded(turn.intake, Intake)
+            events = self._push(entries[turn.offset], turn.events)
+            if turn.events or (self.folder / JOURNAL).exists():
                 self._opened()
+            known = 0 if self._journal is None else self._journal.count
+            if not turn.events <= known <= turn.events + events:
+                raise InputError(self.folder / JOURNAL, "", f"{known} events", f"those of {turn.number} messages")
+        elif (self.folder / JOURNAL).exists():
+            raise InputError(self.folder / TURNS, "", "no messages", f"those of {JOURNAL}")
         self.look()
 
-    def _decoded(self, state: bytes) -> Intake:
+    def _last_turn(self, rows: Sequence[tuple[int, int, int, bytes | None]]) -> Turn:
+        """The last message used. Raises InputError if the rows are not as they were written."""
+        *_, (number, offset, events, state) = rows
+        turn = self._decoded(state or b"", Turn)
+        in_order = [row[0] for row in rows] == list(range(1, len(rows) + 1)) and len(self._used) == len(rows)
+        if not in_order or (number, offset, events) != (turn.number, turn.offset, turn.events):
+            raise InputError(self.folder / TURNS, "", "damaged numbers of messages", "those that were written")
+        return turn
+
+    def _decoded(self, state: bytes, kind: type) -> Any:
         try:
-            return decode(state, Intake)
+            return decode(state, kind)
         except ValueError as error:
             raise InputError(self.folder / TURNS, "intake", str(error), "the state of an intake") from None
 
@@ -146,6 +186,7 @@ class LiveWalk:
         """Find the messages that arrived since the last look."""
         for entry in read_entries(self.folder / LOG, self._read_until):
             self._read_until = entry.end
+            self._damaged += entry.skipped
             if entry.offset not in self._used:
                 self._queue.add(entry)
 
@@ -166,7 +207,8 @@ class LiveWalk:
             return False
         self._turn += 1
         events = 0 if self._journal is None else self._journal.count
-        row = (self._turn, entry.offset, events, encode(self.intake))
+        state = encode(Turn(self._turn, entry.offset, events, encode(self.intake)))
+        row = (self._turn, entry.offset, events, state)
         with storage.explained(self.folder / TURNS, TURN):
             self._turns.execute("INSERT INTO turn VALUES (?, ?, ?, ?)", row)
             self._turns.execute("UPDATE turn SET intake = NULL WHERE turn = ?", (self._turn - 1,))
@@ -174,16 +216,21 @@ class LiveWalk:
         self._push(entry, events)
         return True
 
-    def _push(self, entry: Entry, begun: int) -> None:
-        """Push the events of a message, without those that are in the journal already. begun: events before it."""
+    def _push(self, entry: Entry, begun: int) -> int:
+        """Push the events of a message, without those that are in the journal already; returns their number.
+
+        begun: events before it.
+        """
         try:
             events = self.intake.events(read_body(self.folder / LOG, entry))
         except InputError:  # the door refuses these; one that it let pass by an older version
             self._refused += 1
-            return
+            return 0
         if not events:
-            return
+            return 0
         journal = self._opened()
+        if journal.count < begun:
+            raise InputError(self.folder / JOURNAL, "", count(journal.count, "event"), f"{begun} or more")
         for event in events[max(0, journal.count - begun) :]:
             try:
                 journal.push(event)
@@ -193,6 +240,7 @@ class LiveWalk:
                 self._refused += 1
         at = self.intake.origin + (self.intake.latest if np.isfinite(self.intake.latest) else 0.0)
         self._clock_error = at - entry.received if self.intake.protocol == SENSOR_LOGGER else 0.0
+        return len(events)
 
     def _opened(self) -> Journal[Navigator]:
         if self._journal is None:
@@ -202,7 +250,10 @@ class LiveWalk:
                 lambda: self._make(epoch=epoch),
                 lambda state: self._restored(state, epoch=epoch),
                 self._settings,
+                durable="process",  # it is made from the messages
             )
+            if self._journal.loss:  # the messages have what it lost
+                raise InputError(self.folder / JOURNAL, "", self._journal.loss, "one that is whole")
         return self._journal
 
     def pose(self) -> dict[str, Any]:
@@ -224,6 +275,10 @@ class LiveWalk:
             yield f"the phone's clock is {abs(self._clock_error) / 3600:.1f} h {side} this machine's"
         if self._refused:
             yield f"{count(self._refused, 'message')} could not be used"
+        if self._damaged:
+            yield f"{count(self._damaged, 'byte')} of {LOG} are damaged: the messages in them are lost"
+        if self.loss:
+            yield f"estimated anew from the messages that remain: {self.loss}"
 
     def _opened_or_new(self) -> Navigator:
         return self._make() if self._journal is None else self._journal.navigator
@@ -283,8 +338,24 @@ def opened(folder: Path, *arguments: Any) -> LiveWalk:
     """The walker of a folder; if its journal or order is damaged or of other options, restarted from its messages."""
     try:
         return LiveWalk(folder, *arguments)
-    except InputError:
+    except InputError as error:
         for name in (TURNS, JOURNAL):
             for file in folder.glob(f"{name}*"):
                 file.unlink()
-        return LiveWalk(folder, *arguments)
+        walk = LiveWalk(folder, *arguments)
+        walk.loss = str(error) if isinstance(error, LostMessagesError) else ""
+        return walk
+
+
+def read_session(folder: Path) -> Session:
+    """What the session of a folder is. Raises InputError if its file is damaged; OSError if it cannot be read."""
+    file = folder / SESSION
+    try:
+        return msgspec.convert(read_checked(file), Session)
+    except ValueError as error:
+        raise InputError(file, "", str(error), "a session: it comes back with the next message of its phone") from None
+
+
+def write_session(folder: Path, session: Session) -> None:
+    """Write what a session is. Raises OSError of the disk; an earlier file is then unchanged."""
+    write_checked(folder / SESSION, vars(session))

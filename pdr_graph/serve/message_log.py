@@ -1,18 +1,21 @@
 """The log of a session: every message of a phone, as it came, before it is acknowledged.
 
 One file, only ever appended to: MAGIC, then for each message a header (checksum, length, identity, time of arrival) and
-its bytes, compressed. What was appended survives the end of the process; a power cut may cost the last seconds. The log
-is also the queue between the process that receives and the one that estimates, so that waiting messages cost no memory.
+its bytes, compressed. What was appended survives the end of the process; a power cut may cost the last seconds.
+Bytes that are no whole message are passed over and stay, so damage costs the messages that it hits and no others. It
+is also the queue between the process that receives and the one that estimates: waiting messages cost no memory.
 """
 
 from __future__ import annotations
 
+import mmap
 import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import BinaryIO
 
 from pdr_graph.errors import InputError
 
@@ -20,24 +23,28 @@ MAGIC = b"PDRGLOG1"
 HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
 CHECKSUM = 4  # bytes
 LEVEL = 1  # of zlib: the next ones take twice the time for little
+PACKED = b"x\x01"  # how bytes begin that are compressed at this level
 OWNER_ONLY = 0o600
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A message in a log. identity: the app's number of it; received: Unix time [s]; offset: of its header [bytes]."""
+    """A message in a log. identity: the app's number of it; received: Unix time [s]; offset: of its header [bytes];
+    skipped: number of damaged bytes before it.
+    """
 
     identity: int
     received: float
     offset: int
     end: int
+    skipped: int = 0
 
 
 class MessageLog:
     """The log of one session, open for appending; ``identities`` of all its messages.
 
-    Raises InputError if the file is no log; OSError if the disk fails. A message that was not written completely, since
-    the process ended, was not acknowledged and is removed.
+    Raises InputError if the file is no log; OSError if the disk fails. What follows the last whole message was not
+    written completely: it stays, and further messages come after it.
     """
 
     def __init__(self, path: Path):
@@ -47,12 +54,10 @@ class MessageLog:
             if os.fstat(self._file).st_size < len(MAGIC):
                 os.ftruncate(self._file, 0)
                 _write(self._file, MAGIC)
-            entries = list(read_entries(path, len(MAGIC), check_last=True))
+            entries = list(read_entries(path))
             self.identities = {entry.identity for entry in entries}
             self.last_received = entries[-1].received if entries else 0.0
-            self._end = entries[-1].end if entries else len(MAGIC)
-            os.ftruncate(self._file, self._end)
-            os.lseek(self._file, self._end, os.SEEK_SET)
+            self._end = os.lseek(self._file, 0, os.SEEK_END)
         except BaseException:
             os.close(self._file)
             raise
@@ -85,26 +90,44 @@ def pack(identity: int, received: float, body: bytes) -> bytes:
     return struct.pack("<I", zlib.crc32(rest)) + rest
 
 
-def read_entries(path: Path, offset: int = len(MAGIC), check_last: bool = False) -> Iterator[Entry]:
-    """Yield the complete messages of a log from an offset [bytes]; stops before one that is still being written.
+def read_entries(path: Path, offset: int = len(MAGIC)) -> Iterator[Entry]:
+    """Yield the whole messages of a log from an offset [bytes]; stops before one that is still being written.
 
-    check_last: also read the last one, which a killed process may have left damaged. Raises InputError for other files.
+    Raises InputError for other files.
     """
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
-        if file.read(len(MAGIC)) != MAGIC:
+        if file.read(len(MAGIC)) != MAGIC and _found_after(file, 0, size) is None:
             raise InputError(path, "", "another kind of file", "a log of pdr-graph serve")
-        while offset + HEADER.size <= size:
-            file.seek(offset)
-            header = file.read(HEADER.size)
-            checksum, length, identity, received = HEADER.unpack(header)
-            end = offset + HEADER.size + length
-            if end > size:
-                return
-            if check_last and end == size and zlib.crc32(header[CHECKSUM:] + file.read(length)) != checksum:
-                return
-            yield Entry(identity, received, offset, end)
-            offset = end
+        while (entry := _entry_at(file, offset, size) or _found_after(file, offset, size)) is not None:
+            yield entry
+            offset = entry.end
+
+
+def _entry_at(file: BinaryIO, offset: int, size: int) -> Entry | None:
+    """The message at an offset of a file of a size [bytes]; None if there is no whole one."""
+    file.seek(offset)
+    header = file.read(HEADER.size)
+    if len(header) < HEADER.size:
+        return None
+    checksum, length, identity, received = HEADER.unpack(header)
+    end = offset + HEADER.size + length
+    if end > size or zlib.crc32(file.read(length), zlib.crc32(header[CHECKSUM:])) != checksum:
+        return None
+    return Entry(identity, received, offset, end)
+
+
+def _found_after(file: BinaryIO, offset: int, size: int) -> Entry | None:
+    """The first whole message after an offset where there is none; None if there is none to the end."""
+    if offset + HEADER.size >= size:
+        return None
+    with mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as content:
+        body = offset + HEADER.size
+        while (body := content.find(PACKED, body + 1)) >= 0:
+            entry = _entry_at(file, body - HEADER.size, size)
+            if entry is not None:
+                return replace(entry, skipped=entry.offset - offset)
+    return None
 
 
 def read_body(path: Path, entry: Entry) -> bytes:

@@ -17,15 +17,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.lifelog.cache import write
 from pdr_graph.serve import positions, sensor_messages
+from pdr_graph.serve.checked_json import read_checked, write_checked
 from pdr_graph.serve.estimators import Estimators
 from pdr_graph.serve.hub import Hub
 from pdr_graph.serve.intake import PLATFORMS, SENSOR_LOGGER
-from pdr_graph.serve.live_walk import LOG, PUBLISHED, RECORDINGS, SESSION, Session
+from pdr_graph.serve.live_walk import LOG, PUBLISHED, RECORDINGS, SESSION, Session, read_session, write_session
 from pdr_graph.serve.message_log import MessageLog
 
 PROTOCOLS = (SENSOR_LOGGER, *positions.PARSERS)
@@ -80,11 +78,20 @@ Finishing = Callable[[Session], Awaitable[str]]
 
 
 class Reception:
-    """All sessions below a folder. finishing: makes the recording of a finished one, and returns an issue or ""."""
+    """All sessions below a folder. finishing: makes the recording of a finished one, and returns an issue or ""; say:
+    called with a line about files that are left out.
+    """
 
-    def __init__(self, root: Path, hub: Hub, limits: Limits | None = None, finishing: Finishing | None = None):
+    def __init__(
+        self,
+        root: Path,
+        hub: Hub,
+        limits: Limits | None = None,
+        finishing: Finishing | None = None,
+        say: Callable[[str], None] = print,
+    ):
         self.root, self.hub, self.limits = root, hub, limits or Limits()
-        self._finishing = finishing
+        self._finishing, self._say = finishing, say
         self._states = dict[str, State]()
         self._logs = OrderedDict[str, MessageLog]()
         self._background = set[asyncio.Task[Any]]()
@@ -93,15 +100,16 @@ class Reception:
     # ── at the start ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def load(self) -> None:
-        """Read the sessions of earlier starts. Damaged ones are left alone."""
+        """Read the sessions of earlier starts. Damaged ones are left alone, with a line for each."""
         self.root.mkdir(parents=True, exist_ok=True, mode=0o700)
         finished = list[tuple[float, Session, Path]]()
         for file in self.root.glob(f"*/{SESSION}"):
             try:
-                session = msgspec.json.decode(file.read_bytes(), type=Session)
+                session = read_session(file.parent)
                 log = file.parent / LOG
                 last = log.stat().st_mtime if log.exists() else session.began
-            except (OSError, msgspec.MsgspecError):
+            except (OSError, InputError) as error:
+                self._say(f"session left out: {one_line(str(error))}")
                 continue
             self._states[session.id] = State(session, self.limits.rate * self.limits.burst, time.monotonic(), last)
             if session.finished:
@@ -113,11 +121,12 @@ class Reception:
 
     def _show_finished(self, session: Session, folder: Path) -> None:
         try:
-            published = msgspec.json.decode((folder / PUBLISHED).read_bytes())
+            published = read_checked(folder / PUBLISHED)
             self.hub.pose(session.user, published["pose"])
             self.hub.path({"id": session.id, "from": 0, **published["path"]})
-        except (OSError, msgspec.MsgspecError, LookupError, TypeError):
-            self.hub.pose(session.user, blank_pose(session) | {"state": "finished"})
+        except (OSError, ValueError, LookupError, TypeError) as error:
+            issue = f"{PUBLISHED}, its last pose and path: {one_line(str(error))}"
+            self.hub.pose(session.user, blank_pose(session) | {"state": "finished", "issues": [issue]})
 
     def started(self, number: int) -> None:
         """Tell an estimating process that has started of its unfinished sessions."""
@@ -156,6 +165,8 @@ class Reception:
                 self._announce(state)
         except OSError as error:
             raise RefusalError(507, f"the disk of the server: {error.strerror or error}", Retry_After="30") from None
+        except InputError as error:  # the log is damaged beyond its messages
+            raise RefusalError(500, f"the disk of the server: {error}") from None
         self._set_timer(state)
         fresh = [line for line in state.advice if line not in state.shown_advice]
         state.shown_advice.update(fresh)
@@ -203,7 +214,7 @@ class Reception:
     def _store(self, state: State, session: Session) -> None:
         """Write what a session is; a power cut leaves the former file or this one."""
         state.session = session
-        write(self.root / session.id / SESSION, msgspec.json.encode(session))
+        write_session(self.root / session.id, session)
 
     def _charge(self, state: State, size: int) -> None:
         """Raise RefusalError if a session sends more than its rate."""
@@ -297,7 +308,7 @@ class Reception:
         walker = self.hub.walkers.get(state.session.id)
         if walker is not None:
             path = {"finalised": walker.finalised, "current": walker.current}
-            write(self.root / state.session.id / PUBLISHED, msgspec.json.encode({"pose": walker.pose, "path": path}))
+            write_checked(self.root / state.session.id / PUBLISHED, {"pose": walker.pose, "path": path})
         if self._finishing is not None:
             issue = await self._finishing(state.session)
             if issue and walker is not None:

@@ -94,7 +94,7 @@ def build(settings: Settings) -> Starlette:
         except (RuntimeError, OSError) as error:  # the pool was shut down, or its process was killed
             return f"the recording could not be completed: {error}"
 
-    reception = Reception(settings.folder / SESSIONS, hub, settings.limits, finishing)
+    reception = Reception(settings.folder / SESSIONS, hub, settings.limits, finishing, say)
     estimators = Estimators(settings.workers, reception.root, settings.options, reception.update, reception.started)
     reception.estimators = estimators
 

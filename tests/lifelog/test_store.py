@@ -5,6 +5,7 @@ import resource
 import sqlite3
 import subprocess
 import sys
+import warnings
 import zlib
 from contextlib import closing
 from dataclasses import fields, is_dataclass, replace
@@ -18,11 +19,13 @@ from pdr_graph import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import cache
+from pdr_graph.lifelog.checksums import COLUMNS
 from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.day_rows import rows_of
 from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
 from pdr_graph.measurements import Ranges
+from pdr_graph.recovery import DataLossWarning
 from pdr_graph.storage import decompress
 from pdr_graph.types import Beacons, Headings, Sightings, Signal, Steps, Trajectory
 
@@ -192,7 +195,7 @@ def test_a_newer_version_is_refused(tmp_path):
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
         database.execute("PRAGMA user_version = 99")
         database.execute("PRAGMA journal_mode = DELETE")
-    refused(tmp_path / "log", "format: found 99, expected 4, which this version reads: use the newer pdr_graph")
+    refused(tmp_path / "log", "format: found 99, expected 5, which this version reads: use the newer pdr_graph")
 
 
 def test_a_store_of_format_1_is_refused_and_unchanged(tmp_path):
@@ -200,7 +203,7 @@ def test_a_store_of_format_1_is_refused_and_unchanged(tmp_path):
     file = Path(__file__).with_name("store_format_1.z")
     (tmp_path / "log").write_bytes(zlib.decompress(file.read_bytes()))
     refused(
-        tmp_path / "log", "format: found 1, expected 4, which this version reads: add the recordings to a new store"
+        tmp_path / "log", "format: found 1, expected 5, which this version reads: add the recordings to a new store"
     )
 
 
@@ -238,25 +241,60 @@ def test_a_damaged_trajectory_is_refused(tmp_path):
         put(log, a_day(tmp_path))
     with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
         database.execute("UPDATE trajectory SET bytes = substr(bytes, 2)")
-    with Store(tmp_path / "log") as log, pytest.raises(InputError, match=r"me, 2024-05-01: found bytes of no Traj"):
+    with Store(tmp_path / "log") as log, pytest.raises(InputError, match="me, 2024-05-01: found damaged rows"):
         log.day("me", DATE)
+
+
+def test_a_lasting_setting_keeps_its_first_value(tmp_path):
+    for value in ("first", "second"):
+        with Store(tmp_path / "log", new=True, thorough=True) as log:
+            assert log.lasting_setting("salt", value) == "first"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "UPDATE segment SET kind = CAST(x'b8' AS TEXT)",
+        "UPDATE segment SET person = CAST(x'b8' AS TEXT)",
+        "UPDATE sqlite_master SET sql = CAST(x'435245415445b8' AS TEXT) WHERE name = 'segment'",
+        "UPDATE stay SET x = 1",
+        "DELETE FROM trajectory",
+    ],
+)
+def test_a_build_recovers_all_but_the_damaged_day(tmp_path, damage):
+    with Store(tmp_path / "log", new=True) as log:
+        put(log, a_day(tmp_path))
+        log.put_phone("me", "badge")
+    with closing(sqlite3.connect(tmp_path / "log", isolation_level=None)) as database:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute(damage)
+    with pytest.warns(DataLossWarning, match="0 of 1 row of day recovered"):
+        log = Store(tmp_path / "log", thorough=True)
+    with log:
+        assert not log.days()
+        assert log.phones() == {"badge": "me"}
+    assert (tmp_path / "log.damaged-1").stat().st_mode & 0o777 == 0o600
 
 
 @pytest.mark.parametrize("seed", range(40))
 def test_a_damaged_store_is_refused_in_one_line_or_read(tmp_path, seed):
-    """A damaged number, or a damaged unused page, is not detected."""
+    """Or what is whole of it is recovered, and the loss is said in a line; a damaged unused page is not detected."""
     random, path = np.random.default_rng(seed), tmp_path / "log"
+    day = a_day(tmp_path)
     with Store(path, new=True) as log:
-        put(log, a_day(tmp_path))
+        put(log, day)
     content = bytearray(path.read_bytes())
     at = random.integers(100, len(content) - 64)
     content[at : at + 64] = random.bytes(64)
     path.write_bytes(content[: at if seed % 2 else None])
     message = ""
     try:
-        with Store(path) as log:
-            assert isinstance(log.day("me", DATE), Day | None)
-            assert isinstance(log.days(), dict)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            log = Store(path)
+        message = "".join(str(each.message) for each in said)
+        with log:
+            assert ("me", DATE) not in log.days() or bits_of(log.day("me", DATE)) == bits_of(day)
     except InputError as refusal:
         message = str(refusal)
     assert message.isprintable()
@@ -306,7 +344,7 @@ def test_an_entry_has_the_columns_of_its_table(tmp_path):
         assert log.entries() == (entry,)
     with closing(sqlite3.connect(tmp_path / "log")) as database:
         database.row_factory = sqlite3.Row
-        [row] = database.execute("SELECT * FROM recording").fetchall()
+        [row] = database.execute(f"SELECT {', '.join(COLUMNS['recording'])} FROM recording").fetchall()
     expected = vars(options) | {name: str(path) for name, path in options.files.items()}
     assert dict(row) == {name: value for name, value in vars(entry).items() if name != "options"} | expected
 

@@ -131,6 +131,21 @@ def test_the_walk_goes_on_after_an_end_at_any_moment(bodies, expected, tmp_path,
     assert pose == expected
 
 
+@pytest.mark.parametrize("remaining", [1, 2])
+def test_the_walk_goes_on_after_an_end_within_its_first_message(bodies, expected, tmp_path, remaining, monkeypatch):
+    """Its time 0 is that of the first sample, though no message was used completely."""
+    logged(tmp_path, bodies)
+    walk = opened(tmp_path)
+    with monkeypatch.context() as patch:
+        _end_after(patch, remaining)
+        with pytest.raises(KeyboardInterrupt):
+            used(walk)
+    walk.close()
+    walk = opened(tmp_path)
+    assert used(walk) == expected
+    walk.close()
+
+
 def _end_after(patch, remaining):
     """KeyboardInterrupt after some events: it passes all handlers, as a signal does."""
     push, left = live_walk.Journal.push, [remaining]

@@ -1,0 +1,42 @@
+"""After a power cut a walk, a lifelog and a session come back to the last whole record, and the loss is said.
+
+``scripts/power_cuts.py`` counts a thousand cuts of each.
+"""
+
+import pytest
+from power_loss import DAMAGES, FAILED, TARGETS, UNNOTICED, count, put
+
+import pdr_graph.cli
+from pdr_graph import recovery
+from pdr_graph.cli import DataLossWarning
+
+
+@pytest.fixture(scope="module", params=TARGETS)
+def target(request, tmp_path_factory):
+    """Each kind of file, with the folder in which it is damaged."""
+    folder = tmp_path_factory.mktemp("cuts")
+    return TARGETS[request.param](folder), folder / "store"
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_files_come_back_with_a_line_or_are_refused_unchanged(target, damage):
+    failures = list[str]()
+    outcomes = count(target[0], damage, 5, target[1], failures.append)
+    assert not outcomes[FAILED], failures
+    assert damage == "old" or not outcomes[UNNOTICED]
+
+
+def test_what_a_log_of_sqlite_lost_is_counted(tmp_path):
+    """The log of a journal whose process was killed, with a byte changed in its middle."""
+    files = TARGETS["journal"](tmp_path).ages[-1]
+    put(tmp_path, files)
+    assert recovery.lost_changes(tmp_path / "walk") == ""
+    log = bytearray(files["walk-wal"])
+    log[5000] ^= 1
+    (tmp_path / "walk-wal").write_bytes(log)
+    assert "after that lost" in recovery.lost_changes(tmp_path / "walk")
+
+
+def test_the_commands_say_a_loss_in_one_line(capsys):
+    pdr_graph.cli._show_warning(DataLossWarning("log: damaged"), DataLossWarning)
+    assert capsys.readouterr().err == "pdr-graph: log: damaged\n"
