@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
 FASTEST_RATE = 1000.0  # [Hz] largest rate of output rows
+LARGEST_LATENCY = 60.0  # [s]
+SHORTEST, TALLEST = 0.5, 2.8  # [m] height of a walker
 LIVE = "live"  # the method of a navigator
 LIVE_ONLY = ("lag", "journal")  # options of that method alone
 
@@ -47,6 +49,8 @@ class Options:
     """Radio map of earlier walks, as `pdr-graph radio-map` writes it."""
     walker: Path | None = None
     """TOML of the walker's height, stride and profile."""
+    height: float | None = None
+    """Height of the walker [m]; None: that of `walker`."""
     truth: Path | None = None
     """CSV of the true trajectory, for drawings and scores only."""
     method: str = "graph"
@@ -67,12 +71,25 @@ class Options:
     """File that stores a live walk, and from which it is resumed."""
 
     def __post_init__(self) -> None:
-        """Raise InputError if the rate or the start heading is out of range."""
+        """Raise InputError if a number is out of range."""
         if self.rate is not None and not 0 < self.rate <= FASTEST_RATE:
             raise InputError("--rate", "", f"{self.rate}", f"a rate above 0 and up to {FASTEST_RATE:.0f} Hz")
         if self.start_heading is not None and not abs(self.start_heading) <= 360:
             expected = "degrees clockwise from north, -360 to 360"
             raise InputError("--start-heading", "", f"{self.start_heading}", expected)
+        if not abs(self.gnss_latency) <= LARGEST_LATENCY:
+            hint = " (milliseconds?)" if LARGEST_LATENCY < abs(self.gnss_latency) <= 1000 * LARGEST_LATENCY else ""
+            expected = f"seconds from -{LARGEST_LATENCY:.0f} to {LARGEST_LATENCY:.0f}"
+            raise InputError("--gnss-latency", "", f"{self.gnss_latency}{hint}", expected)
+        if self.height is not None and not SHORTEST <= self.height <= TALLEST:
+            hint = " (centimetres?)" if 100 * SHORTEST <= self.height <= 100 * TALLEST else ""
+            expected = f"metres from {SHORTEST} to {TALLEST}"
+            raise InputError("--height", "", f"{self.height}{hint}", expected)
+
+    def person(self) -> Walker:
+        """The walker. Raises InputError if the file cannot be used."""
+        walker = Walker.load(self.walker) if self.walker else Walker()
+        return walker if self.height is None else replace(walker, height=self.height)
 
     def describe(self) -> dict[str, Any]:
         """Return the options for `summary.json`, with the names of the command line."""
@@ -125,7 +142,7 @@ def read(recording: Path, options: Options | None = None, fastest: float = FASTE
     options = options or Options()
     walk = io.load(recording, options.gnss_latency)
     notes = list(walk.notes)
-    walker = Walker.load(options.walker) if options.walker else Walker()
+    walker = options.person()
     listed_fixes = read_fixes(options.fixes, walk, notes=notes) if options.fixes else Fixes.none()
     building = Building.load(options.plan, options.scale) if options.plan else None
     if building is not None and options.plan is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -21,11 +20,12 @@ from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.results import is_located
 from pdr_graph.estimation.sources import position_sources
-from pdr_graph.evaluation import circular_error, coverage, error_text, pair
+from pdr_graph.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import protection_level, resample
 from pdr_graph.inputs import Inputs, Options
 from pdr_graph.io import gpx, writers
+from pdr_graph.progress import shows_progress
 from pdr_graph.types import Estimate, Steps, Trajectory
 
 LONGEST_SOURCES = (
@@ -47,7 +47,7 @@ class Stages:
     def __call__(self, name: str) -> Iterator[None]:
         """Time one stage."""
         started = time.perf_counter()
-        if sys.stderr.isatty():
+        if shows_progress():
             from rich.console import Console
 
             with Console(stderr=True).status(f"{name} …"):
@@ -112,7 +112,9 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
     walk, frame = inputs.walk, inputs.frame
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
-    writers.write_tum(out / "trajectory.tum", trajectory, walk.clock_origin)
+    writers.write_tum(out / "trajectory.tum", trajectory if rate else dense(trajectory), walk.clock_origin)
+    if (truth := _truth_beside(inputs, estimate)) is not None:
+        writers.write_tum(out / "truth.tum", truth, walk.clock_origin)
     if len(estimate.routes) > 1:
         writers.write_routes(out / "routes.csv", estimate.routes, walk.clock_origin)
     if frame.georeferenced:
@@ -123,12 +125,21 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
     try:
         from pdr_graph.plotting import picture_bytes, plot
 
-        truth = _truth_beside(inputs, estimate)
         picture = picture_bytes(plot(estimate, inputs.building, truth, f"{walk.source}   {_length(estimate):.0f} m"))
     except Exception as error:  # without a picture the result is still useful
         return (f"figure.png ({type(error).__name__}: {error})",)
     (out / "figure.png").write_bytes(picture)
     return ()
+
+
+TUM_RATE = 60.0  # [Hz] so that a row is within 0.01 s of any time, as evo matches by default
+MOST_TUM_ROWS = 500_000  # 2.3 h; longer walks have the rows of trajectory.csv
+
+
+def dense(trajectory: Trajectory) -> Trajectory:
+    """The trajectory at TUM_RATE; unchanged if it were more than MOST_TUM_ROWS."""
+    rows = float(np.ptp(trajectory.time)) * TUM_RATE
+    return resample(trajectory, TUM_RATE) if rows <= MOST_TUM_ROWS else trajectory
 
 
 def write_report(
@@ -165,6 +176,7 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         "steps": result.step_count if result.steps is None else int((~result.steps.is_gap).sum()),
         "distance": round(_length(estimate), 3),
         "duration": round(float(np.ptp(track.time)), 3),
+        "sigma": _median_sigma(track) if is_located(estimate) else None,
         "frame": inputs.frame.describe(),
         "floor": track.floor[0] or None,
         "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
@@ -173,6 +185,7 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         **{
             kind: _reports(estimate.reports.get(kind, ()), walk.clock_origin) for kind in (*REPORTED, *estimate.reports)
         },
+        "scores": scores_of(inputs, estimate),
         "wall_crossings": crossings,
         **_finite({"probability": round(estimate.probability, 3)}),
         "routes": [_route(share, path) for share, path in estimate.routes],
@@ -190,12 +203,11 @@ def live_scores(inputs: Inputs, result: Result) -> dict[str, Any]:
         return {}
     truth, track = _truth_beside(inputs, result.estimate), result.estimate.trajectory
     start = min((float(signal.time[0]) for signal in walk.signals.values()), default=float(track.time[0]))
-    variance = np.trace(live.covariance[:, :2, :2], axis1=1, axis2=2) / 2
     return {
         "live": {
             "poses": len(live),
             "first_pose": round(max(0.0, float(live.time[0]) - start), 3),
-            "sigma": round(float(np.median(np.sqrt(variance))), 3),
+            "sigma": _median_sigma(live),
             "error": _error(live, truth),
             "hindsight": {"error": _error(track, truth)},
         }
@@ -214,6 +226,30 @@ def live_lines(live: Mapping[str, Any] | None) -> Iterator[str]:
     yield f"{KNOWN_AT_ONCE}: error 50 / 75 / 95 %: {error_text(error)}; {first}"
     if smoothed is not None:
         yield f"in hindsight, smoothed: error 50 / 75 / 95 %: {error_text(smoothed)}"
+
+
+def scores_of(inputs: Inputs, estimate: Estimate) -> dict[str, Any] | None:
+    """Return the scores of ``pdr-graph evaluate`` and the share of the truth in the 90 % region; None without truth."""
+    truth, track = _truth_beside(inputs, estimate), estimate.trajectory
+    if truth is None:
+        return None
+    share = coverage(track, truth)
+    return evaluate(track, truth, inputs.building) | {"in_90": None if share is None else round(share, 3)}
+
+
+def score_lines(scores: Mapping[str, Any] | None) -> Iterator[str]:
+    """Yield ``scores`` of ``summary.json`` as text; nothing without truth."""
+    if scores is not None and scores["ce"] is not None:
+        errors = error_text({**scores["ce"], "in_90": scores["in_90"]})
+        yield f"against the truth: error 50 / 75 / 95 %: {errors}"
+
+
+def _median_sigma(track: Trajectory) -> float | None:
+    """Median standard deviation of the positions per axis [m]; None without covariance."""
+    if track.covariance is None or not len(track):
+        return None
+    variance = np.trace(track.covariance[:, :2, :2], axis1=1, axis2=2) / 2
+    return round(float(np.median(np.sqrt(variance))), 3)
 
 
 def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | None] | None:

@@ -233,14 +233,14 @@ def _dead_reckoned(graph: WalkGraph) -> Estimate:
     return replace(alone, trajectory=track, reports=reports_of_kinds, probability=float("nan"), contradictions=found)
 
 
-def calibrate_walker(recording: Path, route: Path, out: Path, walker: Path | None = None) -> tuple[Profile, int]:
+def calibrate_walker(recording: Path, route: Path, out: Path, walker: Walker | None = None) -> tuple[Profile, int]:
     """Write the profile of a walker who followed a known line to ``out``, with a picture beside it.
 
     Returns the profile and the number of laps. Raises InputError if an input cannot be used.
     """
     from pdr_graph.plotting import picture_bytes, plot
 
-    walk, person = io.load(recording), Walker.load(walker) if walker else Walker()
+    walk, person = io.load(recording), walker or Walker()
     if walk.gyroscope is None:
         raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
     steps = detect_steps(walk, replace(person, profile=None))

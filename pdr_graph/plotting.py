@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -118,6 +119,40 @@ def picture_bytes(figure: Figure, dpi: float = 120, file_format: str = "png") ->
         about = {"Date": None, "Creator": None} if file_format == "svg" else None
         figure.savefig(content, format=file_format, dpi=dpi, metadata=about)
     return content.getvalue()
+
+
+COLOURS = ("#1f5fbf", "#d1602b", "#2a9d6f", "#b0458a", "#c9a227", "#7b4fa6", "#5b5b5b", "#36a9c9")  # of trajectories
+
+
+def plot_comparison(
+    tracks: Mapping[str, Trajectory], truth: Trajectory | None = None, floor: Building | None = None
+) -> Figure:
+    """Draw several trajectories of one walk on the plan, and the truth if there is one."""
+    shown = np.concatenate([t.position for t in (*tracks.values(), *([] if truth is None else [truth]))])
+    first = next(iter(tracks.values()))
+    floors = _visited(floor, first if truth is None or not any(truth.floor) else truth)
+    figure, canvases = _canvas(shown, SURROUNDINGS, 1.05, max(1, len(floors)))
+    for n, axes in enumerate(canvases):
+        if floors:
+            draw_plan(axes, floors[n])
+        label = floors[n].label if len(floors) > 1 else None
+        for number, (name, track) in enumerate(tracks.items()):
+            style: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "lw": 1.8, "label": printable(name)}
+            axes.plot(*_on(track, label).T, ls=LINES[number % len(LINES)], zorder=5, **style)
+        if truth is not None:
+            few: dict[str, Any] = (
+                {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if len(truth) <= MANY else {"lw": 1.0}
+            )
+            axes.plot(*_on(truth, label).T, color=TRUTH, label="truth", zorder=8, **few)
+        _title(axes, label or "")
+    marks, names = canvases[0].get_legend_handles_labels()
+    figure.legend(
+        marks, names, loc="lower center", ncols=max(2, int(figure.get_figwidth() / 1.9)), frameon=False, fontsize=9
+    )
+    return figure
+
+
+LINES = ("-", (0, (5, 1)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # styles, so that grey prints differ too
 
 
 def plot_plan(*floors: FloorPlan) -> Figure:

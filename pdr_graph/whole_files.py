@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, count
 
 UNFINISHED = ".unfinished"  # folder of the files of a run, in its output folder; ending of a single file
 LAST = "summary.json"  # the file that says that a folder is complete
@@ -50,6 +50,22 @@ def output_folder(out: Path, private: bool = False) -> Iterator[Path]:
             where = str(error.filename or out).replace(f"{os.sep}{UNFINISHED}", "", 1)
             raise OSError(error.errno, error.strerror or str(error), where) from None
         raise
+
+
+def check_replaceable(out: Path, mark: str = LAST, force: bool = False) -> None:
+    """Raise InputError for a folder with files that pdr-graph did not write, unless `force`.
+
+    An empty folder passes, and one with an earlier result. mark: a file of each result; if it is the summary, that it
+    names pdr_graph counts, since other programs write such a file too.
+    """
+    if force or not out.is_dir():
+        return
+    names = sorted(path.name for path in out.iterdir() if path.name != UNFINISHED and not path.name.startswith("."))
+    earlier = mark in names and (mark != LAST or b"pdr_graph" in (out / mark).read_bytes())
+    if names and not earlier:
+        found = f"a folder with {count(len(names), 'other file')} ({', '.join(names[:3])[:80]})"
+        expected = "a new or empty folder, or an earlier result (--force writes there anyway)"
+        raise InputError(out, "--out", found, expected)
 
 
 def _make(folder: Path, mode: int) -> list[Path]:

@@ -79,6 +79,7 @@ def test_smooth_writes_all_documented_files(result):
         "trajectory.geojson",
         "trajectory.gpx",
         "trajectory.tum",
+        "truth.tum",
         "figure.png",
         "report.html",
         "summary.json",
@@ -217,6 +218,7 @@ COMMANDS = [
     ("radio-map",),
     ("evaal",),
     ("evaluate",),
+    ("compare",),
     ("simulate",),
 ]
 COMMANDS += [("map", command) for command in ("show", "check")]

@@ -17,7 +17,7 @@ FLOORS = [
     ["serve"],
     ["lifelog", "evaal"],
     ["online"],
-    ["pipeline"],
+    ["pipeline", "comparison"],
     ["outputs"],
     ["report"],
     ["inputs"],
@@ -27,7 +27,7 @@ FLOORS = [
     ["inertial", "floor"],
     ["recovery"],
     ["geometry", "frames", "storage", "web_request", "source", "measurements", "types", "contradiction", "columns"],
-    ["errors", "whole_files"],
+    ["errors", "whole_files", "progress"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {

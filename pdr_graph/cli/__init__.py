@@ -14,33 +14,35 @@ import typer
 from typer.core import TyperGroup
 
 import pdr_graph
+from pdr_graph.cli.compare import compare
 from pdr_graph.cli.lifelog import lifelog as lifelog_commands
 from pdr_graph.cli.options import (
-    BeaconsPath,
+    AsJson,
     Coordinates,
-    FixesPath,
-    FloorLabel,
-    GnssLatency,
+    Force,
+    Height,
     MapPath,
     Method,
-    OutFolder,
+    OutputOptions,
     Pairing,
     PlanScale,
-    RadioMapPath,
-    RangesPath,
+    Quiet,
     Rate,
-    RecordedFixes,
     RecordingPath,
-    StartHeading,
-    TruthPath,
     WalkerPath,
+    WalkOptions,
     lag_seconds,
+    path_named_after,
+    with_groups,
 )
 from pdr_graph.cli.plans import maps
 from pdr_graph.cli.serve import serve
-from pdr_graph.cli.terminal import echo, echo_lines
-from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, first_look, printable
+from pdr_graph.cli.summary_text import print_summary
+from pdr_graph.cli.terminal import echo, echo_result
+from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable
+from pdr_graph.progress import shows_progress
 from pdr_graph.recovery import DataLossWarning
+from pdr_graph.whole_files import check_replaceable
 
 
 class Commands(TyperGroup):
@@ -58,7 +60,7 @@ app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
-    context_settings={"max_content_width": 100},
+    context_settings={"max_content_width": 100, "help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
 )
 app.add_typer(maps, name="map")
@@ -87,25 +89,15 @@ def about(
 
 
 @app.command()
+@with_groups
 def smooth(
     recording: RecordingPath,
-    map_: MapPath = None,
-    scale: PlanScale = None,
-    fixes: FixesPath = None,
-    out: OutFolder = None,
-    walker: WalkerPath = None,
+    walk: WalkOptions,
+    output: OutputOptions,
     method: Annotated[
         Method, typer.Option(help="The factor graph, the causal filter, the filter smoothed (RTS), or dead reckoning.")
     ] = Method.graph,
-    recorded_fixes: RecordedFixes = True,
     rate: Rate = None,
-    gnss_latency: GnssLatency = 0.0,
-    floor: FloorLabel = None,
-    start_heading: StartHeading = None,
-    beacons: BeaconsPath = None,
-    ranges: RangesPath = None,
-    radio_map: RadioMapPath = None,
-    truth: TruthPath = None,
 ) -> None:
     """Reconstruct a walk from a recording.
 
@@ -113,52 +105,28 @@ def smooth(
     pdr-graph smooth walk.zip
     pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
     """
-    from pdr_graph.inputs import Options
     from pdr_graph.pipeline import smooth_recording
 
     gc.freeze()  # imported modules stay: the garbage collector need not visit them
-    folder = out or _path_named_after(recording, "-smoothed")
-    options = Options(
-        plan=map_,
-        scale=scale,
-        fixes=fixes,
-        beacons=beacons,
-        ranges=ranges,
-        radio_map=radio_map,
-        walker=walker,
-        truth=truth,
-        method=str(method),
-        recorded_fixes=recorded_fixes,
-        rate=rate,
-        gnss_latency=gnss_latency,
-        floor=floor,
-        start_heading=start_heading,
-    )
-    _report_end(smooth_recording(recording, folder, options), folder)
+    folder = output.folder(recording, "-smoothed")
+    missing = smooth_recording(recording, folder, walk.options(method=str(method), rate=rate))
+    print_summary(folder, missing, output.json)
 
 
 @app.command()
+@with_groups
 def replay(
     recording: RecordingPath,
-    map_: MapPath = None,
-    scale: PlanScale = None,
-    fixes: FixesPath = None,
-    out: OutFolder = None,
-    walker: WalkerPath = None,
-    recorded_fixes: RecordedFixes = True,
+    walk: WalkOptions,
+    output: OutputOptions,
     rate: Rate = None,
-    gnss_latency: GnssLatency = 0.0,
-    floor: FloorLabel = None,
-    start_heading: StartHeading = None,
-    beacons: BeaconsPath = None,
-    ranges: RangesPath = None,
-    radio_map: RadioMapPath = None,
-    lag: Annotated[str, typer.Option(metavar="S", help="Finalise steps older than this; inf or none: never.")] = "60",
+    lag: Annotated[
+        str, typer.Option(metavar="SECONDS", help="Finalise steps older than this; inf or none: never.")
+    ] = "60",
     journal: Annotated[
         Path | None,
         typer.Option("--journal", metavar="FILE", help="Save the walk in this file, or resume the walk in it."),
     ] = None,
-    truth: TruthPath = None,
 ) -> None:
     """Estimate a recording as if it were live.
 
@@ -168,29 +136,15 @@ def replay(
     pdr-graph replay walk.zip
     pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
     """
-    from pdr_graph.inputs import LIVE, Options
+    from pdr_graph.inputs import LIVE
     from pdr_graph.online.replay import replay_recording
 
-    folder = out or _path_named_after(recording, "-replayed")
-    options = Options(
-        plan=map_,
-        scale=scale,
-        fixes=fixes,
-        beacons=beacons,
-        ranges=ranges,
-        radio_map=radio_map,
-        walker=walker,
-        truth=truth,
-        method=LIVE,
-        recorded_fixes=recorded_fixes,
-        rate=rate,
-        gnss_latency=gnss_latency,
-        floor=floor,
-        start_heading=start_heading,
-        lag=lag_seconds(lag),
-        journal=journal,
-    )
-    _report_end(replay_recording(recording, folder, options), folder)
+    folder = output.folder(recording, "-replayed")
+    options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
+    print_summary(folder, replay_recording(recording, folder, options), output.json)
+
+
+app.command()(compare)
 
 
 @app.command()
@@ -200,6 +154,8 @@ def steps(
         Path | None, typer.Option("--out", metavar="CSV", help="Default: here, named after the recording.")
     ] = None,
     walker: WalkerPath = None,
+    height: Height = None,
+    quiet: Quiet = False,
 ) -> None:
     """Write the detected steps, as input of other back ends.
 
@@ -210,12 +166,12 @@ def steps(
     """
     from pdr_graph import io
     from pdr_graph.gait.steps import detect_steps
-    from pdr_graph.gait.walker import Walker
+    from pdr_graph.inputs import Options
     from pdr_graph.io.writers import write_steps
 
-    walk = io.load(recording)
-    detected = detect_steps(walk, Walker.load(walker) if walker else None)
-    file = out or _path_named_after(recording, "-steps.csv")
+    walk, person = io.load(recording), Options(walker=walker, height=height).person()
+    detected = detect_steps(walk, person)
+    file = out or path_named_after(recording, "-steps.csv")
     write_steps(file, detected, walk.clock_origin)
     echo(f"{len(detected)} steps, {detected.length.sum():.1f} m in {detected.end - detected.start:.1f} s -> {file}")
 
@@ -229,6 +185,8 @@ def calibrate(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="TOML", help="File of the walker's profile.")],
     walker: WalkerPath = None,
+    height: Height = None,
+    quiet: Quiet = False,
 ) -> None:
     """Estimate a walker's stride and turn scales on a known route.
 
@@ -236,9 +194,10 @@ def calibrate(
     pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
     """
     from pdr_graph.gait.walker import COEFFICIENTS
+    from pdr_graph.inputs import Options
     from pdr_graph.pipeline import calibrate_walker
 
-    profile, laps = calibrate_walker(recording, route, out, walker)
+    profile, laps = calibrate_walker(recording, route, out, Options(walker=walker, height=height).person())
     sigma = profile.covariance.diagonal() ** 0.5
     columns = zip(COEFFICIENTS, ("", " rad/m", ""), sigma, strict=True)
     values = ", ".join(f"{name} {getattr(profile, name):+.4f} ± {s:.4f}{unit}" for name, unit, s in columns)
@@ -254,6 +213,7 @@ def radio_map(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File of the radio map.")],
+    quiet: Quiet = False,
 ) -> None:
     """Make a radio map of Wi-Fi and BLE from smoothed walks.
 
@@ -284,9 +244,11 @@ def evaal(
     ] = False,
     beacons: Annotated[Path | None, typer.Option(metavar="CSV", help="The list of beacons, as of smooth.")] = None,
     walker: WalkerPath = None,
+    height: Height = None,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Output folder; default: evaal-TRIAL.")
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Take part in a competition over the EvAAL API.
 
@@ -305,7 +267,7 @@ def evaal(
     from pdr_graph.pipeline import smooth_recording
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
-    options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker)
+    options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker, height=height)
     navigator, labels = navigator_of(options)
 
     def smooth_offline(recording: Path, fixes: Path | None) -> tuple[str, ...]:
@@ -315,7 +277,7 @@ def evaal(
         typer.echo(f"\r{printable(text)} ", nl=False, err=True)
 
     position_format = partial(format_on_plan, format_ is Coordinates.lonlat, ignore_initial, map_, navigator)
-    entry = Entry(navigator, smooth_offline, position_format, labels, show if sys.stderr.isatty() else None)
+    entry = Entry(navigator, smooth_offline, position_format, labels, show if shows_progress() else None)
     ending = run_trial(api, folder, entry)
     echo(f"{ending.text} -> {folder}", err=not ending.normal)
     if not ending.normal:
@@ -327,9 +289,10 @@ def evaal(
 @app.command()
 def evaluate(
     trajectory: Annotated[
-        Path, typer.Argument(metavar="TRAJECTORY", help="trajectory.csv, or any CSV with time,x,y[,heading][,floor].")
+        Path,
+        typer.Argument(metavar="TRAJECTORY", help="trajectory.csv, any CSV with time,x,y[,heading][,floor], or TUM."),
     ],
-    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor].")],
+    truth: Annotated[Path, typer.Argument(metavar="TRUTH", help="CSV with time,x,y[,heading][,floor], or TUM.")],
     map_: Annotated[
         Path | None, typer.Option("--map", metavar="PLAN", help="The floor plan, for the obstacle error OE.")
     ] = None,
@@ -337,7 +300,7 @@ def evaluate(
     pairing: Annotated[
         Pairing, typer.Option(help="Interpolate the estimate, or take its nearest row.")
     ] = Pairing.linear,
-    json_: Annotated[bool, typer.Option("--json", help="Print JSON: metres, radians, seconds.")] = False,
+    json_: AsJson = False,
 ) -> None:
     """Score a trajectory against ground truth.
 
@@ -355,7 +318,7 @@ def evaluate(
     if not len(evaluation.pair(*tracks, str(pairing)).time):
         raise InputError(truth, "time", f"no row within {evaluation.TOLERANCE} s of {trajectory}", "the same clock")
     scores = evaluation.evaluate(*tracks, floor, str(pairing))
-    echo_lines(json.dumps(scores) if json_ else evaluation.table(scores))
+    echo_result(json.dumps(scores) if json_ else evaluation.table(scores))
 
 
 @app.command()
@@ -373,6 +336,8 @@ def simulate(
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, metavar="N", help="Replaces the scenario's seed: another walk.")
     ] = None,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Simulate the recording of a walk, with its truth.
 
@@ -388,37 +353,12 @@ def simulate(
     from pdr_graph.simulation.simulate import simulate as simulated
 
     loaded = Scenario.load(scenario)
-    walk = simulated(loaded if seed is None else replace(loaded, seed=seed))
     folder = out or Path(loaded.name)
+    check_replaceable(folder, "events.csv", force)
+    walk = simulated(loaded if seed is None else replace(loaded, seed=seed))
     write(walk, folder)
     body = walk.body
     echo(f"{len(body.landings)} steps, {body.lengths.sum():.1f} m in {body.time[-1]:.1f} s -> {folder}")
-
-
-def _path_named_after(recording: Path, ending: str) -> Path:
-    """A path in the current folder, named after a recording: walk-smoothed for walk.zip."""
-    path = recording.resolve()
-    return Path(f"{path.name if path.is_dir() else path.stem}{ending}")
-
-
-def _report_end(missing: tuple[str, ...], out: Path) -> None:
-    """Print verdict, key figures, warnings and the file to open; exit with EXIT_DEGRADED unless all is well."""
-    from pdr_graph.outputs import live_lines
-
-    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
-    echo(f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s")
-    for line in live_lines(summary.get("live")):
-        echo(line)
-    for reason in summary["verdict"]["reasons"]:
-        echo(f"{state}: {reason['text']} (to check: {reason['check']})")
-    for warning in summary["warnings"]:
-        echo(f"note: {warning}")
-    echo(f"-> {first_look(out)}")
-    if missing:
-        echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
-    if missing or state != "ok":
-        raise typer.Exit(EXIT_DEGRADED)
 
 
 _PYTHONS = warnings.showwarning

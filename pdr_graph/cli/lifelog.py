@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
@@ -18,6 +17,7 @@ from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
 from pdr_graph.cli.serve import serve_lifelog
 from pdr_graph.cli.terminal import echo
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count
+from pdr_graph.progress import shows_progress
 
 lifelog = typer.Typer(
     no_args_is_help=True,
@@ -233,7 +233,7 @@ def _end(refused: Sequence[str], none: bool = False) -> None:
 @contextmanager
 def _progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """A function that shows a progress bar on a terminal: name of the stage, number done, total."""
-    if not sys.stderr.isatty():
+    if not shows_progress():
         yield lambda stage, done, of: None
         return
     from rich.console import Console

@@ -5,14 +5,25 @@ from __future__ import annotations
 import typer
 
 from pdr_graph.errors import printable
+from pdr_graph.progress import SILENT
 
 
 def echo(text: str, err: bool = False) -> None:
-    """Print one line, with � for each character that is not printable. err: on standard error."""
-    typer.echo(printable(text), err=err)
+    """Print one line, with � for each character that is not printable; nothing if silent, except errors.
+
+    err: on standard error.
+    """
+    if err or not SILENT.get():
+        typer.echo(printable(text), err=err)
 
 
 def echo_lines(text: str) -> None:
     """Print a text of several lines, each as by `echo`."""
     for line in text.removesuffix("\n").split("\n"):
         echo(line)
+
+
+def echo_result(text: str) -> None:
+    """Print lines that a program reads, even if silent: what ``--json`` asks for."""
+    for line in text.removesuffix("\n").split("\n"):
+        typer.echo(printable(line))

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
-from pdr_graph.io import delimited, geolife, gpx, ipin21
+from pdr_graph.io import delimited, geolife, gpx, ipin21, tum
 from pdr_graph.io.delimited import Table
 from pdr_graph.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
@@ -77,13 +77,17 @@ def check_geodetic(path: str | Path, numbers: dict[str, Array]) -> None:
 
 
 def read_trajectory(path: str | Path, recording: Recording | None = None) -> Trajectory:
-    """Read a trajectory or truth ``time,x,y[,heading][,floor]``, rows in time order.
+    """Read a trajectory or truth ``time,x,y[,heading][,floor]``, or in TUM's format, rows in time order.
 
     recording: if given, times of the file are on its clock and the result counts from its start [s], as estimates do;
     else times stay as in the file. Covariance columns, as in ``trajectory.csv``, are read if they are all there.
     Raises InputError naming the line.
     """
     expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
+    source = _one_file(Path(path))
+    if tum.is_tum(text := source.text(source.single or "")):
+        poses = tum.read_tum(str(path), text)
+        return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
     numbers, words = read_table(Path(path), [("time", "x", "y")], optional, words=("floor",))
     time = numbers["time"]

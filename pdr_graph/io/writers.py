@@ -54,10 +54,9 @@ def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
     Rows without a heading have the identity rotation.
     """
     half = np.nan_to_num(trajectory.heading) / 2
-    zero = np.zeros(len(half))
-    time = trajectory.time + clock_origin
-    table = np.column_stack([time, trajectory.position, zero, zero, zero, np.sin(half), np.cos(half)])
-    np.savetxt(path, table, fmt=["%.6f", "%.4f", "%.4f", "%.0f", "%.0f", "%.0f", "%.8f", "%.8f"])
+    table = np.column_stack([trajectory.time + clock_origin, trajectory.position, np.sin(half), np.cos(half)])
+    row = "%.6f %.4f %.4f 0 0 0 %.8f %.8f\n"
+    write_text(path, (row * len(table)) % tuple(table.ravel().tolist()))
 
 
 def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:

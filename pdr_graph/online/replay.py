@@ -23,7 +23,6 @@ from pdr_graph.estimation.results import missing_of, outside_warnings
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.gait.signals import gait_signals
-from pdr_graph.gait.walker import Walker
 from pdr_graph.inputs import LIVE, Inputs, Options, load_radio_map, read
 from pdr_graph.io.beacons import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
@@ -32,6 +31,7 @@ from pdr_graph.online.journal import Journal
 from pdr_graph.outputs import Result, Stages, write
 from pdr_graph.pipeline import NO_ACCELEROMETER
 from pdr_graph.plausibility import check_beacons_on_plan, check_floors
+from pdr_graph.progress import shows_progress
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
 from pdr_graph.whole_files import output_folder
@@ -167,7 +167,7 @@ def navigator_of(options: Options) -> tuple[partial[Any], tuple[str, ...]]:
     arguments = {
         "floor": building,
         "lag": options.lag,
-        "walker": Walker.load(options.walker) if options.walker else Walker(),
+        "walker": options.person(),
         "beacons": beacons,
         "radio_map": load_radio_map(options.radio_map, building) if options.radio_map else None,
         "start_floor": options.floor,
@@ -265,7 +265,7 @@ def _without_steps(inputs: Inputs, issues: tuple[str, ...]) -> Result:
 
 def _shown(events: Sequence[Event]) -> Iterable[Event]:
     """The events, with a progress bar on a terminal."""
-    if not sys.stderr.isatty():
+    if not shows_progress():
         return events
     from rich.console import Console
     from rich.progress import track

@@ -1,0 +1,47 @@
+"""The text that ``smooth`` and ``replay`` print at their end, from ``summary.json``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from pdr_graph.cli.terminal import echo, echo_result
+from pdr_graph.errors import EXIT_DEGRADED, first_look
+
+
+def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) -> None:
+    """Print the results in a folder as text, or its summary as JSON; exit with EXIT_DEGRADED unless all is well.
+
+    missing: what could not be estimated or written.
+    """
+    text = (out / "summary.json").read_text(encoding="utf-8")
+    summary = json.loads(text)
+    if as_json:
+        echo_result(text)
+    for line in lines_of(summary):
+        echo(line)
+    echo(f"-> {first_look(out)}")
+    if missing:
+        echo(f"pdr-graph: finished without {'; '.join(missing)} (see {out / 'summary.json'})", err=True)
+    if missing or summary["verdict"]["state"] != "ok":
+        raise typer.Exit(EXIT_DEGRADED)
+
+
+def lines_of(summary: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the verdict with the key figures, the errors if a truth is known, the reasons and the warnings."""
+    from pdr_graph.outputs import live_lines, score_lines
+
+    steps, state = f"{summary['steps']} steps, " if summary["steps"] else "", summary["verdict"]["state"]
+    sigma = "no absolute position" if summary["sigma"] is None else f"median sigma {summary['sigma']:.2f} m per axis"
+    yield f"{state}: {steps}{summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
+    yield from live_lines(summary.get("live"))
+    if "live" not in summary:
+        yield from score_lines(summary["scores"])
+    for reason in summary["verdict"]["reasons"]:
+        yield f"{state}: {reason['text']} (to check: {reason['check']})"
+    for warning in summary["warnings"]:
+        yield f"note: {warning}"
