@@ -11,6 +11,7 @@ from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from pdr_graph.estimation.block_cholesky import Elimination, Factorization, Sum
 from pdr_graph.estimation.factors.base import FactorBlock, State
@@ -32,7 +33,7 @@ class NormalEquations:
         first, second = (np.concatenate([pair[side].ravel() for pair in pairs]) for side in (0, 1))
         self.elimination = Elimination(count, first, second)
         slots = [self.elimination.slots(bound[:, :, None], bound[:, None, :]) for bound in self._bound]
-        self._to_slots = [Sum(place) for place in slots]
+        self._to_blocks = [SumOfSquares(of_factors, len(self.elimination.codes)) for of_factors in slots]
         self._to_variables = [Sum(bound) for bound in self._bound]
 
     def fits(self, at: Evaluation) -> bool:
@@ -41,60 +42,79 @@ class NormalEquations:
             return False
         return all(np.array_equal(self._variables(b), bound) for b, bound in zip(at.blocks, self._bound, strict=True))
 
-    def assembled(self, at: Evaluation) -> LinearSystem:
-        """The system at a state."""
-        blocks, right = np.zeros((len(self.elimination.codes), 3, 3)), np.zeros((self.elimination.count, 3))
-        curvature = np.zeros_like(blocks) if any(block.curvature for block in at.blocks) else None
-        for block, to_slots, to_variables in zip(at.blocks, self._to_slots, self._to_variables, strict=True):
-            squares, gradient = _products(block)
-            blocks[to_slots.places] += to_slots(squares)
+    def assembled(self, at: Evaluation, curved: bool = True) -> LinearSystem:
+        """The system at a state; curved: with the curvature of the residuals, for a step of the search."""
+        rows, right = np.zeros((3 * len(self.elimination.codes), 3)), np.zeros((self.elimination.count, 3))
+        for block, to_blocks, to_variables in zip(at.blocks, self._to_blocks, self._to_variables, strict=True):
+            squares, gradient = _products(block, curved)
+            rows[to_blocks.places] += to_blocks(squares)
             right[to_variables.places] -= to_variables(gradient)
-            if curvature is not None and block.curvature:
-                bend = block.weight[:, None, None, None, None] * block.curvature()
-                curvature[to_slots.places] += to_slots(bend)
-        return LinearSystem(self, at.state, blocks, right, curvature)
+        blocks = np.ascontiguousarray(rows.reshape(3, -1, 3).transpose(1, 0, 2))
+        return LinearSystem(self, at, blocks, right, curved)
 
     def _variables(self, block: FactorBlock) -> Index:
         """Numbers ``(n, v)`` of the variables of each factor."""
         return np.stack([self._first[symbol] + rows for symbol, rows in block.variables], axis=1)
 
 
+class SumOfSquares:
+    """Sums of JᵀJ of all factors of a kind to the rows of the blocks.
+
+    places: of each sum, ``row * slots + slot``.
+    """
+
+    def __init__(self, slots: Index, count: int):
+        """slots: ``(n, v, v)`` of the blocks of each factor; count: of all slots."""
+        n, v = slots.shape[:2]
+        place, of = np.unique(slots, return_inverse=True)
+        factor, a, b = np.unravel_index(np.argsort(of.ravel(), kind="stable"), slots.shape)
+        first = (factor * 3 * v + 3 * a) * v + b  # of the three rows of a block in JᵀJ, (n, 3 v, v, 3)
+        index = np.concatenate([first + row * v for row in range(3)])
+        sizes = np.tile(np.bincount(of.ravel(), minlength=len(place)), 3)
+        bounds = np.concatenate([[0], np.cumsum(sizes)])
+        self.places = (count * np.arange(3)[:, None] + place).ravel()
+        self._matrix = csr_array((np.ones(len(index)), index, bounds), shape=(len(self.places), n * 3 * v * v))
+
+    def __call__(self, squares: Array) -> Array:
+        """Sums ``(p, 3)`` to ``places`` of JᵀJ ``(n, 3 v, 3 v)`` of each factor."""
+        return self._matrix @ squares.reshape(-1, 3)
+
+
 class LinearSystem:
     """All factors at one state, linearised.
 
-    state: where; right: ``(n, 3)`` the negative gradient of the cost; curvature: of the residuals, as ``blocks``; None
-    if all are linear enough.
+    at: where; blocks, right: the matrix and the negative gradient of the cost; curved: see `NormalEquations.assembled`.
     """
 
-    def __init__(
-        self, equations: NormalEquations, state: State, blocks: Array, right: Array, curvature: Array | None = None
-    ):
-        self.equations, self.state = equations, state
-        self._blocks, self._right, self._curvature = blocks, right, curvature
+    def __init__(self, equations: NormalEquations, at: Evaluation, blocks: Array, right: Array, curved: bool):
+        self.equations, self.at, self._blocks, self._right = equations, at, blocks, right
+        self._curved = curved and any(block.curvature for block in at.blocks)
 
     @cached_property
     def solution(self) -> Solution:
-        """The system, factorised; damped if rounding errors make it indeterminate.
+        """The system without curvature, factorised; damped if rounding errors make it indeterminate.
 
         That happens where variables hang on a gap of half an hour alone, which says next to nothing of them.
         """
-        return Solution(self.state, self._rescued(self._blocks, 0.0))
+        if self._curved:
+            return self.equations.assembled(self.at, curved=False).solution
+        return Solution(self.at.state, self._rescued(0.0))
 
     def step(self, damping: float = 0.0) -> dict[str, Array]:
         """A step of the search ``(n, 3)`` of the variables of each symbol; damping: Levenberg and Marquardt's."""
-        if self._curvature is not None:
-            return Solution(self.state, self._rescued(self._blocks + self._curvature, damping)).moves
-        return (Solution(self.state, self._rescued(self._blocks, damping)) if damping else self.solution).moves
+        if damping or self._curved:
+            return Solution(self.at.state, self._rescued(damping)).moves
+        return self.solution.moves
 
-    def _rescued(self, blocks: Array, damping: float) -> Factorization:
+    def _rescued(self, damping: float) -> Factorization:
         """The factorised system; with more damping if it is indeterminate."""
         for least in RESCUING[:-1]:
             with suppress(RuntimeError):
-                return self._factorized(blocks, max(damping, least))
-        return self._factorized(blocks, max(damping, RESCUING[-1]))
+                return self._factorized(max(damping, least))
+        return self._factorized(max(damping, RESCUING[-1]))
 
-    def _factorized(self, blocks: Array, damping: float) -> Factorization:
-        elimination = self.equations.elimination
+    def _factorized(self, damping: float) -> Factorization:
+        elimination, blocks = self.equations.elimination, self._blocks
         if damping:
             blocks = blocks.copy()
             blocks[elimination.diagonal] += damping * np.eye(3)
@@ -132,19 +152,22 @@ def first_variables(state: State) -> dict[str, int]:
     return dict(zip(state.arrays, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
 
 
-def _products(block: FactorBlock) -> tuple[Array, Array]:
-    """JᵀJ ``(n, v, v, 3, 3)`` and Jᵀr ``(n, v, 3)`` of each factor, weighted."""
+def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
+    """JᵀJ ``(n, 3 v, 3 v)`` and Jᵀr ``(n, v, 3)`` of each factor, weighted."""
     residual, derivatives = block.weighted
     n, v = len(block), len(derivatives)
-    J = np.stack(derivatives, axis=1).reshape(len(residual), 3 * v) if v > 1 else derivatives[0]
+    J = np.hstack(derivatives)
     rows = len(residual) // max(n, 1)
     if len(residual) == rows * n and np.array_equal(block.row_of, np.repeat(np.arange(n), rows)):
         J = J.reshape(n, rows, 3 * v)
-        squares, gradient = J.transpose(0, 2, 1) @ J, np.einsum("nri,nr->ni", J, residual.reshape(n, rows))
+        gradient = residual.reshape(n, 1, rows) @ J
+        if curved and block.curvature is not None:
+            J = np.concatenate([J, np.sqrt(block.weight)[:, None, None] * block.curvature()], axis=1)
+        squares = J.transpose(0, 2, 1) @ J
     else:
         present, start = np.unique(block.row_of, return_index=True)
         squares, gradient = np.zeros((n, 3 * v, 3 * v)), np.zeros((n, 3 * v))
         if len(present):
             squares[present] = np.add.reduceat(J[:, :, None] * J[:, None, :], start)
             gradient[present] = np.add.reduceat(J * residual[:, None], start)
-    return squares.reshape(n, v, 3, v, 3).transpose(0, 1, 3, 2, 4), gradient.reshape(n, v, 3)
+    return squares, gradient.reshape(n, v, 3)

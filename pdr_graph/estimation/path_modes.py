@@ -36,8 +36,6 @@ def fixes_determine_path(graph: WalkGraph, solution: Solution) -> tuple[int, Arr
 
     None if they do not determine it. solution: of the walk without its walls.
     """
-    if any(measurement.converges_slowly for measurement in graph.measurements):
-        return None
     if np.count_nonzero(graph.positions.held & ~graph.positions.outlier) < FEWEST_FIXES:
         return None
     count = len(graph.start.poses)

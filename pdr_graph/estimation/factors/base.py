@@ -186,8 +186,8 @@ class FactorBlock:
     tolerance: by symbol, change ``(3,)`` of a variable at which a live smoother linearises the factors again, None for
     linear factors; signature: ``(n,)`` of a factor's data, a change by 1 matters; prior: these are priors of variables
     that the kind adds.
-    curvature: returns second derivatives of the residuals times these ``(n, v, v, 3, 3)``, unweighted, without those
-    that would make the cost concave; the optimiser adds them to Gauss–Newton's matrix, covariances are without them.
+    curvature: returns a root ``(n, k, 3 v)`` of the second derivatives of the residuals times these, unweighted,
+    without those that would make the cost concave; the search adds them to JᵀJ, covariances are without them.
     native: returns GTSAM's own version of factor n, where GTSAM has such a factor.
     """
 
@@ -329,7 +329,6 @@ class Measurement:
     determines_position: ClassVar[bool] = False  # True if it measures absolute positions
     has_list: ClassVar[bool] = False  # True if its positions come from a list, see `displaced`
     overhang: ClassVar[float] = 0.0  # [s] by which it may lie before or after the steps
-    converges_slowly: ClassVar[bool] = False  # True if the optimiser converges slowly with it from a distant start
 
     def keyframe_times(self) -> Array:
         """Times [s] at which keyframes are needed ``(t,)``."""

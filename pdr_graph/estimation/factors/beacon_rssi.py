@@ -73,7 +73,6 @@ class BeaconRssiFactor(Measurement):
     name: ClassVar[str] = "beacons"
     determines_position: ClassVar[bool] = True
     has_list: ClassVar[bool] = True
-    converges_slowly: ClassVar[bool] = True
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:
@@ -175,9 +174,8 @@ class BeaconRssiFactor(Measurement):
             parts = [np.sqrt(size)[:, None] * way for size, way in zip(bend, (across, towards), strict=True)]
             by_pose = -np.stack(parts, axis=1)  # (l, 2, 2) in the axes of the pose
             by_beacon = -by_pose @ np.stack([ahead, left], axis=1)
-            flat = [np.pad(by, ((0, 0), (0, 0), (0, 1))) for by in (by_pose, by_beacon, np.zeros((len(pose), 2, 2)))]
-            both = np.stack(flat, axis=2)
-            return np.einsum("lrvi,lrwj->lvwij", both, both)
+            nothing = np.zeros((len(pose), 2, 1))
+            return np.concatenate([by_pose, nothing, by_beacon, nothing, *[nothing] * 3], axis=2)
 
         value = (expected - self.listed.rssi[which])[:, None] / LEVEL_SIGMA
         variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(which), dtype=np.intp))]
