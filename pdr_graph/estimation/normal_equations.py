@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import cached_property
+from itertools import combinations, product
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from pdr_graph.estimation.block_cholesky import Elimination, Factorization, Sum
 from pdr_graph.estimation.factors.base import FactorBlock, State
@@ -29,12 +29,21 @@ class NormalEquations:
         self._first = first_variables(at.state)
         count = sum(len(rows) for rows in at.state.arrays.values())
         self._bound = [self._variables(block) for block in at.blocks]
-        pairs = [np.broadcast_arrays(bound[:, :, None], bound[:, None, :]) for bound in self._bound]
-        first, second = (np.concatenate([pair[side].ravel() for pair in pairs]) for side in (0, 1))
-        self.elimination = Elimination(count, first, second)
-        slots = [self.elimination.slots(bound[:, :, None], bound[:, None, :]) for bound in self._bound]
-        self._to_blocks = [SumOfSquares(of_factors, len(self.elimination.codes)) for of_factors in slots]
-        self._to_variables = [Sum(bound) for bound in self._bound]
+        pairs = [bound[:, pair] for bound in self._bound for pair in combinations(range(bound.shape[1]), 2)]
+        self.elimination = Elimination(count, *np.concatenate([np.empty((0, 2), dtype=np.intp), *pairs]).T)
+        self._to_blocks = [self._to_rows(bound) for bound in self._bound]
+        self._to_variables = [Sum(bound, count) for bound in self._bound]
+
+    def _to_rows(self, bound: Index) -> Sum:
+        """Sums of JᵀJ ``(n, 3 v, v, 3)`` of each factor, by rows of three, to the rows of the blocks."""
+        n, v = bound.shape
+        slots = np.empty((n, v, 1, v), dtype=np.intp)
+        for a, b in product(range(v), repeat=2):
+            same = a == b
+            own = self.elimination.diagonal[bound[:, a]] if same else self.elimination.slots(bound[:, a], bound[:, b])
+            slots[:, a, 0, b] = own
+        rows = 3 * slots + np.arange(3)[:, None]
+        return Sum(rows.reshape(n, 3 * v, v), 3 * len(self.elimination.codes))
 
     def fits(self, at: Evaluation) -> bool:
         """True if all factors at ``at`` bind the same variables."""
@@ -47,37 +56,13 @@ class NormalEquations:
         rows, right = np.zeros((3 * len(self.elimination.codes), 3)), np.zeros((self.elimination.count, 3))
         for block, to_blocks, to_variables in zip(at.blocks, self._to_blocks, self._to_variables, strict=True):
             squares, gradient = _products(block, curved)
-            rows[to_blocks.places] += to_blocks(squares)
-            right[to_variables.places] -= to_variables(gradient)
-        blocks = np.ascontiguousarray(rows.reshape(3, -1, 3).transpose(1, 0, 2))
-        return LinearSystem(self, at, blocks, right, curved)
+            to_blocks.add(rows, squares)
+            to_variables.add(right, -gradient)
+        return LinearSystem(self, at, rows.reshape(-1, 3, 3), right, curved)
 
     def _variables(self, block: FactorBlock) -> Index:
         """Numbers ``(n, v)`` of the variables of each factor."""
         return np.stack([self._first[symbol] + rows for symbol, rows in block.variables], axis=1)
-
-
-class SumOfSquares:
-    """Sums of JᵀJ of all factors of a kind to the rows of the blocks.
-
-    places: of each sum, ``row * slots + slot``.
-    """
-
-    def __init__(self, slots: Index, count: int):
-        """slots: ``(n, v, v)`` of the blocks of each factor; count: of all slots."""
-        n, v = slots.shape[:2]
-        place, of = np.unique(slots, return_inverse=True)
-        factor, a, b = np.unravel_index(np.argsort(of.ravel(), kind="stable"), slots.shape)
-        first = (factor * 3 * v + 3 * a) * v + b  # of the three rows of a block in JᵀJ, (n, 3 v, v, 3)
-        index = np.concatenate([first + row * v for row in range(3)])
-        sizes = np.tile(np.bincount(of.ravel(), minlength=len(place)), 3)
-        bounds = np.concatenate([[0], np.cumsum(sizes)])
-        self.places = (count * np.arange(3)[:, None] + place).ravel()
-        self._matrix = csr_array((np.ones(len(index)), index, bounds), shape=(len(self.places), n * 3 * v * v))
-
-    def __call__(self, squares: Array) -> Array:
-        """Sums ``(p, 3)`` to ``places`` of JᵀJ ``(n, 3 v, 3 v)`` of each factor."""
-        return self._matrix @ squares.reshape(-1, 3)
 
 
 class LinearSystem:
@@ -153,7 +138,7 @@ def first_variables(state: State) -> dict[str, int]:
 
 
 def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
-    """JᵀJ ``(n, 3 v, 3 v)`` and Jᵀr ``(n, v, 3)`` of each factor, weighted."""
+    """JᵀJ ``(n, 3 v, v, 3)`` and Jᵀr ``(n, v, 3)`` of each factor, weighted."""
     residual, derivatives = block.weighted
     n, v = len(block), len(derivatives)
     J = np.hstack(derivatives)
@@ -170,4 +155,4 @@ def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
         if len(present):
             squares[present] = np.add.reduceat(J[:, :, None] * J[:, None, :], start)
             gradient[present] = np.add.reduceat(J * residual[:, None], start)
-    return squares, gradient.reshape(n, v, 3)
+    return squares.reshape(n, 3 * v, v, 3), gradient.reshape(n, v, 3)

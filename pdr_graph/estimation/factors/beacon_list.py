@@ -21,6 +21,7 @@ MOST_EVIDENCE = 4.5  # log-odds of one level at most
 RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
 GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
+MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a kilometre; more repeat the same fading
 MOST_AT_ONCE = 1_000_000  # costs of places, powers and stretches in memory
 
 
@@ -44,6 +45,8 @@ def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Ar
     Returns the ``m`` surveyed beacons; places ``(p, 2)`` [m], first those listed for them; costs ``(m, p)`` [nats].
     """
     track, table = level_table(levels, keyframe_time, position)
+    every = -(-len(track) // MOST_STRETCHES)
+    track, table = track[::every], table[:, ::every]
     surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
     places = np.concatenate([levels.position[surveyed], _grid(track)])
     square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
