@@ -62,10 +62,22 @@ def plot(
         several = len(floors) > 1
         _draw_walk(axes, estimate, truth, floors[n].label if several else None)
         _title(axes, f"{floors[n].label}   {title}" if several else title)
+        _draw_scale(axes)
     columns = max(2, int(figure.get_figwidth() / 1.9))
     named = {text: mark for axes in canvases for mark, text in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(named.values(), named.keys(), loc="lower center", ncols=columns, frameon=False, fontsize=9)
     return figure
+
+
+def _draw_scale(axes: Axes) -> None:
+    """Draw a bar of 1, 2, 5, 10 … m, the longest that is not above a fifth of the axes."""
+    (west, east), (south, north) = axes.get_xlim(), axes.get_ylim()
+    most = (east - west) / 5
+    power = 10.0 ** np.floor(np.log10(most))
+    length = power * max(times for times in (1, 2, 5) if times * power <= most)
+    x, y = west + 0.03 * (east - west), south + 0.03 * (north - south)
+    axes.plot([x, x + length], [y, y], color=TRUTH, lw=2, solid_capstyle="butt", zorder=9)
+    axes.annotate(f"{length:g} m", (x, y), (0, 3), textcoords="offset points", fontsize=8, zorder=9)
 
 
 def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[FloorPlan, ...]:
@@ -93,13 +105,16 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
         path = _on(route, label)
         axes.plot(*path.T, color=OTHER, lw=1.2, alpha=0.8, label=named, zorder=4)
         axes.annotate(f"{probability:.0%}", path[-1], color=OTHER, fontsize=8, zorder=4, clip_on=True)
-    axes.plot(*track.T, color=TRACK, lw=2.2, label="most probable walk", zorder=5, solid_joinstyle="round")
+    measured = bool(estimate.routes) or any(estimate.reports.values())
+    name = "most probable walk" if measured else "walk by its steps alone"
+    axes.plot(*track.T, color=TRACK, lw=2.2, label=name, zorder=5, solid_joinstyle="round")
     axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
     axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
     if truth is not None:
         few = len(truth) <= MANY
         style: dict[str, Any] = {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0}
-        axes.plot(*_on(truth, label).T, color=TRUTH, label="surveyed", zorder=8 if few else 6, **style)
+        name = "surveyed points" if few else "true path"
+        axes.plot(*_on(truth, label).T, color=TRUTH, label=name, zorder=8 if few else 6, **style)
     _draw_fixes(axes, estimate, label)
     if label in (None, estimate.trajectory.floor[0]):
         _draw_beacons(axes, estimate)
@@ -245,7 +260,8 @@ def _name(axes: Axes, name: str, polygon: shapely.Geometry) -> None:
 def draw_uncertainty(axes: Axes, trajectory: Trajectory, label: str | None) -> None:
     """Draw the union of the 95 % ellipses of the steps."""
     region = shapely.union_all(confidence_band(trajectory, np.isfinite(_on(trajectory, label)[:, 0])))
-    axes.add_collection(_patches(region, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4))
+    named = {"label": "95 % region"} if shapely.area(region) > 0 else {}
+    axes.add_collection(_patches(region, facecolor=BAND, edgecolor="none", alpha=0.3, zorder=4, **named))
 
 
 def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:

@@ -29,6 +29,7 @@ WRONG_PLAN = 6.0  # [nats] least price of a plan that does not fit; between righ
 # to 4.5 nats more, on 60 simulated walks of development and 45 real ones; where the plan is wrong, mostly 5 to 140
 PER_MEASUREMENT = 0.25  # [nats] per measurement that walls amount to; right walls add less: 0.10 to 0.21 in laps of 4
 # to 66 min, up to 53 nats in all; 0.5 to 1.0 where the fixes are 3 m beside the plan, 0.6 where it is turned by 10°
+PER_STEP = 0.1  # measurements per step that right walls amount to at most; 0.03 in these laps, in corridors of 2.5 m
 CORRELATED = 0.25  # share of the cost by which walls add more where the errors of fixes are correlated; IPIN21 at 1 Hz
 MOST_ADDED = 5.0  # [nats] that right walls hardly add: beyond it a displaced plan or position is tried
 DISPLACED = 3.0  # [nats] price of a plan or a single position that is displaced: they then cost 0 to 5 nats, walks
@@ -49,7 +50,7 @@ def solutions_on_plan(graph: WalkGraph, explained: list[Optimum]) -> list[Optimu
     for other in likely[1:]:
         alike = _apart(other, likely[0]) < SAME_PATH
         optima.append(_assuming(near_walk(graph, other, optima[0].state if alike else None), other))
-    usual = PER_MEASUREMENT * _measurements_by_walls(optima[0])
+    usual = PER_MEASUREMENT * min(_measurements_by_walls(optima[0]), PER_STEP * len(graph.steps))
     if optima[0].surprise > likely[0].surprise + max(MOST_ADDED, usual) and _single_position(graph):
         optima += _displaced(graph, likely[0])
     optima += [free for other in likely for free in _without_walls(other, max(WRONG_PLAN, usual))]

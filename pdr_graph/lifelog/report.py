@@ -112,6 +112,7 @@ def content(
         "verdict": None,
         "missing": list(missing),
         "warnings": list(warnings),
+        "north": True,
         "offsets": _offsets(start, end, zone),
         "start": start,
         "end": end,

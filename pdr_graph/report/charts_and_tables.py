@@ -28,6 +28,7 @@ from pdr_graph.types import (
     Trajectory,
 )
 
+CHART_ROWS = 2000  # of a curve without jumps: 4 per pixel
 CHART_RESOLUTION = 1e-4  # in the unit of the chart; finer than a screen shows
 UNITS = {"R_s": "", "R_d": "", "b": "°/s"}
 MEANING = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
@@ -79,11 +80,12 @@ def _steps(name: str, colour: str, time: Array, value: Array, sigma: Array, mask
 
 def sigma(tracks: Mapping[str, tuple[str, Trajectory]]) -> dict[str, Any]:
     """Chart of the position standard deviation of each track: root mean variance of both axes [m]."""
-    lines = [
-        line(name, colour, path.time, np.sqrt(np.trace(path.covariance[:, :2, :2], axis1=1, axis2=2) / 2))
-        for name, (colour, path) in tracks.items()
-        if path.covariance is not None
-    ]
+    lines = []
+    for name, (colour, path) in tracks.items():
+        if path.covariance is not None:
+            rows = thinned(len(path), CHART_ROWS)
+            variance = np.trace(path.covariance[rows, :2, :2], axis1=1, axis2=2) / 2
+            lines.append(line(name, colour, path.time[rows], np.sqrt(variance)))
     return {"title": "position sigma", "unit": "m", "lines": lines, "logarithmic": True}
 
 
@@ -249,7 +251,7 @@ SCORES = {  # key in the result of `evaluate` -> label, unit
     ("ce", "p50"): ("CE50: median horizontal error", "m"),
     ("ce", "p75"): ("CE75", "m"),
     ("ce", "p95"): ("CE95", "m"),
-    ("he", "p50"): ("HE50: median heading error", "rad"),
+    ("he", "p50"): ("HE50: median heading error", "°"),
     ("eag",): ("EAG: error accumulation gradient", "m/s"),
     ("ve",): ("VE: speed error", "m/s"),
     ("ca",): ("CA: distance of the most frequent error from 0", "m"),
@@ -287,7 +289,7 @@ def walk_tables(
     """All tables for which there is data, beside the scores; fixes: those of the estimate that are shown."""
     tables = [_calibration(estimate.calibration)] if estimate.calibration is not None else []
     tables += [table("Sensors", *sensor_rows(walk))]
-    tables += [_fixes(fixes)] if fixes else []
+    tables += [_fixes(fixes, len(estimate.fixes))] if fixes else []
     tables += [_beacons(estimate.beacons)] if estimate.beacons else []
     tables += [
         measurement_table(kind, rows) for kind, rows in estimate.reports.items() if rows and kind not in OWN_TABLE
@@ -327,28 +329,32 @@ def _score(scores: Mapping[str, Any], key: tuple[str, ...]) -> str:
     value: Any = scores
     for name in key:
         value = value[name] if value is not None else None
-    return "" if value is None else f"{value:d}" if isinstance(value, int) else f"{value:.3f}"
+    if value is None or isinstance(value, int):
+        return "" if value is None else f"{value:d}"
+    return f"{np.degrees(value):.1f}" if SCORES[key][1] == "°" else f"{value:.3f}"
 
 
 def _calibration(calibration: Calibration) -> Table:
     """Calibration of walker and gyroscope at the end of the walk."""
     value, sigma = calibration.value[-1], calibration.sigma[-1]
     prior, observable = calibration.prior_sigma[-1], calibration.learnt[-1]
-    names = [MEANING[name] + (" [rad/s]" if name == "b" else "") for name in calibration.names]
-    rows = [
-        [name, f"{v:.4f}", f"{s:.4f}", f"{p:.4f}", ESTIMATED if known else PRIOR_KEPT]
-        for name, v, s, p, known in zip(names, value, sigma, prior, observable, strict=True)
-    ]
+    rows = []
+    for name, known, *numbers in zip(calibration.names, observable, value, sigma, prior, strict=True):
+        shown = np.degrees(numbers) if UNITS[name] else numbers
+        unit = f" [{UNITS[name]}]" if UNITS[name] else ""
+        rows.append([MEANING[name] + unit, *(f"{number:.4f}" for number in shown), ESTIMATED if known else PRIOR_KEPT])
     return table("Estimated calibration", ["coefficient", "value", "sigma", "prior sigma", "status"], rows)
 
 
-def _fixes(fixes: Sequence[FixReport]) -> Table:
+def _fixes(fixes: Sequence[FixReport], count: int) -> Table:
+    """The fixes that are shown of ``count``."""
     rows = [
         [clock(f.time), metres(f.x), metres(f.y), metres(f.sigma), metres(f.residual), f"{f.weight:.2f}", f.reason]
         for f in fixes
     ]
     head = ["time", "x [m]", "y [m]", "sigma [m]", "residual [m]", "weight", "reason"]
-    return table("Fixes", head, rows, [round(f.time, 2) for f in fixes])
+    note = f"{len(fixes):,} of {count:,} fixes, evenly spaced." if count > len(fixes) else ""
+    return table("Fixes", head, rows, [round(f.time, 2) for f in fixes], note=note)
 
 
 def _beacons(beacons: Sequence[BeaconReport]) -> Table:

@@ -10,12 +10,11 @@ import numpy as np
 from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.geometry import protection_level
 from pdr_graph.plotting import RADIO, TRACK
-from pdr_graph.report.charts_and_tables import Table, line, table
+from pdr_graph.report.charts_and_tables import CHART_ROWS, Table, line, table
 from pdr_graph.report.page import maps_of, thinned, track
 from pdr_graph.types import Trajectory
 
 COLOURS = ("#c2408a", "#b8860b", "#00868b", "#6b8e23", "#8b5a2b", "#556b8d")  # of sources, in order
-CHART_ROWS = 2000  # of the chart: 4 per pixel
 CHARTED = 0.95  # probability of the protection level that is drawn; others are multiples of it
 ALONE = "by {} alone"  # name of a source's track
 

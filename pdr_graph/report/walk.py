@@ -32,7 +32,8 @@ from pdr_graph.report.page import (
 )
 from pdr_graph.types import Array, Estimate, FixReport, Recording, Steps, Trajectory
 
-CAUSAL = "#2a8f6d"  # colour of causal tracks
+CAUSAL = "#2fa37d"  # colour of causal tracks
+DASHES = {GREY: "dash", OTHER: "dashdot"}  # of tracks that have the lightness of others; those of sources are dotted
 DEAD_RECKONING = "dead reckoning, rigidly aligned"
 NAMES = {
     "graph": "graph",
@@ -42,6 +43,7 @@ NAMES = {
     "live": "in hindsight, smoothed",
 }  # of the results of each method
 SMALLEST_MARGIN = 5.0  # [m] shown around a walk
+USED = 0.5  # weight from which a fix is within the map as it opens
 FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
 MANY = 2000  # rows above which lines are drawn thinner
 
@@ -105,8 +107,9 @@ def content(report: WalkReport) -> dict[str, Any]:
         "verdict": summary["verdict"],
         "headline": _headline(summary, estimate.probability),
         "missing": summary["missing"],
-        "warnings": summary["warnings"],
+        **_remarks(report),
         "offsets": None,
+        "north": summary["frame"]["kind"] != "local",
         "start": float(estimate.trajectory.time[0]),
         "end": float(estimate.trajectory.time[-1]),
         "maps": _maps(report),
@@ -132,6 +135,14 @@ def content(report: WalkReport) -> dict[str, Any]:
             *charts_and_tables.walk_tables(report.walk, fixes, estimate, summary),
         ],
     }
+
+
+def _remarks(report: WalkReport) -> dict[str, list[str]]:
+    """Warnings, those of the estimate first; and notes of the reader about the data."""
+    lines, first = report.summary["warnings"], report.estimate.warnings
+    notes = [line for line in lines if line in report.walk.notes]
+    warnings = sorted((line for line in lines if line not in report.walk.notes), key=lambda line: line not in first)
+    return {"warnings": warnings, "notes": notes}
 
 
 def _subtitle(report: WalkReport) -> str:
@@ -160,13 +171,16 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
 
 
 def _maps(report: WalkReport) -> list[dict[str, Any]]:
-    """A map of each floor visited, cropped to the part of the walk on it."""
+    """A map of each floor visited, cropped to the part of the walk on it and to the fixes that were used."""
     floors = () if report.building is None else tuple(report.building[label] for label in report.labels)
     path = report.estimate.trajectory
     on = np.array(maps_of(path.floor, report.labels))
+    used = np.array([(f.time, f.x, f.y) for f in report.estimate.fixes if f.weight > USED]).reshape(-1, 3)
     maps = []
     for n, label in enumerate(report.labels):
-        corners = _around(path.position[(on == n) | (on == EVERYWHERE)])
+        here = (on == n) | (on == EVERYWHERE)
+        near = here[nearest(path.time, used[:, 0])]
+        corners = _around(np.concatenate([path.position[here], used[near, 1:]]))
         maps.append({"name": label, "corners": corners, "plan": page.plan_drawing(floors[n]) if floors else None})
     return maps
 
@@ -183,19 +197,28 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
     labels, result = report.labels, report.estimate.trajectory
     drawn = []
     for name, (colour, path) in reversed(report.tracks.items()):
-        reckoned, many = colour == GREY, len(path) > MANY
+        many = len(path) > MANY
         style = {
-            "dash": "dash" if reckoned else "solid",
-            "walker": not reckoned,
+            "dash": DASHES.get(colour, "solid"),
+            "walker": colour != GREY,
             "lead": path is result,
             "width": 0.7 if many else 1.4,
         }
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
+            style |= {"gaps": _gaps(report.steps)}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
     drawn = [*integrity.source_tracks(report.sources, labels), *drawn]
     truth = [] if report.truth is None else [_truth(report.truth, labels)]
     return [*drawn, *truth] if report.truth is not None and len(report.truth) <= FEW else [*truth, *drawn]
+
+
+def _gaps(steps: Steps | None) -> list[list[float]]:
+    """Start and end of each time without samples [s]."""
+    if steps is None or not steps.is_gap.any():
+        return []
+    begins = np.append(steps.start, steps.time[:-1])
+    return np.stack([begins, steps.time], axis=1)[steps.is_gap].round(2).tolist()
 
 
 def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:

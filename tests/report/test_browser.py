@@ -1,7 +1,9 @@
 """A report in a browser without network."""
 
+import base64
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 import simulated
 from browser import Page, chromium
+from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
 
 from pdr_graph.floor.building import Building
@@ -237,3 +240,107 @@ def test_tables_agree_with_the_summary(browser, walk):
     assert report.run("return document.getElementById('slider').valueAsNumber") == pytest.approx(
         begins(report) + when, abs=0.011
     )
+
+
+def test_the_map_is_whole_above_the_slider(browser, walk):
+    report = Page(browser, walk / "out" / "report.html", 1440, 900)
+    box = "const r = document.querySelector(arguments[0]).getBoundingClientRect(); return [r.top, r.bottom]"
+    assert report.run(box, "#map")[1] <= report.run(box, "#player")[0]
+    _, position, _ = trajectory(walk / "out" / "trajectory.csv")
+    (west, east), (south, north) = report.run(
+        "const { xaxis, yaxis } = document.getElementById('map').layout; return [xaxis.range, yaxis.range]"
+    )
+    assert west < position[:, 0].min() < position[:, 0].max() < east
+    assert south < position[:, 1].min() < position[:, 1].max() < north
+
+
+def pressed(browser, key):
+    browser.find_element("tag name", "body").send_keys(key)
+
+
+def test_space_plays_arrows_step_and_escape_shows_all_again(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    at = "return document.getElementById('slider').valueAsNumber"
+    pressed(browser, " ")
+    report.until(f"{at} > 0.2")
+    pressed(browser, " ")
+    stopped = report.run(at)
+    pressed(browser, "\ue014")
+    assert report.run(at) > stopped
+    ranges = "return document.getElementById('map').layout.xaxis.range"
+    all_of_it = report.run(ranges)
+    report.run("Plotly.relayout('map', {'xaxis.range': [3, 4], 'yaxis.range': [18, 19]})")
+    pressed(browser, "\ue00c")
+    report.until("return document.getElementById('map').layout.xaxis.range[1] > 4")
+    assert report.run(ranges) == pytest.approx(all_of_it, abs=0.2)
+
+
+def test_a_row_of_a_table_moves_the_walker_into_sight(browser, walk):
+    """Where the map is zoomed elsewhere, it follows."""
+    report = Page(browser, walk / "out" / "report.html")
+    report.run("Plotly.relayout('map', {'xaxis.range': [-30, -20], 'yaxis.range': [0, 10]})")
+    report.run("[...document.querySelectorAll('td button')][1].click()")
+    report.until("return document.getElementById('map').layout.xaxis.range[0] > -20")
+    (west, east), (south, north) = report.run(
+        "const { xaxis, yaxis } = document.getElementById('map').layout; return [xaxis.range, yaxis.range]"
+    )
+    x, y = report.walker
+    assert west < x < east
+    assert south < y < north
+    box = "const r = document.getElementById('map').getBoundingClientRect(); return r.bottom > 0 && r.top < innerHeight"
+    assert report.run(box)
+
+
+def test_hovering_says_time_place_sigma_and_heading(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    text = report.run("return document.getElementById('map').data.find(d => d.name === 'graph').text[10]")
+    assert re.fullmatch(r"graph \d:\d\d<br>x -?[\d.]+, y -?[\d.]+ ± [\d.]+ m, heading -?\d+°", text)
+
+
+def test_the_scale_bar_is_as_long_as_it_says(browser, walk):
+    report = Page(browser, walk / "out" / "report.html")
+    length, unit = report.run("return document.getElementById('length').textContent").split()
+    pixels = report.run("return document.getElementById('bar').getBoundingClientRect().width")
+    assert unit == "m"
+    assert pixels == pytest.approx(float(length) * report.metre, abs=1.5)
+
+
+def test_a_time_without_samples_is_dashed_on_the_map(browser, tmp_path):
+    steps, fixes = laps(1)
+    late = steps.time + 20.0 * (np.arange(len(steps)) >= 40)
+    gap = replace(
+        steps, time=late, end=float(late[-1]), length=np.where(np.arange(len(steps)) == 40, 0.0, steps.length)
+    )
+    report = Page(browser, written(tmp_path, content(estimated(gap, fixes))))
+    dashed = report.run("return document.getElementById('map').data.find(d => d.name === 'no data').line.dash")
+    assert dashed == "dash"
+    assert report.errors == []
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_is_readable_by_day_and_by_night(browser, walk, scheme):
+    browser.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": scheme}]}
+    )
+    report = Page(browser, walk / "out" / "report.html")
+    colours = report.run(
+        "const tick = document.querySelector('#charts .ytick text'), page = document.getElementById('charts');"
+        "return [getComputedStyle(tick).fill, getComputedStyle(page).backgroundColor]"
+    )
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    text, ground = (lightness([int(part) for part in re.findall(r"\d+", colour)[:3]]) for colour in colours)
+    assert abs(text - ground) > 45
+
+
+def test_a_page_of_paper_has_no_text_beyond_its_border(browser, walk, tmp_path):
+    Page(browser, walk / "out" / "report.html")
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True, "printBackground": True})
+    document = pytest.importorskip("pypdfium2").PdfDocument(base64.b64decode(printed["data"]))
+    widths = [page.get_width() for page in document]
+    assert widths == pytest.approx([595] * len(widths), abs=2)
+    for page_ in document:
+        text = page_.get_textpage()
+        boxes = np.array([text.get_rect(n) for n in range(text.count_rects())]).reshape(-1, 4)
+        assert (boxes[:, 2] <= 595 - 20).all()
+        assert (boxes[:, 0] >= 20).all()
+    document.close()

@@ -28,11 +28,14 @@ const spread = (line) => {
     x,
     y,
     fill: "toself",
-    fillcolor: pale(line.colour, 0.2),
+    fillcolor: pale(visible(line.colour), 0.2),
     line: { width: 0 },
     hoverinfo: "skip",
   };
 };
+const visible = (colour) =>
+  // on a dark page half way to white
+  theme === LIGHT ? colour : "#" + colour.slice(1).replace(/../g, (part) => ((parseInt(part, 16) + 255) >> 1).toString(16));
 const tracesOf = (chart, number) =>
   chart.lines.flatMap((line) => {
     const drawn = {
@@ -41,7 +44,7 @@ const tracesOf = (chart, number) =>
       x: line.time,
       y: line.y,
       customdata: line.time,
-      line: { color: line.colour, width: line.width || 1.5, shape: line.shape || "linear" },
+      line: { color: visible(line.colour), width: line.width || 1.5, shape: line.shape || "linear" },
       marker: weighted(line, line.time.length > MANY ? 5 : 7),
       text: line.time.map(
         (when, n) =>
@@ -61,35 +64,46 @@ const decades = (chart) => {
   const known = chart.lines.flatMap((line) => line.y).filter((y) => y > LEAST);
   const low = known.reduce((a, b) => Math.min(a, b), known.length ? Infinity : LEAST);
   const high = known.reduce((a, b) => Math.max(a, b), low);
-  return { range: [Math.log10(low) - 0.1, Math.log10(high) + 0.1], dtick: high / low > 20 ? 1 : "D2" };
+  const within = (times) => {
+    const values = [];
+    for (let power = -3; power < 6; power++) values.push(...times.map((one) => one * 10 ** power));
+    return values.filter((value) => value >= low * 0.8 && value <= high * 1.25);
+  };
+  const ticks = [[1], [1, 2, 5], [1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9]].map(within).find((values) => values.length > 1) || [low];
+  const names = ticks.map((value) => `${+value.toPrecision(2)}`);
+  return { range: [Math.log10(low) - 0.1, Math.log10(high) + 0.1], tickvals: ticks, ticktext: names };
 };
 const titled = (chart) => {
   const several = chart.lines.length > 1 || chart.lines.some((line) => line.low);
-  const key = (line) => `<span style="color:${line.colour}">${plain(line.name)}</span>`;
+  const key = (line) => `<span style="color:${visible(line.colour)}">${plain(line.name.split(",")[0])}</span>`;
   const lines = several && !chart.labels ? chart.lines.map(key).join("  ") : "";
   return `<b>${plain(chart.title)}</b>${chart.unit ? ` [${plain(chart.unit)}]` : ""}  ${lines}`;
 };
-const drawCharts = () => {
-  const count = content.charts.length,
-    heights = content.charts.map((chart) => chart.height || ROW),
-    total = heights.reduce((sum, height) => sum + height, 0);
+const heights = content.charts.map((chart) => chart.height || ROW);
+const total = heights.reduce((sum, height) => sum + height, 0);
+const heightOfCharts = () => total + 50;
+const rangeOfCharts = () => {
   const beside = 0.01 * (content.end - content.start);
+  return [content.start - beside, content.end + beside];
+};
+const drawCharts = () => {
+  const count = content.charts.length;
   const tops = heights.map((_, n) => 1 - heights.slice(0, n).reduce((sum, height) => sum + height, 0) / total);
   const layout = {
-    font: FONT,
-    height: total + 50,
+    font: font(),
+    height: heightOfCharts(),
     margin: { l: 54, r: 12, t: 4, b: 30 },
-    paper_bgcolor: "#fff",
-    plot_bgcolor: "#fff",
+    paper_bgcolor: theme.card,
+    plot_bgcolor: theme.card,
     dragmode: "zoom",
     hovermode: "closest",
     xaxis: {
-      range: [content.start - beside, content.end + beside],
+      range: rangeOfCharts(),
       ...ticks(content.start, content.end),
       anchor: `y${count}`,
-      gridcolor: LINE,
+      gridcolor: theme.line,
       zeroline: false,
-      tickfont: { color: SOFT, size: 11 },
+      tickfont: { color: theme.soft, size: 11 },
     },
     shapes: [
       {
@@ -101,7 +115,7 @@ const drawCharts = () => {
         x1: time,
         y0: 0,
         y1: 1,
-        line: { color: INK, width: 1, dash: "dot" },
+        line: { color: theme.ink, width: 1, dash: "dot" },
       },
     ],
     annotations: content.charts.map((chart, n) => ({
@@ -116,15 +130,15 @@ const drawCharts = () => {
       font: { size: 12 },
       text: titled(chart),
     })),
-    hoverlabel: { bgcolor: "#fff", font: FONT, align: "left" },
+    hoverlabel: { bgcolor: theme.card, font: font(), align: "left" },
   };
   content.charts.forEach((chart, n) => {
     layout[`yaxis${n + 1}`] = {
       domain: [tops[n] - (heights[n] - GAP) / total, tops[n] - TITLE / total],
-      gridcolor: LINE,
+      gridcolor: theme.line,
       zeroline: false,
-      nticks: 4,
-      tickfont: { color: SOFT, size: 11 },
+      nticks: 6,
+      tickfont: { color: theme.soft, size: 11 },
       fixedrange: true,
       automargin: true,
       type: chart.logarithmic ? "log" : "linear",
@@ -139,7 +153,7 @@ const drawCharts = () => {
       ...(chart.logarithmic ? decades(chart) : {}),
     };
   });
-  return Plotly.newPlot(charts, content.charts.flatMap(tracesOf), layout, {
+  return Plotly.react(charts, content.charts.flatMap(tracesOf), layout, {
     ...CONFIG,
     scrollZoom: false,
     displayModeBar: false,

@@ -1,10 +1,11 @@
 // The content of the page: its format, decoding of its numbers, formatting of its times.
 //
-//   verdict: null or state and reasons, each with text and check; title, subtitle; headline: [name, value]; missing, warnings: lines; start, end: of the slider
+//   verdict: null or state and reasons, each with text and check; title, subtitle; headline: [name, value]; missing, warnings (the
+//   heaviest first), notes: lines; start, end: of the slider
 //   offsets: [from, seconds] of local time, of Unix times; null: times are since the start
-//   maps: name, corners, plan: null or svg with its corners and the names in it
+//   maps: name, corners, plan: null or svg with its corners and the names in it; north: true if y points there
 //   tracks: name, colour, on, time, x, y, heading, covariance (xx, xy, yy), bands (rings per map), width, dash, mode,
-//     symbol, walker: true if a marker moves along it; lead: true if the marker has a direction, a region and a trail
+//     symbol, gaps: [from, to] of times without data; walker: true if a marker moves along it; lead: true if the marker has a direction, a region and a trail
 //   marks: name, colour, symbol, on, x, y, text; time, weight, heading, and to_x, to_y: where a line leads from each
 //   charts: title, unit, height [px], from_zero, logarithmic, labels of whole numbers, lines: name, colour, time, y;
 //     low, high, mode, shape, width, weight, text

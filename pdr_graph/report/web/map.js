@@ -2,11 +2,12 @@
 
 const LETTER = 6; // [px] width of a letter of a name
 const MANY = 50; // marks above which they are drawn small and below the track
-const INK = "#26241f",
-  SOFT = "#6b655b",
-  LINE = "#e4e0d8",
-  OUTSIDE = "#efece6";
-const FONT = { family: "system-ui, sans-serif", size: 12, color: INK };
+const OUTSIDE = "#efece6";
+const LIGHT = { ink: "#26241f", soft: "#6b655b", line: "#e4e0d8", card: "#ffffff", map: "#ffffff" };
+const DARK = { ink: "#e8e4dc", soft: "#a8a196", line: "#3d3a34", card: "#201e1a", map: "#e4e0d8" }; // the map stays light
+const night = matchMedia("(prefers-color-scheme: dark)");
+let theme = night.matches ? DARK : LIGHT;
+const font = () => ({ family: "system-ui, sans-serif", size: 12, color: theme.ink });
 const CONFIG = {
   // privacy: no button that uploads the track to the makers of the library
   displaylogo: false,
@@ -39,19 +40,47 @@ const bandOf = (track) => ({
   name: "95 % region",
   showlegend: track.bands[shown].x.length > 0,
 });
-const lineOf = (track) => ({
-  type: "scatter",
-  mode: track.mode || "lines",
-  x: kept(track, "x"),
-  y: kept(track, "y"),
-  name: plain(track.name),
-  line: { color: track.colour, width: track.width, dash: track.dash },
-  showlegend: track.on.some(onMap),
-  marker: { color: track.colour, size: 9, symbol: track.symbol, line: { color: track.colour, width: 2 } },
-  text: track.time.map((at) => `${plain(track.name)} ${clock(at)}`),
-  hoverinfo: "text",
-  customdata: track.time,
+const placeOf = ({ x, y, heading, covariance }) => {
+  const sigma = covariance ? ` ± ${Math.sqrt((covariance[0] + covariance[2]) / 2).toFixed(1)}` : "";
+  const turned = Number.isFinite(heading) ? `, heading ${Math.round((heading * 180) / Math.PI)}°` : "";
+  return `x ${x.toFixed(1)}, y ${y.toFixed(1)}${sigma} m${turned}`;
+};
+const poseOf = (track, n) => ({
+  x: track.x[n],
+  y: track.y[n],
+  heading: track.heading[n],
+  covariance: track.covariance && track.covariance.map((values) => values[n]),
 });
+const inGap = (track, n) =>
+  (track.gaps || []).some(([from, to]) => track.time[n] > from - 0.02 && track.time[n + 1] < to + 0.02);
+const lineOf = (track) => {
+  const x = kept(track, "x"),
+    y = kept(track, "y"),
+    rows = track.time.map((_, n) => n).filter((n) => inGap(track, n));
+  const broken = (values, none) => values.flatMap((value, n) => (rows.includes(n) ? [value, none] : [value]));
+  const whole = {
+    type: "scatter",
+    mode: track.mode || "lines",
+    x: rows.length ? broken(x, NaN) : x,
+    y: rows.length ? broken(y, NaN) : y,
+    name: plain(track.name),
+    line: { color: track.colour, width: track.width, dash: track.dash },
+    showlegend: track.on.some(onMap),
+    marker: { color: track.colour, size: 9, symbol: track.symbol, line: { color: track.colour, width: 2 } },
+    text: broken(
+      track.time.map((at, n) => `${plain(track.name)} ${clock(at)}<br>${placeOf(poseOf(track, n))}`),
+      "",
+    ),
+    hoverinfo: "text",
+    customdata: broken(track.time, null),
+  };
+  const ends = (values) => rows.flatMap((n) => [values[n], values[n + 1], NaN]);
+  const unseen = {
+    ...{ type: "scatter", mode: "lines", x: ends(x), y: ends(y), name: "no data", hoverinfo: "skip" },
+    line: { color: track.colour, width: track.width, dash: "dash" },
+  };
+  return rows.length ? [whole, unseen] : [whole];
+};
 const weighted = (item, size) => ({
   symbol: item.symbol,
   size,
@@ -92,7 +121,7 @@ const namesOf = ({ plan }, fit) => {
     hoverinfo: "skip",
     showlegend: false,
     text: names.map((name) => plain(name.text)),
-    textfont: { size: 10, color: SOFT },
+    textfont: { size: 10, color: LIGHT.soft },
   };
 };
 const perMetre = () => {
@@ -125,13 +154,13 @@ const LENGTHS = [
 const drawMap = () => {
   const own = content.maps[shown],
     [[west, south], [east, north]] = own.corners;
-  const style = { zeroline: false, gridcolor: LINE, ticks: "", tickfont: { color: SOFT, size: 11 } };
-  const axis = { ...style, uirevision: shown, ticksuffix: "m", tickformatstops: LENGTHS };
+  const style = { zeroline: false, gridcolor: LIGHT.line, ticks: "", tickfont: { color: theme.soft, size: 11 } };
+  const axis = { ...style, uirevision: shown, ticksuffix: "m", tickformatstops: LENGTHS, automargin: true };
   const layout = {
-    font: FONT,
+    font: font(),
     margin: { l: 40, r: 8, t: 30, b: 24 },
-    paper_bgcolor: "#fff",
-    plot_bgcolor: own.plan ? OUTSIDE : "#fff",
+    paper_bgcolor: theme.card,
+    plot_bgcolor: own.plan ? OUTSIDE : theme.map,
     dragmode: "pan",
     hovermode: "closest",
     xaxis: { ...axis, range: [west, east], nticks: 6, showgrid: !own.plan },
@@ -140,8 +169,8 @@ const drawMap = () => {
     images: picture(own),
     shapes: walkerShapes(),
     uirevision: "always",
-    hoverlabel: { bgcolor: "#fff", font: FONT, align: "left" },
-    modebar: { orientation: "v", bgcolor: "#ffffffb0", color: SOFT, activecolor: INK },
+    hoverlabel: { bgcolor: theme.card, font: font(), align: "left" },
+    modebar: { orientation: "v", bgcolor: pale(theme.card, 0.7), color: theme.soft, activecolor: theme.ink },
   };
   const banded = content.tracks.filter((track) => track.bands && track.bands[shown]).map(bandOf),
     tied = content.marks.filter((mark) => mark.to_x).map(tiesOf),
@@ -151,13 +180,41 @@ const drawMap = () => {
     ...banded,
     ...tied,
     ...content.marks.filter(many).map(marksOf),
-    ...content.tracks.filter((track) => track.width !== 0).map(lineOf),
+    ...content.tracks.filter((track) => track.width !== 0).flatMap(lineOf),
     ...content.marks.filter((mark) => !many(mark)).map(marksOf),
   ];
-  return Plotly.react(map, data, layout, CONFIG);
+  here("hint").textContent = beyond(own);
+  return Plotly.react(map, data, layout, CONFIG).then(measured);
+};
+const beyond = ({ corners: [[west, south], [east, north]] }) => {
+  const outside = (item) =>
+    item.x.some((x, n) => onMap(item.on[n]) && (x < west || x > east || item.y[n] < south || item.y[n] > north));
+  const names = [...content.tracks.filter((track) => track.width !== 0), ...content.marks].filter(outside);
+  return names.length ? `beyond this picture, zoom out: ${names.map(({ name }) => name).join(", ")}` : "";
+};
+const measured = () => {
+  // the scale bar: the longest of 1, 2, 5, 10 … m that is not above a sixth of the map
+  const most = (map.clientWidth || 600) / 6 / (perMetre() || 1),
+    power = 10 ** Math.floor(Math.log10(most)),
+    length = power * [5, 2, 1].find((times) => times * power <= most);
+  here("bar").style.width = `${length * perMetre()}px`;
+  here("length").textContent = length < 1000 ? `${+length.toPrecision(1)} m` : `${length / 1000} km`;
+};
+const WITHIN = 0.04; // share of the map, from its border, that the walker does not enter
+const following = (pose) => {
+  // the ranges of the map that bring the walker back into sight
+  if (!pose || !onMap(pose.on)) return {};
+  const moved = ([low, high], value) => {
+    const edge = WITHIN * (high - low);
+    return value < low + edge || value > high - edge ? [low, high].map((end) => end + value - (low + high) / 2) : null;
+  };
+  const x = moved(map.layout.xaxis.range, pose.x),
+    y = moved(map.layout.yaxis.range, pose.y);
+  return { ...(x ? { "xaxis.range": x } : {}), ...(y ? { "yaxis.range": y } : {}) };
 };
 const renamed = () => {
   // after zooming, other names fit
+  measured();
   const names = namesOf(content.maps[shown], perMetre());
   if (content.maps[shown].plan && names.text.join() !== map.data[0].text.join())
     Plotly.restyle(map, { x: [names.x], y: [names.y], text: [names.text] }, [0]);

@@ -9,9 +9,7 @@ const describe = () => {
   const pose = walkers.length ? at(walkers[0], time) : null; // of the result
   const floor =
     pose && content.maps.length > 1 && pose.on >= 0 && !content.phases ? `floor ${content.maps[pose.on].name}, ` : "";
-  const sigma =
-    pose && pose.covariance ? ` ± ${Math.sqrt((pose.covariance[0] + pose.covariance[2]) / 2).toFixed(2)} m` : "";
-  return phase ? phase.text : pose ? `${floor}x ${pose.x.toFixed(1)}, y ${pose.y.toFixed(1)}${sigma}` : "";
+  return phase ? phase.text : pose ? `${floor}${placeOf(pose)}` : "";
 };
 let asked = false;
 const moved = () => {
@@ -21,7 +19,8 @@ const moved = () => {
   slider.setAttribute("aria-valuetext", `${clock(time)} ${describe()}`);
   const next = follows();
   if (next !== shown) choose(next);
-  else if (map.layout) Plotly.relayout(map, { shapes: walkerShapes() });
+  else if (map.layout)
+    Plotly.relayout(map, { shapes: walkerShapes(), ...following(walkers.length ? at(walkers[0], time) : null) });
   if (charts.layout) Plotly.relayout(charts, { "shapes[0].x0": time, "shapes[0].x1": time });
 };
 const show = (when, from) => {
@@ -31,6 +30,12 @@ const show = (when, from) => {
     asked = true;
     requestAnimationFrame(moved);
   }
+};
+
+const jump = (when) => {
+  // to a moment that was clicked, with the map in sight
+  show(when);
+  if (map.layout) here("place").scrollIntoView({ block: "nearest" });
 };
 
 // Playback of all in PLAYING seconds, of a short walk in real time

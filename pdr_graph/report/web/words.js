@@ -1,7 +1,5 @@
 // Verdict, headline, warnings and tables.
 
-const FEW = 3; // warnings up to which their list is open at first
-
 const element = (tag, text, more = {}) =>
   Object.assign(document.createElement(tag), text === undefined ? more : { textContent: text, ...more });
 const judge = ({ state, reasons }) => {
@@ -23,9 +21,10 @@ const write = () => {
   for (const [lines, kind, name] of [
     [content.missing, "missing", "Missing"],
     [content.warnings, "warnings", "Warnings"],
+    [content.notes || [], "notes", "Notes on the data"],
   ]) {
     const list = element("ul"),
-      notice = element("details", undefined, { className: kind, open: lines.length <= FEW || kind === "missing" });
+      notice = element("details", undefined, { className: kind, open: kind !== "notes" });
     list.append(...lines.map((line) => element("li", line)));
     notice.append(element("summary", `${name} (${lines.length})`), list);
     if (lines.length) here("notices").append(notice);
@@ -40,7 +39,10 @@ const cells = (table) => {
   const body = element("table"),
     head = element("tr"),
     inside = element("div", undefined, { className: "scroll", tabIndex: 0 });
-  head.append(...table.head.map((name) => element("th", name, { scope: "col" })));
+  const numeric = (k) => table.rows.length && table.rows.every((row) => !row[k] || NUMBER.test(row[k]));
+  head.append(
+    ...table.head.map((name, k) => element("th", name, { scope: "col", className: numeric(k) ? "number" : "" })),
+  );
   body.append(element("thead"), element("tbody"));
   body.tHead.append(head);
   table.rows.forEach((row, n) => {
@@ -49,7 +51,7 @@ const cells = (table) => {
       const cell = element("td", undefined, { className: NUMBER.test(text) ? "number" : "" });
       cell.append(
         k === 0 && table.moments.length
-          ? element("button", text, { type: "button", onclick: () => show(table.moments[n]) })
+          ? element("button", text, { type: "button", onclick: () => jump(table.moments[n]) })
           : text,
       );
       line.append(cell);
