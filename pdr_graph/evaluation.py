@@ -1,7 +1,7 @@
 """Accuracy metrics of the PDR Benchmark Standardization Committee (draft ISO/IEC 21134).
 
 Each metric is one function of paired samples. CE, HE, EAG and VE equal the committee's evaluation-tools with
-``nearest`` pairing; ``docs/accuracy.md`` lists where CA and OE follow the definition and the tool does not.
+``nearest`` pairing; ``docs/results/metrics.md`` lists where CA and OE follow the definition and the tool does not.
 """
 
 from __future__ import annotations

@@ -55,7 +55,11 @@ def twenty_steps():
         [name, sum(n), sum(n) - 320, f"{np.mean(np.equal(n, 20)):.0%}", paper.get(name, "")]
         for name, n in found.items()
     ]
-    publish("accuracy.md", "twenty steps", table(["method", "counted of 320", "error", "walks exact", "paper"], rows))
+    publish(
+        "results/calibration-walk.md",
+        "twenty steps",
+        table(["method", "counted of 320", "error", "walks exact", "paper"], rows),
+    )
 
 
 def further_walks():
@@ -72,7 +76,9 @@ def further_walks():
         for name, n in (("before", before), ("with templates", after))
     ]
     publish(
-        "accuracy.md", "further walks", table(["100 further walks", f"counted of {sum(true)}", "error", "exact"], rows)
+        "results/calibration-walk.md",
+        "further walks",
+        table(["100 further walks", f"counted of {sum(true)}", "error", "exact"], rows),
     )
 
 
@@ -108,7 +114,11 @@ def hundred_metres():
         rows.append([shown, f"{np.mean(np.abs(np.subtract(walked, way))):.2f}", PAPER_DISTANCE.get(name, "")])
     own = [detect_steps(g, p).length.sum() for g, p in zip(gaits, profiles, strict=True)]
     rows.append(["**ours, with the walker's calibration**", f"{np.mean(np.abs(np.subtract(own, way))):.2f}", ""])
-    publish("accuracy.md", "hundred metres", table(["stride model", "distance error of 100 m [m]", "paper"], rows))
+    publish(
+        "results/calibration-walk.md",
+        "hundred metres",
+        table(["stride model", "distance error of 100 m [m]", "paper"], rows),
+    )
 
     def errors(walker_of):
         return [
@@ -124,12 +134,12 @@ def hundred_metres():
     }
     rows = [[name, *(f"{v:.2f}" for v in np.mean(found, axis=0)), paper] for name, (found, paper) in methods.items()]
     header = ["method", "mean position error [m]", "at the end [m]", "paper, mean position error [m]"]
-    publish("accuracy.md", "calibration walk", table(header, rows))
+    publish("results/calibration-walk.md", "calibration walk", table(header, rows))
 
     turns = np.degrees([[abs(t) for t in turns_of(walk, g[0])] for walk, g in zip(walks, gaits, strict=True)])
     rows = [[name, *(f"{v:.1f}" for v in of(turns, axis=0))] for name, of in (("mean", np.mean), ("spread", np.std))]
     rows.append(["paper's eight: mean", "88.2", "87.2", "87.8"])
-    publish("accuracy.md", "corners", table(["estimated turn [deg]", "left", "right", "left"], rows))
+    publish("results/calibration-walk.md", "corners", table(["estimated turn [deg]", "left", "right", "left"], rows))
 
 
 def simulated(to, seed, height, sex, follow=0):

@@ -57,7 +57,7 @@ def cart():
     for name, switch in SWITCHES.items():
         ends = [100 * abs(tracked(walk, *switch)[1][-1] + 0.10) for walk in walks]
         rows.append([name, f"{np.median(ends):.1f}", f"{np.percentile(ends, 90):.1f}", f"{max(ends):.1f}"])
-    publish("accuracy.md", "cart", table(["end error [cm]", "median of 20", "90 %", "largest"], rows))
+    publish("results/cart.md", "cart", table(["end error [cm]", "median of 20", "90 %", "largest"], rows))
     draw(walks[0])
 
 

@@ -56,7 +56,7 @@ def compass(data):
         cells = [f"{np.median(size):.0f}", f"{size.max():.0f}", stated]
         rows.append([name, len(paths), len(size), *cells, f"{np.sqrt(np.mean((errors / sigmas) ** 2)):.2f}"])
     header = ["walks", "", "headings", "error [deg]: median", "largest", "stated sigma [deg]", "rms error / sigma"]
-    publish("accuracy.md", "compass", table(header, rows))
+    publish("results/compass.md", "compass", table(header, rows))
     live(groups)
     ahead([path for paths in groups.values() for path in paths])
     reheld([path for paths in groups.values() for path in paths])
@@ -107,7 +107,7 @@ def live(groups):
         "rms error / sigma",
     ]
     early = ["headings of the first 45 s", "error: largest [deg]", "rms error / sigma", "beyond 2 sigma"]
-    publish("accuracy.md", "live compass", table(["walks", "", "with a heading", *first, *early], rows))
+    publish("results/compass.md", "live compass", table(["walks", "", "with a heading", *first, *early], rows))
 
 
 def live_row(name, walks):
@@ -170,7 +170,7 @@ def ahead(paths):
         for name, method in AXES.items():
             found[name][-1].append(difference(method(*gait), wanted))
     rows = [[name, *(cell(np.array(errors)) for errors in columns)] for name, columns in found.items()]
-    publish("accuracy.md", "ahead", table(["median error [deg] (silent)", *HOLDS, "real hands, to y"], rows))
+    publish("results/compass.md", "ahead", table(["median error [deg] (silent)", *HOLDS, "real hands, to y"], rows))
 
 
 def seen(recording):
@@ -221,7 +221,7 @@ def reheld(paths):
                     errors.append(error)
     rows = [[tried, told, f"{np.median(errors):.0f}", f"{max(errors):.0f}"]]
     header = ["re-holds put in", "detected as grip changes", "error [deg]: median", "largest"]
-    publish("accuracy.md", "reheld", table(header, rows))
+    publish("results/compass.md", "reheld", table(header, rows))
 
 
 def put_away():
@@ -232,7 +232,7 @@ def put_away():
         within = f"{100 * np.mean(np.array(errors) < ROUGHLY):.0f} %"
         rows.append([name, len(errors), f"{np.median(errors):.0f}", f"{np.percentile(errors, 90):.0f}", within])
     header = ["the walker goes on", "walks", "error [deg]: median", "90 %", f"within {ROUGHLY}°"]
-    publish("accuracy.md", "put away", table(header, rows))
+    publish("results/compass.md", "put away", table(header, rows))
 
 
 def turn_error(before, after, seed, angle, onwards):

@@ -47,7 +47,7 @@ def covariance(data, microsoft):
     for given, walks in microsoft:
         rows += regions(f"Microsoft, {given}", walks, noise=WAYPOINT_NOISE)
     header = ["walks", "", "method", "in 90 % region", "size of the region [m]", "error [m]"]
-    publish("accuracy.md", "covariance", table(header, rows))
+    publish("results/covariance.md", "covariance", table(header, rows))
 
 
 def gaussian_case():
@@ -68,7 +68,7 @@ def gaussian_case():
                 mean = nees.normalised_errors(drawn, estimate).mean() / 3
                 rows.append([name, method, f"{mean:.2f}", "inside" if low < mean < high else "outside"])
     header = ["drawn from the model", "method", "NEES / 3", f"95 % interval {low:.2f}–{high:.2f}"]
-    publish("accuracy.md", "nees", table(header, rows))
+    publish("results/covariance.md", "nees", table(header, rows))
 
 
 def regions(name, walks, methods=METHODS, noise=0.0):

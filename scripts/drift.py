@@ -88,13 +88,13 @@ def drift(data):
         [phone, name, len(sessions[phone, name]), f"{1e3 * b.value:+.1f} ± {1e3 * b.sigma:.1f}"]
         for (phone, name), b in shared.items()
     ]
-    publish("accuracy.md", "drift", table(["phone", "session", "recordings", "b [mrad/s]"], rows))
+    publish("results/drift.md", "drift", table(["phone", "session", "recordings", "b [mrad/s]"], rows))
     total = np.array([sum(b.surprise(sigma) for b in shared.values()) for sigma in SIGMAS])
     header = ["sigma of b [mrad/s]", *(f"{1e3 * sigma:.1f}" for sigma in SIGMAS)]
     cells = ["nats above the best", *(f"{excess:.1f}" for excess in total - total.min())]
-    publish("accuracy.md", "drift population", table(header, [cells]))
+    publish("results/drift.md", "drift population", table(header, [cells]))
     rows = [[hold, *simulated_drift(hold)] for hold in HOLDS]
-    publish("accuracy.md", "drift simulated", table(["simulated phone", "walks", "RMS of b [mrad/s]"], rows))
+    publish("results/drift.md", "drift simulated", table(["simulated phone", "walks", "RMS of b [mrad/s]"], rows))
 
 
 def simulated_drift(hold):

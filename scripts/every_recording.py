@@ -1,4 +1,4 @@
-"""Every real recording by every method and with every kind of help: the first tables of docs/accuracy.md."""
+"""Every real recording by every method and with every kind of help: docs/results/recordings.md."""
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
@@ -74,11 +74,15 @@ def every_recording(data):
     """The tables in short and in full, and where another method is better than the graph."""
     rows = [scored(*one) for one in cases(data)] + [*chains(data)]
     header = ["recordings", "given", *(f"{m} [m]" for m in METHODS[1:]), "in 90 %"]
-    publish("accuracy.md", "summary", table(header, in_short(rows)))
+    publish("results/recordings.md", "summary", table(header, in_short(rows)))
     header = ["recording", "given", "places", *(f"{m} [m]" for m in METHODS), "in 90 %"]
-    publish("accuracy.md", "recordings", table(header, in_full(rows)))
-    publish("accuracy.md", "without places", table(["recording", "reference", *METHODS], [*counted(data), *led(data)]))
-    publish("accuracy.md", "out of order", out_of_order(rows))
+    publish("results/recordings.md", "recordings", table(header, in_full(rows)))
+    publish(
+        "results/recordings.md",
+        "without places",
+        table(["recording", "reference", *METHODS], [*counted(data), *led(data)]),
+    )
+    publish("results/recordings.md", "out of order", out_of_order(rows))
 
 
 def in_short(rows):

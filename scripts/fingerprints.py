@@ -1,4 +1,4 @@
-"""Walks with no waypoint given, only what other walks of the floor heard: for docs/accuracy.md."""
+"""Walks with no waypoint given, only what other walks of the floor heard: for docs/results/fingerprints.md."""
 
 import numpy as np
 from recorded import WAYPOINT_NOISE, gaps
@@ -86,4 +86,4 @@ def fingerprints(data):
     by_walk = ["walk", "waypoints", "fixes", "their sigma [m]", "error / sigma (rms)"]
     by_walk += ["nearest [m]", "lines [m]", "graph [m]", "with the plan [m]"]
     parts = [table(header, rows), said, table(by_walk, [row for found, _, _ in floors for row in found])]
-    publish("accuracy.md", "fingerprints", "\n\n".join(parts))
+    publish("results/fingerprints.md", "fingerprints", "\n\n".join(parts))

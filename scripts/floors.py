@@ -61,7 +61,7 @@ def recorded(data):
         went = ", ".join(f"{k} {h:+.1f} m" for k, h in zip(found.kinds, found.climbs.height, strict=True))
         rows.append([path.stem, went or "none", share, everywhere, len(labels) - told.sum()])
     header = ["walk", "climbs found", "right floor", "of all steps: that of the nearest landmark", "between floors"]
-    publish("accuracy.md", "floors", table(header, rows))
+    publish("results/floors.md", "floors", table(header, rows))
 
 
 def landmark_floors(steps, truth):
@@ -84,7 +84,7 @@ def simulated():
             rows[-1] += [f"{100 * on_stairs / stairs:.1f} % of {stairs}", f"{missed} of {climbs}", invented]
             rows[-1] += [f"{whole} of {len(walks)}"]
     header = ["barometer", "known", "right floor, steps on floors", "on stairs", "climbs missed", "invented"]
-    publish("accuracy.md", "floors simulated", table([*header, "walks all right"], rows))
+    publish("results/floors.md", "floors simulated", table([*header, "walks all right"], rows))
 
 
 def building_walk(seed):

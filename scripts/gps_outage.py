@@ -43,7 +43,7 @@ def gps_outage():
             rows[-1] += [*said(whole), share(inside)]
     header = ["outage", "method", "in it: mean [m]", "95 % [m]", "of the EKF's", "in 90 % region"]
     header += ["whole walk: mean [m]", "95 % [m]", "in 90 % region"]
-    publish("accuracy.md", "gps-outage", table(header, rows))
+    publish("results/gps-outage.md", "gps-outage", table(header, rows))
     if "--write" in sys.argv:
         draw()
 

@@ -87,7 +87,7 @@ def heading(data):
     again = [walked(before, seed, after) for seed, (before, after) in enumerate(changes)]
     for row, method in zip(rows, METHODS, strict=True):
         row.append(f"{np.mean([np.sqrt(np.mean(errors(walk, method)[1] ** 2)) for walk in again]):.1f}")
-    publish("accuracy.md", "heading", table(["RMS [deg] (paper)", *HOLDS, "re-held in mid-walk"], rows))
+    publish("results/heading.md", "heading", table(["RMS [deg] (paper)", *HOLDS, "re-held in mid-walk"], rows))
     draw([trials[n] for n in SHOWN])
 
 
@@ -100,7 +100,7 @@ def course(data):
     for method, (attitude_by, direction_by) in METHODS.items():
         found = np.degrees(np.concatenate([_course_errors(walk, attitude_by, direction_by) for walk in walks]))
         rows.append([method, len(found), *(f"{v:.1f}" for v in np.percentile(found, [50, 75, 95]))])
-    publish("accuracy.md", "course", table(["method", "legs", "median [deg]", "75 %", "95 %"], rows))
+    publish("results/heading.md", "course", table(["method", "legs", "median [deg]", "75 %", "95 %"], rows))
 
 
 def _course_errors(walk, attitude_by, direction_by):

@@ -112,7 +112,7 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
         [FAMILIES[name][0], row.name, *cells(found[name, row.given], row.without and found[name, row.without])]
         for name, row in rows
     ]
-    publish("accuracy.md", "integrity", table(["", "given", *HEADER], lines))
+    publish("results/integrity.md", "integrity", table(["", "given", *HEADER], lines))
     groups = {"nothing lies": [], "a source lies": []}
     for name, row in rows:
         if any(source.startswith("plan") for source in row.given):
@@ -120,7 +120,7 @@ def integrity(data, wanted=(), walks=None, first=HELD_BACK):
             groups["a source lies" if lies else "nothing lies"] += found[name, row.given]
     if any(groups.values()):
         groups = {name: scores for name, scores in groups.items() if scores}
-        publish("accuracy.md", "integrity probability", reliability(groups))
+        publish("results/integrity.md", "integrity probability", reliability(groups))
     if not wanted:
         recorded(data)
 

@@ -61,7 +61,7 @@ def integrity_live(wanted=(), walks=None, first=HELD_BACK):
             found.setdefault((setting, row), []).append(one)
     for (setting, row), some in found.items():
         lines.append([setting, ", ".join(row), len(some), *cells(some)])
-    publish("accuracy.md", "integrity live", table(HEADER, lines))
+    publish("results/integrity-live.md", "integrity live", table(HEADER, lines))
 
 
 def scores_of(job):

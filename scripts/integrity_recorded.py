@@ -18,7 +18,7 @@ def recorded(data):
     rows = [*malls(data), *museum(data), *eight(data)]
     for walk in nju_walks(data):
         rows.append(["NJU campus", walk.name, *cells([scored(walk)], None)])
-    publish("accuracy.md", "integrity recorded", table(["recordings", "given", *HEADER], rows))
+    publish("results/integrity.md", "integrity recorded", table(["recordings", "given", *HEADER], rows))
 
 
 def scored(walk, plan=False, noise=0.0):

@@ -18,7 +18,7 @@ def make_rows(make, arguments, description, walks):
     parser.add_argument("rows", nargs="*", help="words in the names of rows")
     parser.add_argument("--walks", type=int, help=walks)
     parser.add_argument("--held-back", action="store_true", help="not the walks of development")
-    parser.add_argument("--write", action="store_true", help="into docs/accuracy.md")
+    parser.add_argument("--write", action="store_true", help="into docs/results/")
     options = parser.parse_args(arguments)
     wanted = [word.strip() for words in options.rows for word in words.split(",")]
     began = time.time()

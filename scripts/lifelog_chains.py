@@ -1,4 +1,4 @@
-"""Pieces of one walk as one walk, and all walks of a floor in one graph: for docs/accuracy.md."""
+"""Pieces of one walk as one walk, and all walks of a floor in one graph: for docs/results/lifelog.md."""
 
 from dataclasses import replace
 
@@ -111,5 +111,5 @@ def together(data):
 
 def lifelog_chains(data):
     """Both tables."""
-    publish("accuracy.md", "lifelog-chains", chains(data))
-    publish("accuracy.md", "lifelog-together", together(data))
+    publish("results/lifelog.md", "lifelog-chains", chains(data))
+    publish("results/lifelog.md", "lifelog-together", together(data))

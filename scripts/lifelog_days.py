@@ -39,7 +39,7 @@ def lifelog_days(data):
         "ours",
         "difference",
     ]
-    publish("accuracy.md", "lifelog-days", f"{table(header, rows)}\n\n{said_and_found(data)}")
+    publish("results/lifelog.md", "lifelog-days", f"{table(header, rows)}\n\n{said_and_found(data)}")
 
 
 def lengths(path):

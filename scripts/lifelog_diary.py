@@ -1,6 +1,6 @@
 """Stays of a diary beside a published recipe on real days, and beside the truth on simulated days.
 
-python scripts/lifelog_diary.py: both tables of docs/accuracy.md.
+python scripts/lifelog_diary.py: both tables of docs/results/lifelog.md.
 """
 
 import os
@@ -64,8 +64,8 @@ def overlap(one, other):
 
 def lifelog_diary(data=DATA):
     """Both tables."""
-    publish("accuracy.md", "lifelog-recipe", recipe_table(data))
-    publish("accuracy.md", "lifelog-simulated-days", simulated_table())
+    publish("results/lifelog.md", "lifelog-recipe", recipe_table(data))
+    publish("results/lifelog.md", "lifelog-simulated-days", simulated_table())
 
 
 def recipe_table(data=DATA):

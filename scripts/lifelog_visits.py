@@ -48,7 +48,7 @@ def lifelog_visits(days=20):
         market = Path(folder) / "market.geojson"
         market.write_text(json.dumps(drawn_market()))
         seen = [day(market if seed % 2 else MALL, seed) for seed in range(days)]
-    publish("accuracy.md", "lifelog-visits", "\n\n".join([by_aisle(seen), reliability(seen), by_day(seen)]))
+    publish("results/lifelog.md", "lifelog-visits", "\n\n".join([by_aisle(seen), reliability(seen), by_day(seen)]))
 
 
 @dataclass(frozen=True)

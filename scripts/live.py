@@ -1,4 +1,4 @@
-"""The current pose of the live navigator beside the causal filter and the smoothed walk, for docs/accuracy.md.
+"""The current pose of the live navigator beside the causal filter and the smoothed walk, for docs/results/live.md.
 
 python scripts/live.py [WORDS] [--walks N] [--held-back] [--write] makes the rows whose "name: given" has one of some
 words, separated by commas. Tune on the walks of development; the published table has simulated walks held back.
@@ -39,7 +39,7 @@ def live(data, wanted=(), walks=None, first=HELD_BACK):
     rows = [(group, pooled(scores), len(scores)) for group, scores in zip(rows, found, strict=True) if scores]
     accuracy = table(ACCURACY, [accuracy_row(*row) for row in rows])
     behaviour = table(BEHAVIOUR, [behaviour_row(*row[:2]) for row in rows])
-    publish("accuracy.md", "live", f"{accuracy}\n\n{behaviour}\n\n{targets([score for _, score, _ in rows])}")
+    publish("results/live.md", "live", f"{accuracy}\n\n{behaviour}\n\n{targets([score for _, score, _ in rows])}")
 
 
 def scores_by_group(rows):

@@ -59,7 +59,7 @@ def localization(data=DATA, walks=WALKS):
         found = [one for some in pool.map(_call, jobs) for one in some]
     rows = list(dict.fromkeys(one.row for one in found))
     text = table(HEADER, [described(row, [one for one in found if one.row == row]) for row in rows])
-    publish("accuracy.md", "localization", f"{text}\n\n{reliability(found)}")
+    publish("results/localization.md", "localization", f"{text}\n\n{reliability(found)}")
 
 
 def _call(job):

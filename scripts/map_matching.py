@@ -74,7 +74,7 @@ def map_matching():
         )
     header = ["error [m] (paper)", "mean", "max", "min", "walks nearer than method 1", "steps through walls"]
     header += ["correlation with the true zigzag", "off to the side [m]"]
-    publish("accuracy.md", "map-matching", table(header, rows))
+    publish("results/map-matching.md", "map-matching", table(header, rows))
     if "--write" in sys.argv:
         draw(plan, *walks[SHOWN], {name: own[SHOWN] for name, own in tracks.items()})
 

@@ -117,4 +117,4 @@ def microsoft(data):
             coverage = f"{100 * inside.mean():.0f} %" if len(inside) else "—"
             rows.append([given, name, *percentiles_with_interval(errors), coverage, f"{100 * crossing:.1f} %"])
     header = ["given", "method", "CE50 [m]", "CE75 [m]", "CE95 [m]", "in 90 % region", "rows that cross a wall"]
-    publish("accuracy.md", "microsoft", table(header, rows))
+    publish("results/microsoft.md", "microsoft", table(header, rows))

@@ -69,7 +69,7 @@ def outliers(data, malls):
                 rows.append([*row, seen(spoilt["graph"], "found"), seen(spoilt["graph"], "blamed")])
     header = ["walk", "wild fixes", "share", *(f"{m}: 50 / 95 % [m]" for m in METHODS), "graph, outliers left out"]
     header += ["graph: walks more than doubled", "wild ones seen", "good ones blamed"]
-    publish("accuracy.md", "outliers", table(header, rows))
+    publish("results/outliers.md", "outliers", table(header, rows))
 
 
 def run(walks, spoil, share, estimate, seeds, kept=lambda wild: wild | True):

@@ -1,4 +1,4 @@
-"""Walks that came with their own fixes, a table each of docs/accuracy.md: IPIN21's eight, and phones with GNSS."""
+"""Walks that came with their own fixes, a table each of docs/results/: IPIN21's eight, and phones with GNSS."""
 
 from recorded import coverage, fixes_as_track, ipin21_walks, ipin2023_walks, nju_walks, percentiles
 from tables import publish, table
@@ -20,7 +20,7 @@ def ipin21(data):
             cells += [percentiles(circular_error(pair(track, truth))), coverage(track, truth), f"{crossing:.0f} %"]
         rows.append(cells)
     header = ["fixes", "their own error [m]", "graph [m]", "in 90 %", "cross", "with map [m]", "in 90 %", "cross"]
-    publish("accuracy.md", "ipin21", table(header, rows))
+    publish("results/ipin21.md", "ipin21", table(header, rows))
 
 
 def gnss(data):
@@ -38,4 +38,4 @@ def gnss(data):
         errors = percentiles(circular_error(pair(track, walk.truth)))
         rows.append(["NJU campus", walk.name, between, errors, coverage(track, walk.truth)])
     header = ["walk", "given", "straight lines between fixes [m]", "graph [m]", "in 90 %"]
-    publish("accuracy.md", "gnss", table(header, rows))
+    publish("results/gnss.md", "gnss", table(header, rows))

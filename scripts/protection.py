@@ -23,7 +23,7 @@ def protection(data):
     rows = [[name, f"{len(walks)}", f"{sum(len(z) for z in walks)}", *_held(walks)] for name, walks in groups.items()]
     levels = [f"within the {100 * level:g} % level" for level in LEVELS]
     quantiles = [f"{100 * quantile:g} % of errors / sigma" for quantile in QUANTILES]
-    publish("accuracy.md", "protection", table(["walks", "", "places", *levels, *quantiles, "worst"], rows))
+    publish("results/protection.md", "protection", table(["walks", "", "places", *levels, *quantiles, "worst"], rows))
 
 
 def _groups(data):

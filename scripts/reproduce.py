@@ -1,9 +1,13 @@
-"""Every table of docs/accuracy.md and docs/simulation.md, from real recordings in ../shared/data or $PDR_GRAPH_DATA."""
+"""Every table of docs/results/ and docs/simulation.md, and docs/accuracy.md from them.
+
+Real recordings are in ../shared/data or $PDR_GRAPH_DATA.
+"""
 
 import os
 import sys
 from pathlib import Path
 
+import accuracy_page
 import calibration_walk
 import cart
 import compass
@@ -87,7 +91,8 @@ def main(arguments):
     for name in [name for name in MADE if name in arguments and "all" not in arguments] or MADE:
         began = busy()
         MADE[name]()
-        tables.timed("accuracy.md", name, busy() - began)
+        tables.timed("results/index.md", name, busy() - began)
+    accuracy_page.accuracy_page()
 
 
 if __name__ == "__main__":

@@ -30,7 +30,7 @@ def settings(data):
         held = partial(on_plan, Prior(wall_margin=margin, wall_sigma=sigma))
         rows.append(row(f"with map: margin {margin} m, sigma {sigma} m", walks, method=held))
     header = ["setting", "every second: CE50/75/95 [m]", "in 90 %", "first and last: CE50/75/95 [m]", "in 90 %"]
-    publish("accuracy.md", "settings", table(header, rows))
+    publish("results/settings.md", "settings", table(header, rows))
 
 
 def row(name, walks, change=lambda steps: steps, method=METHODS["graph"]):

@@ -1,4 +1,4 @@
-"""Walks of the simulator as its recorder has them, for docs/accuracy.md."""
+"""Walks of the simulator as its recorder has them, for docs/results/."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -48,7 +48,7 @@ def counts(data):
         attitude = attitude_of(io.load(path))
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
         rows.append([name, true, *(beside(n, true) for n in found)])
-    publish("accuracy.md", "counts", table(["recording", "true", *DETECTORS], rows))
+    publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
 
 
 def oxford(data):
@@ -74,7 +74,7 @@ def quiet(data):
         attitudes = [attitude_of(io.load(path)) for path in files]
         found = [sum(int((detect(a).time < QUIET[name]).sum()) for a in attitudes) for detect in DETECTORS.values()]
         rows.append([f"{name}, first {QUIET[name]:.0f} s of {len(files)}", *found])
-    publish("accuracy.md", "quiet", table(["", *DETECTORS], rows))
+    publish("results/steps.md", "quiet", table(["", *DETECTORS], rows))
 
 
 class Measured:
@@ -126,10 +126,12 @@ def strides(walks):
     left_out = np.array([walk.ratio(refitted(known, walk)) for walk in known])
     rows.append(["inverted pendulum, k₁ of the other chains", *spread(known, left_out), *[""] * len(others)])
     header = ["model / true length", f"{LONG:.0f} m and more: bias", "spread", "all fifteen: bias", "spread"]
-    publish("accuracy.md", "stride", table([*header, *(walk.name for walk in others)], rows))
+    publish("results/steps.md", "stride", table([*header, *(walk.name for walk in others)], rows))
     cells = [[w.name, f"{w.way:.0f}", len(w.gait.landings), f"{r:.2f}"] for w, r in zip(known, left_out, strict=True)]
     publish(
-        "accuracy.md", "stride by walk", table(["walk", "way [m]", "steps", "model / true, k₁ of the others"], cells)
+        "results/steps.md",
+        "stride by walk",
+        table(["walk", "way [m]", "steps", "model / true, k₁ of the others"], cells),
     )
 
 
@@ -178,7 +180,7 @@ def profiles(walks):
     for name, of in (("mean", np.mean), ("spread", np.std)):
         rows.append([f"**{name}**", "", f"{of(plain):.3f}", "", f"{of(taught):.3f}"])
     header = ["walk", "way [m]", "model / true", "profile's 1 + E_length", "with profile / true"]
-    publish("accuracy.md", "profiles", table(header, rows))
+    publish("results/steps.md", "profiles", table(header, rows))
 
 
 def learnt(measured_walk, known):

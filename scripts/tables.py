@@ -20,6 +20,20 @@ def publish(document, name, text):
         _replace(DOCS / document, rf"(<!-- {name} -->\n).*?(<!-- /{name} -->)", f"{text}\n", name)
 
 
+def published(document, name):
+    """The tables between two markers of a document: a list of rows each, a row as a dict from header to cell.
+
+    A second column of the same header has " (2)" behind it.
+    """
+    text = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", (DOCS / document).read_text(), re.DOTALL)[1]
+    tables = []
+    for part in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        header, _, *rows = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in part.splitlines()]
+        header = [f"{name} (2)" if name in header[:n] else name for n, name in enumerate(header)]
+        tables.append([dict(zip(header, row, strict=True)) for row in rows])
+    return tables
+
+
 def timed(document, name, seconds):
     """Say how long ``scripts/reproduce name`` kept a processor busy; under --write in the last cell of its row."""
     said = f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

@@ -91,8 +91,8 @@ def topology(data):
     ]
     header = ["plan", "given", "walks", "within 5 m", "in the right aisle", "stated over 90 %", "of these over 5 m off"]
     rows.append(described(["**all**", ""], found))
-    publish("accuracy.md", "topology", table([*header, "in a wrong aisle"], rows))
-    publish("accuracy.md", "reliability", reliability(found))
+    publish("results/topology.md", "topology", table([*header, "in a wrong aisle"], rows))
+    publish("results/topology.md", "reliability", reliability(found))
 
 
 def described(names, some):

@@ -49,7 +49,7 @@ def wide_places():
         crossing = np.mean([plan.crosses_wall(t.position[:-1], t.position[1:]).mean() for t in own])
         rows.append([name, *cells, f"{end:.2f}", f"{100 * crossing:.1f} %"])
     header = ["error [m]", "plaza: mean", "median walk", "max", "boulevard: mean", "median walk", "max", "at the end"]
-    publish("accuracy.md", "wide places", table([*header, "steps through walls"], rows))
+    publish("results/wide-places.md", "wide places", table([*header, "steps through walls"], rows))
     if "--write" in sys.argv:
         draw(plan, walks, {name: tracks[name] for name in ("dead reckoning", ALONE, OURS)})
 

@@ -1,4 +1,4 @@
-"""docs/accuracy.md says what scripts/reproduce writes, and its own prose says the same."""
+"""docs/accuracy.md and docs/results/ have what the scripts write; README, index and accuracy quote their figures."""
 
 import re
 from pathlib import Path
@@ -6,77 +6,223 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGE = (ROOT / "docs" / "accuracy.md").read_text()
-MADE = re.findall(r'^    "([a-z0-9-]+)": ', (ROOT / "scripts" / "reproduce.py").read_text(), re.MULTILINE)
+DOCS, SCRIPTS = ROOT / "docs", ROOT / "scripts"
+ACCURACY = (DOCS / "accuracy.md").read_text(encoding="utf-8")
+RESULTS = {page.stem: page.read_text(encoding="utf-8") for page in (DOCS / "results").glob("*.md")}
+MADE = re.findall(r'^    "([a-z0-9-]+)": ', (SCRIPTS / "reproduce.py").read_text(), re.MULTILINE)
+PAGES = [name for name in MADE if name != "simulation"]  # which is docs/simulation.md
+NO_COMMAND = {"index", "metrics", "papers"}
+MOST_WORDS = 1500
+
+# Sentence of a page, and the cells that its figures are: document, marker, beginning of the row, column, decimals
+MICROSOFT = ("results/microsoft.md", "microsoft")
+CE = ("CE50 [m]", "CE75 [m]", "CE95 [m]")
+WAYPOINTS = {
+    "every second waypoint: straight lines between them": ("every second waypoint", "straight lines"),
+    "every second waypoint: graph": ("every second waypoint", "graph"),
+    "first and last waypoint: dead reckoning, rigidly aligned": ("first and last", "dead reckoning"),
+    "first and last waypoint: graph": ("first and last", "graph"),
+    "first and last waypoint: graph with the floor plan": ("first and last", "graph with map"),
+    "first waypoint alone: graph, the direction by the magnetometer": ("first only", "graph"),
+    "first waypoint alone: graph with the floor plan": ("first only", "graph with map"),
+}
+QUOTES = [
+    (
+        "README.md",
+        f"| {label.replace('**', '')} | {{}} m | {{}} m | {{}} m |",
+        [(*MICROSOFT, row, column, 2) for column in CE],
+    )
+    for label, row in WAYPOINTS.items()
+] + [
+    (
+        "README.md",
+        "{} % of {} simulated visits are assigned to the right shop",
+        [("results/lifelog.md", "lifelog-visits", ("**both**", "all"), c, 0) for c in ("named right", "visits")],
+    ),
+    (
+        "README.md",
+        "a month of 10⁶ steps takes {} s to build",
+        [("performance.md", "lifelog", ("30 days, 1000000 steps, one process",), "", 0)],
+    ),
+    (
+        "README.md",
+        "an hour at 100 Hz with a map takes {} s from file to report, {} s of it for the graph",
+        [
+            ("performance.md", "hour", ("**the whole command**",), "CPU [s]", 0),
+            ("performance.md", "hour", ("**of which the graph**",), "CPU [s]", 1),
+        ],
+    ),
+    (
+        "README.md",
+        "is {} to {} times as fast as a filterpy filter with its smoother",
+        [
+            ("performance.md", "rivals", (steps, "filterpy: extended Kalman filter and RTS"), "ratio", 1)
+            for steps in ("2000", "7000")
+        ],
+    ),
+    (
+        "README.md",
+        "and {} times as fast as one Python factor per step with GTSAM's own optimiser",
+        [
+            (
+                "performance.md",
+                "rivals",
+                ("2000", "GTSAM: a CustomFactor per step, LevenbergMarquardtOptimizer"),
+                "ratio",
+                0,
+            )
+        ],
+    ),
+    ("README.md", "10⁶ steps take {} s.", [("performance.md", "scaling", ("1 000 000",), "CPU [s]", 0)]),
+]
+# Numbers of these pages that are no results: names, versions, definitions and settings of the data
+SETTINGS = {
+    "README.md": [
+        "95 % region",
+        "kill -9",
+        "Location Competition 2.0",
+        "CE50, CE75 and CE95",
+        "about 0.66 m",
+        "Python 3.11 to 3.13",
+    ],
+    "docs/index.md": ["95 % region", "Python 3.11 to 3.13"],
+    "docs/accuracy.md": [
+        "the 50, 75 and 95 % points, a / b the 50 and 95 % points",
+        "90 %",
+        "50 / 95 %",
+        "95 % radius",
+        "15 minutes",
+        "1 Hz",
+        '"10 m off"',
+        "1650 m",
+        "1 m",
+        "60 s",
+        "48 simulated days",
+        "20 simulated days",
+        "3 × r95",
+    ],
+}
+
+
+@pytest.fixture
+def scripts(monkeypatch):
+    """The modules that read and write tables."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    import accuracy_page
+    import tables
+
+    return accuracy_page, tables
 
 
 def cells(line):
     return [cell.strip() for cell in line.strip("|\n").split(" | ")]
 
 
-def block(name):
+def block(page, name):
     """The rows between two markers, but for the header."""
-    (text,) = re.findall(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", PAGE, re.DOTALL)
+    (text,) = re.findall(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", RESULTS[page], re.DOTALL)
     return [cells(line) for line in text.splitlines() if line.startswith("| ")][2:]
 
 
-def slug(title):
-    """The anchor of a heading, as GitHub and Markdown make it."""
-    return re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-")
+def test_accuracy_is_one_page():
+    """Tables too; a word has a letter or a digit."""
+    assert sum(bool(re.search(r"\w", word)) for word in ACCURACY.split()) <= MOST_WORDS
 
 
-def sections():
-    """Anchor to text of each section, with all below it."""
-    heads = [(m.start(), len(m[1]), m[2]) for m in re.finditer(r"^(#+) (.*)$", PAGE, re.MULTILINE)]
-    for start, depth, title in heads:
-        ends = [at for at, other, _ in heads if at > start and other <= depth]
-        yield slug(title), PAGE[start : min(ends, default=len(PAGE))]
+def test_the_tables_of_the_page_are_those_of_the_results(scripts):
+    for name, make in scripts[0].TABLES.items():
+        assert f"<!-- {name} -->\n{make()}\n<!-- /{name} -->" in ACCURACY, (
+            f"{name}: run python scripts/accuracy_page.py --write"
+        )
 
 
 def test_every_table_has_a_command_and_its_time():
     """In the order in which ``all`` makes them."""
-    listed = re.findall(r"^\| `([a-z0-9-]+)` \|.*\| (.*) \|$", PAGE, re.MULTILINE)
+    listed = re.findall(r"^\| `([a-z0-9-]+)` \|.*\| (.*) \|$", RESULTS["index"], re.MULTILINE)
     assert [name for name, _ in listed] == MADE
     assert all(re.fullmatch(r"\d+ (s|min)", said) for _, said in listed), listed
 
 
-def test_every_command_of_the_page_exists():
-    """And every section that has tables names one, itself or where it begins."""
-    named = re.findall(r"scripts/reproduce ([a-z0-9-]+)", PAGE)
-    assert set(named) <= {*MADE, "all"}
-    assert set(named) >= {*MADE} - {"simulation"}
+def test_every_page_of_results_begins_with_its_command():
+    assert set(RESULTS) - NO_COMMAND == set(PAGES)
+    for name in PAGES:
+        command = RESULTS[name].splitlines()[2]
+        assert command.startswith(f"Command: `scripts/reproduce {name} --write`"), name
+        assert "<!-- " in RESULTS[name], name
 
 
-def test_markers_come_in_pairs():
+def test_every_script_finds_the_place_of_its_table():
+    """What a script publishes has markers on its page, and every marker has a script."""
+    published = set()
+    for script in SCRIPTS.glob("*.py"):
+        text = script.read_text(encoding="utf-8")
+        published |= set(re.findall(r'publish\(\s*"results/([\w-]+)\.md",\s*"([^"]+)"', text))
+    markers = {(page, name) for page, text in RESULTS.items() for name in re.findall(r"<!-- ([^/].*?) -->", text)}
+    assert published == markers
+
+
+@pytest.mark.parametrize("page", ["accuracy", *sorted(RESULTS)])
+def test_markers_come_in_pairs(page):
     """Each once, so that a script finds its place."""
-    begun, ended = re.findall(r"<!-- ([^/].*?) -->", PAGE), re.findall(r"<!-- /(.*?) -->", PAGE)
+    text = RESULTS.get(page, ACCURACY)
+    begun, ended = re.findall(r"<!-- ([^/].*?) -->", text), re.findall(r"<!-- /(.*?) -->", text)
     assert begun == ended
     assert len(set(begun)) == len(begun)
 
 
-def test_links_within_the_page_lead_somewhere():
-    """Also those of the index of papers."""
-    assert set(re.findall(r"\]\(#(.*?)\)", PAGE)) <= {anchor for anchor, _ in sections()}
-
-
 def test_two_scripts_agree_on_microsofts_walks():
     """The summary pools its errors from one case per recording, the other table from all walks at once."""
-    by_method = {(given, method): [cell.split()[0] for cell in rest[:3]] for given, method, *rest in block("microsoft")}
+    rows = block("microsoft", "microsoft")
+    by_method = {(given, method): [cell.split()[0] for cell in rest[:3]] for given, method, *rest in rows}
     seen = 0
-    for recordings, given, laid, causal, _, graph, _ in block("summary"):
+    for recordings, given, aligned, causal, _, graph, _ in block("recordings", "summary"):
         if recordings.startswith("Microsoft, 15"):
             help_ = given.removesuffix(", plan")
             plan = "graph with map" if given != help_ else "graph"
-            for cell, method in ((laid, "dead reckoning"), (causal, "filter (causal)"), (graph, plan)):
+            for cell, method in ((aligned, "dead reckoning"), (causal, "filter (causal)"), (graph, plan)):
                 assert cell.split(" / ") == by_method[help_, method][::2], (given, method)
                 seen += 1
     assert seen == 15
 
 
-@pytest.mark.parametrize("row", [line for line in dict(sections())["the-five-papers"].splitlines() if "](#" in line])
-def test_figures_of_the_papers_stand_in_their_sections(row):
+@pytest.mark.parametrize("row", [line for line in RESULTS["papers"].splitlines() if "](" in line])
+def test_figures_of_the_papers_stand_on_their_pages(row):
     """Published or ours, whatever has a decimal."""
     _, _, published, ours, _, link = cells(row)
-    section = dict(sections())[re.findall(r"\(#(.*?)\)", link)[0]]
+    (page,) = re.findall(r"\]\(([\w-]+)\.md", link)
     for figure in re.findall(r"\d+\.\d+", f"{published} {ours}"):
-        assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", section), (figure, row)
+        assert re.search(rf"(?<![\d.]){re.escape(figure)}(?!\d)", RESULTS[page]), (figure, row)
+
+
+def cell_of(tables, document, name, row, column, decimals):
+    """The number of a cell, rounded."""
+    found = [r for t in tables.published(document, name) for r in t if tuple(r.values())[: len(row)] == row]
+    assert len(found) == 1, (document, name, row)
+    figure = re.search(r"[\d.e+]+", found[0][column])[0]
+    return f"{float(figure):.{decimals}f}"
+
+
+@pytest.mark.parametrize("quote", QUOTES, ids=lambda quote: quote[1][:40])
+def test_a_quoted_figure_is_that_of_its_table(scripts, quote):
+    page, sentence, sources = quote
+    figures = [cell_of(scripts[1], *source) for source in sources]
+    assert sentence.format(*figures) in prose(page)
+
+
+@pytest.mark.parametrize("page", SETTINGS)
+def test_no_figure_stands_in_prose_without_its_table(page):
+    """All numbers of the page are in `QUOTES`, in `SETTINGS` or in a table that a script wrote."""
+    text = prose(page)
+    sentences = [re.escape(sentence).replace(r"\{\}", r"[\d.]+") for of, sentence, _ in QUOTES if of == page]
+    for pattern in [*sentences, *map(re.escape, SETTINGS[page])]:
+        text = re.sub(pattern, "", text)
+    left = re.findall(r".{0,40}(?<![\w.])\d.{0,20}", text)
+    assert not left, left
+
+
+def prose(page):
+    """A page without the tables of scripts, code, addresses and bold type."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    text = re.sub(r"<!-- (.*?) -->\n.*?<!-- /\1 -->", "", text, flags=re.DOTALL)
+    text = re.sub(r"^```.*?^```|`[^`\n]*`", "", text, flags=re.DOTALL | re.MULTILINE)
+    return re.sub(r"\]\([^)]*\)", "]", text).replace("**", "")

@@ -30,7 +30,7 @@ class ForwardSettings:
 
     lead: phase by which the forward acceleration leads the vertical one [rad]: 33–119° in sixteen of eighteen real
         walks with the phone in hand; 51–106°, or half a turn from that, with the phone in hand, pocket, bag and on a
-        swinging arm (docs/accuracy.md).
+        swinging arm (docs/results/heading.md).
     band: half width of the filter at the step frequency, as a share of it: excludes the stride's frequency (half of it)
         and one and a half times it.
     window_steps, least_windows: length of a window, and the least number of windows of walking.

@@ -93,7 +93,7 @@ class StepFeatures:
 
 REFERENCE_HEIGHT = 1.70  # [m] stature for which models without stature were fitted
 SHORTEST_LENGTH, LONGEST_LENGTH = 0.2, 1.2  # [m] limits of all models; chosen by hand
-SIGMA_SHARE = 0.3  # standard deviation as a share of a step's length; table of settings in docs/accuracy.md
+SIGMA_SHARE = 0.3  # standard deviation as a share of a step's length; docs/results/settings.md
 TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
 
 Lengths = tuple[Array, Array]

@@ -1,0 +1,210 @@
+"""The tables of docs/accuracy.md: rows and sums of the tables in docs/results/, without a new computation.
+
+python scripts/accuracy_page.py [--write]; `scripts/reproduce NAME --write` does it too.
+"""
+
+import re
+
+from tables import publish, published, table
+
+LOWEST = 0.85  # of the places have to lie in the stated 90 % region
+HONEST = (": none", ": the published list", ": the list put right")
+EMPHASIS = re.compile(r"\*\*")
+
+
+def accuracy_page():
+    """Print the tables of docs/accuracy.md; with --write put them there."""
+    for name, make in TABLES.items():
+        publish("accuracy.md", name, make())
+
+
+def plain(cell):
+    """A cell without emphasis."""
+    return EMPHASIS.sub("", cell)
+
+
+def outdoors():
+    """Simulated receivers and the campus walk: errors, share in the region, its radius."""
+    simulated = ["GNSS", "GNSS: 5 s late", "GNSS: jumping", "GNSS: 10 m off"]
+    rows = [integrity("integrity", "outdoors", given, f"80 simulated walks, {given}") for given in simulated]
+    campus = ["one in 10 s", "one in 60 s"]
+    return region_table(
+        rows + [integrity("integrity recorded", "NJU campus", given, f"campus, GPS {given}") for given in campus]
+    )
+
+
+def outage():
+    """Mean error within an outage of the GPS by three methods."""
+    rows = []
+    for length in ("20 s", "2 min", "10 min"):
+        ekf, rts, graph = (
+            record("gps-outage", "gps-outage", length, method)
+            for method in ("EKF", "EKF, smoothed (RTS)", "**the graph**")
+        )
+        mean = "in it: mean [m]"
+        rows.append([length, ekf[mean], rts[mean], graph[mean], graph["95 % [m]"], graph["in 90 % region"]])
+    header = ["outage", "filter: mean [m]", "smoothed filter", "graph", "graph: 95 % [m]", "in 90 % region"]
+    return table(header, rows)
+
+
+def plan():
+    """Microsoft's walks: median and 95 % by four methods."""
+    rows = []
+    for given in ("every second waypoint", "first and last", "first only"):
+        methods = ("dead reckoning", "filter (causal)", "graph", "graph with map")
+        found = [record("microsoft", "microsoft", given, method) for method in methods]
+        errors = [f"{one['CE50 [m]'].split()[0]} / {one['CE95 [m]'].split()[0]}" for one in found]
+        rows.append([given, *errors, found[3]["in 90 % region"]])
+    header = [
+        "positions given",
+        "dead reckoning [m]",
+        "filter [m]",
+        "graph [m]",
+        "graph with plan [m]",
+        "in 90 % region",
+    ]
+    return table(header, rows)
+
+
+def beacons():
+    """Beacons, simulated and of three museum walks."""
+    given = ["beacons", "GNSS, beacons", "GNSS, beacons: of another building", "beacons: a pair swapped"]
+    rows = [integrity("integrity", "indoors", one, f"15 simulated walks, {one}") for one in given]
+    museum = ["GNSS", "GNSS, beacons: the published list"]
+    return region_table(
+        rows + [integrity("integrity recorded", "IPIN 2023, all", one, f"3 museum walks, {one}") for one in museum]
+    )
+
+
+def live():
+    """The current pose beside the causal filter, the smoothed walk and the batch solution."""
+    shown = [
+        ("Microsoft", ["every second waypoint, plan", "first and last", "first only, plan"]),
+        ("NJU campus", ["one in 10 s", "one in 60 s"]),
+        ("Trial01_repetition01", ["GNSS, beacons"]),
+        ("Trial24_repetition03", ["GNSS, beacons"]),
+        ("Trial52_repetition01", ["GNSS, beacons"]),
+        (
+            "simulated",
+            ["outdoors", "indoors, fixes every 30 s", "indoors, start, compass, plan", "indoors, GNSS, beacons"],
+        ),
+        ("scenario", ["mall"]),
+    ]
+    columns = ["walks", "current pose [m]", "filter [m]", "pose / filter", "in 90 %", "lag 60 s [m]", "batch [m]"]
+    rows = [
+        [f"{walk.split('_')[0]}: {given}", *(ends(plain(record("live", "live", walk, given)[c])) for c in columns)]
+        for walk, several in shown
+        for given in several
+    ]
+    return table(["recordings: given", *columns], rows)
+
+
+def live_regions():
+    """Share of current poses in the stated region, with honest and with wrong sources."""
+    rows = []
+    for row in published("results/integrity-live.md", "integrity live")[0]:
+        sources = f"{row['']}: {row['given']}"
+        error, region = ends(row["current pose [m]"]), plain(row["in 90 % (2)"])
+        rows.append([sources, row["walks"], error, region, row["not ok"]])
+    return table(["simulated walks: given", "walks", "current pose [m]", "in 90 %", "not `ok`"], rows)
+
+
+def lifelog():
+    """Stays of simulated days, and visits of shop fronts."""
+    stays = published("results/lifelog.md", "lifelog-simulated-days")[0]
+    visits = record("lifelog", "lifelog-visits", "**both**", "all")
+    rows = []
+    for row in stays:
+        kind = f"stays of {row['true stays']}" if "min" in row["true stays"] else "longer stays"
+        found = int(row["number"]) - int(row["missed"])
+        rows.append([kind, row["number"], f"{found} found", f"{row['start and end off: median']} off"])
+    right, off = f"{visits['named right']} right", f"{visits['off [m]: median']} m off"
+    rows.append(["visits of shops", visits["visits"], right, off])
+    return table(["simulated days", "number", "found", "median"], rows)
+
+
+def trust():
+    """How often the stated 90 % region holds the truth, with honest sources and with one that is wrong."""
+    rows = []
+    for title, name in (("simulated walks", "integrity"), ("recorded walks", "integrity recorded")):
+        sources = [row for row in published("results/integrity.md", name)[0] if "all" not in row.get("recordings", "")]
+        for wrong in (False, True):
+            some = [row for row in sources if is_wrong(row["given"]) is wrong]
+            shares = [share(row["in 90 % region"]) for row in some]
+            walks = [int(row["walks"]) for row in some]
+            beyond = sum(int(plain(row["mean over 3 × r95"]).split()[0]) for row in some)
+            doubted = sum(share(row["not ok"]) * n for row, n in zip(some, walks, strict=True)) / sum(walks)
+            case = f"{title}, {'one source wrong' if wrong else 'honest sources'}"
+            low = sum(one < LOWEST for one in shares)
+            rows.append([case, len(some), percent(min(shares)), low, f"{beyond} of {sum(walks)}", percent(doubted)])
+    header = ["", "cases", "lowest share in region", f"cases below {percent(LOWEST)}"]
+    return table([*header, "walks with mean error beyond 3 × r95", "walks not `ok`"], rows)
+
+
+def misses():
+    """Every case of the table of integrity whose 90 % region holds less than it has to."""
+    rows = [
+        [f"{row['']}: {row['given']}", row["error [m]"], plain(row["in 90 % region"]), row["not ok"]]
+        for row in published("results/integrity.md", "integrity")[0]
+        if share(row["in 90 % region"]) < LOWEST
+    ]
+    return table(["simulated walks: given", "error [m]", "in 90 % region", "not `ok`"], rows)
+
+
+def is_wrong(given):
+    """True if one of a row's sources is wrong: all that stands behind a colon, but for what is in `HONEST`."""
+    for honest in HONEST:
+        given = given.replace(honest, "")
+    return ":" in given
+
+
+def percent(number):
+    """A share as a cell."""
+    return f"{100 * number:.0f} %"
+
+
+def share(cell):
+    """A cell in percent as a number; 0 for none."""
+    return float(plain(cell).rstrip(" %").replace("—", "0").replace("-", "0")) / 100
+
+
+def ends(cell):
+    """The first and the last of three figures; other cells as they are."""
+    parts = cell.split(" / ")
+    return f"{parts[0]} / {parts[-1]}" if len(parts) == 3 else cell
+
+
+def integrity(name, place, given, label):
+    """A row of the table of regions."""
+    found = record("integrity", name, place, given)
+    return [label, *(plain(found[c]) for c in ("error [m]", "in 90 % region", "its radius [m]", "not ok"))]
+
+
+def region_table(rows):
+    """Rows of `integrity` under their header."""
+    return table(["walks and sources", "error [m]", "in 90 % region", "its radius [m]", "not `ok`"], rows)
+
+
+def record(page, name, *keys):
+    """The row of a published table that begins with these cells."""
+    rows = [row for row in published(f"results/{page}.md", name)[0] if list(row.values())[: len(keys)] == list(keys)]
+    if len(rows) != 1:
+        raise SystemExit(f"docs/results/{page}.md, {name}: {len(rows)} rows begin with {keys}, expected 1")
+    return rows[0]
+
+
+TABLES = {
+    "outdoors": outdoors,
+    "outage": outage,
+    "plan": plan,
+    "beacons": beacons,
+    "live quality": live,
+    "live regions": live_regions,
+    "diary": lifelog,
+    "trust": trust,
+    "misses": misses,
+}
+
+
+if __name__ == "__main__":
+    accuracy_page()
