@@ -27,8 +27,8 @@ from pdr_graph.types import Array, Index, Mask
 ROOT = 48  # variables that are eliminated last, as one dense matrix
 FEWEST_BOUND, SHARE_BOUND = 32, 1 / 8  # neighbours, as number and as share of all variables, from which one is border
 SPARSE = 0.5  # share of all that are left to which each is bound, from which they are one dense matrix
-FEWEST, MORE_NEIGHBOURS = 0.5, 1.4  # quantile of the number of neighbours, and multiple of it, to be eliminated next
-MANY_PLACES = 4  # times as many places as contributions: sums are made of the places that occur alone
+FEWEST = 0.5  # quantile of the number of neighbours, up to which a variable may be eliminated next
+FEW_PLACES = 0.5  # share of all places that occur, below which sums are made for these alone
 INDETERMINATE = 1e-15  # share of a diagonal element that is left of it by rounding errors
 INDETERMINATE_TEXT = "the factors do not determine all variables"
 
@@ -57,20 +57,22 @@ class Sum:
 
     def __init__(self, place: Index, count: int):
         """place: of each contribution, any shape; count: of all places."""
-        self._axes, size, column = place.ndim, place.size, place.ravel()
+        self._size, column = place.size, place.ravel()
         self._rows = count
         self._places = None
-        if MANY_PLACES * size < count:  # few of them: sums to these alone
-            self._places, column = np.unique(column, return_inverse=True)
+        occurs = np.zeros(count, dtype=bool)
+        occurs[column] = True
+        if np.count_nonzero(occurs) < FEW_PLACES * count:  # sums to these alone
+            self._places, column = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
             self._rows = len(self._places)
-        matrix = coo_array((np.ones(size), (column, np.arange(size))), shape=(self._rows, size))
+        matrix = coo_array((np.ones(self._size), (column, np.arange(self._size))), shape=(self._rows, self._size))
         matrix.has_canonical_format = True  # or it would be sorted
         self._matrix = matrix.tocsr()
 
     def add(self, total: Array, contribution: Array) -> None:
         """Add all contributions to ``total (count, …)``: their first axes are those of ``place``."""
         trailing = total.shape[1:]
-        flat = contribution.reshape(self._matrix.shape[1], int(np.prod(trailing)))
+        flat = contribution.reshape(self._size, int(np.prod(trailing)))
         sums = (self._matrix @ flat).reshape(self._rows, *trailing)
         if self._places is None:
             total += sums
@@ -182,7 +184,7 @@ def _rounds(u: Index, v: Index, alive: Mask) -> tuple[list[tuple[Index, Index]],
         few, *_ = np.quantile(degree[alive], [FEWEST], method="lower")
         if few > SPARSE * np.count_nonzero(alive):
             break
-        candidate = alive & (degree <= MORE_NEIGHBOURS * few)
+        candidate = alive & (degree <= few)
         rank = np.cumsum(alive)
         turn = np.where(rank % 2 == 0, rank, rank + count)  # every second one first
         blocked = np.zeros(count, dtype=bool)

@@ -26,6 +26,8 @@ from pdr_graph.estimation.normal_equations import RESCUING, Solution
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
 
+MOST_AT_ONCE = 2000  # pieces whose matrices fit into a processor's cache
+
 
 def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tuple[Array, Array]:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
@@ -47,6 +49,11 @@ def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
 
     joint: covariance ``(k, 9, 9)`` of x_i, x_j and c of each interval.
     """
+    parts = np.array_split(which, 1 + len(which) // MOST_AT_ONCE)
+    return np.concatenate([_covariance_of_pieces(joint, at, part) for part in parts])
+
+
+def _covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
     placed, interval = at.poses_of(which), at.pieces.interval[which]
     D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
     R = pose_rotation(at.pose_i[interval, 2])

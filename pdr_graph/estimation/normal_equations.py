@@ -35,15 +35,14 @@ class NormalEquations:
         self._to_variables = [Sum(bound, count) for bound in self._bound]
 
     def _to_rows(self, bound: Index) -> Sum:
-        """Sums of JᵀJ ``(n, 3 v, v, 3)`` of each factor, by rows of three, to the rows of the blocks."""
-        n, v = bound.shape
-        slots = np.empty((n, v, 1, v), dtype=np.intp)
+        """Sums of JᵀJ of each factor to the rows of the blocks. bound: ``(n, v)`` its variables."""
+        (n, v), elimination = bound.shape, self.elimination
+        slots = np.empty((n, v, v), dtype=np.intp)
         for a, b in product(range(v), repeat=2):
-            same = a == b
-            own = self.elimination.diagonal[bound[:, a]] if same else self.elimination.slots(bound[:, a], bound[:, b])
-            slots[:, a, 0, b] = own
-        rows = 3 * slots + np.arange(3)[:, None]
-        return Sum(rows.reshape(n, 3 * v, v), 3 * len(self.elimination.codes))
+            own = a == b
+            slots[:, a, b] = elimination.diagonal[bound[:, a]] if own else elimination.slots(bound[:, a], bound[:, b])
+        rows = 3 * slots[:, :, None] + np.arange(3)[:, None]  # of three numbers, so that nothing is copied
+        return Sum(rows.reshape(n, 3 * v, v), 3 * len(elimination.codes))
 
     def fits(self, at: Evaluation) -> bool:
         """True if all factors at ``at`` bind the same variables."""

@@ -172,7 +172,7 @@ class Evaluation:
         by_i[:, 0, 2] -= s[:, 1]
         by_i[:, 1, 2] += s[:, 0]
         in_frame_of_i = Linearized(s, by_i, shared.by_j, self.increments.by_c[which] + shared.by_c)
-        placed = in_frame_of_i.times(pose_rotation(self.pose_i[:, 2])[interval])
+        placed = in_frame_of_i.times(pose_rotation(self.pose_i[interval, 2]))
         return replace(placed, value=placed.value + self.pose_i[interval])
 
 
