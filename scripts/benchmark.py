@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import shapely
+from beacon_speed import beacon_rows
 from lifelog_speed import lifelog_rows
 from live_speed import live_rows
 from profile_pipeline import profile_rows
@@ -218,6 +219,7 @@ if __name__ == "__main__":
         "smoother": smoothers,
         "scaling": scaling_rows,
         "walls": wall_rows,
+        "beacons": beacon_rows,
         "commands": command_rows,
         "attitude": attitude_rows,
         "simulation": simulation_rows,

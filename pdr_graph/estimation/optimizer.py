@@ -160,6 +160,7 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
         if last:
             return Optimum(graph, at, system, iteration, converged=True)
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
+        del system  # as large as the next
         system = equations.assembled(at)
     return Optimum(graph, at, system, MOST_ITERATIONS, converged=False)
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from pdr_graph.types import Array, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
+MOST_AT_ONCE = 10_000  # pieces whose sums fit into a processor's cache
 PIECES_PER_KEYFRAME = 10  # reproduces the per-step optimum
 SIGMA_LATERAL = 0.25  # [m] of one step to the side: walkers weave about the phone's heading
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
@@ -58,19 +60,28 @@ class Pieces:
 
     def only(self, i: int) -> Pieces:
         """The pieces of interval ``i`` alone."""
-        here = slice(self.first[i], self.last[i] + 1)
-        count = self.last[i] + 1 - self.first[i]
+        return self.between(i, i + 1)
+
+    def between(self, begin: int, end: int) -> Pieces:
+        """The intervals from number ``begin`` to before ``end``; without rows of a trajectory."""
+        m = self.first[begin]
+        here = slice(m, self.last[end - 1] + 1)
         return Pieces(
             length=self.length[here],
             to_middle=self.to_middle[:, here],
             to_end=self.to_end[:, here],
             variance=self.variance[here],
-            interval=np.zeros(count, dtype=np.intp),
-            first=np.zeros(1, dtype=np.intp),
-            last=np.array([count - 1]),
-            keyframe_time=self.keyframe_time[i : i + 2],
+            interval=self.interval[here] - begin,
+            first=self.first[begin:end] - m,
+            last=self.last[begin:end] - m,
+            keyframe_time=self.keyframe_time[begin : end + 1],
             row_end=np.empty(0, dtype=np.intp),
         )
+
+    def parts(self) -> list[tuple[int, int]]:
+        """First interval, and the one after the last, of parts that are evaluated by themselves."""
+        cuts = np.searchsorted(self.first, np.arange(MOST_AT_ONCE, len(self.length), MOST_AT_ONCE))
+        return list(pairwise(np.unique([0, *cuts, len(self.first)]).tolist()))
 
     @classmethod
     def none(cls, time: float) -> Pieces:
@@ -198,9 +209,20 @@ class Increments:
     delta: Array
     by_c: Array
 
+    @classmethod
+    def together(cls, parts: Sequence[Increments]) -> Increments:
+        """Concatenate the increments of intervals that follow one another."""
+        return cls(np.concatenate([part.delta for part in parts]), np.concatenate([part.by_c for part in parts]))
+
 
 def preintegrate(pieces: Pieces, c: Array) -> Increments:
     """Δ_k(c) of every piece. c: ``(k, 3)`` R_s, R_d, b of each interval."""
+    if len(pieces.length) > MOST_AT_ONCE:
+        return Increments.together([_preintegrated(pieces.between(a, b), c[a:b]) for a, b in pieces.parts()])
+    return _preintegrated(pieces, c)
+
+
+def _preintegrated(pieces: Pieces, c: Array) -> Increments:
     R_s, R_d, b = c[pieces.interval].T
     turn, time = pieces.to_middle
     course = R_d * turn + b * time
@@ -255,7 +277,14 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
 
     with all sums over the pieces up to k, for any o that ends no earlier.
     """
-    x, y = increments.delta[:, :2].T
+    if len(pieces.length) > MOST_AT_ONCE:
+        cut_at = [(a, b, slice(pieces.first[a], pieces.last[b - 1] + 1)) for a, b in pieces.parts()]
+        return Bridge.together([_bridge(pieces.between(a, b), increments.delta[here]) for a, b, here in cut_at])
+    return _bridge(pieces, increments.delta)
+
+
+def _bridge(pieces: Pieces, delta: Array) -> Bridge:
+    x, y = delta[:, :2].T
     move_x, move_y = x.copy(), y.copy()
     move_x[1:] -= x[:-1]
     move_y[1:] -= y[:-1]
