@@ -83,9 +83,10 @@ SETTINGS = {
         "Location Competition 2.0",
         "CE50, CE75 and CE95",
         "about 0.66 m",
+        "Python 3.11, 3.12 or 3.13",
         "Python 3.11 to 3.13",
     ],
-    "docs/index.md": ["95 % region", "Python 3.11 to 3.13"],
+    "docs/index.md": ["95 % region", "Python 3.11, 3.12 or 3.13"],
     "docs/accuracy.md": [
         "the 50, 75 and 95 % points, a / b the 50 and 95 % points",
         "90 %",
