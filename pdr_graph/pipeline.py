@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
 OPEN = "the direction of dead reckoning from one fix is open"
+POSITIONS_ALONE = "positions alone: the recording has no sensor, so that this is the fixes, smoothed, without steps"
 NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
 
 
@@ -58,7 +59,7 @@ def smooth_recording(recording: Path, out: Path, options: Options | None = None)
         evidence = observe(inputs, options)
     with output_folder(out) as staged:
         with stage("estimate"):
-            result = estimate(evidence, options.method)
+            result = estimate(evidence, options.method) if inputs.walk.signals else positions_alone(inputs.fixes)
         return write(staged, inputs, result, options, stage)
 
 
@@ -196,6 +197,11 @@ def estimate(evidence: Evidence, method: str = "graph") -> Result:
         profile=evidence.profile,
         causal=_filter_track if method in ("graph", "rts") else None,
     )
+
+
+def positions_alone(fixes: Fixes) -> Result:
+    """Smooth the fixes of a recording without any sensor, as of a GPX track: all that it has, so nothing is missing."""
+    return Result(follow(fixes), issues=(POSITIONS_ALONE,))
 
 
 def _filter_track(graph: WalkGraph) -> dict[str, Trajectory]:

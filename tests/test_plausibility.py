@@ -11,7 +11,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building
 from pdr_graph.frames import enu
 from pdr_graph.inputs import Options, read
-from pdr_graph.io.tables import clock_hint
+from pdr_graph.io.likely_causes import clock_hint
 from pdr_graph.online.replay import navigator_of
 from pdr_graph.plausibility import Plausibility
 from pdr_graph.types import Fixes, Recording, Signal
@@ -118,6 +118,11 @@ def test_swapped_latitude_and_longitude_are_recognised():
         ((1.7e9 - 12600, 1.7e9 - 12540), (1.7e9, 1.7e9 + 90), "3.5 h early: time zone?"),
         ((1.7e12, 1.7e12 + 60000), (1.7e9, 1.7e9 + 90), "milliseconds?"),
         ((0.0, 60.0), (1.7e9, 1.7e9 + 90), "seconds from the start"),
+        ((1.7e18, 1.7e18 + 6e10), (1.7e9, 1.7e9 + 90), "nanoseconds?"),
+        ((1.7e9 + 7200, 1.7e9 + 7260), (1.7e9, 1.7e9 + 90), "(exactly 2 h late"),
+        ((1.7e9 + 7260, 1.7e9 + 7320), (1.7e9, 1.7e9 + 90), "(2 h late"),
+        ((1.7e9 + 172800, 1.7e9 + 172860), (1.7e9, 1.7e9 + 90), "exactly 2 days late: another date?"),
+        ((1.7e9, 1.7e9 + 60), (0.0, 90.0), "Unix times"),
         ((1.6e9, 1.6e9 + 60), (1.7e9, 1.7e9 + 90), ""),
     ],
 )

@@ -18,6 +18,7 @@ from pdr_graph.io import (
     phyphox,
     sensor_logger,
 )
+from pdr_graph.io.unrecognized import description
 from pdr_graph.source import Source
 from pdr_graph.types import Recording
 
@@ -49,13 +50,5 @@ def load(path: str | Path, gnss_latency: float = 0.0) -> Recording:
         if reader.recognizes(source):
             walk = reader.read(source)
             return replace(walk, fixes=replace(walk.fixes, time=walk.fixes.time - gnss_latency))
-    formats = ", ".join(reader.NAME for reader in READERS)
-    raise InputError(path, "", _content(source), f"a recording of a supported recorder: {formats}")
-
-
-def _content(source: Source) -> str:
-    """The content of a source as a text for a message."""
-    if source.single is None:
-        return f"{len(source.names)} files, {', '.join(source.names[:3])[:60]}" if source.names else "an empty folder"
-    head = source.head(source.single, 24)
-    return f"the bytes {head!r}" if head else "an empty file"
+    found, expected = description(source, ", ".join(reader.NAME for reader in READERS))
+    raise InputError(path, "", found, expected)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError
+from pdr_graph.io.likely_causes import clock_hint
 from pdr_graph.io.tables import read_table
 from pdr_graph.measurements import Ranges
 from pdr_graph.types import Beacons, Recording
@@ -23,7 +24,7 @@ def read_ranges(path: Path, recording: Recording, anchors: Beacons) -> Ranges:
     time: on the recorder's clock [s]; anchor: a name in the list of anchors; range, sigma: [m]. anchors: in the frame
     of the walk. Raises InputError naming the row, also if no range lies within the recording.
     """
-    numbers, words = read_table(path, [("time", "range")], optional=("sigma",), words=("anchor",))
+    numbers, words = read_table(path, [("time", "range")], optional=("sigma",), words=("anchor",), recording=recording)
     time, distance = numbers["time"] - recording.clock_origin, numbers["range"]
     sigma = np.nan_to_num(numbers.get("sigma", np.full(len(time), np.nan)), nan=RANGE_SIGMA)
     for wrong, values, name, expected in (
@@ -50,6 +51,8 @@ def _check_clock(path: Path, ranges: Ranges, recording: Recording) -> None:
     end = max((signal.time[-1] for signal in recording.signals.values()), default=np.inf)
     if not ((ranges.time >= 0) & (ranges.time <= end)).any():
         clock = recording.clock_origin
-        found = f"{ranges.time.min() + clock:.1f} to {ranges.time.max() + clock:.1f} s" if len(ranges) else "no ranges"
-        expected = f"times within the recording, {clock:.1f} to {clock + end:.1f} s (another clock, or milliseconds?)"
-        raise InputError(path, "time", found, expected)
+        found = "no ranges"
+        if len(ranges):
+            first, last = float(ranges.time.min()) + clock, float(ranges.time.max()) + clock
+            found = f"{first:.1f} to {last:.1f} s{clock_hint((first, last), (clock, clock + end))}"
+        raise InputError(path, "time", found, f"times within the recording, {clock:.1f} to {clock + end:.1f} s")

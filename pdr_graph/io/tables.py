@@ -10,7 +10,9 @@ import numpy as np
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
 from pdr_graph.io import delimited, geolife, gpx, ipin21, tum
-from pdr_graph.io.delimited import Table
+from pdr_graph.io.delimited import MISSING, Table
+from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
+from pdr_graph.io.validation import iso_time
 from pdr_graph.source import Source
 from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
@@ -21,9 +23,9 @@ def read_fixes(
     """Read position fixes from a table, a GPX track, a GeoLife ``.plt`` or a file of IPIN21's simulated fixes.
 
     A table has ``time,x,y,sigma[,floor]`` in the output frame, or ``time,lat,lon,sigma[,floor]``: time on the
-    recorder's clock [s]; sigma one standard deviation *per axis* [m] (a phone's 68 % radius divided by 1.51). Rows may
-    be in any order. The other formats have Unix times. frame: into which the fixes are transformed, None to keep
-    theirs; notes: a list to which texts about omissions and assumptions are appended.
+    recorder's clock [s] or ISO 8601; sigma one standard deviation *per axis* [m] (a phone's 68 % radius divided by
+    1.51). Rows may be in any order. The other formats have Unix times. frame: into which the fixes are transformed,
+    None to keep theirs; notes: a list to which texts about omissions and assumptions are appended.
 
     Raises InputError naming the line; also if no fix lies within the recording, for example with another clock.
     """
@@ -33,7 +35,7 @@ def read_fixes(
     path = Path(path)
     unix = _unix_fixes(path, [] if notes is None else notes)
     if unix is None:
-        fixes = _tabular_fixes(path)
+        fixes = _tabular_fixes(path, recording)
         fixes = replace(fixes, time=fixes.time - recording.clock_origin)
     elif recording.epoch is not None:
         fixes = replace(unix, time=unix.time - recording.epoch)
@@ -55,9 +57,10 @@ def _unix_fixes(path: Path, notes: list[str]) -> Fixes | None:
     return None
 
 
-def _tabular_fixes(path: Path) -> Fixes:
-    """Read the fixes of a table, sorted by time on its own clock [s]."""
-    numbers, words = read_table(path, [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")], words=("floor",))
+def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
+    """Read the fixes of a table, sorted by time on the recorder's clock [s]."""
+    required = [("time", "x", "y", "sigma"), ("time", "lat", "lon", "sigma")]
+    numbers, words = read_table(path, required, words=("floor",), recording=recording)
     geodetic = "lat" in numbers
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
@@ -89,7 +92,7 @@ def read_trajectory(path: str | Path, recording: Recording | None = None) -> Tra
         poses = tum.read_tum(str(path), text)
         return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
-    numbers, words = read_table(Path(path), [("time", "x", "y")], optional, words=("floor",))
+    numbers, words = read_table(Path(path), [("time", "x", "y")], optional, ("floor",), recording)
     time = numbers["time"]
     back = np.diff(time, prepend=-np.inf) <= 0
     _check_rows(path, back, time, "time", "times that increase from row to row")
@@ -118,24 +121,32 @@ FARTHEST = 1e8  # [m] from the origin of a metric frame: eastings with the numbe
 
 
 def read_table(
-    path: Path, required: list[tuple[str, ...]], optional: tuple[str, ...] = (), words: tuple[str, ...] = ()
+    path: Path,
+    required: list[tuple[str, ...]],
+    optional: tuple[str, ...] = (),
+    words: tuple[str, ...] = (),
+    recording: Recording | None = None,
 ) -> tuple[dict[str, Array], dict[str, tuple[str, ...]]]:
     """Read columns of numbers ``(n,)`` and of texts by name from a table with a header.
 
     required: alternative sets of columns, of which the first complete one is read; words: columns of text. Empty cells
-    are allowed in optional columns (NaN) and in columns of text only. Raises InputError naming the line.
+    are allowed in optional columns (NaN) and in columns of text only. Times may be ISO 8601: they become seconds on the
+    clock of `recording`, without one Unix times. Raises InputError naming the line.
     """
     source = _one_file(path)
     table = delimited.table(str(path), source.text(source.single or ""))
     header = [ALIASES.get(name.lower(), name.lower()) for name in table.header]
     present = next((names for names in required if set(names) <= set(header)), None)
     if present is None:
-        found = ",".join(header)[:60]
+        found = f"{','.join(header)[:60]}{header_hint(header, required)}"
         raise InputError(path, "line 1", found, "a header with " + " or ".join(",".join(r) for r in required))
     _check_widths(path, table)
     names = [*present, *(name for name in optional if name in header)]
-    values = table.rows.floats([header.index(name) for name in names], cut_off_allowed=False)
-    numbers = dict(zip(names, values.T, strict=True))
+    times = _iso_times(path, table, header.index("time"), recording) if "time" in present else None
+    plain = [name for name in names if times is None or name != "time"]
+    _check_numbers(path, table, [(name, header.index(name)) for name in plain])
+    values = table.rows.floats([header.index(name) for name in plain], cut_off_allowed=False)
+    numbers = dict(zip(plain, values.T, strict=True)) | ({} if times is None else {"time": times})
     for name in present:
         for row in np.flatnonzero(np.isnan(numbers[name]))[:1]:
             cell = table.rows.words(header.index(name))[row]
@@ -144,6 +155,43 @@ def read_table(
         _check_rows(path, np.abs(numbers[name]) > FARTHEST, numbers[name], name, f"a place within {FARTHEST:.0e} m")
     empty = ("",) * len(values)
     return numbers, {w: tuple(table.rows.words(header.index(w))) if w in header else empty for w in words}
+
+
+def _iso_times(path: Path, table: Table, column: int, recording: Recording | None) -> Array | None:
+    """A column of ISO 8601 times as seconds on the recorder's clock ``(n,)``; None if its first cell is none.
+
+    Raises InputError naming the line, or if the recording has no clock.
+    """
+    if np.isnan(iso_time(table.rows.words(column)[0])) or _is_number(table.rows.words(column)[0]):
+        return None
+    cells = table.rows.words(column)
+    times = np.array([iso_time(cell) for cell in cells])
+    for row in np.flatnonzero(np.isnan(times))[:1]:
+        expected = "ISO 8601 as in the first row, 2024-05-01T12:00:00Z"
+        raise InputError(path, f"line {table.rows.numbers[row]}, time", repr(cells[row][:40]), expected)
+    if recording is None:
+        return times
+    if recording.epoch is None:
+        expected = f"seconds of the recorder's clock: {recording.source} does not state its date"
+        raise InputError(path, f"line {table.rows.numbers[0]}, time", repr(cells[0][:40]), expected)
+    return times - recording.epoch + recording.clock_origin
+
+
+def _check_numbers(path: Path, table: Table, columns: list[tuple[str, int]]) -> None:
+    """Raise InputError if the first row has a cell that is no number, with the likely cause."""
+    for name, column in columns:
+        cell = table.rows.words(column)[0]
+        if cell.lower() not in MISSING and not _is_number(cell):
+            found = f"{cell[:40]!r}{number_hint(cell)}"
+            raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _one_file(path: Path) -> Source:
@@ -173,9 +221,6 @@ def _check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expecte
         raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", expected)
 
 
-CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
-
-
 def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
     """Raise InputError unless at least one fix lies within the recording or CLOCK_MARGIN of it."""
     signals = list(recording.signals.values())
@@ -189,24 +234,3 @@ def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
         raise InputError(
             path, "time", f"{first:.3f} to {last:.3f}{hint}", f"times within the recording, {start:.3f} to {end:.3f}"
         )
-
-
-def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str:
-    """The likely cause of times that miss the recording, as the end of a message; empty if none is evident.
-
-    found, expected: first and last time of the file and of the recording [s].
-    """
-    (first, last), (start, end) = found, expected
-    offset = (first + last - start - end) / 2
-    hours, open_ = round(offset / 1800) / 2, (end - start) / 2 + CLOCK_MARGIN
-    if 0 < abs(hours) <= LARGEST_TIME_ZONE and abs(offset - 3600 * hours) <= open_:
-        return f" ({abs(hours):g} h {'late' if hours > 0 else 'early'}: time zone?)"
-    if start - CLOCK_MARGIN <= first / 1000 <= end + CLOCK_MARGIN:
-        return " (milliseconds?)"
-    if last < FIRST_UNIX_TIME <= start:
-        return " (seconds from the start instead of the recorder's clock?)"
-    return ""
-
-
-LARGEST_TIME_ZONE = 14.0  # [h]
-FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from pdr_graph.gait.steps import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
 from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
-from pdr_graph.types import INSTANT, LARGEST_HEADING, Array, Fixes, Headings, Mask, Sightings, Steps
+from pdr_graph.types import INSTANT, LARGEST_HEADING, SENSORS, Array, Fixes, Headings, Mask, Sightings, Steps
 
 FARTHEST, FINEST = 1e8, 1e-4  # [m] largest coordinate and sigma of a usable fix; least sigma
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
@@ -41,6 +42,12 @@ STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no
 SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3 m
 MOST: dict[type, int] = {Fixes: 2, Headings: 1, Closures: 2, Ranges: 10}
 UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"
+INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
+FINER = {  # unit of a clock: least and largest interval of inertial samples in it, at 10 to 1000 Hz
+    "milliseconds": (1.0, 100.0),
+    "microseconds": (1e3, 1e5),
+    "nanoseconds": (1e6, 1e8),
+}
 TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
 
 
@@ -49,6 +56,24 @@ class EventChecks:
 
     def __init__(self) -> None:
         self.unused = Counter[tuple[str, str]]()
+        self._stamps = dict[str, tuple[float, str]]()  # last time of each sensor and the unit of its packet
+
+    def check_samples(self, sensor: str, time: Array) -> None:
+        """Count samples whose times are in a finer unit than seconds. Raises ValueError for an unknown sensor."""
+        if sensor not in SENSORS:
+            guess = get_close_matches(sensor.lower(), SENSORS, 1, 0.4) or [s for s in SENSORS if s.startswith(sensor)]
+            hint = f" ({guess[0]}?)" if guess else ""
+            raise ValueError(f"Samples.sensor: found {sensor!r}{hint}, expected one of {', '.join(SENSORS)}")
+        stamps = np.asarray(time, dtype=float).reshape(-1)
+        if sensor not in INERTIAL or not len(stamps):
+            return
+        last, before = self._stamps.get(sensor, (np.nan, ""))
+        several = len(stamps) > 1
+        apart = (stamps[-1] - stamps[0]) / (len(stamps) - 1) if several else stamps[-1] - last
+        unit = next((unit for unit, (least, most) in FINER.items() if least <= apart <= most), "")
+        self._stamps[sensor] = float(stamps[-1]), unit
+        if unit and unit == before:  # twice in a row: else it is a gap
+            self.unused[sensor, f"samples seem to have times in {unit}: seconds are expected"] += len(stamps)
 
     def valid(self, name: str, data: Any) -> Any:
         """The rows of a table of measurements whose values are possible; None if there are none."""

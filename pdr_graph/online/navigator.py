@@ -144,9 +144,10 @@ class Navigator:
             self._lie_in(common_frame)
 
     def push(self, event: Event) -> None:
-        """Process an event; events must come in the order of arrival."""
+        """Process an event; events must come in the order of arrival. Raises ValueError for an unknown sensor."""
         expect("Navigator.push, event", event, *EVENTS, instead="events_of(recording)")
         if isinstance(event, Samples):
+            self._checks.check_samples(event.sensor, event.time)
             self._sample(event)
         elif isinstance(event, Steps):
             if (steps := self._checks.in_order(event, self._window.steps.end)) is not None:

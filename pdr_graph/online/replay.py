@@ -29,7 +29,7 @@ from pdr_graph.io.writers import write_summary, write_trajectory
 from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
 from pdr_graph.online.journal import Journal
 from pdr_graph.outputs import Result, Stages, write
-from pdr_graph.pipeline import NO_ACCELEROMETER
+from pdr_graph.pipeline import NO_ACCELEROMETER, positions_alone
 from pdr_graph.plausibility import check_beacons_on_plan, check_floors
 from pdr_graph.progress import shows_progress
 from pdr_graph.storage import fingerprint
@@ -259,6 +259,9 @@ def _without_steps(inputs: Inputs, issues: tuple[str, ...]) -> Result:
         gait_signals(walk)
     if not len(inputs.fixes):
         raise InputError(walk.source, "", "neither steps nor fixes", "accelerometer samples of a second or more")
+    if not walk.signals:
+        result = positions_alone(inputs.fixes)
+        return replace(result, issues=(*issues, *result.issues))
     missing = "steps: none were found, so that this is the fixes alone, smoothed"
     return Result(follow(inputs.fixes), (missing if walk.has_acceleration else NO_ACCELEROMETER,), issues=issues)
 

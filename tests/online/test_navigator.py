@@ -228,12 +228,11 @@ def test_samples_only():
 
 
 def test_unknown_data_is_ignored():
-    """Scans of other radios, sensors that tell nothing of steps, and events without a row."""
+    """Scans of other radios, and events without a row."""
     strange = [
         Scan("uwb", Sightings(np.array([50.0]), ("x",), np.array([-50.0]))),
         Scan("wifi", Sightings(np.array([np.nan]), ("x",), np.array([np.nan]))),
         Scan("bluetooth", Sightings(np.empty(0), (), np.empty(0))),
-        Samples("sonar", np.array([50.0]), np.zeros((1, 7))),
         Samples("accelerometer", np.empty(0), np.empty((0, 3))),
         Fixes.none(),
     ]
@@ -242,6 +241,33 @@ def test_unknown_data_is_ignored():
     with_strange = [*all_events[:middle], *strange, *all_events[middle:]]
     first, second = (checked(given)[2] for given in (all_events, with_strange))
     assert first.position.tobytes() == second.position.tobytes()
+
+
+@pytest.mark.parametrize(("sensor", "hint"), [("sonar", ""), ("acc", " (accelerometer?)"), ("Gyro", " (gyroscope?)")])
+def test_an_unknown_sensor_is_an_error_that_lists_the_known(sensor, hint):
+    known = "accelerometer, gyroscope, magnetometer, linear_acceleration, barometer"
+    with pytest.raises(ValueError, match=r"Samples\.sensor") as raised:
+        Navigator().push(Samples(sensor, np.array([50.0]), np.zeros((1, 3))))
+    assert str(raised.value) == f"Samples.sensor: found {sensor!r}{hint}, expected one of {known}"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)])
+@pytest.mark.parametrize("packet", [1, 10])
+def test_a_clock_in_milliseconds_is_an_issue_that_says_so(unit, factor, packet):
+    for start in (0.0, 1.7e9):
+        nav, time = Navigator(), start + np.arange(0, 4, 0.01)
+        for n in range(0, len(time), packet):
+            values = np.tile([0.0, 0.0, 9.81], (packet, 1))
+            nav.push(Samples("accelerometer", time[n : n + packet] * factor, values))
+        expected = f"samples seem to have times in {unit}: seconds are expected"
+        assert any(issue.endswith(expected) for issue in nav.status.issues), nav.status.issues
+
+
+def test_gaps_are_no_milliseconds():
+    nav = Navigator()
+    for now in (0.0, 0.01, 0.02, 5.0, 5.01, 5.02, 20.0, 20.01):
+        nav.push(Samples("accelerometer", np.array([now]), np.array([[0.0, 0.0, 9.81]])))
+    assert not any("seem to have" in issue for issue in nav.status.issues)
 
 
 @settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
