@@ -27,7 +27,7 @@ FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
 Headings(time, heading, sigma, source=)
 InputError(source, place, found, expected)
-Journal(path, database, make, restored, every)
+Journal(path, database, make, restored, every, loss=)
 Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)

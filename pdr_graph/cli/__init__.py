@@ -41,7 +41,6 @@ from pdr_graph.cli.summary_text import print_summary
 from pdr_graph.cli.terminal import echo, echo_result
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, InputError, printable
 from pdr_graph.progress import shows_progress
-from pdr_graph.recovery import DataLossWarning
 from pdr_graph.whole_files import check_replaceable
 
 
@@ -366,6 +365,8 @@ _PYTHONS = warnings.showwarning
 
 def _show_warning(message: Warning | str, kind: type[Warning], *rest: Any) -> None:
     """Print what a power cut has cost on one line."""
+    from pdr_graph.recovery import DataLossWarning  # it takes numpy, long to import
+
     if issubclass(kind, DataLossWarning):
         echo(f"pdr-graph: {message}", err=True)
     else:

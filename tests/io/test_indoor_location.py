@@ -62,7 +62,7 @@ def replaced(old, new):
     [
         (b"", "empty"),
         (bytes(range(256)) * 40, "bytes"),
-        (b"time,x,y\n1,2,3\n", "supported recorder"),
+        (b"time,x,y\n1,2,3\n", "header time,x,y, expected a recording"),
         (lines()[:150], "endTime"),
         ("\n".join(lines()).encode()[:3000], "endTime"),
         ("\n".join(lines()).encode().replace(b"9.81", b"\xff\xfe", 1), "UTF-8"),
