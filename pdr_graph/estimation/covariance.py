@@ -39,9 +39,12 @@ def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tupl
     """
     R_0, i, first = pose_rotation(at.pose_i[:1, 2]), np.arange(len(at.chain.segment)), np.zeros(1, dtype=np.intp)
     joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment))
-    of_start = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
-    of_c = solution.joint(("c", np.arange(len(at.state.c))))
-    return np.concatenate([of_start, covariance_of_pieces(joint, at, which)]), of_c
+    covariance = np.empty((1 + len(which), 3, 3))
+    covariance[:1] = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
+    for n in range(0, len(which), MOST_AT_ONCE):
+        part = which[n : n + MOST_AT_ONCE]
+        covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint, at, part)
+    return covariance, solution.joint(("c", np.arange(len(at.state.c))))
 
 
 def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
@@ -49,11 +52,6 @@ def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
 
     joint: covariance ``(k, 9, 9)`` of x_i, x_j and c of each interval.
     """
-    parts = np.array_split(which, 1 + len(which) // MOST_AT_ONCE)
-    return np.concatenate([_covariance_of_pieces(joint, at, part) for part in parts])
-
-
-def _covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
     placed, interval = at.poses_of(which), at.pieces.interval[which]
     D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
     R = pose_rotation(at.pose_i[interval, 2])

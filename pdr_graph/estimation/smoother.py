@@ -122,6 +122,8 @@ def _mixture_covariance(optima: list[Optimum], weight: Array, own: Array) -> Arr
 
     weight: ``(n,)`` with sum 1; own: covariances of the rows of the best solution.
     """
+    if len(optima) == 1:
+        return own
     rows = poses_of_rows(optima[0])
     total = weight[0] * own
     for w, other in zip(weight[1:], optima[1:], strict=True):
