@@ -166,7 +166,7 @@ def test_a_list_names_beacons_by_address_or_by_number(tmp_path):
 def test_a_damaged_list_is_one_clear_line(tmp_path):
     path = tmp_path / "beacons.csv"
     path.write_text("beacon,x,y\na,3.0,north\n")
-    with pytest.raises(InputError, match="line 2: found 'north', expected a number"):
+    with pytest.raises(InputError, match="line 2, y: found 'north', expected a number"):
         read_beacons(path, recorded())
     path.write_text("beacon,x,y\na,3.0,4.0\na,5.0,6.0\n")
     with pytest.raises(InputError, match="twice"):
