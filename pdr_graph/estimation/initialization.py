@@ -92,9 +92,8 @@ def _solve(
     segments = len(move) + 1
 
     def per_segment(values: Array | Complex) -> Complex:
-        total = np.zeros(segments, dtype=complex)
-        np.add.at(total, of_fix, values)
-        return total
+        real, imaginary = (np.bincount(of_fix, part, segments) for part in (values.real, values.imag))
+        return real + 1j * imaginary
 
     joint, change = joints
     band = np.zeros((3, 2 * segments), dtype=complex)  # lower, of p_0, a_0, p_1, a_1, …
