@@ -121,7 +121,10 @@ COMMANDS = {
     "a truth an hour late": ((*SMOOTH, "--truth", "truth-late.csv"), "(exactly 1 h late: time zone?)"),
     "a truth backwards": ((*SMOOTH, "--truth", "truth-back.csv"), "expected times that increase from row to row"),
     "a height in centimetres": ((*SMOOTH, "--height", "172"), "--height: found 172.0 (centimetres?), expected metres"),
-    "the same in a file": ((*SMOOTH, "--walker", "walker.toml"), "walker.toml, height: found 172, expected"),
+    "the same in a file": (
+        (*SMOOTH, "--walker", "walker.toml"),
+        "walker.toml, height: found 172 (centimetres?), expected",
+    ),
     "a latency in ms": ((*SMOOTH, "--gnss-latency", "2000"), "--gnss-latency: found 2000.0 (milliseconds?), expected"),
     "another floor": ((*SMOOTH, "--floor", "F1"), "plan.geojson: found the floors 1, expected a floor 'F1' (1?)"),
     "a text named zip": (

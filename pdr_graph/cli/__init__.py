@@ -247,6 +247,7 @@ def evaal(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Output folder; default: evaal-TRIAL.")
     ] = None,
+    force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Take part in a competition over the EvAAL API.
@@ -266,6 +267,7 @@ def evaal(
     from pdr_graph.pipeline import smooth_recording
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
+    check_replaceable(folder, "requests.log", force)
     options = Options(plan=map_, scale=scale, beacons=beacons, walker=walker, height=height)
     navigator, labels = navigator_of(options)
 

@@ -13,7 +13,7 @@ import typer
 
 from pdr_graph.cli.lifelog_corrections import correct
 from pdr_graph.cli.lifelog_show import show
-from pdr_graph.cli.options import BeaconsPath, FixesPath, RangesPath, WalkerPath
+from pdr_graph.cli.options import BeaconsPath, FixesPath, Quiet, RangesPath, WalkerPath
 from pdr_graph.cli.serve import serve_lifelog
 from pdr_graph.cli.terminal import echo
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count
@@ -66,6 +66,7 @@ def add(
     copy: Annotated[
         bool, typer.Option("--copy", help="Copy the recordings to STORE.d; else the originals must stay.")
     ] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Add recordings to a lifelog, which is created if it does not exist.
 
@@ -100,6 +101,7 @@ def import_(
         list[Path], typer.Argument(metavar="FILE...", help="Exports: files, folders or zips (a Google Takeout).")
     ],
     person: Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: me.")] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Import the past from the exports of other programs, recognised by their content.
 
@@ -157,6 +159,7 @@ def build(
             help="Then estimate the walks of a building or group in common graphs, thirty walks each.",
         ),
     ] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Bring a lifelog up to date.
 
@@ -208,6 +211,7 @@ def export(
     blur: Annotated[
         list[str] | None, typer.Option(metavar="PLACE", help="Coarsen times and positions near a place.")
     ] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Export days as GPX, GeoJSON, CSV or GeoParquet (for trackintel and movingpandas), without private places.
 

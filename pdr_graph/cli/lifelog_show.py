@@ -7,8 +7,10 @@ from typing import Annotated
 
 import typer
 
-from pdr_graph.cli.terminal import echo, echo_lines
+from pdr_graph.cli.options import AsJson, Force, Quiet
+from pdr_graph.cli.terminal import echo, echo_lines, echo_result
 from pdr_graph.errors import count, one_line
+from pdr_graph.whole_files import check_replaceable
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")]
 Persons = Annotated[
@@ -24,9 +26,6 @@ PlaceName = Annotated[
 ]
 GuessHome = Annotated[bool, typer.Option("--guess-home", help='Name the place of most nights "home?"; it is a guess.')]
 ListAll = Annotated[bool, typer.Option("--all", help="List all persons and days instead.")]
-AsJson = Annotated[
-    bool, typer.Option("--json", help="Print one JSON object instead of text; write files with --out only.")
-]
 Tiles = Annotated[
     str,
     typer.Option(
@@ -53,12 +52,14 @@ def show(
     json_: AsJson = False,
     tiles: Tiles = "",
     out: Folder = None,
+    force: Force = False,
+    quiet: Quiet = False,
 ) -> None:
     """Show a day, week, month, year, place or person.
 
     Prints a list or a table of at most 100 columns, and writes overview.html, overview.png and tables to a folder that
     only its owner can read; of one person's day also report.html, to play with. Several persons share one calendar.
-    --person alone shows all days of that person.
+    --person alone shows all days of that person. With --json files are written only with --out.
 
     \b
     pdr-graph lifelog show days.db
@@ -69,6 +70,8 @@ def show(
     if all_:
         _list_days(store)
         return
+    if out is not None:
+        check_replaceable(out, "overview.html", force)
     from pdr_graph.lifelog.period import period_of
     from pdr_graph.lifelog.show import Choice
     from pdr_graph.lifelog.show import show as shown
@@ -80,7 +83,7 @@ def show(
     choice = Choice(tuple(person or ()), period_of(date, week, month, year), place, guess_home)
     result = shown(store, choice, out, tiles, write=not json_ or out is not None)
     if json_:
-        echo(result.json)
+        echo_result(result.json)
         return
     echo_lines(result.text)
     echo(f"-> {result.folder / 'overview.html'}")

@@ -47,7 +47,9 @@ OutFolder = Annotated[
 ]
 FixesPath = Annotated[
     Path | None,
-    typer.Option("--fixes", metavar="CSV", help="time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor]."),
+    typer.Option(
+        "--fixes", metavar="FILE", help="CSV time,x,y,sigma[,floor] or time,lat,lon,sigma[,floor], GPX or GeoLife."
+    ),
 ]
 RecordedFixes = Annotated[
     bool,

@@ -18,10 +18,9 @@ def print_summary(out: Path, missing: tuple[str, ...], as_json: bool = False) ->
 
     missing: what could not be estimated or written.
     """
-    text = (out / "summary.json").read_text(encoding="utf-8")
-    summary = json.loads(text)
+    summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
     if as_json:
-        echo_result(text)
+        echo_result(json.dumps(summary, indent=2))  # names of any bytes as escapes, so that they stay exact
     for line in lines_of(summary):
         echo(line)
     echo(f"-> {first_look(out)}")

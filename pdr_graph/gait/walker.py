@@ -169,5 +169,7 @@ def _profile(path: str | Path, table: Any) -> Profile:
 
 def _number(path: str | Path, name: str, value: Any, low: float, high: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not low < value < high:
-        raise InputError(path, name, repr(value)[:60], f"a number between {low} and {high} (metres, radians)")
+        centimetres = name == "height" and isinstance(value, int | float) and 100 * 0.5 <= value < 100 * high
+        found = f"{value!r:.60}{' (centimetres?)' if centimetres else ''}"
+        raise InputError(path, name, found, f"a number between {low} and {high} (metres, radians)")
     return float(value)
