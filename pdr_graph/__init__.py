@@ -10,11 +10,11 @@ A phone's sensor log, a floor plan and a few position fixes in; the most probabl
 read       load  read_fixes  read_trajectory  FloorPlan  Building  Walker  Frame  frame_of
 walk       detect_steps  magnetic_headings  dead_reckon  floors_of
 estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother  verdict
-live       Navigator  Journal  Samples  Scan  Pose  Mode  events_of
+live       Navigator  Journal  Event  Samples  Sensor  Scan  Pose  Mode  Status  events_of
 look       plot  evaluate
 simulate   Scenario  simulate
 data       Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError
-           Contradiction  Verdict
+           Contradiction  Verdict  LONLAT
 
 SI units and radians; x east, y north, or the floor plan's own frame; headings counter-clockwise from +x; arrays are
 samples-first, ``(n, 2)``; times are seconds from the recording's start. What is not named here may change.

@@ -22,6 +22,7 @@ from .geometry import dead_reckon as dead_reckon
 from .io import load as load
 from .io.tables import read_fixes as read_fixes
 from .io.tables import read_trajectory as read_trajectory
+from .online.interface import Event as Event
 from .online.interface import Mode as Mode
 from .online.interface import Pose as Pose
 from .online.interface import Samples as Samples
@@ -29,9 +30,12 @@ from .online.interface import Scan as Scan
 from .online.interface import events_of as events_of
 from .online.journal import Journal as Journal
 from .online.navigator import Navigator as Navigator
+from .online.status import Status as Status
 from .plotting import plot as plot
+from .sensor_names import Sensor as Sensor
 from .simulation.scenario import Scenario as Scenario
 from .simulation.simulate import simulate as simulate
+from .types import LONLAT as LONLAT
 from .types import Calibration as Calibration
 from .types import Estimate as Estimate
 from .types import Fixes as Fixes

@@ -29,6 +29,12 @@ class OneLineRepr:
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(self._summary())})"
 
+    def _repr_html_(self) -> str:
+        """A table of the fields, and a picture of paths, plans and sensors: what a notebook shows."""
+        from pdr_graph.notebook_html import html_of  # imports shapely
+
+        return html_of(self)
+
     def _summary(self) -> list[str]:
         """The parts of the `repr`: the number of rows and the span of their times; other types override it."""
         return [count(len(getattr(self, "time", getattr(self, "position", ()))), self._row), *time_span(self)]
@@ -43,8 +49,12 @@ def time_span(record: object) -> list[str]:
 def check_finite(record: object, *columns: str) -> None:
     """Store the named columns of `record` as float arrays ``(n, …)`` of equal length; lists are converted.
 
-    The first column is the time. Raises ValueError unless all values are finite.
+    The first column is the time. If it is a number, the record has one row, and its columns are lifted to arrays of one
+    row. Raises ValueError unless all values are finite.
     """
+    if isinstance(getattr(record, columns[0]), float | int | np.number):
+        for name in columns:
+            object.__setattr__(record, name, [getattr(record, name)])
     rows = len(_stored_array(record, columns[0]))
     for name in columns:
         values = _stored_array(record, name)
@@ -77,6 +87,7 @@ def check_each(name: str, valid: NDArray[np.bool_], values: NDArray[np.float64],
 def fill_labels(record: Any, name: str) -> None:
     """Store an empty text per row if a column of texts was left empty; raise ValueError if its length is wrong."""
     labels, rows = getattr(record, name) or ("",) * len(record.time), len(record.time)
+    labels = (labels,) if isinstance(labels, str) else labels
     if len(labels) != rows:
         raise ValueError(f"{type(record).__name__}.{name}: found {len(labels)} labels, expected {rows}")
     object.__setattr__(record, name, labels)

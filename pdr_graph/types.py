@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from pdr_graph.columns import OneLineRepr, check_each, check_finite, fill_labels, select_rows, time_span
 from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import count, expect
+from pdr_graph.sensor_names import SENSORS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
-SENSORS = ("accelerometer", "gyroscope", "magnetometer", "linear_acceleration", "barometer")
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
 STANDARD_GRAVITY, LONLAT = 9.80665, 4326  # [m/s²]; EPSG code of longitude and latitude on WGS 84 [deg]
@@ -168,9 +168,9 @@ class Headings(OneLineRepr, row="heading"):
 
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""
-        if "source" in vars(self):  # else decoded from such bytes
-            object.__setattr__(self, "source", self.source or ("",) * len(self.time))
         check_finite(self, "time", "heading", "sigma")
+        if "source" in vars(self):  # else decoded from such bytes
+            fill_labels(self, "source")
         check_each("Headings.heading", np.abs(self.heading) <= LARGEST_HEADING, self.heading, "radians, not degrees")
         check_each("Headings.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 rad")
 

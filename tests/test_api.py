@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from dataclasses import is_dataclass, replace
+from enum import EnumType
 from pathlib import Path
 from typing import get_type_hints
 
@@ -22,12 +23,14 @@ Calibration(start, value, covariance, prior_sigma)
 Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
 contradictions=, routes=)
+Event
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
 Headings(time, heading, sigma, source=)
 InputError(source, place, found, expected)
 Journal(path, database, make, restored, every, loss=)
+LONLAT
 Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)
@@ -39,8 +42,10 @@ Samples(sensor, time, values)
 Scan(radio, heard)
 Scenario(name, route, seed=, start=, recorder=, platform=, place=, plan=, plans=, walker=, phone=, gnss=, user_fixes=, \
 beacons=, access_points=)
+Sensor(accelerometer, gyroscope, magnetometer, linear_acceleration, barometer)
 Sightings(time, transmitter, rssi, minor=)
 Signal(time, values)
+Status(state, sigma, missing, issues, unknown, sensors, keyframes, fixes, late, early, restarts, rebuilds, judge)
 Steps(start, end, time, duration, length, turn, pause_turn, sigma_length, sigma_turn, final_turn=, unknown=)
 Trajectory(time, position, heading, floor=, covariance=, epsg=)
 Verdict(state, reasons=)
@@ -65,10 +70,18 @@ verdict(estimate)
 """
 
 
+CONSTANTS = {"Event", "LONLAT"}  # a type alias and a number: they have no parameters, nor a place of their own
+
+
 def spelt(name):
-    """A public name with its parameters; those with a default have a ``=``."""
+    """A public name with its parameters, those with a default have a ``=``; an enumeration with its values."""
+    public = getattr(pdr, name)
+    if name in CONSTANTS:
+        return name
+    if isinstance(public, EnumType):
+        return f"{name}({', '.join(public)})"
     said, keyword = [], False
-    for parameter in inspect.signature(getattr(pdr, name)).parameters.values():
+    for parameter in inspect.signature(public).parameters.values():
         if parameter.kind is parameter.KEYWORD_ONLY and not keyword:
             said, keyword = [*said, "*"], True
         said.append(parameter.name + "=" * (parameter.default is not parameter.empty))
@@ -95,7 +108,9 @@ def test_a_type_checker_sees_each_name_where_it_is():
     assert sorted(alias.name for _, alias in listed) == sorted(pdr.__all__)
     assert all(alias.asname == alias.name for _, alias in listed), "or it would not be exported"
     for module, alias in listed:
-        assert getattr(pdr, alias.name).__module__ == f"pdr_graph.{module}"
+        where = f"pdr_graph.{module}"
+        assert alias.name in CONSTANTS or getattr(pdr, alias.name).__module__ == where
+        assert hasattr(sys.modules[where], alias.name)
     assert Path(pdr.__file__).with_name("py.typed").exists()
 
 
@@ -103,7 +118,7 @@ def test_help_names_everything_there_is():
     """`help(pdr_graph)` begins with each public name, and each explains its parameters."""
     words = set(re.findall(r"\w+", pdr.__doc__ or ""))
     assert set(pdr.__all__) <= words
-    for name in pdr.__all__:
+    for name in set(pdr.__all__) - CONSTANTS - {"Sensor"}:
         public = getattr(pdr, name)
         told = set(re.findall(r"\w+", inspect.getdoc(public) or ""))
         if name != "Journal":  # made by `Journal.open`
@@ -204,6 +219,42 @@ def test_lists_will_do_for_columns():
     assert fixes.floor == ("", "")
 
 
+def test_one_sample_one_fix_or_one_reception_needs_no_array():
+    """Scalars are lifted to one row, and are the same as arrays of one row."""
+    one = pdr.Samples(pdr.Sensor.ACCELEROMETER, 0.01, (0, 0, 9.8))
+    assert (one.sensor, one.time.tolist(), one.values.tolist()) == ("accelerometer", [0.01], [[0.0, 0.0, 9.8]])
+    assert pdr.Samples("barometer", 3, 1013.2).values.tolist() == [[1013.2]]
+    fix = pdr.Fixes(3, (1, 2), 1.5, floor="F1", source="gnss")
+    assert (len(fix), fix.floor, fix.source) == (1, ("F1",), ("gnss",))
+    assert fix.position.tolist() == [[1.0, 2.0]]
+    assert len(pdr.Headings(3, 0.5, 0.1)) == 1
+    heard = pdr.Scan("wifi", pdr.Sightings(3, "aa:bb", -60)).heard
+    assert (heard.transmitter, heard.rssi.tolist()) == (("aa:bb",), [-60.0])
+
+
+def test_a_walk_pushed_sample_by_sample_is_that_of_packets(given):
+    """Scalars as an app's callbacks have them; the steps do not depend on how the samples are packed."""
+    navs = pdr.Navigator(), pdr.Navigator()
+    for event in pdr.events_of(given["recording"]):
+        if isinstance(event, pdr.Samples) and event.time[0] < 20:
+            navs[0].push(event)
+            for time, values in zip(event.time.tolist(), event.values.tolist(), strict=True):
+                navs[1].push(pdr.Samples(pdr.Sensor(event.sensor), time, values))
+    assert navs[0].steps == navs[1].steps > 15
+    assert navs[1].pose.x == pytest.approx(navs[0].pose.x, abs=0.5)
+
+
+def test_a_sensor_is_its_name():
+    """An enumeration for those who like to have names completed; texts will do."""
+    assert pdr.Sensor.GYROSCOPE == "gyroscope"
+    assert pdr.Sensor("gyroscope") is pdr.Sensor.GYROSCOPE
+    assert f"{pdr.Sensor.GYROSCOPE}" == "gyroscope"
+    with pytest.raises(
+        ValueError, match=r"found 'Acceleration' \(accelerometer\?\), expected one of accelerometer, gyro"
+    ):
+        pdr.Sensor("Acceleration")
+
+
 MISTAKES = {
     "steps for a graph": (lambda g: pdr.smooth(g["steps"]), "found Steps, expected WalkGraph"),
     "steps for a filter": (lambda g: pdr.kalman_filter(g["steps"]), "found Steps, expected WalkGraph"),
@@ -265,6 +316,10 @@ MISTAKES = {
     "fixes as a plan": (lambda g: pdr.FloorPlan.load(g["path"] / "fixes.csv"), "found no JSON"),
     "no such fixes": (lambda g: pdr.read_fixes("nowhere.csv", g["recording"]), "found no such file, expected a table"),
     "a recording at once": (lambda g: pdr.Navigator().push(g["recording"]), "found Recording, expected Samples"),
+    "an unknown sensor": (
+        lambda g: pdr.Navigator().push(pdr.Samples("acc", 0.01, (0, 0, 9.8))),
+        "Samples.sensor: found 'acc' (accelerometer?), expected one of accelerometer, gyroscope, magnetometer",
+    ),
     "no lag": (lambda g: pdr.Navigator(lag=0), "found 0, expected seconds above 0"),
     "a name for a scenario": (lambda g: pdr.simulate("arcade"), 'as of Scenario.load("arcade")'),
     "a scenario that is not there": (lambda g: pdr.Scenario.load("atlantis"), "one of arcade, campus"),

@@ -27,6 +27,7 @@ FLOORS = [
     ["inertial", "floor"],
     ["recovery"],
     ["geometry", "frames", "storage", "web_request", "source", "measurements", "types", "contradiction", "columns"],
+    ["sensor_names", "notebook_html"],
     ["errors", "whole_files", "progress"],
 ]
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}

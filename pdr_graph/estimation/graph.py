@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import gtsam
 import numpy as np
 
-from pdr_graph.errors import expect
+from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors import measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
 from pdr_graph.estimation.factors.chain import Chain, Evaluation
@@ -109,6 +109,15 @@ class WalkGraph:
         used = self.positions.fixes.position[self.positions.used]
         if self.floor_sequence is not None and self.floor_sequence.building.near(used).any():
             self._use_plan(self.floor_sequence.within(*reach(self.chain, self.positions, steps)))
+
+    def __repr__(self) -> str:
+        plan = ["walls"] if self.walled else []
+        parts = [
+            count(len(self.steps), "step"),
+            count(len(self.keyframe_time), "keyframe"),
+            count(len(self.fixes), "fix"),
+        ]
+        return f"WalkGraph({', '.join([*parts, *plan])})"
 
     @classmethod
     def of(cls, steps: Steps, data: Sequence[Any], **options: Any) -> WalkGraph:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from difflib import get_close_matches
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from pdr_graph.gait.steps import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
 from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
+from pdr_graph.sensor_names import unknown_sensor
 from pdr_graph.types import INSTANT, LARGEST_HEADING, SENSORS, Array, Fixes, Headings, Mask, Sightings, Steps
 
 FARTHEST, FINEST = 1e8, 1e-4  # [m] largest coordinate and sigma of a usable fix; least sigma
@@ -61,9 +61,7 @@ class EventChecks:
     def check_samples(self, sensor: str, time: Array) -> None:
         """Count samples whose times are in a finer unit than seconds. Raises ValueError for an unknown sensor."""
         if sensor not in SENSORS:
-            guess = get_close_matches(sensor.lower(), SENSORS, 1, 0.4) or [s for s in SENSORS if s.startswith(sensor)]
-            hint = f" ({guess[0]}?)" if guess else ""
-            raise ValueError(f"Samples.sensor: found {sensor!r}{hint}, expected one of {', '.join(SENSORS)}")
+            raise ValueError(f"Samples.sensor: {unknown_sensor(sensor)}")
         stamps = np.asarray(time, dtype=float).reshape(-1)
         if sensor not in INERTIAL or not len(stamps):
             return

@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
-from pdr_graph.errors import expect
+from pdr_graph.columns import OneLineRepr, time_span
+from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import protection_level, wrap_angle
-from pdr_graph.measurements import last_time, take
-from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
+from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
+from pdr_graph.sensor_names import Sensor
+from pdr_graph.types import Array, Estimate, Fixes, Headings, Recording, Sightings, Steps, Trajectory
 
 PACKET = 0.1  # [s] of samples that a phone delivers at once
 NO_DATA = "no data received"  # issue of a missing sensor
@@ -27,23 +29,54 @@ NO_STEPS = "no steps can be detected, so that there are the fixes alone"
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Samples of one sensor. sensor: name as in ``Recording.signals``; time: ``(n,)`` [s]; values: see ``Signal``."""
+class Samples(OneLineRepr, row="sample"):
+    """Samples of one sensor.
+
+    sensor: a `Sensor`, or its name; time: ``(n,)`` [s], or one time; values: as in `Signal`, or those of one sample:
+    ``Samples("accelerometer", 0.01, (0, 0, 9.8))``, ``Samples("barometer", 0.01, 1013.2)``.
+    """
 
     sensor: str
     time: Array
     values: Array
 
+    def __post_init__(self) -> None:
+        """Lift one sample to arrays of one row."""
+        if isinstance(self.sensor, Sensor):
+            object.__setattr__(self, "sensor", self.sensor.value)
+        if isinstance(self.time, float | int | np.number):
+            object.__setattr__(self, "time", np.array([self.time], dtype=float))
+            object.__setattr__(self, "values", np.asarray(self.values, dtype=float).reshape(1, -1))
+
+    def _summary(self) -> list[str]:
+        return [repr(self.sensor), count(len(self.time), "sample"), *time_span(self)]
+
 
 @dataclass(frozen=True)
-class Scan:
-    """Signals received by one radio. radio: "bluetooth" or "wifi"; heard: transmitters and levels."""
+class Scan(OneLineRepr):
+    """Signals received by one radio.
+
+    radio: "bluetooth" or "wifi"; heard: transmitters and levels, or those of one reception:
+    ``Scan("wifi", Sightings(12.0, "aa:bb:cc:dd:ee:ff", -60))``.
+    """
 
     radio: str
     heard: Sightings
 
+    def __post_init__(self) -> None:
+        """Lift one reception to arrays of one row."""
+        one: Any = self.heard
+        if isinstance(one.time, float | int | np.number):
+            lifted = Sightings(np.array([one.time], dtype=float), (one.transmitter,), np.array([one.rssi], dtype=float))
+            object.__setattr__(self, "heard", lifted)
 
-Event = Any  # Samples, Scan, Steps, or a table of measurements: Fixes, Headings, …
+    def _summary(self) -> list[str]:
+        return [repr(self.radio), *self.heard._summary()]
+
+
+Event: TypeAlias = Samples | Scan | Steps | Fixes | Headings | Levels | Closures | Ranges
+"""What `Navigator.push` takes: samples of a sensor, a scan of a radio, steps of another front end, or a table of
+measurements."""
 EVENTS = (Samples, Scan, Steps, *KINDS)
 
 
@@ -84,7 +117,7 @@ def _some(heard: Sightings, rows: slice) -> Sightings:
 
 
 @dataclass(frozen=True)
-class Mode:
+class Mode(OneLineRepr):
     """One of the ways that remain, and the pose on it.
 
     probability: of this way; x, y [m]; heading [rad]; covariance: ``(3, 3)``.
@@ -96,9 +129,12 @@ class Mode:
     heading: float
     covariance: Array
 
+    def _summary(self) -> list[str]:
+        return [f"{self.probability:.0%}", f"({self.x:.2f}, {self.y:.2f}) m", f"heading {self.heading:.2f} rad"]
+
 
 @dataclass(frozen=True)
-class Pose:
+class Pose(OneLineRepr):
     """The current pose of the walker: the expectation over all ways that remain, in the walkable area of a plan.
 
     time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
@@ -124,6 +160,11 @@ class Pose:
         """Distances along and across the heading that hold the error with a probability [m]."""
         along, across = protection_level(self.covariance[None], np.array([self.heading]), probability)[0].tolist()
         return along, across
+
+    def _summary(self) -> list[str]:
+        place = f"({self.x:.2f}, {self.y:.2f}) m ± {self.sigma:.2f} m"
+        floor = [f"floor {self.floor!r}"] if self.floor else []
+        return [f"{self.time:.2f} s", place, f"heading {self.heading:.2f} rad", *floor]
 
 
 def trajectory_of(poses: Sequence[Pose]) -> Trajectory:

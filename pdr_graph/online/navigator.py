@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pdr_graph.errors import expect
+from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors import kind_of
@@ -156,6 +156,9 @@ class Navigator:
             self._scan(event.heard)
         elif (data := self._checks.valid(kind_of(event).name, event)) is not None:
             self._fix(data) if isinstance(data, Fixes) else self._measure(data)
+
+    def __repr__(self) -> str:
+        return f"Navigator({self.status.state!r}, {count(self.steps, 'step')}, {count(self._accepted, 'fix')})"
 
     def review(self) -> None:
         """Compare the sources, if that is due, in an idle moment between pushes; the results are the same without."""

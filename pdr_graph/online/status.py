@@ -8,7 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from pdr_graph.columns import OneLineRepr
 from pdr_graph.contradiction import Verdict
+from pdr_graph.errors import count
 from pdr_graph.inertial.attitude_stream import Health
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
@@ -17,7 +19,7 @@ SILENT = 2.0  # [s] without samples of a sensor while others have some, until it
 
 
 @dataclass(frozen=True)
-class Status:
+class Status(OneLineRepr):
     """State of the navigator.
 
     state: "waiting" for sensors and fixes, "fixes alone" without steps, "no absolute position" until the first fix,
@@ -47,6 +49,10 @@ class Status:
     def verdict(self) -> Verdict:
         """Whether the walk so far can be trusted, and the reasons if not; computed when it is first read."""
         return self.judge()
+
+    def _summary(self) -> list[str]:
+        lines = [count(len(self.issues), "issue")] if self.issues else []
+        return [repr(self.state), f"sigma {self.sigma:.2f} m", count(self.fixes, "fix"), *lines]
 
 
 def state_of(walking: bool, located: bool, directed: bool) -> str:
