@@ -42,7 +42,7 @@ def test_an_unreadable_recording_is_one_line_and_exit_3(tmp_path):
     code, message, errors = run("add", tmp_path / "days.db", bad, good)
     assert (code, message) == (3, f"1 added -> {tmp_path / 'days.db'}\n")
     assert len(errors) == 1
-    assert errors[0].startswith(f"pdr-graph: {bad}: found the bytes b'Dear Ada', expected a recording")
+    assert errors[0].startswith(f"pdr-graph: {bad}: found a text that begins with 'Dear Ada', expected a recording")
 
 
 def test_no_readable_recording_is_exit_2(tmp_path):
