@@ -23,13 +23,14 @@ def publish(document, name, text):
 def published(document, name):
     """The tables between two markers of a document: a list of rows each, a row as a dict from header to cell.
 
-    A second column of the same header has " (2)" behind it.
+    A second column of the same header has " (2)" behind it, a third one " (3)".
     """
     text = re.search(rf"<!-- {name} -->\n(.*?)<!-- /{name} -->", (DOCS / document).read_text(), re.DOTALL)[1]
     tables = []
     for part in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
         header, _, *rows = [[cell.strip() for cell in line.strip()[1:-1].split("|")] for line in part.splitlines()]
-        header = [f"{name} (2)" if name in header[:n] else name for n, name in enumerate(header)]
+        before = [header[:n].count(name) for n, name in enumerate(header)]
+        header = [f"{name} ({n + 1})" if n else name for name, n in zip(header, before, strict=True)]
         tables.append([dict(zip(header, row, strict=True)) for row in rows])
     return tables
 
