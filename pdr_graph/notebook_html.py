@@ -20,26 +20,39 @@ from pdr_graph.errors import one_line
 Array = NDArray[np.float64]
 MOST_POINTS, MOST_AREAS = 1000, 2000  # of a line; of a plan
 WIDTH, TALLEST, LINE_HEIGHT = 360, 360, 40  # [px] of a picture; height of the line of a sensor
-LONGEST_CELL = 90  # characters
+LONGEST_CELL, MOST_SHOWN = 120, 3  # characters of a cell; things of a tuple
+LEFT = 'style="text-align:left"'
 GREY, BLUE, RED, BLACK = "#8a8a8a", "#1f5fbf", "#d1602b", "#111111"  # as in figures
 LINE = 'fill="none" stroke-width="1.5" vector-effect="non-scaling-stroke"'
 
 
 def html_of(record: Any) -> str:
-    """A data type as HTML: its `repr`, its picture if it has one, a row for each field."""
+    """A data type as HTML: its `repr`, its picture if it has one, a row for each field that is not empty."""
     picture = PICTURES.get(type(record).__name__, lambda _: "")(record)
     names = [field.name for field in fields(record) if field.repr] if is_dataclass(record) else []
-    cells = (f"<tr><th>{escape(name)}</th><td>{_cell(getattr(record, name))}</td></tr>" for name in names)
+    values = ((name, getattr(record, name)) for name in names)
+    shown = ((name, value) for name, value in values if value is not None and not _is_empty(value))
+    cells = (f"<tr><th {LEFT}>{escape(name)}</th><td {LEFT}>{_cell(value)}</td></tr>" for name, value in shown)
     return f"<div><b>{escape(one_line(repr(record)))}</b><br>{picture}<table>{''.join(cells)}</table></div>"
 
 
+def _is_empty(value: Any) -> bool:
+    return isinstance(value, tuple | Mapping | str) and not len(value)
+
+
 def _cell(value: Any) -> str:
-    """A field in words, escaped: shape, first and last value of an array; number of things of a tuple."""
+    """A field in words, escaped: shape, first and last value of an array; how many things of each kind others have."""
     if isinstance(value, np.ndarray):
         ends = [np.array2string(row, precision=3, threshold=8) for row in (*value[:1], *value[1:][-1:])]
         text = f"{value.shape} {' … '.join(ends)}" if value.ndim else str(value)
-    elif isinstance(value, (tuple, Mapping)) and len(value) > 2:
-        text = f"{len(value)} of {type(next(iter(value))).__name__}" if isinstance(value, tuple) else ", ".join(value)
+    elif isinstance(value, Mapping):
+        text = ", ".join(f"{name}: {len(one)}" if isinstance(one, tuple) else str(name) for name, one in value.items())
+    elif isinstance(value, tuple) and len(value) > MOST_SHOWN:
+        text = f"{value[0]} … {value[-1]}, {len(value)} in all"
+    elif isinstance(value, tuple):
+        text = "; ".join(map(str, value))
+    elif isinstance(value, float):
+        text = f"{value:.10g}"
     else:
         text = repr(value)
     text = " ".join(text.split())

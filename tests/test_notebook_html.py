@@ -65,6 +65,11 @@ def test_a_picture_needs_no_matplotlib():
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
+def test_a_journal_has_one_line_too(tmp_path):
+    with pdr.Journal.open(tmp_path / "a.journal", pdr.Navigator, pdr.Navigator.restored) as journal:
+        assert repr(journal) == f"Journal('{tmp_path / 'a.journal'}', 0 events)"
+
+
 @pytest.mark.parametrize("record", [pdr.Navigator(), POSE, pdr.WalkGraph(STEPS, FIXES), pdr.Prior(), pdr.Frame()])
 def test_other_public_types_have_one_line_too(record):
     text = repr(record)

@@ -22,7 +22,7 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from pdr_graph import storage
-from pdr_graph.errors import InputError, expect
+from pdr_graph.errors import InputError, count, expect
 from pdr_graph.online.interface import EVENTS, Event, Journaled, Pose, Status
 from pdr_graph.online.journal_rows import LAST, PUT, Setting, damaged_rows, last_row, setting_row, whole_rows
 from pdr_graph.recovery import checked
@@ -137,6 +137,9 @@ class Journal(Generic[Navigator]):
         except BaseException:
             database.close()
             raise
+
+    def __repr__(self) -> str:
+        return f"Journal({str(self._path)!r}, {count(self.count, 'event')})"
 
     def push(self, event: Event) -> None:
         """Process an event; after the return it is in the journal.

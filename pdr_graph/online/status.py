@@ -52,7 +52,8 @@ class Status(OneLineRepr):
 
     def _summary(self) -> list[str]:
         lines = [count(len(self.issues), "issue")] if self.issues else []
-        return [repr(self.state), f"sigma {self.sigma:.2f} m", count(self.fixes, "fix"), *lines]
+        sigma = [] if np.isnan(self.sigma) else [f"sigma {self.sigma:.2f} m"]
+        return [repr(self.state), *sigma, count(self.fixes, "fix"), *lines]
 
 
 def state_of(walking: bool, located: bool, directed: bool) -> str:
