@@ -84,13 +84,15 @@ def check_each(name: str, valid: NDArray[np.bool_], values: NDArray[np.float64],
         raise ValueError(f"{name}, row {row}: found {values[row]}, expected {expected}")
 
 
-def fill_labels(record: Any, name: str) -> None:
+def fill_labels(record: Any, *names: str) -> None:
     """Store an empty text per row if a column of texts was left empty; raise ValueError if its length is wrong."""
-    labels, rows = getattr(record, name) or ("",) * len(record.time), len(record.time)
-    labels = (labels,) if isinstance(labels, str) else labels
-    if len(labels) != rows:
-        raise ValueError(f"{type(record).__name__}.{name}: found {len(labels)} labels, expected {rows}")
-    object.__setattr__(record, name, labels)
+    rows = len(record.time)
+    for name in names:
+        labels = getattr(record, name) or ("",) * rows
+        labels = (labels,) if isinstance(labels, str) else labels
+        if len(labels) != rows:
+            raise ValueError(f"{type(record).__name__}.{name}: found {len(labels)} labels, expected {rows}")
+        object.__setattr__(record, name, labels)
 
 
 def select_rows(table: Table, which: int | slice | NDArray[np.bool_] | NDArray[np.intp]) -> Table:

@@ -28,7 +28,8 @@ Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
-STANDARD_GRAVITY, LONLAT = 9.80665, 4326  # [m/s²]; EPSG code of longitude and latitude on WGS 84 [deg]
+STANDARD_GRAVITY = 9.80665  # [m/s²]
+LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,7 @@ class Fixes(OneLineRepr, row="fix"):
         if self.position.shape[1:] != (2,):
             raise ValueError(f"Fixes.position: found shape {self.position.shape}, expected (n, 2)")
         check_each("Fixes.sigma", self.sigma > 0, self.sigma, "standard deviations above 0 m")
-        fill_labels(self, "floor")
-        fill_labels(self, "source")
+        fill_labels(self, "floor", "source")
 
     @classmethod
     def none(cls) -> Fixes:
