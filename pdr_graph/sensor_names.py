@@ -10,6 +10,7 @@ from pdr_graph.errors import one_line
 class Sensor(StrEnum):
     """A sensor of a phone; each is equal to its name: ``Sensor.ACCELEROMETER == "accelerometer"``.
 
+    The names are accelerometer, gyroscope, magnetometer, linear_acceleration and barometer.
     ``Sensor(value)`` is the sensor of a name. Raises ValueError for an unknown name, with the known ones.
     """
 
