@@ -68,6 +68,8 @@ def checked(
 
 def is_of(path: Path, kind: Kind) -> bool:
     """True if a file has the header of this version of this kind."""
+    if not path.is_file():
+        return False  # a pipe would be waited for
     try:
         with path.open("rb") as file:
             header = file.read(100)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import overload
 
 import numpy as np
 
@@ -19,6 +21,31 @@ MISSING = ("", "nan", "null", "none", "na", "n/a", "-")  # texts that recorders 
 MAXIMUM_NUMBER = 1e20  # a larger number is treated as missing; Unix times in nanoseconds are about 1e18
 FOR_ARROW = 20_000  # rows from which the import of pyarrow, 0.1 s, is repaid
 MAXIMUM_LINE = 10_000  # characters; rows of recorders have some hundred
+
+
+class Lines(Sequence[str]):
+    """The lines of a text, split when one of them is asked for: pyarrow splits long tables itself."""
+
+    def __init__(self, text: str):
+        self.text = text.removesuffix("\n")
+        self._count = self.text.count("\n") + 1 if text else 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[str]: ...
+    def __getitem__(self, index: int | slice) -> str | list[str]:
+        return self._split[index]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._split)
+
+    @cached_property
+    def _split(self) -> list[str]:
+        return self.text.split("\n") if self._count else []
 
 
 @dataclass(frozen=True)
@@ -75,7 +102,8 @@ class TextRows(OneLineRepr):
             from pyarrow import csv as arrow
         except ImportError:
             return None
-        text, width = "\n".join(self.lines), self.lines[0].count(self.delimiter) + 1
+        text = self.lines.text if isinstance(self.lines, Lines) else "\n".join(self.lines)
+        width = text[: text.find("\n")].count(self.delimiter) + 1
         if '"' in text or max(columns) >= width:
             return None
         names = [str(k) for k in range(width)]
@@ -166,6 +194,7 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 BLANKS = " \r\t;,"  # the only characters of a row with empty cells
+FIRST_LINE = re.compile(r"[^\n]*[^\s][^\n]*")
 BLANK_ROW = re.compile(rf"\n[{BLANKS}]*\n|\n[{BLANKS}]+\Z")
 
 
@@ -174,22 +203,19 @@ def table(where: str, text: str) -> Table:
 
     where: name of the file in messages. Raises InputError if the text is empty or its header is too long.
     """
-    lines = text.split("\n")
-    first = next((n for n, line in enumerate(lines) if line.strip()), None)
-    if first is None:
+    head = FIRST_LINE.search(text)
+    if head is None:
         raise InputError(where, "", "an empty file", "a header and rows")
-    if len(lines[first]) > MAXIMUM_LINE:
-        raise InputError(where, "line 1", f"{len(lines[first])} characters", "a header")
-    head = lines[first]
-    delimiter = next((d for d in DELIMITERS if d in head), ",")
-    header = tuple(name.strip() for name in split(head, delimiter))
-    if not lines[-1]:
-        lines.pop()  # empty: the text ends with a line break
-    numbers: Sequence[int] = range(first + 2, len(lines) + 1)
-    rows = lines[first + 1 :]
+    if len(head[0]) > MAXIMUM_LINE:
+        raise InputError(where, "line 1", f"{len(head[0])} characters", "a header")
+    delimiter = next((d for d in DELIMITERS if d in head[0]), ",")
+    header = tuple(name.strip() for name in split(head[0], delimiter))
+    rows: Sequence[str] = Lines(text[head.end() + 1 :])
+    first = text.count("\n", 0, head.start()) + 2
+    numbers: Sequence[int] = range(first, first + len(rows))
     if BLANK_ROW.search(text):
-        numbers = [number for number in numbers if lines[number - 1].strip(BLANKS)]
-        rows = [lines[number - 1] for number in numbers]
+        kept = [(number, line) for number, line in zip(numbers, rows, strict=True) if line.strip(BLANKS)]
+        numbers, rows = [number for number, _ in kept], [line for _, line in kept]
     if delimiter != "," and any("," in line for line in rows[:10]):
         rows = [line.replace(",", ".") for line in rows]
     return Table(header, TextRows(where, rows, numbers, delimiter))

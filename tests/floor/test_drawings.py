@@ -314,3 +314,12 @@ def test_numbers_of_a_ros_map_are_checked(tmp_path, origin, resolution):
 def test_lines_that_enclose_nothing_are_refused(tmp_path):
     (tmp_path / "a.csv").write_text("x1,y1,x2,y2\n0,0,40,0\n0,20,40,20\n0,40,40,40\n")
     refused(tmp_path / "a.csv", "enclose no building", 1.0)
+
+
+def test_blocks_that_ezdxf_cannot_place_are_left_out_and_counted(tmp_path, monkeypatch):
+    """Of a damaged file: a normal without length, by which ezdxf divides."""
+    from ezdxf.entities import Insert
+
+    drawn.dxf(tmp_path / "plan.dxf")
+    monkeypatch.setattr(Insert, "virtual_entities", lambda _: (1 / 0 for _ in range(1)))
+    assert " blocks that cannot be placed" in notes_of(tmp_path / "plan.dxf")

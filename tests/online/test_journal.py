@@ -1,5 +1,6 @@
 """A walk survives its process: acknowledged events are stored, and the resumed walk is identical."""
 
+import os
 import random
 import resource
 import sqlite3
@@ -233,6 +234,13 @@ def test_other_files_are_input_errors(tmp_path):
     other = sqlite3.connect(path)
     other.executescript("PRAGMA journal_mode = WAL; CREATE TABLE bookmark (name TEXT)")
     refused(path, "another kind of file")
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "walk")
+    with pytest.raises(InputError, match="neither a file nor a folder"):
+        opened(tmp_path / "walk")
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,9 @@ def _hidden_layers(document: Any) -> set[str]:
     return {layer.dxf.name for layer in document.layers if layer.is_off() or layer.is_frozen()}
 
 
+DEGENERATE = (TypeError, ValueError, AttributeError, ZeroDivisionError, LookupError)  # of ezdxf, for damaged entities
+
+
 @dataclass
 class _Reading:
     """Segments collected from entities. hidden: names of layers that are left out."""
@@ -106,7 +109,10 @@ class _Reading:
         if self.blocks > MOST_BLOCKS or depth > DEEPEST_BLOCK:
             raise InputError(self.path, "", "too many blocks in blocks", f"at most {MOST_BLOCKS} insertions")
         for single in insert.multi_insert() if copies > 1 else (insert,):
-            yield from single.virtual_entities()
+            try:
+                yield from single.virtual_entities()
+            except DEGENERATE:
+                self.skipped["blocks that cannot be placed"] += 1
 
     def _add_curve(self, entity: Any, kind: str, on: str) -> None:
         points = _points(entity, kind)
@@ -136,5 +142,5 @@ def _points(entity: Any, kind: str) -> Array:
         sagitta = size * (1 - np.cos(np.pi / CHORDS_PER_CIRCLE)) / 2
         points = path.flattening(max(sagitta, 1e-6)) if path.has_curves else path.control_vertices()
         return np.array([(p.x, p.y) for p in points], dtype=float).reshape(-1, 2)
-    except (TypeError, ValueError, AttributeError, ZeroDivisionError, LookupError):
+    except DEGENERATE:
         return np.empty((0, 2))
