@@ -305,7 +305,7 @@ def evaluate(
 ) -> None:
     """Score a trajectory against ground truth.
 
-    CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/accuracy.md).
+    CE, HE, EAG, VE, CA, OE and FE of the draft ISO/IEC 21134 (docs/results/metrics.md).
 
     \b
     pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
