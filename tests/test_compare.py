@@ -78,7 +78,7 @@ def test_tum_is_read_with_comments_and_headings(tmp_path):
         (("a.tum",), "a.tum: found one trajectory, expected two or more, or --truth"),
         (("a.tum", "graph"), "graph: found a method of smooth, and no file of that name, expected --recording"),
         (("a.tum", "a.tum"), "the same trajectory twice"),
-        (("a.tum", "later.tum"), "later.tum, time: found 7201.000 to 7202.000 (2 h late: time zone?)"),
+        (("a.tum", "later.tum"), "later.tum, time: found 7201.000 to 7202.000 (exactly 2 h late: time zone?)"),
         (("a.tum", "empty"), "a folder without trajectory.csv"),
         (("a.tum", "back.tum"), "back.tum, line 2, time: found 1.000000 after 2.000000"),
         (("a.tum", "short.tum"), "short.tum, line 2: found 3 fields"),

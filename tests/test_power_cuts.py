@@ -8,7 +8,7 @@ from power_loss import DAMAGES, FAILED, TARGETS, UNNOTICED, count, put
 
 import pdr_graph.cli
 from pdr_graph import recovery
-from pdr_graph.cli import DataLossWarning
+from pdr_graph.recovery import DataLossWarning
 
 
 @pytest.fixture(scope="module", params=TARGETS)

@@ -44,7 +44,8 @@ def fixes(folder, truth, out, number):
 def result(verb, folder, truth, out, number, heading):
     """Exit code, verdict and mean position error [m] of a walk with so many fixes and a start heading [deg]."""
     given = [] if heading is None else ["--start-heading", str(wrapped(heading))]
-    code, _, errors = run(verb, folder / "walk.txt", "--fixes", fixes(folder, truth, out, number), *given, "--out", out)
+    positions, out = fixes(folder, truth, out, number), out / "result"
+    code, _, errors = run(verb, folder / "walk.txt", "--fixes", positions, *given, "--out", out)
     assert code in (0, 3), errors
     track = read_trajectory(out / "trajectory.csv")
     at = [np.interp(truth[:, 0], track.time, track.position[:, k]) for k in (0, 1)]
