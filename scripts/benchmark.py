@@ -138,7 +138,7 @@ def command_rows():
             "--fixes",
             out / "fixes.csv",
             "--out",
-            out,
+            out / "result",
         ]
         whole = median_time(lambda: subprocess.run([*start, *arguments], check=True), 5)
         help_ = median_time(lambda: subprocess.run([*start, "--help"], check=True, stdout=subprocess.DEVNULL), 5)

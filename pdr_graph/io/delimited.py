@@ -85,6 +85,10 @@ class TextRows(OneLineRepr):
         """One column as texts ``(n,)``, empty where a row is too short."""
         return [row[column].strip() if column < len(row) else "" for row in self._cells()]
 
+    def word(self, column: int) -> str:
+        """A cell of the first row; empty if the row is too short or there is none."""
+        return next(iter(TextRows(self.where, self.lines[:1], self.numbers[:1], self.delimiter).words(column)), "")
+
     def _cells(self) -> list[list[str]]:
         """The cells of each row; raises InputError if a line is too long."""
         if any(len(line) > MAXIMUM_LINE for line in self.lines):

@@ -162,7 +162,8 @@ def _iso_times(path: Path, table: Table, column: int, recording: Recording | Non
 
     Raises InputError naming the line, or if the recording has no clock.
     """
-    if np.isnan(iso_time(table.rows.words(column)[0])) or _is_number(table.rows.words(column)[0]):
+    first = table.rows.word(column)
+    if np.isnan(iso_time(first)) or _is_number(first):
         return None
     cells = table.rows.words(column)
     times = np.array([iso_time(cell) for cell in cells])
@@ -180,7 +181,7 @@ def _iso_times(path: Path, table: Table, column: int, recording: Recording | Non
 def _check_numbers(path: Path, table: Table, columns: list[tuple[str, int]]) -> None:
     """Raise InputError if the first row has a cell that is no number, with the likely cause."""
     for name, column in columns:
-        cell = table.rows.words(column)[0]
+        cell = table.rows.word(column)
         if cell.lower() not in MISSING and not _is_number(cell):
             found = f"{cell[:40]!r}{number_hint(cell)}"
             raise InputError(path, f"line {table.rows.numbers[0]}, {name}", found, "a number")

@@ -12,7 +12,7 @@ from pdr_graph.types import Array, Trajectory
 
 COLUMNS = 8
 NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
-ROW = re.compile(rf"(?:\s*#[^\n]*\n|\s*\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
+ROW = re.compile(rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
 NO_ROTATION = 1e-9  # largest part of a quaternion that turns about no axis
 
 

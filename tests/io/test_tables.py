@@ -13,6 +13,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import enu
 from pdr_graph.io import gpx, writers
 from pdr_graph.io.tables import read_fixes, read_trajectory
+from pdr_graph.io.tum import is_tum
 from pdr_graph.types import LONLAT, Recording, Signal
 
 ORIGIN = 1_700_000_000.0
@@ -99,3 +100,10 @@ def test_geojson_and_gpx_hold_the_same_track(tmp_path):
     assert track[-1].time.timestamp() == pytest.approx(ORIGIN + estimate.trajectory.time[-1], abs=1e-3)
     times = [p["properties"]["time"] for p in points]
     assert times == pytest.approx([ORIGIN + fix.time for fix in estimate.fixes], abs=1e-3)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("text", ["\n" * 300_000 + "x", "# a\n" * 100_000 + "x", " \r\n\t" * 100_000, "1 " * 200_000])
+def test_a_hostile_text_is_no_tum_file_at_once(text):
+    """Blank lines in two ways of a pattern took time with the power of two of their number."""
+    assert not is_tum(text)
