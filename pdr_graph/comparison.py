@@ -67,6 +67,7 @@ def _size(track: Trajectory) -> dict[str, float]:
     return {"distance": round(distance, 3), "duration": round(float(np.ptp(track.time)), 3)}
 
 
+HEADING = "he"  # in radians in the scores, in degrees for people
 # Heading of a column: key of its score, key of the statistic, digits
 COLUMNS: dict[str, tuple[str, str, int]] = {
     "distance [m]": ("distance", "", 1),
@@ -74,7 +75,7 @@ COLUMNS: dict[str, tuple[str, str, int]] = {
     "CE75 [m]": ("ce", "p75", 2),
     "CE95 [m]": ("ce", "p95", 2),
     "CE max [m]": ("ce", "max", 2),
-    "HE50 [rad]": ("he", "p50", 3),
+    "HE50 [°]": (HEADING, "p50", 1),
     "EAG [m/s]": ("eag", "", 4),
     "VE [m/s]": ("ve", "", 3),
     "CA [m]": ("ca", "", 2),
@@ -103,7 +104,9 @@ def table(comparison: Comparison) -> str:
 def _cell(scores: Mapping[str, Any], key: str, statistic: str, digits: int) -> str:
     value = scores[key]
     value = value[statistic] if statistic and value is not None else value
-    return "" if value is None else f"{value:.{digits}f}"
+    if value is None:
+        return ""
+    return f"{np.degrees(value) if key == HEADING else value:.{digits}f}"
 
 
 def read_tracks(paths: Sequence[Path]) -> dict[str, Trajectory]:
