@@ -191,7 +191,7 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         "routes": [_route(share, path) for share, path in estimate.routes],
         "protection": protection_of(estimate),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
-        "warnings": list(dict.fromkeys([*inputs.notes, *estimate.warnings, *result.issues])),
+        "warnings": list(dict.fromkeys([*estimate.warnings, *result.issues, *inputs.notes])),
         "versions": packages | {"python": platform.python_version()},
     }
 
