@@ -11,7 +11,7 @@ import os
 import shutil
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -52,15 +52,18 @@ def output_folder(out: Path, private: bool = False) -> Iterator[Path]:
         raise
 
 
-def check_replaceable(out: Path, mark: str = LAST, force: bool = False) -> None:
+def check_replaceable(out: Path, mark: str = LAST, force: bool = False, inputs: Collection[Path] = ()) -> None:
     """Raise InputError for a folder with files that pdr-graph did not write, unless `force`.
 
-    An empty folder passes, and one with an earlier result. mark: a file of each result; if it is the summary, that it
-    names pdr_graph counts, since other programs write such a file too.
+    An empty folder passes, and one with an earlier result, with other folders alone, or with ``inputs`` of the command.
+    mark: a file of each result; if it is the summary, that it names pdr_graph counts, since other programs write such a
+    file too.
     """
     if force or not out.is_dir():
         return
-    names = sorted(path.name for path in out.iterdir() if path.name != UNFINISHED and not path.name.startswith("."))
+    known = {path.resolve() for path in inputs}
+    files = (path for path in out.iterdir() if not path.name.startswith(".") and not path.is_dir())
+    names = sorted(path.name for path in files if path.resolve() not in known)
     earlier = mark in names and (mark != LAST or b"pdr_graph" in (out / mark).read_bytes())
     if names and not earlier:
         found = f"a folder with {count(len(names), 'other file')} ({', '.join(names[:3])[:80]})"

@@ -91,6 +91,17 @@ def test_a_folder_of_something_else_is_refused_unless_forced(walk, tmp_path):
     assert run("smooth", *given(walk, "--out", photos))[0] == 0, "an earlier result is replaced"
 
 
+def test_inputs_and_folders_may_lie_in_the_output_folder(walk, tmp_path):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "mine.csv").write_bytes((walk / "fixes.csv").read_bytes())
+    journal = ("--journal", tmp_path / "walk.journal")
+    assert run("smooth", walk, "--fixes", tmp_path / "mine.csv", "--out", tmp_path)[0] == 0
+    (tmp_path / "summary.json").unlink()
+    for file in tmp_path.glob("[tfrw]*.*"):
+        file.unlink()
+    assert run("replay", walk, "--fixes", tmp_path / "mine.csv", *journal, "--out", tmp_path)[0] in (0, 3)
+
+
 def test_the_recording_is_no_output_folder(walk):
     code, _, errors = run("smooth", *given(walk, "--out", walk))
     assert (code, "--out: found a folder with" in errors[0]) == (2, True)

@@ -107,7 +107,7 @@ def smooth(
     from pdr_graph.pipeline import smooth_recording
 
     gc.freeze()  # imported modules stay: the garbage collector need not visit them
-    folder = output.folder(recording, "-smoothed")
+    folder = output.folder(recording, "-smoothed", walk.files)
     missing = smooth_recording(recording, folder, walk.options(method=str(method), rate=rate))
     print_summary(folder, missing, output.json)
 
@@ -138,7 +138,8 @@ def replay(
     from pdr_graph.inputs import LIVE
     from pdr_graph.online.replay import replay_recording
 
-    folder = output.folder(recording, "-replayed")
+    of_journal = [] if journal is None else [Path(f"{journal}{end}") for end in ("", "-wal", "-shm")]
+    folder = output.folder(recording, "-replayed", [*walk.files, *of_journal])
     options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
     print_summary(folder, replay_recording(recording, folder, options), output.json)
 

@@ -6,7 +6,7 @@ A command takes a group of them as one parameter, a dataclass whose fields are t
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from functools import wraps
@@ -169,6 +169,11 @@ class WalkOptions:
     radio_map: RadioMapPath = None
     truth: TruthPath = None
 
+    @property
+    def files(self) -> list[Path]:
+        """The files and folders that are given."""
+        return [value for value in vars(self).values() if isinstance(value, Path)]
+
     def options(self, **more: Any) -> Options:
         """The options of the estimate. more: further ones, by name."""
         from pdr_graph.inputs import Options
@@ -186,13 +191,13 @@ class OutputOptions:
     quiet: Quiet = False
     json: AsJson = False
 
-    def folder(self, recording: Path, ending: str) -> Path:
+    def folder(self, recording: Path, ending: str, given: Sequence[Path] = ()) -> Path:
         """The output folder. Raises InputError if it has files that pdr-graph did not write, unless forced.
 
-        ending: of its name after the recording's, without ``--out``.
+        ending: of its name after the recording's, without ``--out``; given: other inputs, which may lie in it.
         """
         folder = self.out or path_named_after(recording, ending)
-        check_replaceable(folder, LAST, self.force)
+        check_replaceable(folder, LAST, self.force, [recording, *given])
         return folder
 
 
