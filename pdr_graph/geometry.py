@@ -25,6 +25,11 @@ def interpolate(at: Array, time: Array, values: Array) -> Array:
     return np.stack([np.interp(at, time, axis) for axis in values.T], axis=1)
 
 
+def horizontal_sigma(covariance: Array) -> Array:
+    """Standard deviation per axis ``(n,)`` [m] of covariances ``(n, 2, 2)`` or larger: root mean variance."""
+    return np.sqrt((covariance[..., 0, 0] + covariance[..., 1, 1]) / 2)
+
+
 def nearest(sorted_times: Array, time: Array) -> Index:
     """Index ``(m,)`` of the sorted time nearest to each of ``time (m,)``; of two equally near, the earlier."""
     last = len(sorted_times) - 1

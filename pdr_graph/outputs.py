@@ -22,7 +22,7 @@ from pdr_graph.estimation.results import is_located
 from pdr_graph.estimation.sources import position_sources
 from pdr_graph.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.gait.walker import Profile
-from pdr_graph.geometry import protection_level, resample
+from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.inputs import Inputs, Options
 from pdr_graph.io import gpx, writers
 from pdr_graph.progress import shows_progress
@@ -248,8 +248,7 @@ def _median_sigma(track: Trajectory) -> float | None:
     """Median standard deviation of the positions per axis [m]; None without covariance."""
     if track.covariance is None or not len(track):
         return None
-    variance = np.trace(track.covariance[:, :2, :2], axis1=1, axis2=2) / 2
-    return round(float(np.median(np.sqrt(variance))), 3)
+    return round(float(np.median(horizontal_sigma(track.covariance))), 3)
 
 
 def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | None] | None:

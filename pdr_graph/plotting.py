@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -63,10 +63,15 @@ def plot(
         _draw_walk(axes, estimate, truth, floors[n].label if several else None)
         _title(axes, f"{floors[n].label}   {title}" if several else title)
         _draw_scale(axes)
+    _draw_legend(figure, canvases)
+    return figure
+
+
+def _draw_legend(figure: Figure, canvases: Sequence[Axes]) -> None:
+    """Name the marks of all axes below them, each once."""
     columns = max(2, int(figure.get_figwidth() / 1.9))
     named = {text: mark for axes in canvases for mark, text in zip(*axes.get_legend_handles_labels(), strict=True)}
     figure.legend(named.values(), named.keys(), loc="lower center", ncols=columns, frameon=False, fontsize=9)
-    return figure
 
 
 def _draw_scale(axes: Axes) -> None:
@@ -112,12 +117,17 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
     axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
     if truth is not None:
         few = len(truth) <= MANY
-        style: dict[str, Any] = {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0}
         name = "surveyed points" if few else "true path"
-        axes.plot(*_on(truth, label).T, color=TRUTH, label=name, zorder=8 if few else 6, **style)
+        axes.plot(*_on(truth, label).T, label=name, zorder=8 if few else 6, **_truth_style(truth))
     _draw_fixes(axes, estimate, label)
     if label in (None, estimate.trajectory.floor[0]):
         _draw_beacons(axes, estimate)
+
+
+def _truth_style(truth: Trajectory) -> dict[str, Any]:
+    """Crosses for a few surveyed points, a line for a path."""
+    few = len(truth) <= MANY
+    return {"color": TRUTH} | ({"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if few else {"lw": 1.0})
 
 
 def _on(track: Trajectory, label: str | None) -> Array:
@@ -155,15 +165,9 @@ def plot_comparison(
             style: dict[str, Any] = {"color": COLOURS[number % len(COLOURS)], "lw": 1.8, "label": printable(name)}
             axes.plot(*_on(track, label).T, ls=LINES[number % len(LINES)], zorder=5, **style)
         if truth is not None:
-            few: dict[str, Any] = (
-                {"marker": "x", "ms": 7, "mew": 1.6, "ls": "none"} if len(truth) <= MANY else {"lw": 1.0}
-            )
-            axes.plot(*_on(truth, label).T, color=TRUTH, label="truth", zorder=8, **few)
+            axes.plot(*_on(truth, label).T, label="truth", zorder=8, **_truth_style(truth))
         _title(axes, label or "")
-    marks, names = canvases[0].get_legend_handles_labels()
-    figure.legend(
-        marks, names, loc="lower center", ncols=max(2, int(figure.get_figwidth() / 1.9)), frameon=False, fontsize=9
-    )
+    _draw_legend(figure, canvases)
     return figure
 
 

@@ -19,8 +19,8 @@ def echo(text: str, err: bool = False) -> None:
 
 def echo_lines(text: str) -> None:
     """Print a text of several lines, each as by `echo`."""
-    for line in text.removesuffix("\n").split("\n"):
-        echo(line)
+    if not SILENT.get():
+        echo_result(text)
 
 
 def echo_result(text: str) -> None:

@@ -201,8 +201,3 @@ def floors_visited(track: Trajectory) -> tuple[str, ...]:
     """Labels of the floors visited, in order, without unknown ones and immediate repetitions."""
     known = [label for label in track.floor if label]
     return tuple(label for label, before in zip(known, ["", *known], strict=False) if label != before)
-
-
-def horizontal_sigma(covariance: Array) -> Array:
-    """Standard deviation per axis ``(n,)`` [m] of covariances ``(n, 2, 2)`` or larger: root mean variance."""
-    return np.sqrt((covariance[..., 0, 0] + covariance[..., 1, 1]) / 2)

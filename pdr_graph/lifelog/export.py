@@ -16,11 +16,12 @@ from urllib.parse import quote
 import numpy as np
 
 from pdr_graph.errors import InputError
+from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.io import gpx
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.io.writers import TRAJECTORY_HEADER, trajectory_rows
 from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, clipped, floors_visited, horizontal_sigma, split_at_gaps
+from pdr_graph.lifelog.day import Day, Outing, Segment, Stay, clipped, floors_visited, split_at_gaps
 from pdr_graph.lifelog.local_time import zone_of_outings
 from pdr_graph.lifelog.privacy import without_private_places
 from pdr_graph.lifelog.private_places import PrivatePlace, private_places

@@ -18,7 +18,8 @@ import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.lifelog.day import VEHICLE, WALKING, Day, Outing, horizontal_sigma, split_at_gaps
+from pdr_graph.geometry import horizontal_sigma
+from pdr_graph.lifelog.day import VEHICLE, WALKING, Day, Outing, split_at_gaps
 from pdr_graph.lifelog.diary import corrected_rows, with_places, without_overlaps
 from pdr_graph.lifelog.facts import Correction
 from pdr_graph.lifelog.places import Place

@@ -17,9 +17,9 @@ import numpy as np
 
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.building import Building
-from pdr_graph.geometry import confidence_band
+from pdr_graph.geometry import confidence_band, horizontal_sigma
 from pdr_graph.lifelog import cache
-from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay, horizontal_sigma
+from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
 from pdr_graph.lifelog.export import as_geojson, not_exported
 from pdr_graph.lifelog.maps import COLOURS, DrawnPart, Panel, panels
 from pdr_graph.lifelog.picture import picture

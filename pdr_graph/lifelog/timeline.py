@@ -11,6 +11,7 @@ import numpy as np
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import one_line
+from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.io.writers import cell
 from pdr_graph.lifelog.day import (
     GAP,
@@ -22,7 +23,6 @@ from pdr_graph.lifelog.day import (
     Outing,
     Stay,
     floors_visited,
-    horizontal_sigma,
     path_shares,
     rows_between,
     sampled,

@@ -18,7 +18,7 @@ from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
-from pdr_graph.geometry import protection_level, wrap_angle
+from pdr_graph.geometry import horizontal_sigma, protection_level, wrap_angle
 from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
 from pdr_graph.sensor_names import Sensor
 from pdr_graph.types import Array, Estimate, Fixes, Headings, Recording, Sightings, Steps, Trajectory
@@ -154,7 +154,7 @@ class Pose(OneLineRepr):
     @property
     def sigma(self) -> float:
         """Standard deviation of the position per axis [m], root mean square of both axes."""
-        return float(np.sqrt(np.trace(self.covariance[:2, :2]) / 2))
+        return float(horizontal_sigma(self.covariance))
 
     def protection(self, probability: float = 0.95) -> tuple[float, float]:
         """Distances along and across the heading that hold the error with a probability [m]."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from pdr_graph.evaluation import circular_error, error_text, evaluate, pair
 from pdr_graph.floor.building import Building
+from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.io.signal_checks import clipped
 from pdr_graph.io.validation import INERTIAL, are_gaps
 from pdr_graph.plotting import FIX, GREY, RADIO, TRACK
@@ -84,8 +85,7 @@ def sigma(tracks: Mapping[str, tuple[str, Trajectory]]) -> dict[str, Any]:
     for name, (colour, path) in tracks.items():
         if path.covariance is not None:
             rows = thinned(len(path), CHART_ROWS)
-            variance = np.trace(path.covariance[rows, :2, :2], axis1=1, axis2=2) / 2
-            lines.append(line(name, colour, path.time[rows], np.sqrt(variance)))
+            lines.append(line(name, colour, path.time[rows], horizontal_sigma(path.covariance[rows])))
     return {"title": "position sigma", "unit": "m", "lines": lines, "logarithmic": True}
 
 

@@ -3,6 +3,7 @@
 import gtsam
 import numpy as np
 import pytest
+from derivatives import linear_graph
 from walks import drawn_from_the_model
 
 from pdr_graph import WalkGraph
@@ -114,7 +115,7 @@ def test_the_step_of_a_walk_and_its_covariance_are_gtsams():
     steps, fixes, _ = drawn_from_the_model(240, seed=4)
     graph = WalkGraph(steps, fixes)
     at = graph.evaluate(graph.start)
-    linear = at.linearized()
+    linear = linear_graph(at)
     net = linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear))
     solution = NormalEquations(at).assembled(at).solution
     for symbol, moves in solution.moves.items():

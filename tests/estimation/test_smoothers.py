@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
+from derivatives import linear_graph
 from walks import (
     dead_reckon,
     drawn_from_the_model,
@@ -134,7 +135,7 @@ def test_covariance_is_gtsams_marginal():
     steps, fixes, _ = drawn_from_the_model(240, seed=4)
     graph = WalkGraph(steps, fixes)
     at = graph.evaluate(graph.start)
-    linear = at.linearized()
+    linear = linear_graph(at)
     blocks = CovarianceBlocks(linear.eliminateSequential(gtsam.Ordering.MetisGaussianFactorGraph(linear)))
     tree = linear.eliminateMultifrontal()
     assert len(graph.start.c) > 1, "several calibration segments"

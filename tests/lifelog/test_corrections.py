@@ -18,11 +18,11 @@ from typer.testing import CliRunner
 from walks import drawn_from_the_model, steps_of
 
 from pdr_graph import InputError, cli
-from pdr_graph.geometry import interpolate
+from pdr_graph.geometry import horizontal_sigma, interpolate
 from pdr_graph.lifelog import cache, revision
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.corrections import apply_to_entries, apply_to_observations, distance, place_names
-from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING, horizontal_sigma
+from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.diary import diary
 from pdr_graph.lifelog.facts import AT, FORGOTTEN, MERGE, MODE, NAME, NOT_ME, SPLIT, Correction
 from pdr_graph.lifelog.ingest import add

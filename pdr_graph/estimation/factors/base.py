@@ -273,12 +273,6 @@ class FactorBlock:
                 pairs = [(column[n], by[a:b]) for column, by in zip(keys, blocks, strict=True)]
                 yield n, pairs, residual[a:b]
 
-    def add_to(self, graph: gtsam.GaussianFactorGraph, state: State) -> None:
-        """Add all factors to a linear graph, weighted."""
-        add: Any = graph.add  # its overloads are of one, two and three variables
-        for _, pairs, residual in self.terms(state):
-            add(*(side for pair in pairs for side in pair), -residual, UNIT[len(residual)])
-
 
 class _UnitNoise(dict[int, gtsam.noiseModel.Base]):
     """Unit noise models by dimension, each made once."""

@@ -135,13 +135,6 @@ class Evaluation:
         """The negative log posterior: the cost plus the price of the rooms and corridors on the way."""
         return self.cost + sum(measurement.price for measurement in self.measurements)
 
-    def linearized(self) -> gtsam.GaussianFactorGraph:
-        """All factors as GTSAM's linear graph, whitened and weighted."""
-        graph = gtsam.GaussianFactorGraph()
-        for block in self.blocks:
-            block.add_to(graph, self.state)
-        return graph
-
     @cached_property
     def ends(self) -> Array:
         """Poses ``(m, 3)`` at the end of every piece."""

@@ -16,6 +16,7 @@ from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.prediction import Position, in_output_axes
 from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, paths, probabilities
 from pdr_graph.estimation.results import SURE
+from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.types import Array, Index
 
 LEAST_DURATION = 25.0  # [s] on a plan, unless fixes determine the direction: shorter walks fit several aisles
@@ -46,7 +47,7 @@ class BatchSolution:
     @property
     def near(self) -> Position:
         """The end as a fix, for a walk of unknown direction."""
-        sigma = float(np.sqrt(np.trace(self.modes.covariance[0, :2, :2]) / 2))
+        sigma = float(horizontal_sigma(self.modes.covariance[0]))
         return Position(float(self.time[-1]), self.pose[-1, :2], sigma, 1.0)
 
     @property

@@ -16,6 +16,7 @@ from pdr_graph.estimation.live.batch_start import BatchSolution
 from pdr_graph.estimation.live.prediction import SHORTEST, Position, corrected_by_heading, in_any_direction, predict
 from pdr_graph.estimation.live.step_buffer import StepBuffer
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.measurements import take
 from pdr_graph.types import Array, Headings, Index
 
@@ -104,6 +105,6 @@ def in_walkable_area(mixture: GaussianMixture, field: DistanceField) -> Gaussian
     if len(mixture) == 1:
         return mixture
     depth = np.maximum(0.0, -field.exact(mixture.mean[:, :2]))
-    sigma = np.sqrt(np.trace(mixture.covariance[:, :2, :2], axis1=1, axis2=2) / 2)
+    sigma = horizontal_sigma(mixture.covariance)
     price = np.minimum(0.5 * np.square(depth / sigma), WALL_PRICE)
     return replace(mixture, log_weight=mixture.log_weight - price).take(np.arange(len(mixture)))

@@ -17,7 +17,7 @@ from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.batch_start import modes_at_end
 from pdr_graph.estimation.optimizer import paths, probabilities
 from pdr_graph.estimation.results import SURE
-from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.geometry import ANY_HEADING, horizontal_sigma
 from pdr_graph.types import Array, Fixes, Headings
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
@@ -36,7 +36,7 @@ class Places:
     @property
     def fix(self) -> Fixes:
         """The certain place."""
-        sigma = max(float(np.sqrt(np.trace(self.ways.covariance[0, :2, :2]) / 2)), LEAST_SIGMA)
+        sigma = max(float(horizontal_sigma(self.ways.covariance[0])), LEAST_SIGMA)
         return Fixes(np.array([self.time]), self.ways.mean[:1, :2], np.array([sigma]), source=(SOURCE,))
 
     @property
