@@ -23,6 +23,7 @@ LARGEST_COORDINATE = 1e10  # [unit]
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 MOST_BLOCKS = 100_000  # insertions of blocks, those inside blocks among them
 DEEPEST_BLOCK = 16  # blocks in blocks
+ROUNDING = 1e-12  # of a coordinate: chords nearer to their curve than that would be halved without end
 CHORDS_PER_CIRCLE = 24  # enough to recognise the swing of a door
 INSERT_UNITS = {  # $INSUNITS: metres per unit
     **{1: UNITS["inches"], 2: UNITS["feet"], 4: UNITS["millimetres"], 5: UNITS["centimetres"], 6: UNITS["metres"]},
@@ -138,9 +139,12 @@ def _points(entity: Any, kind: str) -> Array:
         if kind == "LINE":
             return np.array([(p.x, p.y) for p in (entity.dxf.start, entity.dxf.end)], dtype=float)
         path = make_path(entity)
-        size = max((v - path.start).magnitude for v in path.control_vertices())
-        sagitta = size * (1 - np.cos(np.pi / CHORDS_PER_CIRCLE)) / 2
-        points = path.flattening(max(sagitta, 1e-6)) if path.has_curves else path.control_vertices()
-        return np.array([(p.x, p.y) for p in points], dtype=float).reshape(-1, 2)
+        corners = np.array([(p.x, p.y) for p in path.control_vertices()], dtype=float).reshape(-1, 2)
+        largest = np.abs(corners).max(initial=0.0)
+        if not path.has_curves or not largest < LARGEST_COORDINATE:  # `flattening` would not end with no numbers
+            return corners
+        size = np.hypot(*(corners - corners[0]).T).max()
+        sagitta = max(size * (1 - np.cos(np.pi / CHORDS_PER_CIRCLE)) / 2, 1e-6, ROUNDING * largest)
+        return np.array([(p.x, p.y) for p in path.flattening(sagitta)], dtype=float).reshape(-1, 2)
     except DEGENERATE:
         return np.empty((0, 2))
