@@ -260,6 +260,23 @@ def test_blocks_in_blocks_without_end_are_refused(tmp_path):
     refused(tmp_path / "bomb.dxf", "too many blocks|more than 200000 segments")
 
 
+@pytest.mark.parametrize("far", [float("nan"), float("inf"), 1e13, 1e9])
+def test_curves_with_impossible_coordinates_come_to_an_end(tmp_path, far):
+    """ezdxf halves a chord until it is near its curve: with NaN, or where rounding is larger than the chord, never."""
+    import ezdxf
+
+    document = ezdxf.new()
+    space = document.modelspace()
+    space.add_lwpolyline([(0, 0), (10_000, 0), (10_000, 8_000), (0, 8_000)], close=True, dxfattribs={"layer": "WALL"})
+    space.add_circle((far, 0), 50)
+    space.add_spline([(0, 0, 0), (1, far, 0), (5, 5, 0), (8, 8, 0)])
+    document.saveas(tmp_path / "plan.dxf")
+    if far < 1e10:
+        assert Building.load(tmp_path / "plan.dxf", 0.001).floors[0].walkable.area == pytest.approx(80, rel=0.01)
+    else:
+        refused(tmp_path / "plan.dxf", "no numbers or too large", 0.001)
+
+
 def test_a_picture_of_billions_of_pixels_is_refused_by_its_header(tmp_path):
     import struct
     import zlib
