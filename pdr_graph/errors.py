@@ -72,6 +72,14 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
+MILLISECONDS = (10.0, 1000.0)  # [Hz] usual rates, a thousandth of which is seen if milliseconds are read as seconds
+
+
+def slow_rate(rate: float) -> str:
+    """The end of a message about a slow sensor that guesses the cause; empty if none is evident. rate: [Hz]."""
+    return " (milliseconds in a column of seconds?)" if MILLISECONDS[0] <= 1000 * rate <= MILLISECONDS[1] else ""
+
+
 EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
 PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open, the most complete first
 

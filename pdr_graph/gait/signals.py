@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.errors import InputError, count
+from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_detection import Landings, walking_steps
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, SHORTEST_WALK, Attitude, attitude_of
@@ -36,7 +36,8 @@ def uninterrupted(recording: Recording) -> list[Recording]:
     if not spans:
         longest = np.max(ends - begins)
         found = f"{len(gaps)} gaps of up to {longest:.0f} s and no {SHORTEST_WALK:.0f} s of samples between them"
-        raise InputError(recording.source, "", found, "samples more often than one a second")
+        expected = "samples more often than one a second" + slow_rate(min(s.rate for s in inertial))
+        raise InputError(recording.source, "", found, expected)
     return [_cut(recording, a, b) for a, b in spans]
 
 

@@ -109,14 +109,6 @@ def check_times(path: str, signals: dict[str, Signal]) -> None:
             )
 
 
-MILLISECONDS = (10.0, 1000.0)  # [Hz] usual rates, a thousandth of which is seen if milliseconds are read as seconds
-
-
-def slow_rate(rate: float) -> str:
-    """The end of a note on a slow sensor that guesses the cause; empty if none is evident. rate: [Hz]."""
-    return " (milliseconds in a column of seconds?)" if MILLISECONDS[0] <= 1000 * rate <= MILLISECONDS[1] else ""
-
-
 CLIPPED = 3  # consecutive samples at the extreme value: an unclipped peak has one, two by rounding
 SMALLEST_RANGE = {"accelerometer": 15.0, "gyroscope": 4.0}  # [m/s², rad/s] sensors have 2 g and 250 deg/s, or more
 NOTED_SHARE = 0.001  # of a sensor's samples that are clipped

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, slow_rate
 from pdr_graph.io.signal_checks import (
     FASTEST_TURN,
     GRAVITY,
@@ -24,7 +24,6 @@ from pdr_graph.io.signal_checks import (
     check_one_unit,
     check_times,
     note_clipping,
-    slow_rate,
 )
 from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
 

@@ -168,6 +168,12 @@ def test_a_recording_that_is_all_gaps_is_refused(walk):
         detect_steps(recorded(walk, accelerometer=rare, gyroscope=None))
 
 
+def test_times_in_milliseconds_are_named_as_the_cause_of_the_gaps(walk):
+    slow = recorded(walk, accelerometer=Signal(walk.time * 1000, walk.acceleration), gyroscope=None)
+    with pytest.raises(InputError, match=r"gaps.*more often than one a second \(milliseconds in a column of seconds\?"):
+        detect_steps(slow)
+
+
 def test_fixes_determine_the_walk_after_a_gap(walk):
     """Ten seconds around a corner are missing, with a fix every five: the walk after it is within its covariance."""
     at = np.arange(0.0, walk.time[-1], 5.0)
