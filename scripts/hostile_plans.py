@@ -248,9 +248,11 @@ PLANS = (
     ),
     Attack("smooth: a plan of 10⁵ corners", smooth_with(lambda: vertices(100_000)), EITHER),
     Attack("GeoJSON: an outline of 2000 random corners", written("p.geojson", lambda: scribble(2000)), EITHER),
-    Attack("GeoJSON: 10⁴ rooms", written("p.geojson", lambda: grid(10_000)), EITHER),
+    Attack("GeoJSON: 3 · 10⁴ rooms", written("p.geojson", lambda: grid(30_000)), EITHER),
+    Attack("GeoJSON: 10⁵ rooms", written("p.geojson", lambda: grid(100_000)), says="features"),
     Attack("GeoJSON: 10⁴ corridors on one place", written("p.geojson", lambda: stacked(10_000)), EITHER),
     Attack("GeoJSON: a corridor with 10⁴ holes", written("p.geojson", lambda: holes(10_000)), EITHER),
+    Attack("GeoJSON: a corridor with 10⁵ holes", written("p.geojson", lambda: holes(100_000)), says="holes"),
     Attack("GeoJSON: 10⁴ floors", written("p.geojson", lambda: floors(10_000)), EITHER),
     Attack("GeoJSON: brackets 10⁶ deep", written("p.geojson", lambda: deep(b"[", b"]", MB))),
     Attack(

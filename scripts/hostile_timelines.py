@@ -176,6 +176,7 @@ TIMELINES = (
         "left out",
     ),
     Attack("FIT of 10⁵ positions", imported("t.fit", lambda: fit(100_000)), EITHER),
+    Attack("FIT of 10⁶ positions", imported("t.fit", lambda: fit(1_000_000)), EITHER, "messages"),
     Attack("FIT, states 4 GB", imported("t.fit", lambda: fit(100, 4_000_000_000)), EITHER),
     Attack("FIT of 100 MB", imported("t.fit", lambda: fit(10) + bytes(100 * MB)), EITHER),
     Attack("OwnTracks: one line of 1 GB", imported("t.rec", lambda: rec([TIME])[:-2] + b"a" * 990 * MB), EITHER),

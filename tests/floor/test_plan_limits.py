@@ -44,6 +44,19 @@ def test_thousands_of_floors_are_refused(tmp_path):
         Building.load(plan(tmp_path / "p.geojson", [box(0, 0)] * 501, floor=floors))
 
 
+def test_tens_of_thousands_of_features_or_holes_are_refused(tmp_path):
+    """10⁵ of either took more than a minute."""
+    with pytest.raises(InputError, match="found 50001 features, expected at most 50000"):
+        FloorPlan.load(plan(tmp_path / "p.geojson", [box(0, 0)] * 50_001))
+    holes = [box(2 * (n % 200) + 0.5, 2 * (n // 200) + 0.5, 1, 1) for n in range(20_001)]
+    path = plan(tmp_path / "p.geojson", [box(0, 0, 400, 400)])
+    value = json.loads(path.read_text())
+    value["features"][0]["geometry"]["coordinates"] += holes
+    path.write_text(json.dumps(value))
+    with pytest.raises(InputError, match="feature 0: found 20001 holes, expected at most 20000"):
+        FloorPlan.load(path)
+
+
 def test_a_scribble_is_refused_and_an_outline_that_crosses_itself_once_is_repaired(tmp_path):
     corners = np.random.default_rng(0).uniform(0, 50, (500, 2)).round(3).tolist()
     with pytest.raises(InputError, match="feature 0: found an outline of 500 sides that cross one another"):

@@ -116,6 +116,22 @@ def test_fit_activities_are_read_by_the_library_of_the_extra(tmp_path):
     assert damaged.refused or damaged.notes
 
 
+def test_fit_activities_of_more_messages_than_days_of_riding_have_are_refused(tmp_path, monkeypatch):
+    """A message may be a byte in the file, and a kilobyte in memory."""
+    fit = pytest.importorskip("garmin_fit_sdk")
+    if not hasattr(fit, "Encoder"):
+        pytest.skip("this version writes no files")
+    monkeypatch.setattr("pdr_graph.lifelog.past.fit.MOST_MESSAGES", 20)
+    for length, refused in (15, 0), (25, 1):
+        encoder = fit.Encoder()
+        for n in range(length):
+            encoder.write_mesg(
+                {"mesg_num": 20, "timestamp": NOON + n - 631_065_600, "position_lat": 1, "position_long": 1}
+            )
+        result = imported(tmp_path / f"log{length}", saved(tmp_path / f"ride{length}", bytes(encoder.close())))
+        assert [("more than 20 messages" in line) for line in result.refused] == [True] * refused
+
+
 def test_a_semantic_visit_has_its_place_and_confidence(tmp_path):
     place = {"latitudeE7": 525000000, "longitudeE7": 134000000, "name": "Café", "locationConfidence": 77}
     times = {"startTimestamp": iso(NOON), "endTimestamp": iso(NOON + 600)}

@@ -20,7 +20,8 @@ from pdr_graph.types import Array
 
 # Limits of an untrusted file
 LARGEST_FILE = 200_000_000  # [bytes]
-MOST_FEATURES = 200_000  # of a collection: an airport has 20 000
+MOST_FEATURES = 50_000  # of a collection: an airport has 20 000, and 30 000 rooms take 20 s
+MOST_HOLES = 20_000  # of a feature; 10 000 take 4 s, and the time grows with their square
 LARGEST_COORDINATE = 1e8  # [m or deg]
 WIDEST_PLAN = 1.0  # [deg] a wider plan is in metres
 Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
@@ -65,6 +66,9 @@ def features_of(path: Path, collection: dict[str, Any], notes: list[str], repair
             continue
         if not (np.abs(shapely.get_coordinates(shape)) < LARGEST_COORDINATE).all():
             raise InputError(path, f"feature {n}", "coordinates that are not on Earth", "degrees or metres")
+        holes = int(shapely.get_num_interior_rings(shapely.get_parts(shape)).sum())
+        if holes > MOST_HOLES:
+            raise InputError(path, f"feature {n}", f"{holes} holes", f"at most {MOST_HOLES}")
         if not shapely.is_valid(shape):
             check_crossings(path, f"feature {n}", shape)
             repairs.append(f"{_name_of(n, properties)}: its outline crosses itself{_crossing(shape)}, and was repaired")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
@@ -13,6 +14,7 @@ from pdr_graph.lifelog.past.past_rows import Batch
 
 NAME = "FIT"
 LARGEST_FIT = 20_000_000  # [bytes]; a day at 1 Hz has 5 MB
+MOST_MESSAGES = 500_000  # six days at 1 Hz; the library takes 25 µs for each
 FIT_EPOCH = 631_065_600.0  # [s] Unix time of 1989-12-31, where the format counts from
 SEMICIRCLES = 180 / 2**31  # [deg]
 
@@ -31,13 +33,24 @@ def read(stream: BinaryIO, where: str) -> Iterator[Batch]:
     content = stream.read(LARGEST_FIT + 1)
     if len(content) > LARGEST_FIT:
         raise InputError(where, "", f"more than {LARGEST_FIT // 10**6} MB", "an activity")
+    counter = itertools.count(1)
+
+    def count_message(kind: int, message: Any) -> None:
+        if next(counter) > MOST_MESSAGES:
+            raise OverflowError(f"more than {MOST_MESSAGES} messages")
+
     try:
         decoder = Decoder(Stream.from_byte_array(bytearray(content)))
         messages, errors = decoder.read(
-            convert_datetimes_to_dates=False, merge_heart_rates=False, expand_components=False
+            convert_datetimes_to_dates=False,
+            merge_heart_rates=False,
+            expand_components=False,
+            mesg_listener=count_message,
         )
     except Exception as error:  # the library raises whatever its parsing of damaged bytes meets
         raise InputError(where, "", f"a damaged FIT file ({error})", "a whole activity") from None
+    if any(isinstance(error, OverflowError) for error in errors):
+        raise InputError(where, "", f"more than {MOST_MESSAGES} messages", "one activity")
     if errors and not messages:
         raise InputError(where, "", f"a damaged FIT file ({errors[0]})", "a whole activity")
     records = [record for record in messages.get("record_mesgs", []) if "position_lat" in record]
