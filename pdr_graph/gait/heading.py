@@ -19,7 +19,7 @@ from scipy import fft
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.geometry import compose, wrap_angle
+from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
 from pdr_graph.types import Array, Complex, Mask
 
@@ -354,15 +354,13 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     the walker, whose turn then comes from the gait, or is 0 ± 0.35 rad.
     """
     samples = max(1, round(step / attitude.period))
-    steady = _mean_attitude(attitude.R_world_device, 2 * samples)
-    turned = np.concatenate([[0.0], np.cumsum(compose(steady[1:], steady[:-1].inv()).as_rotvec()[:, 2])])
+    steady = mean_attitude(continuous(attitude.R_world_device.as_quat()), 2 * samples)
+    turned = np.concatenate([[0.0], np.cumsum(turns_about_vertical(steady))])
     rate_integral = integrated_rate(attitude)
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
     heading = without_gait(rate_integral, samples) - coning
     heading -= heading[0]
-    turn, variance = without_grip_changes(
-        heading, grip_changes(attitude, steady.inv().apply([0.0, 0.0, 1.0]), heading, step)
-    )
+    turn, variance = without_grip_changes(heading, grip_changes(attitude, vertical_in_device(steady), heading, step))
     return Direction(np.cumsum(turn), np.cumsum(variance))
 
 
@@ -383,12 +381,36 @@ def integrated_rate(attitude: Attitude) -> Array:
     return turned - turned[0]
 
 
-def _mean_attitude(attitude: Rotation, samples: int) -> Rotation:
-    """Attitudes averaged over a window of samples: means of their quaternions, for swings of less than 90°."""
-    quaternion = attitude.as_quat()
+def continuous(quaternion: Array) -> Array:
+    """Quaternions ``(n, 4)`` of the same attitudes, with signs that do not change from sample to sample."""
     turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
-    quaternion[1:] *= turned_round[:, None]
-    return Rotation.from_quat(uniform_filter1d(quaternion, samples, axis=0, mode="nearest"))
+    return quaternion * np.concatenate([[1.0], turned_round])[:, None]
+
+
+def mean_attitude(quaternion: Array, samples: int) -> Array:
+    """Unit quaternions ``(4, n)`` of attitudes ``(n, 4)`` averaged over a window of samples.
+
+    Means of `continuous` quaternions are those of the attitudes for swings of less than 90°.
+    """
+    mean = uniform_filter1d(np.ascontiguousarray(quaternion.T), samples, axis=1, mode="nearest")
+    return mean / np.linalg.norm(mean, axis=0)
+
+
+def vertical_in_device(quaternion: Array) -> Array:
+    """The vertical ``(n, 3)`` in device axes, from unit quaternions ``(4, n)``."""
+    x, y, z, w = quaternion
+    return np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+
+
+def turns_about_vertical(quaternion: Array) -> Array:
+    """The vertical component ``(n - 1,)`` of the rotation from each unit quaternion ``(4, n)`` to the next. [rad]"""
+    (x, y, z, w), (a, b, c, d) = quaternion[:, 1:], quaternion[:, :-1]
+    real = w * d + x * a + y * b + z * c
+    i = x * d - w * a - y * c + z * b
+    j = y * d - w * b - z * a + x * c
+    k = z * d - w * c - x * b + y * a
+    sine = np.sqrt(i * i + j * j + k * k)
+    return k * np.where(sine > 1e-12, 2 * np.arctan2(sine, real) / np.maximum(sine, 1e-12), 2.0)
 
 
 def without_grip_changes(heading: Array, changes: list[GripChange]) -> tuple[Array, Array]:

@@ -13,7 +13,10 @@ from pdr_graph.gait.heading import (
     GripChange,
     Spans,
     confirmed_grip_changes,
+    mean_attitude,
     possible_grip_changes,
+    turns_about_vertical,
+    vertical_in_device,
     without_grip_changes,
 )
 from pdr_graph.gait.step_detection import USUAL_STEP
@@ -96,9 +99,7 @@ class HeadingStream:
             setattr(self, name, getattr(self, name)[drop:])
 
     def _append(self, quaternion: Array, acceleration: Array, angular_rate: Array, measured: Mask) -> None:
-        x, y, z, w = quaternion.T
-        up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
-        rate = np.sum(up * angular_rate, axis=1) * measured * self.period
+        rate = np.sum(vertical_in_device(quaternion.T) * angular_rate, axis=1) * measured * self.period
         unmeasured, turned = (self.unmeasured[-1], self.rate_integral[-1]) if len(self.unmeasured) else (0.0, -rate[0])
         before = self.quaternion[-1] if len(self.quaternion) else quaternion[0]
         same = np.sum(quaternion * np.concatenate([before[None], quaternion[:-1]]), axis=1) >= 0
@@ -113,10 +114,9 @@ class HeadingStream:
         samples = max(1, round(self.step / self.period))
         last = max(0, self.heading_final - 1)
         begin = max(0, last - 2 * samples)
-        steady = uniform_filter1d(self.quaternion[begin:], 2 * samples, axis=0, mode="nearest")[last - begin :]
-        x, y, z, w = (steady / np.linalg.norm(steady, axis=1, keepdims=True)).T
-        up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
-        turn = _turns_about_vertical(x, y, z, w) * (np.diff(self.unmeasured[last:]) == 0)
+        steady = mean_attitude(self.quaternion[begin:], 2 * samples)[:, last - begin :]
+        up = vertical_in_device(steady)
+        turn = turns_about_vertical(steady) * (np.diff(self.unmeasured[last:]) == 0)
         start = self.turned[last] if len(self.turned) else 0.0
         turned = start + np.concatenate([[0.0], np.cumsum(turn)])
         of_step, of_stride = (uniform_filter1d(self.rate_integral[begin:], n * samples, mode="nearest") for n in (1, 2))
@@ -172,16 +172,6 @@ class HeadingStream:
         attitude, heading = self.attitude(slice(begin, None)), self.heading[begin:]
         found = confirmed_grip_changes(attitude, heading, self.step, _later(tilted, -begin), _later(fast, -begin))
         return [GripChange(change.first + begin, change.last + begin, change.turn) for change in found]
-
-
-def _turns_about_vertical(x: Array, y: Array, z: Array, w: Array) -> Array:
-    """The vertical component ``(n - 1,)`` of the rotation from each quaternion ``(n,)`` to the next. [rad]"""
-    real = w[1:] * w[:-1] + x[1:] * x[:-1] + y[1:] * y[:-1] + z[1:] * z[:-1]
-    i = x[1:] * w[:-1] - w[1:] * x[:-1] - y[1:] * z[:-1] + z[1:] * y[:-1]
-    j = y[1:] * w[:-1] - w[1:] * y[:-1] - z[1:] * x[:-1] + x[1:] * z[:-1]
-    k = z[1:] * w[:-1] - w[1:] * z[:-1] - x[1:] * y[:-1] + y[1:] * x[:-1]
-    sine = np.sqrt(i * i + j * j + k * k)
-    return k * np.where(sine > 1e-12, 2 * np.arctan2(sine, real) / np.maximum(sine, 1e-12), 2.0)
 
 
 def _later(spans: Spans, samples: int) -> Spans:

@@ -1,15 +1,15 @@
-"""The step detector: landings from an accelerometer in hand, pocket, bag or on a swinging arm; batch and live.
+"""The step detector: landings from an accelerometer in hand, pocket, bag or on a swinging arm.
 
 A stride resembles the one before. Where |a| repeats itself from stride to stride, the period of the repetition is the
 duration of a step, and |a| at that frequency rises and falls once per step. This holds even if a loose phone is thrown
 about several times within a step, or if one leg hardly moves the arm that holds the phone. Motion that does not repeat
 itself, tilts the phone to and fro, or lifts it higher than a walking body bobs is not a step: shaking, gestures,
-vehicles, standing.
+vehicles, standing. `live_steps` has the same detector for samples as they arrive.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -113,6 +113,10 @@ class CandidateSettings:
 
 CANDIDATE = CandidateSettings()
 DURATIONS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are tried, up to 1.03 s
+LAGS: Array = np.concatenate([DURATIONS, 2 * DURATIONS])  # [s] at which |a| is correlated with itself
+UNUSUAL: Array = CANDIDATE.usual_weight * ((np.log(DURATIONS / USUAL_STEP) / CANDIDATE.usual_spread) ** 2 / 2)[:, None]
+WINDOWS_AT_ONCE = 2_000  # copied to be correlated with a kernel
+SHORTEST_SIGNAL = 2.5 * float(DURATIONS[-1])  # [s] in which the rhythm can be found
 
 
 @dataclass(frozen=True)
@@ -134,14 +138,17 @@ class Candidates:
         return Candidates(*(values[which] for values in vars(self).values()))
 
 
+NO_CANDIDATES = Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
+
+
 def candidates(acceleration: Array, period: float, look_ahead: float) -> Candidates:
     """Maxima of |a| at the frequency of the steps.
 
     acceleration ``(n, 3)`` [m/s²], one sample per period [s]; look_ahead: duration of the samples after a landing that
     are used for it [s].
     """
-    smooth, steadiness = smoothed_magnitude(acceleration, period)
-    return candidates_in_magnitude(smooth, steadiness, period * decimation(period), look_ahead)
+    smooth, steady = smoothed_magnitude(acceleration, period)
+    return candidates_in_magnitude(smooth, steady, period * decimation(period), look_ahead)
 
 
 def smoothed_magnitude(acceleration: Array, period: float) -> tuple[Array, Array]:
@@ -151,39 +158,60 @@ def smoothed_magnitude(acceleration: Array, period: float) -> tuple[Array, Array
     return smooth[::stride], _tilt_steadiness(acceleration, period)[::stride]
 
 
-def candidates_in_magnitude(smooth: Array, steadiness: Array, sampling: float, look_ahead: float) -> Candidates:
+def candidates_in_magnitude(smooth: Array, steady: Array, sampling: float, look_ahead: float) -> Candidates:
     """`candidates` from the output of `smoothed_magnitude` ``(n,)``, one sample per ``sampling`` [s]."""
-    if sampling > CANDIDATE.slowest or len(smooth) * sampling < 2.5 * DURATIONS[-1]:
-        return Candidates(*(np.empty(0) for _ in range(4)), bodily=np.empty(0, dtype=bool))
+    if sampling > CANDIDATE.slowest or len(smooth) * sampling < SHORTEST_SIGNAL:
+        return NO_CANDIDATES
     level = smooth - gaussian_filter1d(smooth, CANDIDATE.level / sampling)
     which, regularity = _rhythm(level, sampling, look_ahead)
-    wave = _at_frequency(level, which, sampling)
-    peaks, time = _maxima(wave, sampling)
+    wave = at_frequency(np.pad(level, longest_reach(sampling)), which, sampling)
+    return strong_maxima(wave, which, regularity, steady, sampling, look_ahead)
+
+
+def strong_maxima(
+    wave: Complex,
+    which: Index,
+    regularity: Array,
+    steady: Array,
+    sampling: float,
+    look_ahead: float,
+    first: int = 0,
+) -> Candidates:
+    """The maxima of an analytic signal ``(n,)`` that are high enough, and whether a walking body can move so.
+
+    first: number of the first sample.
+    """
+    peaks, time = maxima(wave, sampling, first)
     amplitude = 2 * np.abs(wave)
     past, future = round(CANDIDATE.look_ahead / sampling), round(look_ahead / sampling)
     shift = (past + future + 1) // 2 - future
     around = maximum_filter1d(amplitude, past + future + 1, mode="nearest", origin=shift)
-    strong = (amplitude > CANDIDATE.weakest) & (amplitude > CANDIDATE.weakest_share * around)
-    peaks, time = peaks[strong[peaks]], time[strong[peaks]]
+    high = amplitude[peaks], around[peaks]
+    strong = (high[0] > CANDIDATE.weakest) & (high[0] > CANDIDATE.weakest_share * high[1])
+    peaks, time = peaks[strong], time[strong]
     step = DURATIONS[which[peaks]]
     bodily = around[peaks] * (step / (2 * np.pi)) ** 2 < CANDIDATE.highest_bounce
-    bodily &= steadiness[peaks] > CANDIDATE.steadiest_tilt
+    bodily &= steady[peaks] > CANDIDATE.steadiest_tilt
     return Candidates(time, step, amplitude[peaks], regularity[peaks], bodily)
 
 
 def _rhythm(level: Array, sampling: float, look_ahead: float) -> tuple[Index, Array]:
-    """The index in DURATIONS that fits best at each sample ``(n,)``, and the correlation of |a| with itself ``(n,)``.
-
-    The signal must repeat itself after a stride, and fits better if it repeats itself after a step too: this excludes
-    half and double the true duration. An unusual duration must fit better.
-    """
-    once, twice = (_correlations(level, durations, sampling) for durations in (DURATIONS, 2 * DURATIONS))
-    unusual = (np.log(DURATIONS / USUAL_STEP) / CANDIDATE.usual_spread) ** 2 / 2
-    which = np.argmax(twice + once / 2 - CANDIDATE.usual_weight * unusual[:, None], axis=0)
-    samples = np.arange(len(level))
-    regularity = np.maximum(once[which, samples], twice[which, samples])
-    available = np.maximum(samples - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
+    """The index in DURATIONS that fits best at each sample, and the correlation of |a| with itself, both ``(n,)``."""
+    which, regularity = best_duration(*(_correlations(level, lags, sampling) for lags in (DURATIONS, 2 * DURATIONS)))
+    available = np.maximum(np.arange(len(level)) - round((CANDIDATE.look_ahead - look_ahead) / sampling), 0)
     return which[available], regularity[available]
+
+
+def best_duration(once: Array, twice: Array) -> tuple[Index, Array]:
+    """The index in DURATIONS that fits best ``(n,)``, and its correlation ``(n,)``.
+
+    once, twice: ``(k, n)`` correlation with the signal a step and a stride earlier. The signal must repeat itself after
+    a stride, and fits better if it repeats itself after a step too: this excludes half and double the true duration. An
+    unusual duration must fit better.
+    """
+    which = np.argmax(twice + once / 2 - UNUSUAL, axis=0)
+    samples = np.arange(len(which))
+    return which, np.maximum(once[which, samples], twice[which, samples])
 
 
 def _correlations(level: Array, lags: Array, sampling: float) -> Array:
@@ -199,38 +227,64 @@ def _correlations(level: Array, lags: Array, sampling: float) -> Array:
     return product / (uniform_filter1d(power, window, axis=1, mode="constant") + 1e-4)
 
 
-def _at_frequency(level: Array, which: Index, sampling: float) -> Complex:
-    """The analytic signal ``(n,)`` at the frequency of the steps, whose index in DURATIONS is ``which (n,)``."""
-    wave = np.zeros(len(level), dtype=complex)
-    for n in np.unique(which).tolist():
-        here, kernel = which == n, _kernel(n, sampling)
-        filtered = np.convolve(level, np.real(kernel)) + 1j * np.convolve(level, np.imag(kernel))
-        wave[here] = filtered[len(kernel) // 2 :][: len(level)][here]
+def at_frequency(level: Array, which: Index, sampling: float) -> Complex:
+    """The analytic signal ``(n,)`` at the frequency of the steps, whose index in DURATIONS is ``which (n,)``.
+
+    level: the signal, with `longest_reach` more samples at either end.
+    """
+    wave, longest = np.empty(len(which), dtype=complex), longest_reach(sampling)
+    for n in np.flatnonzero(np.bincount(which)).tolist():
+        kernel = _kernel(n, sampling)
+        around = np.arange(kernel.shape[1]) + longest - kernel.shape[1] // 2
+        here = np.flatnonzero(which == n)
+        for first in range(0, len(here), WINDOWS_AT_ONCE):
+            part = here[first : first + WINDOWS_AT_ONCE]
+            wave[part] = np.vecdot(level[part[:, None, None] + around], kernel).view(complex)[:, 0]
     return wave
 
 
+def longest_reach(sampling: float) -> int:
+    """Number of samples on either side of one on which its analytic signal depends."""
+    return _kernel(len(DURATIONS) - 1, sampling).shape[1] // 2
+
+
 @lru_cache(maxsize=256)
-def _kernel(which: int, sampling: float) -> Complex:
-    """Gabor kernel ``(2 reach + 1,)`` at the frequency of a step."""
+def _kernel(which: int, sampling: float) -> Array:
+    """Gabor kernel ``(2, 2 reach + 1)`` at the frequency of a step, real and imaginary part, to correlate with."""
     reach = round(2.5 * CANDIDATE.kernel * DURATIONS[which] / sampling)
     at = np.arange(-reach, reach + 1) * sampling / DURATIONS[which]
     window = np.exp(-((at / CANDIDATE.kernel) ** 2) / 2)
-    return 2 / window.sum() * window * np.exp(2j * np.pi * at)
+    kernel = 2 / window.sum() * window * np.exp(2j * np.pi * at)
+    return np.ascontiguousarray([kernel.real[::-1], kernel.imag[::-1]])
 
 
-def _maxima(wave: Complex, sampling: float) -> tuple[Index, Array]:
-    """The samples before the maxima of an analytic signal, and the interpolated times of the maxima [s]."""
+def maxima(wave: Complex, sampling: float, first: int = 0) -> tuple[Index, Array]:
+    """The samples before the maxima of an analytic signal, and the interpolated times of the maxima [s].
+
+    first: number of its first sample.
+    """
     before, after = wave.imag[:-1], wave.imag[1:]
     top = np.flatnonzero((before < 0) & (after >= 0) & (wave.real[1:] > 0))
-    return top, (top + before[top] / (before[top] - after[top])) * sampling
+    return top, (top + first + before[top] / (before[top] - after[top])) * sampling
 
 
 def _tilt_steadiness(acceleration: Array, period: float) -> Array:
     """Length ``(n,)`` of the mean direction of gravity in the device: 1 if the device does not tilt."""
-    gravity = gaussian_filter1d(np.ascontiguousarray(acceleration.T), CANDIDATE.tilt_smoothing / period, axis=1)
+    return steadiness(gaussian_filter1d(acceleration.T.copy(), CANDIDATE.tilt_smoothing / period, axis=1), period)
+
+
+def steadiness(gravity: Array, period: float) -> Array:
+    """Length ``(n,)`` of the mean direction of gravity, which is ``(3, n)`` in device axes."""
     window = max(1, round(CANDIDATE.tilt_window / period))
-    mean = np.linalg.norm(uniform_filter1d(gravity, window, axis=1), axis=0)
-    return mean / np.maximum(uniform_filter1d(np.linalg.norm(gravity, axis=0), window), 1e-9)
+    length = _lengths(gravity)
+    mean = uniform_filter1d(np.vstack([gravity, length]), window, axis=1)
+    return _lengths(mean[:3]) / np.maximum(mean[3], 1e-9)
+
+
+def _lengths(vectors: Array) -> Array:
+    """Lengths ``(n,)`` of vectors ``(3, n)``; `np.linalg.norm` takes three times as long for a few of them."""
+    x, y, z = vectors
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def decimation(period: float) -> int:
@@ -321,80 +375,3 @@ class Bout:
             usual = float(np.median([amplitude for _, amplitude in self.waiting]))
             self.waiting = self.waiting[int(self.waiting[0][1] < BOUT.push_off * usual) :]
             self.walking = True
-
-
-@dataclass
-class StepDetector:
-    """Detects steps as samples arrive; the result equals that of `walking_steps` on the whole recording.
-
-    period: between samples [s]; start: time of the first sample [s]; look_ahead: duration of the samples after a
-    landing that are used for its rhythm and amplitude [s]. A step is certain 3 s after that. A shorter look-ahead than
-    the default misses or adds a step now and then.
-
-    decided: time since the start up to which steps are certain [s]; samples ``(n, 3)``: the last ones, the first of
-    which is number ``first`` of ``count``; smoothed ``(m, 2)``: output of `smoothed_magnitude` from number
-    ``smoothed_first`` on, final before number ``smoothed_final``; pending ``(c, 5)``: candidates after ``decided``.
-    """
-
-    period: float
-    start: float = 0.0
-    look_ahead: float = CANDIDATE.look_ahead
-    decided: float = -np.inf
-    bout: Bout = field(default_factory=Bout)
-    samples: Array = field(default_factory=lambda: np.empty((0, 3)))
-    first: int = 0
-    count: int = 0
-    smoothed: Array = field(default_factory=lambda: np.empty((0, 2)))
-    smoothed_first: int = 0
-    smoothed_final: int = 0
-    pending: Array = field(default_factory=lambda: np.empty((0, 5)))
-
-    def update(self, acceleration: Array) -> tuple[Array, Array]:
-        """Add samples ``(n, 3)``; returns times ``(m,)`` [s] and amplitudes of newly certain steps."""
-        self.samples = np.concatenate([self.samples, acceleration])
-        self.count += len(acceleration)
-        self._smooth()
-        return self._decide(self.count * self.period - BOUT.future - self.look_ahead)
-
-    def finish(self) -> tuple[Array, Array]:
-        """Times [s] and amplitudes of the last steps: no more samples follow."""
-        return self._decide(np.inf)
-
-    def provisional(self) -> tuple[Array, Array]:
-        """Times [s] and amplitudes of the steps after the certain ones, which later samples may still change."""
-        *columns, bodily = self.pending.T
-        landed, amplitude = replace(self.bout).steps(Candidates(*columns, bodily=bodily > 0))
-        return self.start + landed, amplitude
-
-    @property
-    def earliest(self) -> float:
-        """Earliest time at which a new landing can still be found. [s]"""
-        late = [time for time, _ in self.bout.waiting if time > self.decided - BOUT.late]
-        return self.start + min([self.decided, *late])
-
-    def _smooth(self) -> None:
-        """Smooth the new samples, and the last ones again: their smoothed values depend on later samples."""
-        if not len(self.samples):
-            return
-        stride = decimation(self.period)
-        reach = int(CANDIDATE.reach / self.period / stride) + 1
-        fresh = np.stack(smoothed_magnitude(self.samples, self.period), axis=1)
-        first = self.first // stride
-        final = self.smoothed[: self.smoothed_final - self.smoothed_first]
-        self.smoothed = np.concatenate([final, fresh[self.smoothed_final - first :]])
-        self.smoothed_final = max(self.smoothed_final, first + len(fresh) - reach)
-        drop = max(0, self.smoothed_final - reach - first)
-        self.samples, self.first = self.samples[drop * stride :], self.first + drop * stride
-
-    def _decide(self, until: float) -> tuple[Array, Array]:
-        """Times and amplitudes of the steps between ``decided`` and ``until`` [s] after the start."""
-        sampling = self.period * decimation(self.period)
-        found = candidates_in_magnitude(self.smoothed[:, 0], self.smoothed[:, 1], sampling, self.look_ahead)
-        found = replace(found, time=found.time + self.smoothed_first * sampling)
-        landed, amplitude = self.bout.steps(found[(found.time > self.decided) & (found.time <= until)])
-        self.decided = max(self.decided, until)
-        self.pending = np.stack([values[found.time > self.decided] for values in vars(found).values()], axis=1)
-        if np.isfinite(until):  # no later step depends on earlier samples
-            drop = max(0, int((until - BOUT.past) / sampling) - self.smoothed_first)
-            self.smoothed, self.smoothed_first = self.smoothed[drop:], self.smoothed_first + drop
-        return self.start + landed, amplitude

@@ -11,8 +11,9 @@ import numpy as np
 from pdr_graph import storage
 from pdr_graph.gait.heading import Direction
 from pdr_graph.gait.heading_stream import HeadingStream
+from pdr_graph.gait.live_steps import DetectorCheckpoint, StepDetector
 from pdr_graph.gait.signals import GaitSignals
-from pdr_graph.gait.step_detection import LONGEST_STEP, Landings, StepDetector, decimation
+from pdr_graph.gait.step_detection import LONGEST_STEP, Landings, decimation
 from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, steps_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE
@@ -55,7 +56,7 @@ class SegmentCheckpoint:
     """The state of a `SegmentStream`."""
 
     attitude: AttitudeCheckpoint
-    detector: StepDetector
+    detector: DetectorCheckpoint
     direction: HeadingStream
     end: float
     count: int
@@ -106,7 +107,7 @@ class SegmentStream:
         """The complete state."""
         return SegmentCheckpoint(
             attitude=storage.checkpoint(self.attitude, AttitudeCheckpoint),
-            detector=deepcopy(self.detector),
+            detector=self.detector.checkpoint(),
             direction=deepcopy(self.direction),
             end=self.end,
             count=self.count,
@@ -118,7 +119,7 @@ class SegmentStream:
     def restore(self, checkpoint: SegmentCheckpoint) -> None:
         """Continue from a checkpoint of a stream with the same walker."""
         storage.restore(self.attitude, checkpoint.attitude)
-        self.detector, self.direction = deepcopy(checkpoint.detector), deepcopy(checkpoint.direction)
+        self.detector, self.direction = StepDetector.restored(checkpoint.detector), deepcopy(checkpoint.direction)
         self.end, self.count, self.reported = checkpoint.end, checkpoint.count, checkpoint.reported
         self.landed, self.durations = checkpoint.landed.copy(), checkpoint.durations.copy()
 

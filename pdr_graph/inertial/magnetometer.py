@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from math import sqrt
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.frames import EarthField
@@ -166,15 +166,21 @@ def prediction_error(field: Array, period: float) -> Array:
     the field in the world a second earlier.
     """
     lag = min(max(1, round(MAGNETOMETER.prediction / period)), len(field) - 1)
-    later, earlier = field[lag:], field[:-lag]
+    later, earlier = field[lag:], field[: len(field) - lag]
     angle = np.arctan2(np.linalg.norm(np.cross(later, earlier), axis=1), np.sum(later * earlier, axis=1))
     return np.concatenate([np.repeat(angle[:1], lag), angle])
 
 
-def field_in_world(attitude: Attitude, device: Array) -> Array:
-    """The smoothed field ``(n, 3)`` in the attitude's world from the field in device axes ``(n, 3)``. [µT]"""
-    world = attitude.R_world_device.apply(device)
-    return gaussian_filter1d(world, MAGNETOMETER.smoothing / attitude.period, axis=0, mode="nearest")
+def field_in_world(attitude: Attitude, device: Array, every: int = 1) -> Array:
+    """The smoothed field in the attitude's world, at every so many samples, from that in device axes ``(n, 3)``. [µT]
+
+    Only the rows that are returned are smoothed: an observation of north per second needs one of a hundred.
+    """
+    sigma = MAGNETOMETER.smoothing / attitude.period
+    reach = round(4 * sigma)
+    weights = np.exp(-((np.arange(-reach, reach + 1) / sigma) ** 2) / 2)
+    world = np.pad(attitude.R_world_device.apply(device), ((reach, reach), (0, 0)), mode="edge")
+    return sliding_window_view(world, len(weights), axis=0)[::every] @ (weights / weights.sum())
 
 
 @dataclass(frozen=True)
@@ -232,9 +238,8 @@ def magnetic_north(attitude: Attitude, field: Array, earth: EarthField) -> North
     the gyroscope's has a spread of ±70°/min), so that here the process noise is the gyroscope's own.
     """
     every = max(1, round(NORTH.interval / attitude.period))
-    world = field_in_world(attitude, field)
-    errors = np.stack([dip_error(world, earth.dip), prediction_error(world, attitude.period)])[:, ::every]
-    world, time = world[::every], attitude.time[::every]
+    world, time = field_in_world(attitude, field, every), attitude.time[::every]
+    errors = np.stack([dip_error(world, earth.dip), prediction_error(world, every * attitude.period)])
     level = np.hypot(world[:, 0], world[:, 1])
     valid = np.all(errors < NORTH.disturbed, axis=0) & (level > NORTH.weakest * earth.magnitude * np.cos(earth.dip))
     if np.mean(valid) < NORTH.least_valid:
