@@ -49,6 +49,7 @@ ROOMS = {
     "geopandas": {"lifelog"},
     "pandas": {"lifelog"},
     "pyarrow": {"io", "lifelog"},
+    "numba": {"estimation"},
     "sqlite3": {"storage", "recovery", "online", "lifelog"},
     "starlette": {"serve"},
     "uvicorn": {"serve"},

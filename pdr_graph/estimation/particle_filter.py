@@ -22,97 +22,11 @@ from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.preintegration import Pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, WalkGraph
-from pdr_graph.floor.cells import OUTSIDE_PRICE, WALL_COST
+from pdr_graph.estimation.particle_motion import RARE, Walls, changed_floor, stepped, stood
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.types import Array, Index, Mask
-
-BODY = 0.12  # [m] least distance of a walker's centre from any wall
-LOOK = 0.24  # [m] between points of a step that are tested against walls: twice BODY, so that no wall is missed
-MOST_LOOKS = 100  # points of a step, however long
-DOUBTED, RARE = 0.2, 4  # [rad] sigma of a turn that may be the phone's; one in so many particles draws any turn
-TRIES = 4  # further draws of a step that would cross a wall
-CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
-STAIRS_SIGMA = 1.0  # [m] distance from stairs or a lift at a floor change, whose time a barometer measures roughly
-
-
-def stepped(
-    state: Array,
-    length: float,
-    turn: float,
-    time: float,
-    sigma: Array,
-    field: DistanceField,
-    random: np.random.Generator,
-    at_once: int | None = None,
-    tiles: Array | None = None,
-) -> tuple[Array, Array]:
-    """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
-
-    A particle that would cross a wall draws its errors again, up to TRIES times, at the cost of the log-odds.
-    state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad]; at_once,
-    tiles: see `DistanceField.approximate`.
-    """
-    count = min(np.ceil(length / LOOK), MOST_LOOKS)
-    looks = np.arange(1, count + 1)[:, None] / count
-
-    def tried(state: Array) -> tuple[Array, Mask, Array]:
-        after, way = _moved(state, length, turn, time, sigma, random)
-        places = looks * way[:, None]
-        places += state[:2, None]
-        clear = field.approximate(places, at_once, tiles)
-        return after, clear.min(axis=0) < BODY, clear[-1]
-
-    after, blocked, clear = tried(state)
-    price = CLEAR_PRICE * np.square(np.maximum(0.0, 1 - clear / CLEAR))
-    if not blocked.any():
-        return after, price
-    price[clear < BODY] = OUTSIDE_PRICE
-    stopped = np.flatnonzero(blocked)
-    stopped = stopped[field.approximate(state[:2, stopped], at_once, tiles) >= BODY]
-    if len(stopped):
-        others, blocked, _ = tried(np.repeat(state[:, stopped], TRIES, axis=1))
-        free = np.logical_not(blocked).reshape(-1, TRIES)
-        ways = free.sum(axis=1)
-        got = ways > 0
-        after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * TRIES + free.argmax(axis=1))[got]]
-        price[stopped] = np.where(got, np.log((TRIES + 1) / np.maximum(ways, 1)), WALL_COST)
-    return after, price
-
-
-def stood(state: Array, turn: float, time: float, sigma: Array, random: np.random.Generator) -> Array:
-    """States ``(6, n)`` after a pause, in which the phone may have turned."""
-    return _moved(state, 0.0, turn, time, sigma, random)[0]
-
-
-def changed_floor(state: Array, ways: Sequence[DistanceField]) -> Array:
-    """Cost ``(n,)`` of a change of floor at each particle's place, by stairs or lifts with these fields."""
-    if not ways:
-        return np.zeros(state.shape[1])
-    outside = -np.max([way.approximate(state[:2]) for way in ways], axis=0)
-    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / STAIRS_SIGMA), WALL_COST)
-
-
-def _moved(
-    state: Array, length: float, turn: float, time: float, sigma: Array, random: np.random.Generator
-) -> tuple[Array, Array]:
-    """States ``(6, n)`` after a piece with random errors, and the displacement ``(2, n)`` [m]."""
-    noise = random.standard_normal((3, state.shape[1]))
-    noise *= sigma[:, None]
-    forward, left, turned = noise
-    if sigma[2] > DOUBTED:
-        turned[::RARE] = random.uniform(-np.pi, np.pi, len(turned[::RARE]))
-    turned += state[4] * turn + state[5] * time
-    forward += state[3] * length
-    course = (state[2] + 0.5 * turned).astype(np.float32)  # to 1e-6 of a turn; six times as fast
-    cos, sin = np.cos(course).astype(float), np.sin(course).astype(float)
-    way = np.stack([forward * cos - left * sin, forward * sin + left * cos])
-    after = state.copy()
-    after[:2] += way
-    after[2] += turned
-    return after, way
-
 
 PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles per occupied bin of position [m] and direction [rad]
 AMONG = 8000  # particles at most for which PER_BIN holds; it scales with the largest number of particles
@@ -180,8 +94,9 @@ class ParticleFilter:
         self.random = np.random.default_rng(seed)
         self.state, self.weight = np.empty((6, 0)), np.empty(0)  # weight: its logarithm ``(n,)``
         self._change = np.array(prior.change)[:, None]
+        self._information = np.linalg.inv(prior.covariance * np.outer(WIDE, WIDE)).astype(float)
         self._steps = 0  # since the last keyframe
-        self._tiles = dict[int, Array]()  # by field
+        self._tiles = dict[int, Index]()  # by field
         self._states, self._origins = list[Array](), list[Index]()
 
     def begin(
@@ -252,13 +167,14 @@ class ParticleFilter:
         sigma = CALM * np.sqrt(variance)
         if length > 0:
             tiles = None if self.at_once is None else self._own_tiles(floor)
-            self.state, price = stepped(self.state, length, turn, time, sigma, floor, self.random, self.at_once, tiles)
+            walls = Walls(floor, self.at_once, tiles)
+            self.state, price = stepped(self.state, length, turn, time, sigma, walls, self.random)
             self.weight = self.weight - price
             self._steps += 1
         else:
             self.state = stood(self.state, turn, time, sigma, self.random)
 
-    def _own_tiles(self, floor: DistanceField) -> Array:
+    def _own_tiles(self, floor: DistanceField) -> Index:
         """The tiles of a floor that this filter has asked for: others may compute some at any time, in a thread."""
         if id(floor) not in self._tiles:
             self._tiles[id(floor)] = floor.no_tiles()
@@ -273,14 +189,16 @@ class ParticleFilter:
         if far is not None:
             self._seek(measured, far)
         weight = self.weight + _likelihood(measured, self.state)
-        total = np.logaddexp.reduce(weight)
+        largest = weight.max()
+        share = np.exp(weight - largest)
+        total = largest + np.log(share.sum())
         self.evidence += total
         weight -= total
         origin = np.arange(len(weight))
-        if np.exp(-np.logaddexp.reduce(2 * weight)) < RESAMPLE * len(weight):
+        if share.sum() ** 2 < RESAMPLE * len(weight) * (share @ share):
             origin = _resampled(weight, self._needed(), random)
-            self.state, weight = self.state[:, origin], np.full(len(origin), -np.log(len(origin)))
-            self.state[3:] = _varied(self.state[3:], self.prior, random)
+            self.state, weight = self.state.take(origin, axis=1), np.full(len(origin), -np.log(len(origin)))
+            self.state[3:] = _varied(self.state[3:], self.prior, self._information, random)
         self.weight, self._steps = weight, 0
         self._states.append(self.state)
         self._origins.append(origin)
@@ -313,26 +231,31 @@ class ParticleFilter:
     def _needed(self) -> int:
         """Number of particles needed: some for each bin of place and direction that they occupy."""
         x, y, angle = np.floor(self.state[:3] / np.array([BIN, BIN, BIN_ANGLE])[:, None]).astype(np.int64)
-        bins = np.unique((x << 40) + (y << 16) + angle)
-        return int(np.clip(self.per_bin * len(bins), self.fewest, self.most))
+        bins = np.sort((x << 40) + (y << 16) + angle)
+        occupied = 1 + np.count_nonzero(bins[1:] != bins[:-1])
+        return int(min(max(self.per_bin * occupied, self.fewest), self.most))
 
 
 def _likelihood(measured: KeyframeMeasurements, state: Array) -> Array:
     """Log-likelihood ``(n,)`` of the measurements; an outlier costs OUTLIER_PRICE at most."""
     total = np.zeros(state.shape[1])
     for position, sigma in zip(measured.position, measured.sigma, strict=True):
-        apart = np.hypot(*(state[:2] - position[:, None])) / max(sigma, LEAST_SIGMA)
-        total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
+        total -= np.minimum(_squares(state, position) / (2 * max(sigma, LEAST_SIGMA) ** 2), OUTLIER_PRICE)
     for heading, sigma in zip(measured.heading, measured.sigma_heading, strict=True):
         apart = wrap_angle(heading - state[2]) / sigma
         total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
     return total
 
 
+def _squares(state: Array, place: Array) -> Array:
+    """Squared distances ``(n,)`` [m²] from a place."""
+    return np.square(state[0] - place[0]) + np.square(state[1] - place[1])
+
+
 def _far_fix(measured: KeyframeMeasurements, state: Array) -> int | None:
     """Index of the fix farthest from all particles if beyond FAR: an outlier, or all particles are wrong; else None."""
     fixes = np.flatnonzero(~measured.outlier)
-    distance = [np.hypot(*(state[:2] - measured.position[f][:, None])).min() for f in fixes]
+    distance = [np.sqrt(_squares(state, measured.position[f]).min()) for f in fixes]
     apart = np.divide(distance, measured.sigma[fixes])
     return int(fixes[np.argmax(apart)]) if np.max(apart, initial=0.0) > FAR else None
 
@@ -343,12 +266,13 @@ def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
     return np.minimum(np.searchsorted(share, share[-1] * (np.arange(n) + random.uniform()) / n), len(weight) - 1)
 
 
-def _varied(c: Array, prior: Prior, random: np.random.Generator) -> Array:
+def _varied(c: Array, prior: Prior, information: Array, random: np.random.Generator) -> Array:
     """Calibrations ``(3, n)`` after a Metropolis move with the kernel, which the prior accepts or rejects."""
     before = _errors(c, prior)
-    root = np.linalg.cholesky(np.cov(before) + 1e-12 * np.eye(3))
+    apart = before - before.mean(axis=1, keepdims=True)
+    covariance = apart @ apart.T.copy() * (1 / (len(apart.T) - 1))  # np.cov's to the last bit, in half its time
+    root = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
     after = before + KERNEL * root @ random.standard_normal(c.shape)
-    information = np.linalg.inv(prior.covariance * np.outer(WIDE, WIDE))
     rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
     return np.where(random.exponential(size=c.shape[1]) > rise, _calibrated(after, prior), c)
 

@@ -86,11 +86,11 @@ class DistanceField:
         distance[which] = nearest
         return np.where(shapely.contains_xy(self._walkable, *points.T), distance, -distance)
 
-    def no_tiles(self) -> Array:
+    def no_tiles(self) -> Index:
         """The tiles of a user of `approximate` who has none yet."""
         return np.full_like(self._address, NOT_COMPUTED)
 
-    def approximate(self, places: Array, at_once: int | None = None, tiles: Array | None = None) -> Array:
+    def approximate(self, places: Array, at_once: int | None = None, tiles: Index | None = None) -> Array:
         """Distance ``(…)`` [m] at places ``(2, …)`` [m], accurate to 0.1 m: that of a pixel of 0.125 m.
 
         at_once: most tiles that are computed in this call, where most of the places are; in other tiles the distance is
@@ -120,6 +120,23 @@ class DistanceField:
         if at_once is not None:
             distance[address < 0] = OPEN_DISTANCE
         return distance.reshape(places.shape[1:])
+
+    def pixel_table(self, tiles: Index | None = None) -> tuple[Array, float, Index, int, int, Index, Array, int]:
+        """What `approximate` reads, for compiled code: corner [m], pixels per metre, last pixel ``(2, 1)``, rows of
+        tiles, bits of a pixel in its tile, addresses of the tiles, pixels ``(n,)`` [m], address of a missing tile.
+        """
+        address = self._address if tiles is None else tiles
+        scale = PIXELS / TILE
+        return (
+            self._corner,
+            scale,
+            self._last_pixel,
+            self._rows,
+            PIXEL_BITS,
+            address,
+            self._pixels.ravel(),
+            NOT_COMPUTED,
+        )
 
     def _slots(self, tile: Index) -> Index:
         """Slots ``(n,)`` of tiles ``(n, 2)`` in storage; missing tiles are computed first."""

@@ -8,7 +8,8 @@ from walks import fixes_at, steps_of
 
 from pdr_graph import Headings, WalkGraph
 from pdr_graph.estimation import particle_filter as particles
-from pdr_graph.estimation.particle_filter import particle_filter, stepped
+from pdr_graph.estimation.particle_filter import particle_filter
+from pdr_graph.estimation.particle_motion import Walls, stepped
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import WALL_COST
 from pdr_graph.types import Fixes
@@ -40,7 +41,7 @@ def test_no_particle_crosses_a_thin_wall():
     floor = plan(("room", shapely.box(0, 0, 10, 4)), ("room", shapely.box(0, 4, 10, 8)), ("door", shapely.Point(9, 4)))
     random = np.random.default_rng(0)
     before = crowd(4000, 2.0, 3.7, theta=0.2)
-    after, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, floor.distance, random)
+    after, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, Walls(floor.distance), random)
     paid = price >= WALL_COST
     assert not crosses(floor, before, after)[~paid].any()
     assert np.mean(paid) < 0.3, "most find a way along the wall"
@@ -52,7 +53,7 @@ def test_a_wall_without_a_way_round_is_crossed_at_its_price():
     floor = plan(("corridor", shapely.box(0, 0, 10, 2)))
     before = crowd(500, 9.7, 1.0)
     after, price = stepped(
-        before, 0.7, 0.0, 0.5, np.array([0.01, 0.01, 0.01]), floor.distance, np.random.default_rng(0)
+        before, 0.7, 0.0, 0.5, np.array([0.01, 0.01, 0.01]), Walls(floor.distance), np.random.default_rng(0)
     )
     assert after[0].mean() == pytest.approx(10.4, abs=0.02)
     assert np.all(price == WALL_COST)
@@ -62,7 +63,7 @@ def test_a_step_inside_a_solid_area_costs_little():
     """Somebody entered a shop: each step there has a small cost, not that of a wall."""
     floor = plan(("floor", shapely.box(0, 0, 40, 40)), ("shop", shapely.box(10, 10, 30, 30)))
     before = crowd(100, 20.0, 20.0)
-    _, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, floor.distance, np.random.default_rng(0))
+    _, price = stepped(before, 0.7, 0.0, 0.5, SIGMA, Walls(floor.distance), np.random.default_rng(0))
     assert np.all((price > 0) & (price < 1))
 
 
