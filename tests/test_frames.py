@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from pyproj import Geod
+from pyproj import CRS, Geod, Transformer
 from walks import fixes_at
 
 from pdr_graph.frames import Frame, enu
@@ -14,6 +14,18 @@ def test_enu_agrees_with_geodesics():
         azimuth, _, distance = Geod(ellps="WGS84").inv(135.0, 35.0, lon, lat)
         assert distance == pytest.approx(np.hypot(x, y), abs=1e-4)
         assert np.radians(azimuth) == pytest.approx(np.arctan2(x, y), abs=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_enu_is_that_between_reference_systems_to_the_bit(seed):
+    random = np.random.default_rng(seed)
+    lat, lon = random.uniform([-90, -180], [90, 180])
+    system = CRS(f"+proj=aeqd +lat_0={lat} +lon_0={lon} +ellps=WGS84")
+    oracle = Transformer.from_crs("EPSG:4326", system, always_xy=True)
+    position = random.normal(0, 1e4, (1000, 2))
+    lonlat = enu(lat, lon).to_lonlat(position)
+    assert (lonlat == np.stack(oracle.transform(*position.T, direction="INVERSE"), axis=1)).all()
+    assert (enu(lat, lon).from_lonlat(lonlat) == np.stack(oracle.transform(*lonlat.T), axis=1)).all()
 
 
 @pytest.mark.parametrize(

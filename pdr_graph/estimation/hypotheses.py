@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.contradiction import Contradiction
+from pdr_graph.estimation.changed_prior import with_changed_prior
 from pdr_graph.estimation.factors.base import Hypothesis, State
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, continued, optimize, solutions, solve_robust
@@ -90,7 +91,9 @@ def _alternatives(old: Optimum, name: str, first: Optimum) -> list[Optimum]:
 def _assuming(old: Optimum, hypothesis: Hypothesis, start: State, first: Optimum) -> Optimum:
     """The optimum near ``start`` under one more assumption than ``old``."""
     graph = old.graph.assuming(hypothesis.measurements)
-    optimum = optimize(graph, continued(graph.start, start, hypothesis.fresh))
+    start = continued(graph.start, start, hypothesis.fresh)
+    optimum = with_changed_prior(old, graph, start, hypothesis.prior) if hypothesis.prior else None
+    optimum = optimum or optimize(graph, start)
     information = optimum.solution.log_determinant - first.solution.log_determinant
     assumed = (*old.assumed, hypothesis)
     burden = information + sum(hypothesis.price for hypothesis in assumed)

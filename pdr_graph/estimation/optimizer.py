@@ -11,7 +11,7 @@ from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
-from pdr_graph.estimation.normal_equations import LinearSystem, Solution
+from pdr_graph.estimation.normal_equations import AnySolution, ChangedSolution, LinearSystem
 from pdr_graph.estimation.path_modes import alternative_endings, fixes_determine_path, hypotheses
 from pdr_graph.types import Array, Index
 
@@ -38,14 +38,14 @@ SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance
 class Optimum:
     """Result of the optimiser.
 
-    at: all factors at the optimum; system: linearised just before the last move; unseen: the negative log
-    posterior of a path that the search may have missed; assumed: about sources that err, see `hypotheses`; burden: of
-    these assumptions, in addition to the cost, by their evidence [nats].
+    at: all factors at the optimum; system: linearised just before the last move, or derived from a solved one; unseen:
+    the negative log posterior of a path that the search may have missed; assumed: about sources that err, see
+    `hypotheses`; burden: of these assumptions, in addition to the cost, by their evidence [nats].
     """
 
     graph: WalkGraph
     at: Evaluation
-    system: LinearSystem
+    system: LinearSystem | ChangedSolution
     iterations: int
     converged: bool
     unseen: float = np.inf
@@ -53,9 +53,9 @@ class Optimum:
     burden: float = 0.0
 
     @property
-    def solution(self) -> Solution:
+    def solution(self) -> AnySolution:
         """The solved linear system, for covariances."""
-        return self.system.solution
+        return self.system.solution if isinstance(self.system, LinearSystem) else self.system
 
     @property
     def state(self) -> State:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.normal_equations import Solution
+from pdr_graph.estimation.normal_equations import AnySolution
 from pdr_graph.estimation.particle_filter import FEWEST, Paths, particle_filter, particles_from
 from pdr_graph.geometry import rotation
 from pdr_graph.types import Array, Index
@@ -31,7 +31,7 @@ FEWEST_FIXES = 3  # two do not check one another
 MOST_OPEN = 0.25  # share of the walk, at its end, that may be undetermined
 
 
-def fixes_determine_path(graph: WalkGraph, solution: Solution) -> tuple[int, Array] | None:
+def fixes_determine_path(graph: WalkGraph, solution: AnySolution) -> tuple[int, Array] | None:
     """The last keyframe up to which fixes determine the path, and the sigma of each piece ``(m,)`` [m].
 
     None if they do not determine it. solution: of the walk without its walls.
@@ -47,7 +47,7 @@ def fixes_determine_path(graph: WalkGraph, solution: Solution) -> tuple[int, Arr
     return last, np.maximum(sigma[:-1], sigma[1:])[graph.pieces.interval]
 
 
-def alternative_endings(graph: WalkGraph, state: State, solution: Solution, last: int) -> list[State]:
+def alternative_endings(graph: WalkGraph, state: State, solution: AnySolution, last: int) -> list[State]:
     """Paths that differ from ``state`` after keyframe ``last``. solution: at ``state``."""
     if last == len(state.poses) - 1:
         return []

@@ -13,6 +13,7 @@ from pdr_graph.estimation.global_localization import Localization, localized
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
+from pdr_graph.estimation.normal_equations import AnySolution, mixture
 from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, paths, probabilities
 from pdr_graph.estimation.results import (
     LEAST_REPORTED,
@@ -46,10 +47,10 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     path = paths(optima)
     share = probabilities(optima, path)
     probability = (1.0 - found.elsewhere) * share
-    own, of_c = covariance_of_ends(best.at, best.solution, best.at.pieces.row_end)
-    covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum(), own))
+    of_c = best.solution.joint(("c", np.arange(len(best.state.c))))
+    covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum()))
     fits = best.graph.walled == graph.walled
-    of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(own))
+    of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(_covariance_of_rows(best, best.solution)))
     trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
 
     # Calibration, reports, warnings
@@ -117,17 +118,27 @@ def _near(covariance: Array) -> float:
     return 1 - float(np.exp(-(SAME_PATH**2) / (2 * variance)))
 
 
-def _mixture_covariance(optima: list[Optimum], weight: Array, own: Array) -> Array:
+def _mixture_covariance(optima: list[Optimum], weight: Array) -> Array:
     """Covariance of each row about the best solution, the others counted by their probability.
 
-    weight: ``(n,)`` with sum 1; own: covariances of the rows of the best solution.
+    weight: ``(n,)`` with sum 1. Solutions that differ in a prior alone are mixed before the steps between keyframes.
     """
-    if len(optima) == 1:
-        return own
-    rows = poses_of_rows(optima[0])
-    total = weight[0] * own
-    for w, other in zip(weight[1:], optima[1:], strict=True):
-        covariance, _ = covariance_of_ends(other.at, other.solution, other.at.pieces.row_end)
-        apart = differences(poses_of_rows(other), rows)
-        total = total + w * (covariance + apart[:, :, None] * apart[:, None, :])
+    rows, total = poses_of_rows(optima[0]), np.zeros(())
+    for own in _alike(optima):
+        share = float(weight[own].sum())
+        mixed = mixture([optima[n].solution for n in own], weight[own])
+        total = total + share * _covariance_of_rows(optima[own[0]], mixed)
+        for n in own[own > 0].tolist():
+            apart = differences(poses_of_rows(optima[n]), rows)
+            total = total + weight[n] * apart[:, :, None] * apart[:, None, :]
     return total
+
+
+def _alike(optima: list[Optimum]) -> list[Index]:
+    """Places of the solutions that differ in a prior alone, together."""
+    same = [id(optimum.solution.unchanged) for optimum in optima]
+    return [np.flatnonzero(np.array(same) == one) for one in dict.fromkeys(same)]
+
+
+def _covariance_of_rows(optimum: Optimum, solution: AnySolution) -> Array:
+    return covariance_of_ends(optimum.at, solution, optimum.at.pieces.row_end)[0]

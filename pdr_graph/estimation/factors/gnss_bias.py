@@ -123,8 +123,15 @@ class GnssBias(Measurement):
             check = CHECK_RECEIVER if k > 2 else ""
             worse = replace(self, throughout=k)
             spread = 2 * float(np.log(k)) * len(self.usual)  # the normaliser of the wider prior
-            hypotheses.append(Hypothesis((worse,), price + spread, self._names, text, check))
+            hypotheses.append(
+                Hypothesis((worse,), price + spread, self._names, text, check, prior=self._name_throughout)
+            )
         return [*hypotheses, *self._larger_errors(at)]
+
+    @property
+    def _name_throughout(self) -> str:
+        """The name of the factors of o."""
+        return f"{self.name}.throughout"
 
     @property
     def _names(self) -> str:
@@ -239,7 +246,7 @@ class GnssBias(Measurement):
         )
         root = np.stack([1 / (self.throughout * self.usual)] * 2 + [np.ones(len(o))], axis=1)
         same = FactorBlock.uniform(
-            f"{self.name}.throughout",
+            self._name_throughout,
             o * root,
             [(self.symbol_throughout, np.arange(len(o)))],
             lambda: [np.eye(3) * root[:, :, None]],
