@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
-from scipy.spatial.transform import Rotation
-from scipy.special import stdtrit
 
 from pdr_graph.errors import expect
 from pdr_graph.types import LARGEST_HEADING, Array, Complex, Fixes, Index, Mask, Steps, Trajectory
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 ANY_HEADING = np.pi / np.sqrt(3)  # [rad] standard deviation of a uniformly distributed direction
 
@@ -92,7 +94,7 @@ def compose(first: Rotation, second: Rotation) -> Rotation:
     """The products ``first * second`` of n rotations by n or by one: ten times as fast as `Rotation`'s own product."""
     a, b = first.as_quat().reshape(-1, 4).T, second.as_quat().reshape(-1, 4).T
     vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3], axis=0)
-    return Rotation.from_quat(np.vstack([vector, a[3] * b[3] - np.sum(a[:3] * b[:3], axis=0)]).T)
+    return type(first).from_quat(np.vstack([vector, a[3] * b[3] - np.sum(a[:3] * b[:3], axis=0)]).T)
 
 
 def courses(steps: Steps) -> Array:
@@ -176,6 +178,8 @@ def protection_level(covariance: Array, heading: Array, probability: float = 0.9
     a Gaussian: errors of real walks are rarely, but then much, larger than stated. covariance, heading: as of
     `along_and_across`. Raises ValueError unless the probability lies between 0 and 1.
     """
+    from scipy.special import stdtrit  # here: readers use this module before SciPy is loaded
+
     if not 0 < probability < 1:
         raise ValueError(f"protection_level, probability: found {probability}, expected a number between 0 and 1")
     return float(stdtrit(FREEDOM, (1 + probability) / 2)) * along_and_across(covariance, heading)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import platform
-import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import nullcontext, suppress
+from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -23,38 +24,22 @@ from pdr_graph.estimation.sources import position_sources
 from pdr_graph.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
-from pdr_graph.inputs import Inputs, Options
+from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
-from pdr_graph.progress import shows_progress
+from pdr_graph.progress import Stages
+from pdr_graph.report.library import packed_library
+from pdr_graph.second_core import ForkedCall, beside
 from pdr_graph.types import Estimate, Steps, Trajectory
+from pdr_graph.walk_options import Options
 
 LONGEST_SOURCES = (
     0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % of it on IPIN 2023
 )
 LEAST_SOURCES = 1.0  # [s] that these tracks may always take
 PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its probability
+REPORT = "report.html"
 KNOWN_AT_ONCE = "live, known at once"  # name of the track of current poses in reports
 REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, even without measurements
-
-
-@dataclass
-class Stages:
-    """Wall time of each stage [s]; on a terminal, the stage under way is shown."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        """Time one stage."""
-        started = time.perf_counter()
-        if shows_progress():
-            from rich.console import Console
-
-            with Console(stderr=True).status(f"{name} …"):
-                yield
-        else:
-            yield
-        self.seconds[name] = round(time.perf_counter() - started, 4)
 
 
 @dataclass(frozen=True)
@@ -74,14 +59,14 @@ class Result:
     profile: Profile | None = None
     step_count: int = 0
     issues: tuple[str, ...] = ()
-    causal: Callable[[Any], Mapping[str, Trajectory]] | None = None
+    causal: Callable[[], Mapping[str, Trajectory]] | None = None
     live: Trajectory | None = None
 
     def tracks(self) -> Mapping[str, Trajectory]:
         """The causal tracks."""
         if self.live is not None:
             return {KNOWN_AT_ONCE: self.live}
-        return self.causal(self.graph) if self.causal else {}
+        return self.causal() if self.causal else {}
 
     @property
     def verdict(self) -> Verdict:
@@ -89,26 +74,43 @@ class Result:
         return verdict(self.estimate)
 
 
-def write(out: Path, inputs: Inputs, result: Result, options: Options, stage: Stages) -> tuple[str, ...]:
-    """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each."""
+def write(
+    out: Path,
+    inputs: Inputs,
+    result: Result,
+    options: Options,
+    stage: Stages,
+    report: bool = True,
+    call: ForkedCall[Aside] | None = None,
+) -> tuple[str, ...]:
+    """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each.
+
+    report: False leaves ``report.html`` out; call: one of `aside` that has not been started.
+    """
     estimate, missing = result.estimate, result.missing
-    with stage("write"):
-        missing += write_results(out, inputs, estimate, options.rate)
+    call = call or aside(inputs, result.tracks if report else dict)
+    with stage("write"), beside(packed_library) if report else nullcontext():
+        call.start(estimate)
+        write_tracks(out, inputs, estimate, options.rate)
         if result.steps is not None and teaches_profile(estimate):
             walker = replace(inputs.walker, profile=posterior_profile(estimate, result.steps, result.profile))
             origin = f"what {inputs.walk.source} taught of its walker, for --walker of the next walk"
             walker.save(out / "walker.toml", origin)
+        drawn, tracks = call.result()
+        missing += _write_picture(out / "figure.png", drawn)
     summary = summarize(inputs, result) | live_scores(inputs, result) | {"seconds": stage.seconds}
     summary |= {"settings": options.describe() | {"walker": inputs.walker.describe()}, "missing": list(missing)}
     with stage("report"):
-        missing += write_report(out, inputs, result, options.method, summary, stage.seconds.get("estimate", 0.0))
+        if report:
+            seconds = stage.seconds.get("estimate", 0.0)
+            missing += write_report(out, inputs, result, tracks, options.method, summary, seconds)
         missing += _unscored(options.truth, inputs, estimate)
     writers.write_summary(out / "summary.json", summary | {"missing": list(missing)})
     return missing
 
 
-def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | None) -> tuple[str, ...]:
-    """Write the trajectory in all formats, and the picture; returns what could not be written."""
+def write_tracks(out: Path, inputs: Inputs, estimate: Estimate, rate: float | None) -> None:
+    """Write the trajectory in all formats, the truth beside it, and the routes if there are several."""
     walk, frame = inputs.walk, inputs.frame
     trajectory = resample(estimate.trajectory, rate) if rate else estimate.trajectory
     writers.write_trajectory(out / "trajectory.csv", trajectory, walk.clock_origin)
@@ -122,13 +124,47 @@ def write_results(out: Path, inputs: Inputs, estimate: Estimate, rate: float | N
             out / "trajectory.geojson", replace(estimate, trajectory=trajectory), frame, walk.clock_origin
         )
         gpx.write(out / "trajectory.gpx", trajectory, frame, walk.epoch, walk.source)
+
+
+Picture = bytes | str
+"""A PNG, or why there is none."""
+Aside = tuple[Picture, Mapping[str, Trajectory] | None]
+"""What can be computed aside: the picture, and the causal tracks if they are known."""
+
+
+def aside(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] | None]) -> ForkedCall[Aside]:
+    """The call that draws the picture of an estimate; as a context it has a process of its own.
+
+    causal: computes the causal tracks, before the estimate is known.
+    """
+
+    def prepare() -> Mapping[str, Trajectory] | None:
+        tracks = None
+        with suppress(Exception):  # of the report, which says so, and of a package that cannot be loaded
+            import_module("pdr_graph.plotting")
+            tracks = causal()
+        return tracks
+
+    return ForkedCall(partial(_draw, inputs), prepare)
+
+
+def _draw(inputs: Inputs, tracks: Mapping[str, Trajectory] | None, estimate: Estimate) -> Aside:
+    """The picture of a walk, or a text if it cannot be drawn, since the result is still useful; and the tracks."""
     try:
         from pdr_graph.plotting import picture_bytes, plot
 
-        picture = picture_bytes(plot(estimate, inputs.building, truth, f"{walk.source}   {_length(estimate):.0f} m"))
-    except Exception as error:  # without a picture the result is still useful
-        return (f"figure.png ({type(error).__name__}: {error})",)
-    (out / "figure.png").write_bytes(picture)
+        title = f"{inputs.walk.source}   {_length(estimate):.0f} m"
+        picture = picture_bytes(plot(estimate, inputs.building, _truth_beside(inputs, estimate), title))
+    except Exception as error:
+        return f"{type(error).__name__}: {error}", tracks
+    return picture, tracks
+
+
+def _write_picture(path: Path, drawn: Picture) -> tuple[str, ...]:
+    """Write ``figure.png``; returns what could not be drawn."""
+    if isinstance(drawn, str):
+        return (f"{path.name} ({drawn})",)
+    path.write_bytes(drawn)
     return ()
 
 
@@ -137,21 +173,30 @@ MOST_TUM_ROWS = 500_000  # 2.3 h; longer walks have the rows of trajectory.csv
 
 
 def dense(trajectory: Trajectory) -> Trajectory:
-    """The trajectory at TUM_RATE; unchanged if it were more than MOST_TUM_ROWS."""
+    """The trajectory at TUM_RATE, without covariance; that of `trajectory` if it were more than MOST_TUM_ROWS."""
     rows = float(np.ptp(trajectory.time)) * TUM_RATE
-    return resample(trajectory, TUM_RATE) if rows <= MOST_TUM_ROWS else trajectory
+    return resample(replace(trajectory, covariance=None), TUM_RATE) if rows <= MOST_TUM_ROWS else trajectory
 
 
 def write_report(
-    out: Path, inputs: Inputs, result: Result, method: str, summary: dict[str, Any], seconds: float = 0.0
+    out: Path,
+    inputs: Inputs,
+    result: Result,
+    tracks: Mapping[str, Trajectory] | None,
+    method: str,
+    summary: dict[str, Any],
+    seconds: float = 0.0,
 ) -> tuple[str, ...]:
-    """Write ``report.html``; returns what could not be written. seconds: computing time of the estimate [s]."""
+    """Write ``report.html``; returns what could not be written.
+
+    tracks: the causal ones, None if they are not known yet; seconds: computing time of the estimate [s].
+    """
     try:
         from pdr_graph.report.page import page
         from pdr_graph.report.walk import WalkReport, content
 
         estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
-        tracks = result.tracks()
+        tracks = result.tracks() if tracks is None else tracks
         longest = max(LONGEST_SOURCES * seconds, LEAST_SOURCES)
         sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
         shown = WalkReport(
@@ -159,8 +204,8 @@ def write_report(
         )
         html = page(content(shown))
     except Exception as error:  # without a report the result is still useful
-        return (f"report.html ({type(error).__name__}: {error})",)
-    (out / "report.html").write_bytes(html)
+        return (f"{REPORT} ({type(error).__name__}: {error})",)
+    (out / REPORT).write_bytes(html)
     return ()
 
 

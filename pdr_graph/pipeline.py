@@ -1,10 +1,11 @@
-"""The pipeline of one walk, from input files to output files: read, observe, estimate, write."""
+"""The pipeline of one walk: observe, estimate; and what a walk along a known line, or several walks, teach."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,37 +31,22 @@ from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.steps import detect_steps, with_stair_lengths
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
-from pdr_graph.inputs import Inputs, Options, read
+from pdr_graph.inputs import Inputs
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.measurements import by_type
-from pdr_graph.outputs import Result, Stages, write
+from pdr_graph.outputs import Result
 from pdr_graph.plausibility import check_floors
 from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Signal, Steps, Trajectory
-from pdr_graph.whole_files import output_folder, write_file
+from pdr_graph.walk_options import Options
+from pdr_graph.whole_files import write_file
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
 OPEN = "the direction of dead reckoning from one fix is open"
 POSITIONS_ALONE = "positions alone: the recording has no sensor, so that this is the fixes, smoothed, without steps"
+SMOOTHED = ("graph", "rts")  # methods whose report also shows the causal filter
 NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
-
-
-def smooth_recording(recording: Path, out: Path, options: Options | None = None) -> tuple[str, ...]:
-    """Reconstruct one walk; write trajectory, picture, report and summary to ``out``.
-
-    Returns what could not be estimated or written, a line each; empty if all went well. Raises InputError if an input
-    cannot be used.
-    """
-    options, stage = options or Options(), Stages()
-    with stage("reading"):
-        inputs = read(recording, options)
-    with stage("steps"):
-        evidence = observe(inputs, options)
-    with output_folder(out) as staged:
-        with stage("estimate"):
-            result = estimate(evidence, options.method) if inputs.walk.signals else positions_alone(inputs.fixes)
-        return write(staged, inputs, result, options, stage)
 
 
 @dataclass(frozen=True)
@@ -195,8 +181,16 @@ def estimate(evidence: Evidence, method: str = "graph") -> Result:
         steps=graph.steps,
         floors=evidence.floors,
         profile=evidence.profile,
-        causal=_filter_track if method in ("graph", "rts") else None,
+        causal=partial(_filter_track, graph) if method in SMOOTHED else None,
     )
+
+
+def causal_tracks(evidence: Evidence, method: str) -> Mapping[str, Trajectory] | None:
+    """The causal tracks of the result of `estimate` by name; None if they are not known before it."""
+    graph = evidence.graph()
+    if graph is None or method not in SMOOTHED:
+        return {}
+    return None if evidence.others else _filter_track(graph)
 
 
 def positions_alone(fixes: Fixes) -> Result:
@@ -204,7 +198,7 @@ def positions_alone(fixes: Fixes) -> Result:
     return Result(follow(fixes), issues=(POSITIONS_ALONE,))
 
 
-def _filter_track(graph: WalkGraph) -> dict[str, Trajectory]:
+def _filter_track(graph: WalkGraph) -> Mapping[str, Trajectory]:
     """The causal filter's track, which the report shows beside a smoothed estimate."""
     return {"filter": kalman_filter(graph).trajectory}
 

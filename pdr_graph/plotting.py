@@ -19,20 +19,32 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
+from pdr_graph.colours import (
+    BAND,
+    BORDER,
+    CELLS,
+    EDGE,
+    FIX,
+    GREY,
+    OPENING,
+    OTHER,
+    OUTSIDE,
+    RADIO,
+    ROOM,
+    SOLID_FILL,
+    STAIRS,
+    SURROUNDINGS,
+    TRACK,
+    TRUTH,
+    WALKABLE,
+)
 from pdr_graph.errors import expect, printable
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
+from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory
 
-# Colours, which reports use too
-SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
-ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
-CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # colours of kinds of cells
-TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
-OTHER = "#b0458a"  # other routes
-SURROUNDINGS = 0.12  # share of the walk's size shown around it
 MANY = 50  # points above which marks are smaller, so that the track stays visible
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 

@@ -24,11 +24,11 @@ INTERRUPTIONS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextmanager
-def output_folder(out: Path, private: bool = False) -> Iterator[Path]:
+def output_folder(out: Path, private: bool = False, without: Collection[str] = ()) -> Iterator[Path]:
     """A folder for the files of `out`: they take their places there when the block ends without an exception.
 
-    Otherwise `out` stays as it was. private: for its owner alone. Raises InputError if another process writes to `out`;
-    OSError of the disk.
+    Otherwise `out` stays as it was. private: for its owner alone; without: names of files that are removed when the new
+    ones take their places. Raises InputError if another process writes to `out`; OSError of the disk.
     """
     made = _make(out, PRIVATE_FOLDER if private else 0o777)
     try:
@@ -38,7 +38,7 @@ def output_folder(out: Path, private: bool = False) -> Iterator[Path]:
             try:
                 staged.mkdir(PRIVATE_FOLDER if private else 0o777)
                 yield staged
-                _publish(staged, out)
+                _publish(staged, out, without)
             finally:
                 with uninterrupted():
                     shutil.rmtree(staged, ignore_errors=True)
@@ -81,12 +81,14 @@ def _make(folder: Path, mode: int) -> list[Path]:
     return made
 
 
-def _publish(staged: Path, out: Path) -> None:
-    """Move all files to their places, the summary last, after they are on the disk."""
+def _publish(staged: Path, out: Path, without: Collection[str]) -> None:
+    """Move all files to their places, the summary last, after they are on the disk; remove the files ``without``."""
     files = [path for path in staged.rglob("*") if path.is_file()]
     for file in files:
         _to_disk(file)
     with uninterrupted():
+        for name in without:
+            (out / name).unlink(missing_ok=True)
         for file in sorted(files, key=lambda file: file.name == LAST):
             target = out / file.relative_to(staged)
             target.parent.mkdir(parents=True, exist_ok=True)

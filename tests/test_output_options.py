@@ -138,3 +138,17 @@ def test_the_height_option_comes_before_that_of_the_walkers_file(walk, tmp_path)
     out = tmp_path / "out"
     assert run("smooth", walk, "--walker", tmp_path / "walker.toml", "--height", 1.8, "--out", out)[0] == 0
     assert json.loads((out / "summary.json").read_text())["settings"]["walker"]["height"] == 1.8
+
+
+@pytest.mark.parametrize("command", ["smooth", "replay"])
+def test_no_report_writes_everything_but_the_report(walk, tmp_path, command):
+    """Of two runs that are otherwise alike; an earlier report does not stay beside a later result."""
+    run(command, *given(walk, "--out", tmp_path / "with"))
+    code, printed, _ = run(command, *given(walk, "--out", tmp_path / "without", "--no-report"))
+    names = {path.name for path in (tmp_path / "with").iterdir()}
+    assert (code, {path.name for path in (tmp_path / "without").iterdir()}) == (0, names - {"report.html"})
+    assert printed.splitlines()[-1] == f"-> {tmp_path / 'without' / 'figure.png'}"
+    for name in ("trajectory.csv", "trajectory.tum", "figure.png"):
+        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+    assert run(command, *given(walk, "--out", tmp_path / "with", "--no-report"))[0] == 0
+    assert not (tmp_path / "with" / "report.html").exists()

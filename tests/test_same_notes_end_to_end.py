@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import simulated
 
+from pdr_graph.batch import smooth_recording
 from pdr_graph.errors import InputError
 from pdr_graph.inputs import Options, read
 from pdr_graph.lifelog.observation import observe
@@ -20,7 +21,7 @@ from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.online.replay import replay_recording
-from pdr_graph.pipeline import estimate, smooth_recording
+from pdr_graph.pipeline import estimate
 from pdr_graph.pipeline import observe as observe_walk
 from pdr_graph.types import Headings
 

@@ -11,7 +11,7 @@ from walks import fixes_on, wandering_walk
 from pdr_graph import WalkGraph, dead_reckon, smooth
 from pdr_graph.estimation.kalman import kalman_filter
 
-SLOW_TO_LOAD = ("scipy.signal", "scipy.stats", "scipy.optimize", "matplotlib.pyplot", "sklearn", "pandas")
+SLOW_TO_LOAD = ("gtsam", "scipy.signal", "scipy.stats", "scipy.optimize", "matplotlib.pyplot", "sklearn", "pandas")
 RUNS = 3
 
 

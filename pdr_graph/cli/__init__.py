@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import sys
 import warnings
@@ -104,11 +103,11 @@ def smooth(
     pdr-graph smooth walk.zip
     pdr-graph smooth walk.txt --map plan.geojson --fixes fixes.csv --out result
     """
-    from pdr_graph.pipeline import smooth_recording
+    from pdr_graph.batch import smooth_recording
 
-    gc.freeze()  # imported modules stay: the garbage collector need not visit them
     folder = output.folder(recording, "-smoothed", walk.files)
-    missing = smooth_recording(recording, folder, walk.options(method=str(method), rate=rate))
+    options = walk.options(method=str(method), rate=rate)
+    missing = smooth_recording(recording, folder, options, output.report)
     print_summary(folder, missing, output.json)
 
 
@@ -135,13 +134,13 @@ def replay(
     pdr-graph replay walk.zip
     pdr-graph replay walk.txt --map plan.geojson --fixes fixes.csv --out live
     """
-    from pdr_graph.inputs import LIVE
     from pdr_graph.online.replay import replay_recording
+    from pdr_graph.walk_options import LIVE
 
     of_journal = [] if journal is None else [Path(f"{journal}{end}") for end in ("", "-wal", "-shm")]
     folder = output.folder(recording, "-replayed", [*walk.files, *of_journal])
     options = walk.options(method=LIVE, rate=rate, lag=lag_seconds(lag), journal=journal)
-    print_summary(folder, replay_recording(recording, folder, options), output.json)
+    print_summary(folder, replay_recording(recording, folder, options, report=output.report), output.json)
 
 
 app.command()(compare)
@@ -166,8 +165,8 @@ def steps(
     """
     from pdr_graph import io
     from pdr_graph.gait.steps import detect_steps
-    from pdr_graph.inputs import Options
     from pdr_graph.io.writers import write_steps
+    from pdr_graph.walk_options import Options
 
     walk, person = io.load(recording), Options(walker=walker, height=height).person()
     detected = detect_steps(walk, person)
@@ -194,8 +193,8 @@ def calibrate(
     pdr-graph calibrate walk.zip --route line.geojson --out walker.toml
     """
     from pdr_graph.gait.walker import COEFFICIENTS
-    from pdr_graph.inputs import Options
     from pdr_graph.pipeline import calibrate_walker
+    from pdr_graph.walk_options import Options
 
     profile, laps = calibrate_walker(recording, route, out, Options(walker=walker, height=height).person())
     sigma = profile.covariance.diagonal() ** 0.5
@@ -261,11 +260,11 @@ def evaal(
     from functools import partial
     from urllib.parse import quote
 
+    from pdr_graph.batch import smooth_recording
     from pdr_graph.evaal.client import Api
     from pdr_graph.evaal.trial import Entry, format_on_plan, run_trial
-    from pdr_graph.inputs import Options
     from pdr_graph.online.replay import navigator_of
-    from pdr_graph.pipeline import smooth_recording
+    from pdr_graph.walk_options import Options
 
     api, folder = Api(url, trial), out or Path(f"evaal-{quote(trial, safe='')}")
     check_replaceable(folder, "requests.log", force)

@@ -20,7 +20,7 @@ from pdr_graph.progress import SILENT
 from pdr_graph.whole_files import LAST, check_replaceable
 
 if TYPE_CHECKING:
-    from pdr_graph.inputs import Options
+    from pdr_graph.walk_options import Options
 
 RecordingPath = Annotated[
     Path, typer.Argument(metavar="RECORDING", help="A recording: file, folder or zip of a supported recorder.")
@@ -148,6 +148,14 @@ AsJson = Annotated[
     bool, typer.Option("--json", callback=_silence, help="Print the numbers as one JSON object, and no other text.")
 ]
 PictureFile = Annotated[Path, typer.Option("--out", metavar="PNG", help="File of the picture.")]
+Report = Annotated[
+    bool,
+    typer.Option(
+        "--report/--no-report",
+        help="Write report.html, or everything but it; default: write it.",
+        show_default=False,
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Write to --out even if it is a folder with other files.")]
 
 
@@ -176,7 +184,7 @@ class WalkOptions:
 
     def options(self, **more: Any) -> Options:
         """The options of the estimate. more: further ones, by name."""
-        from pdr_graph.inputs import Options
+        from pdr_graph.walk_options import Options
 
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return Options(plan=values.pop("map"), **values, **more)
@@ -187,6 +195,7 @@ class OutputOptions:
     """Where the files of a walk go, and what is printed."""
 
     out: OutFolder = None
+    report: Report = True
     force: Force = False
     quiet: Quiet = False
     json: AsJson = False

@@ -16,8 +16,8 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 
 from pdr_graph.estimation.block_cholesky import INDETERMINATE_TEXT
@@ -25,6 +25,9 @@ from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.normal_equations import RESCUING, AnySolution
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
+
+if TYPE_CHECKING:
+    import gtsam
 
 MOST_AT_ONCE = 2000  # pieces whose matrices fit into a processor's cache
 
@@ -64,6 +67,8 @@ def eliminated(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> g
 
     That happens where variables hang on a gap of half an hour alone, which says next to nothing of them.
     """
+    import gtsam
+
     unit = gtsam.noiseModel.Unit.Create(3)
     for damping in RESCUING:
         damped = gtsam.GaussianFactorGraph()

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-import gtsam
 import numpy as np
 
 from pdr_graph.errors import count, expect
@@ -22,7 +21,6 @@ from pdr_graph.estimation.factors.chain import Chain, Evaluation
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
-from pdr_graph.estimation.factors.gtsam_export import to_gtsam
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
@@ -34,6 +32,9 @@ from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.measurements import Closures, Levels
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
+
+if TYPE_CHECKING:
+    import gtsam
 
 STEPS_PER_SEGMENT = 100
 MOST_EQUATIONS = 3  # places of blocks that are kept
@@ -207,6 +208,8 @@ class WalkGraph:
 
     def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
         """The whole graph for GTSAM's own optimisers, with a guarded ``CustomFactor`` where GTSAM has no factor."""
+        from pdr_graph.estimation.factors.gtsam_export import to_gtsam
+
         return to_gtsam(self.chain, self.measurements, self.start)
 
     def error(self, values: gtsam.Values) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.frames import Frame
+from pdr_graph.io.decimal_text import decimals, text_rows
 from pdr_graph.storage import write_text
 from pdr_graph.types import Array, Estimate, Steps, Trajectory
 from pdr_graph.whole_files import write_file
@@ -53,10 +54,10 @@ def write_tum(path: Path, trajectory: Trajectory, clock_origin: float) -> None:
 
     Rows without a heading have the identity rotation.
     """
-    half = np.nan_to_num(trajectory.heading) / 2
-    table = np.column_stack([trajectory.time + clock_origin, trajectory.position, np.sin(half), np.cos(half)])
-    row = "%.6f %.4f %.4f 0 0 0 %.8f %.8f\n"
-    write_text(path, (row * len(table)) % tuple(table.ravel().tolist()))
+    half, (x, y) = np.nan_to_num(trajectory.heading) / 2, trajectory.position.T
+    position = [decimals(trajectory.time + clock_origin, 6), decimals(x, 4, b" "), decimals(y, 4, b" ")]
+    rotation = [decimals(np.sin(half), 8, b" 0 0 0 "), decimals(np.cos(half), 8, b" ")]
+    path.write_bytes(text_rows([*position, *rotation]))
 
 
 def write_steps(path: Path, steps: Steps, clock_origin: float) -> None:

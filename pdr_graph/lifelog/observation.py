@@ -21,7 +21,7 @@ from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile
 from pdr_graph.inertial.magnetometer import measured_field
-from pdr_graph.inputs import Inputs, Options, read
+from pdr_graph.inputs import Inputs, read
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.local_time import zone_at
@@ -30,6 +30,7 @@ from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.plausibility import FASTEST_RIDE
 from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
+from pdr_graph.walk_options import Options
 
 # Chosen by hand
 END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic field is averaged

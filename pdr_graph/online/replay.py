@@ -23,17 +23,18 @@ from pdr_graph.estimation.results import missing_of, outside_warnings
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.gait.signals import gait_signals
-from pdr_graph.inputs import LIVE, Inputs, Options, load_radio_map, read
+from pdr_graph.inputs import Inputs, load_radio_map, read
 from pdr_graph.io.beacons import beside, read_beacons
 from pdr_graph.io.writers import write_summary, write_trajectory
 from pdr_graph.online.interface import NO_DATA, NO_STEPS, Event, LiveEstimator, Pose, events_of, trajectory_of
 from pdr_graph.online.journal import Journal
-from pdr_graph.outputs import Result, Stages, write
+from pdr_graph.outputs import REPORT, Result, write
 from pdr_graph.pipeline import NO_ACCELEROMETER, positions_alone
 from pdr_graph.plausibility import check_beacons_on_plan, check_floors
-from pdr_graph.progress import shows_progress
+from pdr_graph.progress import Stages, shows_progress
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
+from pdr_graph.walk_options import LIVE, Options
 from pdr_graph.whole_files import output_folder
 
 PERCENTILES = {"median": 50.0, "p95": 95.0, "p99": 99.0, "p99.9": 99.9, "max": 100.0}
@@ -114,10 +115,13 @@ def _peak() -> float | None:
     return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / MEGABYTE, 2)
 
 
-def replay_recording(recording: Path, out: Path, options: Options | None = None, kind: Any = None) -> tuple[str, ...]:
+def replay_recording(
+    recording: Path, out: Path, options: Options | None = None, kind: Any = None, report: bool = True
+) -> tuple[str, ...]:
     """Push a recording through a navigator; write poses, latency, smoothed trajectory, picture, report and summary.
 
-    kind: class of the navigator, by default ``Navigator``. Returns what could not be estimated or written, a line each.
+    kind: class of the navigator, by default ``Navigator``; report: False writes everything else, and removes the report
+    of an earlier walk from ``out``. Returns what could not be estimated or written, a line each.
     Raises InputError if an input cannot be used.
     """
     options = replace(options or Options(), method=LIVE)
@@ -126,7 +130,7 @@ def replay_recording(recording: Path, out: Path, options: Options | None = None,
         inputs = read(recording, options)
         outside = _outside(inputs.walk, inputs.other_fixes)
         events = list(events_of(replace(inputs.walk, fixes=inputs.other_fixes[~outside])))
-    with output_folder(out) as staged:
+    with output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("opening"):
             nav = _opened(inputs, options, len(events), kind or _navigator())
         gc.freeze()  # otherwise a full garbage collection takes 30 ms of some step
@@ -141,7 +145,7 @@ def replay_recording(recording: Path, out: Path, options: Options | None = None,
         write_summary(staged / "latency.json", latency.describe())
         resumed = (f"{done} events were in the journal: causal.csv and latency.json begin after them",) if done else ()
         result = replace(result, issues=(*result.issues, *resumed), live=causal if len(causal) else None)
-        return write(staged, inputs, result, options, stage)
+        return write(staged, inputs, result, options, stage, report)
 
 
 def _outside(walk: Recording, fixes: Fixes) -> Mask:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.colours import RADIO, TRACK
 from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.geometry import protection_level
-from pdr_graph.plotting import RADIO, TRACK
 from pdr_graph.report.charts_and_tables import CHART_ROWS, Table, line, table
 from pdr_graph.report.page import maps_of, thinned, track
 from pdr_graph.types import Trajectory

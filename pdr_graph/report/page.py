@@ -10,11 +10,8 @@ walks of a day are no larger than the script that draws them.
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import re
-import zlib
 from collections.abc import Sequence
 from importlib.resources import files
 from itertools import groupby
@@ -23,10 +20,11 @@ from typing import Any
 import numpy as np
 import shapely
 
+from pdr_graph.colours import BORDER, CELLS, EDGE, SOLID_FILL, WALKABLE
 from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band
-from pdr_graph.plotting import BORDER, CELLS, EDGE, SOLID_FILL, WALKABLE
+from pdr_graph.report.library import packed_library, policy_hash
 from pdr_graph.types import Array, Index, Trajectory
 
 SCRIPTS = ("content", "walker", "map", "charts", "player", "words", "start")  # in this order
@@ -38,24 +36,19 @@ def page(content: dict[str, Any]) -> bytes:
     web = files("pdr_graph.report").joinpath("web")
     template, style = web.joinpath("page.html").read_bytes(), web.joinpath("page.css").read_bytes()
     script = b'"use strict";\n' + b"".join(web.joinpath(f"{name}.js").read_bytes() for name in SCRIPTS)
-    library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
-    policy = f"default-src 'none'; script-src {_hash(library)} {_hash(script)}; style-src 'unsafe-inline'; "
+    library, library_hash = packed_library()
+    policy = f"default-src 'none'; script-src {library_hash} {policy_hash(script)}; style-src 'unsafe-inline'; "
     text = json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     parts = {
         b"policy": (policy + "img-src data: blob:").encode(),
         b"style": style,
         b"content": text.encode("ascii"),
-        b"library": base64.b64encode(zlib.compress(library)),
+        b"library": library,
         b"script": script,
     }
     pieces = PLACE.split(template)  # every second piece is the name of a part
     pieces[1::2] = [parts[name] for name in pieces[1::2]]
     return b"".join(pieces)
-
-
-def _hash(script: bytes) -> str:
-    """The hash of a script as a content security policy states it."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(script).digest()).decode()}'"
 
 
 CENTIMETRE, CENTISECOND, CENTIRADIAN, PERCENT = 0.01, 0.01, 0.01, 0.01  # resolution of numbers on the page

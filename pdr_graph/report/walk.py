@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.colours import FIX, GREY, OTHER, RADIO, SURROUNDINGS, TRACK, TRUTH
 from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.errors import printable
 from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, nearest
-from pdr_graph.plotting import FIX, GREY, OTHER, RADIO, SURROUNDINGS, TRACK, TRUTH
 from pdr_graph.report import charts_and_tables, integrity, page
 from pdr_graph.report.page import (
     CENTIMETRE,

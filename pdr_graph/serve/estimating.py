@@ -20,10 +20,10 @@ import msgspec
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.inputs import Options
 from pdr_graph.online.replay import journal_settings, navigator_of
 from pdr_graph.serve.live_walk import LiveWalk, opened, read_session
 from pdr_graph.serve.publishing import PATH_INTERVAL
+from pdr_graph.walk_options import Options
 
 LATEST_PATH = 10.0  # [s] after which a path is published even while messages wait
 LATEST_POSE = 1.0  # [s] the same of a pose

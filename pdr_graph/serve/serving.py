@@ -21,7 +21,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pdr_graph.errors import InputError, Interrupted
 from pdr_graph.floor.building import Building
-from pdr_graph.inputs import LIVE, Options
 from pdr_graph.online.replay import navigator_of
 from pdr_graph.serve.access import LOCAL, Access
 from pdr_graph.serve.application import Server, application
@@ -32,6 +31,7 @@ from pdr_graph.serve.live_walk import Session
 from pdr_graph.serve.plan_layers import plan_layers
 from pdr_graph.serve.pulling import Sources, running
 from pdr_graph.serve.reception import Limits, Reception
+from pdr_graph.walk_options import LIVE, Options
 
 SESSIONS, TOKENS = "sessions", "tokens.json"
 SLOWEST_HEAD = 20.0  # [s] for the head of a request to arrive

@@ -9,6 +9,7 @@ import simulated
 from observations import HERE, NOON, observation, positions, walk
 
 from pdr_graph import io
+from pdr_graph.batch import smooth_recording
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Options
@@ -21,7 +22,6 @@ from pdr_graph.lifelog.reconstruct import reconstruct
 from pdr_graph.lifelog.sessions import join
 from pdr_graph.lifelog.store import RecordingOptions, Store
 from pdr_graph.measurements import Ranges, concatenate
-from pdr_graph.pipeline import smooth_recording
 from pdr_graph.types import Fixes
 
 ROUTE = np.array([(40.0, 30.0), (65.0, 30.0), (65.0, 42.0), (40.0, 42.0), (40.0, 32.0)])

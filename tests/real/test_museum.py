@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pdr_graph import io
+from pdr_graph.batch import smooth_recording
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.pipeline import smooth_recording
 
 
 @pytest.fixture(scope="module")

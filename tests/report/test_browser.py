@@ -14,9 +14,10 @@ from browser import Page, chromium
 from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
 
+from pdr_graph.batch import smooth_recording
 from pdr_graph.floor.building import Building
 from pdr_graph.online.replay import replay_recording
-from pdr_graph.pipeline import Options, smooth_recording
+from pdr_graph.pipeline import Options
 from pdr_graph.report.page import page
 from pdr_graph.report.walk import content
 from pdr_graph.types import BeaconReport, Estimate, Trajectory

@@ -21,8 +21,9 @@ from scipy.stats import chi2
 from walks import steps_of
 
 from pdr_graph import geometry
+from pdr_graph.batch import smooth_recording
 from pdr_graph.evaluation import evaluate
-from pdr_graph.pipeline import Options, smooth_recording
+from pdr_graph.pipeline import Options
 from pdr_graph.plotting import GREY, OTHER, TRACK, TRUTH
 from pdr_graph.report import page as page_module
 from pdr_graph.report.charts_and_tables import health, measurement_table, sensor_rows

@@ -14,7 +14,6 @@ from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +23,8 @@ from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.types import Array, Fixes, Index
 
 if TYPE_CHECKING:
+    import gtsam
+
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 AnyArray = NDArray[Any]
@@ -41,8 +42,8 @@ EXACT = 1e6  # scale of a number in a factor's signature, so that any change of 
 
 
 def key(symbol: str, number: int = 0) -> int:
-    """GTSAM's key of a variable."""
-    return int(gtsam.symbol(symbol, number))
+    """GTSAM's key of a variable, as ``gtsam.symbol`` makes it: the symbol in the highest of eight bytes."""
+    return ord(symbol) << 56 | number
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,8 @@ class State:
 
     def to_values(self) -> gtsam.Values:
         """All variables as ``gtsam.Values``."""
+        import gtsam  # here, as wherever GTSAM is used: it is slow to load, and only the export and live walks need it
+
         values = gtsam.Values()
         for symbol, rows in self.arrays.items():
             for variable_key, vector in zip(self.keys(symbol).tolist(), rows, strict=True):
@@ -145,11 +148,15 @@ def retracted(poses: Array, move: Array) -> Array:
 
 def insert(values: gtsam.Values, symbol: str, variable_key: int, vector: Array) -> None:
     """Add a variable to ``gtsam.Values``."""
+    import gtsam
+
     values.insert(variable_key, gtsam.Pose2(*vector) if symbol == POSE else np.asarray(vector))
 
 
 def extract(values: gtsam.Values, symbol: str) -> Array:
     """The variables ``(n, 3)`` of one symbol, in order of their numbers."""
+    import gtsam
+
     if symbol == POSE:
         return np.asarray(gtsam.utilities.extractPose2(values))
     return np.asarray(gtsam.utilities.extractVectors(values, symbol)).reshape(-1, 3)
@@ -274,10 +281,12 @@ class FactorBlock:
                 yield n, pairs, residual[a:b]
 
 
-class _UnitNoise(dict[int, gtsam.noiseModel.Base]):
+class _UnitNoise(dict[int, Any]):
     """Unit noise models by dimension, each made once."""
 
     def __missing__(self, rows: int) -> gtsam.noiseModel.Base:
+        import gtsam
+
         self[rows] = gtsam.noiseModel.Unit.Create(rows)
         return self[rows]
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, State
 from pdr_graph.estimation.factors.preintegration import Bridge, Increments, Pieces, bridge, preintegrate
 from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
 from pdr_graph.types import INSTANT, Array, Complex, Index
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 @dataclass(frozen=True)
@@ -187,6 +190,8 @@ def step_residuals(pose_i: Array, pose_j: Array, increments: Increments, pieces:
 
 def metis_ordering(linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
     """METIS' ordering of a linear graph; variables that no factor binds to others come first, or it would crash."""
+    import gtsam
+
     keys = [linear.at(n).keys() for n in range(linear.size())]
     binding, bound = gtsam.GaussianFactorGraph(), set[int]()
     for n, of_factor in enumerate(keys):
@@ -199,6 +204,8 @@ def metis_ordering(linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
 
 def _with_metis(first: list[int], binding: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
     """The variables ``first``, then METIS' ordering of a graph without them."""
+    import gtsam
+
     ordering = gtsam.Ordering()
     rest = gtsam.Ordering.MetisGaussianFactorGraph(binding) if binding.size() else gtsam.Ordering()
     for key in [*first, *(rest.at(n) for n in range(rest.size()))]:

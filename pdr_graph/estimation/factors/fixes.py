@@ -12,17 +12,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
-import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement
-from pdr_graph.estimation.factors.losses import GAUSSIAN, NOISE, Loss, RobustLoss
+from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import distance_walked, pose_rotation
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
+    import gtsam
+
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
@@ -149,8 +150,10 @@ class FixFactor(Measurement):
             return [pose_rotation(pose[:, 2])[:, :2] / sigma[:, None, None]]
 
         def native(n: int) -> gtsam.NonlinearFactor:
+            import gtsam
+
             pose_key = int(at.state.keys("x", self.keyframe[which])[n])
-            noise = loss.noise(n, NOISE.Isotropic.Sigma(2, sigma[n]))
+            noise = loss.noise(n, gtsam.noiseModel.Isotropic.Sigma(2, sigma[n]))
             return gtsam.PoseTranslationPrior2D(pose_key, position[n], noise)
 
         value = (pose[:, :2] - position) / sigma[:, None]

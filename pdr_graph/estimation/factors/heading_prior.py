@@ -6,17 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
-import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement
-from pdr_graph.estimation.factors.losses import NOISE, RobustLoss
+from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.measurements import take
 from pdr_graph.types import Array, Headings, Index, Mask, Steps
 
 if TYPE_CHECKING:
+    import gtsam
+
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 START, START_HEADING_SIGMA = "start", 0.2  # source and sigma [rad] of the start heading of a user; chosen by hand
@@ -152,7 +153,9 @@ def heading_block(name: str, at: Evaluation, keyframe: Index, headings: Headings
         return [by]
 
     def native(n: int) -> gtsam.NonlinearFactor:
-        noise = loss.noise(n, NOISE.Isotropic.Sigma(1, sigma[n]))
+        import gtsam
+
+        noise = loss.noise(n, gtsam.noiseModel.Isotropic.Sigma(1, sigma[n]))
         direction = gtsam.Pose2(0.0, 0.0, headings.heading[n])
         return gtsam.PoseRotationPrior2D(int(at.state.keys("x", keyframe)[n]), direction, noise)
 

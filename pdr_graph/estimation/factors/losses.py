@@ -8,16 +8,17 @@ used only for outliers from a first optimum.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import gtsam
 import numpy as np
 
 from pdr_graph.types import Array, Mask
 
+if TYPE_CHECKING:
+    import gtsam
+
 HUBER_WIDTH = 2.45  # [σ] 95 % of inliers in the plane lie within (χ² of 2 degrees: 5.99), at full weight
 GEMAN_MCCLURE_WIDTH = 2.45  # [σ] where an outlier has a quarter of its weight; far off it has next to none
-NOISE = gtsam.noiseModel
-ESTIMATOR = gtsam.noiseModel.mEstimator
 
 
 def huber_weight(deviation: Array, width: float = HUBER_WIDTH) -> Array:
@@ -46,7 +47,7 @@ class Loss:
         """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
         return 0.5 * deviation**2
 
-    def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
+    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
         """GTSAM's noise model of factor ``n`` with this loss; noise: its Gaussian model."""
         return noise
 
@@ -80,9 +81,12 @@ class RobustLoss(Loss):
             inlier = np.where(far > HUBER_WIDTH, HUBER_WIDTH * (far - HUBER_WIDTH / 2), square / 2)
         return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
 
-    def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
+    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
         """GTSAM's noise model of factor ``n``."""
+        import gtsam
+
+        robust, estimator = gtsam.noiseModel.Robust, gtsam.noiseModel.mEstimator
         if self.outlier[n]:
-            return NOISE.Robust.Create(ESTIMATOR.GemanMcClure.Create(self.width), noise)
-        loss = ESTIMATOR.L2WithDeadZone.Create(self.flat) if self.flat else ESTIMATOR.Huber.Create(HUBER_WIDTH)
-        return NOISE.Robust.Create(loss, noise)
+            return robust.Create(estimator.GemanMcClure.Create(self.width), noise)
+        loss = estimator.L2WithDeadZone.Create(self.flat) if self.flat else estimator.Huber.Create(HUBER_WIDTH)
+        return robust.Create(loss, noise)

@@ -21,13 +21,15 @@ import numpy as np
 from scipy.special import erfcx
 
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.losses import HUBER_WIDTH, NOISE, Loss, RobustLoss, huber_weight
+from pdr_graph.estimation.factors.losses import HUBER_WIDTH, Loss, RobustLoss, huber_weight
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
 from pdr_graph.measurements import RangeReport, Ranges, take
 from pdr_graph.types import Array, Fixes, Index, Steps
 
 if TYPE_CHECKING:
+    import gtsam
+
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 NLOS = 0.2  # prior share of ranges without line of sight
@@ -63,7 +65,7 @@ class LongErrors(Loss):
         short = np.where(-excess > HUBER_WIDTH, HUBER_WIDTH * (-excess - HUBER_WIDTH / 2), excess**2 / 2)
         return np.where(excess < 0, short, long)
 
-    def noise(self, n: int, noise: NOISE.Base) -> NOISE.Base:
+    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
         """GTSAM's noise model with Huber's loss, since GTSAM has no asymmetric loss."""
         return RobustLoss(np.zeros(len(self.scale), dtype=bool)).noise(n, noise)
 

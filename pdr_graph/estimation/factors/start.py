@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
-import gtsam
 import numpy as np
 
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement
-from pdr_graph.estimation.factors.losses import NOISE
 from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
 from pdr_graph.types import Array
 
 if TYPE_CHECKING:
+    import gtsam
+
     from pdr_graph.estimation.factors.chain import Evaluation
 
 FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
@@ -102,11 +102,16 @@ class CalibrationFactor(Measurement):
         keys = at.state.keys("c").tolist()
 
         def prior_factor(n: int) -> gtsam.NonlinearFactor:
-            return gtsam.PriorFactorVector(keys[first[n]], mean[n], NOISE.Gaussian.Covariance(covariance[n]))
+            import gtsam
+
+            noise = gtsam.noiseModel.Gaussian.Covariance(covariance[n])
+            return gtsam.PriorFactorVector(keys[first[n]], mean[n], noise)
 
         def changed(n: int) -> gtsam.NonlinearFactor:
-            s = int(later[n])
-            return gtsam.BetweenFactorVector(keys[s - 1], keys[s], np.zeros(3), NOISE.Diagonal.Sigmas(sigma))
+            import gtsam
+
+            s, noise = int(later[n]), gtsam.noiseModel.Diagonal.Sigmas(sigma)
+            return gtsam.BetweenFactorVector(keys[s - 1], keys[s], np.zeros(3), noise)
 
         by = np.tile(np.diag(1 / sigma), (len(later), 1, 1))
         return [
@@ -181,8 +186,11 @@ class StartFactor(Measurement):
             return [(root @ turned_back @ pose_rotation(pose[2:])[0])[None]]
 
         def native(_: int) -> gtsam.NonlinearFactor:
+            import gtsam
+
             pose_key, prior = int(at.state.keys("x", first)[0]), gtsam.Pose2(*self.pose)
-            return gtsam.PoseRotationPrior2D(pose_key, prior, NOISE.Isotropic.Sigma(1, float(self.sigmas[2])))
+            noise = gtsam.noiseModel.Isotropic.Sigma(1, float(self.sigmas[2]))
+            return gtsam.PoseRotationPrior2D(pose_key, prior, noise)
 
         # GTSAM's prior of a whole pose uses the logarithm, in which the cost of a position depends on the heading error
         number, exported = at.state.number("x")[first], None if held.all() else native

@@ -1,0 +1,45 @@
+"""``pdr-graph smooth``: one walk, from input files to output files.
+
+This module imports little: what an estimate needs is loaded while the recording is read, and the picture is prepared
+while the walk is estimated.
+"""
+
+from __future__ import annotations
+
+import gc
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+
+from pdr_graph import io
+from pdr_graph.progress import Stages
+from pdr_graph.second_core import beside
+from pdr_graph.walk_options import Options
+from pdr_graph.whole_files import output_folder
+
+
+def smooth_recording(
+    recording: Path, out: Path, options: Options | None = None, report: bool = True
+) -> tuple[str, ...]:
+    """Reconstruct one walk; write trajectory, picture, report and summary to ``out``.
+
+    report: False writes everything else, and removes the report of an earlier walk from ``out``. Returns what could not
+    be estimated or written, a line each; empty if all went well. Raises InputError if an input cannot be used.
+    """
+    options, stage = options or Options(), Stages()
+    with stage("reading"):
+        with beside(partial(import_module, "pdr_graph.pipeline")):
+            walk = io.load(recording, options.gnss_latency)
+        from pdr_graph.inputs import read
+        from pdr_graph.outputs import REPORT, aside, write
+        from pdr_graph.pipeline import causal_tracks, estimate, observe, positions_alone
+
+        gc.freeze()  # imported modules stay: the garbage collector need not visit them
+        inputs = read(recording, options, walk=walk)
+    with stage("steps"):
+        evidence = observe(inputs, options)
+    causal = partial(causal_tracks, evidence, options.method) if report else dict
+    with aside(inputs, causal) as call, output_folder(out, without=() if report else (REPORT,)) as staged:
+        with stage("estimate"):
+            result = estimate(evidence, options.method) if inputs.walk.signals else positions_alone(inputs.fixes)
+        return write(staged, inputs, result, options, stage, report, call)
