@@ -72,6 +72,18 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 'es' if noun.endswith('x') else 's'}"
 
 
+def install(extra: str) -> str:
+    """The command that installs an extra."""
+    return f"pip install '.[{extra}]' in the folder of pdr_graph"
+
+
+def percent(probability: float) -> str:
+    """A probability as a text: ``43 %``; "below 1 %", "above 99 %" for what would round to impossible or certain."""
+    if 0 < probability < 0.005:
+        return "below 1 %"
+    return "above 99 %" if 0.995 <= probability < 1 else f"{100 * probability:.0f} %"
+
+
 EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
 PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open, the most complete first
 

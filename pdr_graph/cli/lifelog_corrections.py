@@ -8,13 +8,14 @@ from typing import Annotated
 
 import typer
 
+from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.terminal import echo
 from pdr_graph.errors import InputError
 
-correct = typer.Typer(
+correct = App(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Correct days: what is stated is kept beside the recordings, can be listed, and can be undone.",
+    help="Correct days; corrections can be listed and undone.",
 )
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")]
