@@ -78,10 +78,10 @@ def install(extra: str) -> str:
 
 
 def percent(probability: float) -> str:
-    """A probability as a text: ``43 %``; "below 1 %", "above 99 %" for what would round to impossible or certain."""
+    """A probability as a text: ``43 %``; "less than 1 %", "more than 99 %" instead of a rounded 0 or 100 %."""
     if 0 < probability < 0.005:
-        return "below 1 %"
-    return "above 99 %" if 0.995 <= probability < 1 else f"{100 * probability:.0f} %"
+        return "less than 1 %"
+    return "more than 99 %" if 0.995 <= probability < 1 else f"{100 * probability:.0f} %"
 
 
 EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names

@@ -53,7 +53,7 @@ def folder(tmp_path_factory):
 
 def test_only_certainty_is_said_to_be_certain():
     stated = [percent(p) for p in (0.0, 0.004, 0.43, 0.994, 0.996, 1.0)]
-    assert stated == ["0 %", "below 1 %", "43 %", "99 %", "above 99 %", "100 %"]
+    assert stated == ["0 %", "less than 1 %", "43 %", "99 %", "more than 99 %", "100 %"]
 
 
 @pytest.mark.parametrize("write", [smooth_recording, replay_recording])

@@ -69,7 +69,7 @@ def add(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Add recordings to a lifelog, which is created if it does not exist.
+    """Add recordings to a lifelog; create it if it does not exist.
 
     A recording is added once, whatever its name. Options hold for all the RECORDINGs; a recording that is in the
     lifelog already keeps its present value of an option that is not given.
@@ -104,10 +104,11 @@ def import_(
     person: Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: me.")] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Import the past from the exports of other programs, recognised by their content.
+    """Import the past from Google, OwnTracks, GPX and other exports.
 
-    Google Records.json, Semantic Location History, Timeline.json of Android and iOS and Timeline Edits; OwnTracks
-    .rec, Overland, GPX, KML, FIT. Overlapping exports are merged; what Google guessed is kept apart from the positions.
+    The files are recognised by their content: Google Records.json, Semantic Location History, Timeline.json of Android
+    and iOS and Timeline Edits; OwnTracks .rec, Overland, GPX, KML, FIT. Overlapping exports are merged; what Google
+    guessed is kept apart from the positions.
 
     \b
     pdr-graph lifelog import days.db takeout.zip
@@ -214,9 +215,9 @@ def export(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Export days as GPX, GeoJSON, CSV or GeoParquet; --cut leaves out private places.
+    """Export days as GPX, GeoJSON, CSV or GeoParquet.
 
-    GeoParquet is for trackintel and movingpandas.
+    --cut leaves out private places. GeoParquet is for trackintel and movingpandas.
 
     \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200

@@ -118,7 +118,7 @@ def serve_lifelog(
     store: Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")],
     port: Port = LIFELOG_PORT,
 ) -> None:
-    """Show and correct the days of a lifelog in the browser, on this machine alone.
+    """Show and correct days in the browser, on this machine alone.
 
     The address that is printed has a token that is valid until Ctrl-C.
 

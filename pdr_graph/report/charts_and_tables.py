@@ -385,7 +385,7 @@ def _headings(reports: Sequence[Any], north: bool) -> Table:
             clock(h.time),
             f"{(90 - np.degrees(h.heading)) % 360:.0f}",
             f"{np.degrees(h.sigma):.0f}",
-            f"{-np.degrees(h.residual):+.0f}",
+            f"{round(-np.degrees(h.residual)):+d}",
             f"{h.weight:.2f}",
             h.reason,
         ]

@@ -11,6 +11,7 @@ import numpy as np
 
 from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.errors import percent, printable
+from pdr_graph.estimation.gps_track import without_data
 from pdr_graph.estimation.results import is_usual
 from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
@@ -217,7 +218,8 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
         }
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
-            style |= {"gaps": _gaps(report.steps)}
+            walked = bool(report.summary["steps"])
+            style |= {"gaps": _gaps(report.steps) if walked else _gaps_of_fixes(report.estimate.fixes)}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
     drawn = [*integrity.source_tracks(report.sources, labels), *drawn]
     truth = [] if report.truth is None else [_truth(report.truth, labels)]
@@ -230,6 +232,13 @@ def _gaps(steps: Steps | None) -> list[list[float]]:
         return []
     begins = np.append(steps.start, steps.time[:-1])
     return np.stack([begins, steps.time], axis=1)[steps.is_gap].round(2).tolist()
+
+
+def _gaps_of_fixes(fixes: Sequence[FixReport]) -> list[list[float]]:
+    """Start and end of each time without positions [s], in a recording of positions alone."""
+    time = np.array([fix.time for fix in fixes])
+    lost = np.flatnonzero(without_data(time))
+    return np.stack([time[lost], time[lost + 1]], axis=1).round(2).tolist()
 
 
 def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:

@@ -263,6 +263,15 @@ def test_positions_alone_have_no_steps_and_no_probability():
     page(said)
 
 
+def test_times_without_positions_are_dashed_where_there_are_positions_alone():
+    time = np.append(np.arange(20.0), 300 + np.arange(20.0))
+    path = Trajectory(time, np.stack([time, time], axis=1), np.full(40, np.nan), ("",) * 40)
+    fixes = tuple(FixReport(t, t, t, 5.0, 0.0, 1.0, "") for t in time.tolist())
+    alone = Estimate(path, path, None, {"fixes": fixes}, 0, 0.0, True)
+    said = content(shown(Recording("track.gpx", 0.0, None), alone))
+    assert said["tracks"][0]["gaps"] == [[19.0, 300.0]]
+
+
 def test_each_sensor_of_a_recording_is_in_its_table():
     steps = steps_of(np.full(20, 0.7), np.zeros(20))
     rows = [row[0] for row in sensor_rows(recording_of(steps))[1]]
