@@ -66,7 +66,7 @@ class Verdict(OneLineRepr):
         return {"state": self.state, "reasons": [reason.describe() for reason in self.reasons]}
 
     def __str__(self) -> str:
-        return "; ".join(reason.text for reason in self.reasons) or "no source contradicts another"
+        return f"{self.state}: {'; '.join(reason.text for reason in self.reasons) or 'no reason for doubt found'}"
 
     def _summary(self) -> list[str]:
         return [self.state, *([count(len(self.reasons), "reason")] if self.reasons else [])]

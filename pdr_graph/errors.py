@@ -80,6 +80,18 @@ def slow_rate(rate: float) -> str:
     return " (milliseconds in a column of seconds?)" if MILLISECONDS[0] <= 1000 * rate <= MILLISECONDS[1] else ""
 
 
+def install(extra: str) -> str:
+    """The command that installs an extra."""
+    return f"pip install '.[{extra}]' in the folder of pdr_graph"
+
+
+def percent(probability: float) -> str:
+    """A probability as a text: ``43 %``; "less than 1 %", "more than 99 %" instead of a rounded 0 or 100 %."""
+    if 0 < probability < 0.005:
+        return "less than 1 %"
+    return "more than 99 %" if 0.995 <= probability < 1 else f"{100 * probability:.0f} %"
+
+
 EXIT_REFUSED, EXIT_DEGRADED = 2, 3  # exit codes: bad input; finished without a part, which summary.json names
 PAGES = ("report.html", "figure.png", "day.png")  # results for a person to open, the most complete first
 

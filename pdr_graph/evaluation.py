@@ -260,13 +260,14 @@ def error_text(error: Mapping[str, float | None]) -> str:
 
 
 def table(scores: dict[str, Any]) -> str:
-    """The scores of ``evaluate`` as a text of one line per metric."""
+    """The scores of ``evaluate`` as a text of one line per metric; headings in degrees."""
 
     def row(name: str, unit: str, statistics: dict[str, float] | None) -> str:
         values = "—" if statistics is None else "  ".join(f"{k} {v:.3f}" for k, v in statistics.items())
         return f"{name:4}{unit:6}{values}"
 
-    lines = [row("CE", "[m]", scores["ce"]), row("HE", "[rad]", scores["he"])]
+    heading = scores["he"] and {name: float(np.degrees(value)) for name, value in scores["he"].items()}
+    lines = [row("CE", "[m]", scores["ce"]), row("HE", "[°]", heading)]
     for name, unit in (("eag", "[m/s]"), ("ve", "[m/s]"), ("ca", "[m]"), ("oe", "[-]"), ("fe", "[-]")):
         value = scores[name]
         lines.append(f"{name.upper():4}{unit:6}{'—' if value is None else f'{value:.4f}'}")

@@ -19,7 +19,7 @@ from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.consistency import teaches_profile, verdict
 from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import is_located
+from pdr_graph.estimation.results import is_located, is_usual
 from pdr_graph.estimation.sources import position_sources
 from pdr_graph.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.gait.walker import Profile
@@ -236,7 +236,7 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         "routes": [_route(share, path) for share, path in estimate.routes],
         "protection": protection_of(estimate),
         "optimum": _finite({"cost": estimate.cost, "iterations": estimate.iterations, "converged": estimate.converged}),
-        "warnings": list(dict.fromkeys([*estimate.warnings, *result.issues, *inputs.notes])),
+        "warnings": list(dict.fromkeys([*sorted([*estimate.warnings, *result.issues], key=is_usual), *inputs.notes])),
         "versions": packages | {"python": platform.python_version()},
     }
 

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
 
 OPEN = "the direction of dead reckoning from one fix is open"
-POSITIONS_ALONE = "positions alone: the recording has no sensor, so that this is the fixes, smoothed, without steps"
 SMOOTHED = ("graph", "rts")  # methods whose report also shows the causal filter
+POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
 
 

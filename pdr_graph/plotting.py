@@ -46,6 +46,7 @@ from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory
 
 MANY = 50  # points above which marks are smaller, so that the track stays visible
+REJECTED = 0.1  # weight below which a fix counts as rejected
 LONGEST_SIDE, SHORTEST_SIDE = 8.0, 4.0  # [inch]
 
 
@@ -94,7 +95,8 @@ def _draw_scale(axes: Axes) -> None:
     length = power * max(times for times in (1, 2, 5) if times * power <= most)
     x, y = west + 0.03 * (east - west), south + 0.03 * (north - south)
     axes.plot([x, x + length], [y, y], color=TRUTH, lw=2, solid_capstyle="butt", zorder=9)
-    axes.annotate(f"{length:g} m", (x, y), (0, 3), textcoords="offset points", fontsize=8, zorder=9)
+    text = f"{length:g} m" if length < 1000 else f"{length / 1000:g} km"
+    axes.annotate(text, (x, y), (0, 3), textcoords="offset points", fontsize=8, zorder=9)
 
 
 def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[FloorPlan, ...]:
@@ -108,23 +110,16 @@ def _visited(floor: FloorPlan | Building | None, track: Trajectory) -> tuple[Flo
 def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: str | None) -> None:
     """Draw the part of a walk on the floor with this label; all of it without a label."""
     track = _on(estimate.trajectory, label)
-    axes.plot(
-        *_on(estimate.dead_reckoning, label).T,
-        color=GREY,
-        lw=1.2,
-        ls=(0, (4, 2)),
-        label="dead reckoning, rigidly aligned",
-        zorder=3,
-    )
+    if estimate.dead_reckoning is not estimate.trajectory:
+        reckoned, dashes = _on(estimate.dead_reckoning, label), (0, (4, 2))
+        axes.plot(*reckoned.T, color=GREY, lw=1.2, ls=dashes, label="dead reckoning, rigidly aligned", zorder=3)
     draw_uncertainty(axes, estimate.trajectory, label)
     for number, (probability, route) in enumerate(estimate.routes[1:]):
         named = "other routes, with probability" if number == 0 else None
         path = _on(route, label)
         axes.plot(*path.T, color=OTHER, lw=1.2, alpha=0.8, label=named, zorder=4)
         axes.annotate(f"{probability:.0%}", path[-1], color=OTHER, fontsize=8, zorder=4, clip_on=True)
-    measured = bool(estimate.routes) or any(estimate.reports.values())
-    name = "most probable walk" if measured else "walk by its steps alone"
-    axes.plot(*track.T, color=TRACK, lw=2.2, label=name, zorder=5, solid_joinstyle="round")
+    axes.plot(*track.T, color=TRACK, lw=2.2, label=_name_of(estimate), zorder=5, solid_joinstyle="round")
     axes.plot(*track[0], marker="o", ms=8, mfc="white", mec=TRACK, mew=2, ls="none", zorder=7, label="start")
     axes.plot(*track[-1], marker="s", ms=8, mfc=TRACK, mec="white", mew=1, ls="none", zorder=7, label="end")
     if truth is not None:
@@ -134,6 +129,16 @@ def _draw_walk(axes: Axes, estimate: Estimate, truth: Trajectory | None, label: 
     _draw_fixes(axes, estimate, label)
     if label in (None, estimate.trajectory.floor[0]):
         _draw_beacons(axes, estimate)
+
+
+def _name_of(estimate: Estimate) -> str:
+    """The name of the track, by what determined it."""
+    if estimate.dead_reckoning is estimate.trajectory:
+        return "smoothed positions"
+    if len(estimate.fixes) > 1 and np.isnan(estimate.probability) and sum(f.weight > 0 for f in estimate.fixes) <= 1:
+        return "dead reckoning from the first fix"
+    measured = bool(estimate.routes) or any(estimate.reports.values())
+    return "most probable walk" if measured else "walk by its steps alone"
 
 
 def _truth_style(truth: Trajectory) -> dict[str, Any]:
@@ -179,6 +184,7 @@ def plot_comparison(
         if truth is not None:
             axes.plot(*_on(truth, label).T, label="truth", zorder=8, **_truth_style(truth))
         _title(axes, label or "")
+        _draw_scale(axes)
     _draw_legend(figure, canvases)
     return figure
 
@@ -295,8 +301,11 @@ def _draw_fixes(axes: Axes, estimate: Estimate, label: str | None) -> None:
     gaps = list(np.stack([place, at], axis=1))
     axes.add_collection(LineCollection(gaps, color=FIX, lw=0.3 + 0.5 * share, alpha=0.15 + 0.45 * share, zorder=4.5))
     faces = [(0.82, 0.38, 0.17, 0.15 + 0.85 * w) for w in weight]
-    label = "fixes" if weight.min() > 0.99 else "fixes (pale: low weight)"
-    axes.scatter(*place.T, s=max(42 * share, 5), c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5, label=label)
+    size = max(42 * share, 5)
+    axes.scatter(*place.T, s=size, c=faces, edgecolors=FIX, linewidths=1.2, zorder=4.5)
+    name = "fix" + ("" if weight.min() > REJECTED else " (hollow: rejected)")
+    style: dict[str, Any] = {"color": FIX, "lw": 0.8, "marker": "o", "ms": size**0.5, "label": name}
+    axes.plot([], [], **style)
 
 
 def _draw_beacons(axes: Axes, estimate: Estimate) -> None:

@@ -233,6 +233,11 @@ def inside(*arguments):
     return done.exit_code, done.output
 
 
+@pytest.mark.parametrize("group", [("map",), ("lifelog",), ("lifelog", "correct")], ids=" ".join)
+def test_no_line_of_a_list_of_commands_is_cut_off(group):
+    assert "..." not in inside(*group, "--help")[1].split("Commands:")[1]
+
+
 def test_help_lists_the_commands():
     code, printed = inside("--help")
     assert code == 0

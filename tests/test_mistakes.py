@@ -231,7 +231,7 @@ def test_a_gpx_track_is_a_recording_without_steps(tmp_path, command):
     track.write_text(f'<gpx version="1.1"><trk><trkseg>{points}</trkseg></trk></gpx>')
     code, printed, errors = run(command, track, "--out", tmp_path / "out")
     assert (code, errors) == (0, [])
-    assert "note: positions alone: the recording has no sensor" in printed
+    assert "note: positions alone: the recording has no accelerometer" in printed
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["missing"] == []
 
 

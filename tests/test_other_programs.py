@@ -69,7 +69,7 @@ def test_tum_and_csv_are_the_same_trajectory(result):
 
 def test_qgis_reads_line_and_fixes(result):
     """By GDAL, as QGIS does: longitude and latitude, one line and a point for each fix with its weight."""
-    pyogrio = pytest.importorskip("pyogrio", reason="pyogrio is not installed: pip install 'pdr_graph[geo]'")
+    pyogrio = pytest.importorskip("pyogrio", reason="pyogrio is not installed: pip install '.[geo]'")
     file = result / "trajectory.geojson"
     assert pyogrio.read_info(file)["crs"] == "EPSG:4326"
     table = pyogrio.read_dataframe(file)
@@ -82,7 +82,7 @@ def test_qgis_reads_line_and_fixes(result):
 
 def test_movingpandas_makes_a_trajectory_of_the_geojson(result):
     """As docs/formats.md shows: a point for each time of the line."""
-    geopandas = pytest.importorskip("geopandas", reason="geopandas is not installed: pip install 'pdr_graph[geo]'")
+    geopandas = pytest.importorskip("geopandas", reason="geopandas is not installed: pip install '.[geo]'")
     pandas = pytest.importorskip("pandas")
     movingpandas = pytest.importorskip("movingpandas", reason="movingpandas is not installed: pip install movingpandas")
     line = geopandas.read_file(result / "trajectory.geojson").query("kind == 'trajectory'").iloc[0]

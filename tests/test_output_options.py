@@ -1,6 +1,7 @@
 """What commands print and where they write: --quiet, --json, --force, --height and --truth."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -21,6 +22,14 @@ def given(walk, *more):
 @pytest.mark.parametrize("command", [(), *COMMANDS, ("lifelog",)], ids=" ".join)
 def test_h_is_help(command):
     assert inside(*command, "-h") == inside(*command, "--help")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_is_in_plain_words(command):
+    """Arguments by their names, without types of Python; examples on lines of their own."""
+    _, said, *_ = inside(*command, "-h")
+    assert not re.search(r"\\b|[<\[{](path|str|int|list|Path|RECORDING|STORE)\b", said), said
+    assert not re.search(r"pdr-graph .* pdr-graph ", said), "two examples on one line"
 
 
 @pytest.mark.parametrize("command", ["smooth", "replay"])

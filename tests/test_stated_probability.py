@@ -8,6 +8,7 @@ import simulated
 from test_cli import ARCADE, ROUTE
 
 from pdr_graph.batch import smooth_recording
+from pdr_graph.errors import percent
 from pdr_graph.estimation.results import stated_probability
 from pdr_graph.floor.building import Building
 from pdr_graph.inputs import Options
@@ -50,13 +51,18 @@ def folder(tmp_path_factory):
     return simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
 
 
+def test_only_certainty_is_said_to_be_certain():
+    stated = [percent(p) for p in (0.0, 0.004, 0.43, 0.994, 0.996, 1.0)]
+    assert stated == ["0 %", "less than 1 %", "43 %", "99 %", "more than 99 %", "100 %"]
+
+
 @pytest.mark.parametrize("write", [smooth_recording, replay_recording])
 def test_a_plan_without_any_fix_states_how_probable_the_place_is(write, folder, tmp_path):
     write(folder / "walk.txt", tmp_path, Options(plan=ARCADE, recorded_fixes=False))
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert summary["probability"] > 0.9
     assert any("sought on the whole plan" in warning for warning in summary["warnings"])
-    stated = f"{summary['probability']:.0%}"
+    stated = percent(summary["probability"])
     assert f'["probability of this route","{stated}"]' in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 

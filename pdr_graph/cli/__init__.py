@@ -34,6 +34,7 @@ from pdr_graph.cli.options import (
     path_named_after,
     with_groups,
 )
+from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.plans import maps
 from pdr_graph.cli.serve import serve
 from pdr_graph.cli.summary_text import print_summary
@@ -53,7 +54,7 @@ class Commands(TyperGroup):
         return super().resolve_command(ctx, args)
 
 
-app = typer.Typer(
+app = App(
     cls=Commands,
     add_completion=False,
     no_args_is_help=True,

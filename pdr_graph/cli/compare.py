@@ -40,7 +40,7 @@ def compare(
     The scores are those of evaluate. All are in one frame and on one clock. Without --truth the others are scored
     against the first. The options from --fixes to --radio-map are those of the methods.
 
-    \\b
+    \b
     pdr-graph compare result other.tum --truth truth.csv --map plan.geojson
     pdr-graph compare graph filter pdr --recording walk.zip --fixes fixes.csv --truth truth.csv
     """

@@ -14,12 +14,13 @@ import typer
 from pdr_graph.cli.lifelog_corrections import correct
 from pdr_graph.cli.lifelog_show import show
 from pdr_graph.cli.options import BeaconsPath, FixesPath, Quiet, RangesPath, WalkerPath
+from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.serve import serve_lifelog
 from pdr_graph.cli.terminal import echo
 from pdr_graph.errors import EXIT_DEGRADED, EXIT_REFUSED, count
 from pdr_graph.progress import shows_progress
 
-lifelog = typer.Typer(
+lifelog = App(
     no_args_is_help=True,
     rich_markup_mode=None,
     help="Recordings of many days: places, activities, exports.",
@@ -68,7 +69,7 @@ def add(
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Add recordings to a lifelog, which is created if it does not exist.
+    """Add recordings to a lifelog; create it if it does not exist.
 
     A recording is added once, whatever its name. Options hold for all the RECORDINGs; a recording that is in the
     lifelog already keeps its present value of an option that is not given.
@@ -103,10 +104,11 @@ def import_(
     person: Annotated[str | None, typer.Option(metavar="NAME", help="The person; default: me.")] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Import the past from the exports of other programs, recognised by their content.
+    """Import the past from Google, OwnTracks, GPX and other exports.
 
-    Google Records.json, Semantic Location History, Timeline.json of Android and iOS and Timeline Edits; OwnTracks
-    .rec, Overland, GPX, KML, FIT. Overlapping exports are merged; what Google guessed is kept apart from the positions.
+    The files are recognised by their content: Google Records.json, Semantic Location History, Timeline.json of Android
+    and iOS and Timeline Edits; OwnTracks .rec, Overland, GPX, KML, FIT. Overlapping exports are merged; what Google
+    guessed is kept apart from the positions.
 
     \b
     pdr-graph lifelog import days.db takeout.zip
@@ -213,7 +215,9 @@ def export(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Export days as GPX, GeoJSON, CSV or GeoParquet (for trackintel and movingpandas), without private places.
+    """Export days as GPX, GeoJSON, CSV or GeoParquet.
+
+    --cut leaves out private places. GeoParquet is for trackintel and movingpandas.
 
     \b
     pdr-graph lifelog export days.db --out days.gpx --cut 35.0001,135.0002,200
@@ -223,7 +227,7 @@ def export(
     written, notes = export_days(store, out, str(format_), person, from_, to, cut or (), blur or ())
     for line in notes:
         echo(f"pdr-graph: {line}", err=True)
-    echo(f"{len(written)} files -> {out}")
+    echo(f"{count(len(written), 'file')} -> {out}")
 
 
 def _end(refused: Sequence[str], none: bool = False) -> None:

@@ -8,13 +8,14 @@ from typing import Annotated
 
 import typer
 
+from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.terminal import echo
 from pdr_graph.errors import InputError
 
-correct = typer.Typer(
+correct = App(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Correct days: what is stated is kept beside the recordings, can be listed, and can be undone.",
+    help="Correct days; corrections can be listed and undone.",
 )
 
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")]
@@ -35,7 +36,9 @@ def was_at(
     ] = None,
     person: Person = None,
 ) -> None:
-    """State where the person was: the stay, or the time without data, at TIME.
+    """State where the person was at TIME.
+
+    TIME is in a stay or in a time without data.
 
     The place enters the estimate instead of the positions recorded then.
 
@@ -81,7 +84,9 @@ def was(
     ],
     person: Person = None,
 ) -> None:
-    """State what the person did from FROM to TO: a ride, a walk or a stop.
+    """State what the person did from FROM to TO.
+
+    A ride, a walk or a stop.
 
     \b
     pdr-graph lifelog correct was days.db "2024-05-01 08:40" "2024-05-01 09:05" bus
@@ -93,7 +98,9 @@ def was(
 
 @correct.command("not-me")
 def not_me(store: StorePath, start: From, end: To, person: Person = None) -> None:
-    """State that somebody else carried the phone from FROM to TO: shown as no data.
+    """State that somebody else carried the phone from FROM to TO.
+
+    This time is shown as no data.
 
     \b
     pdr-graph lifelog correct not-me days.db "2024-05-01 18:00" "2024-05-01 19:30"
@@ -132,7 +139,9 @@ def forget(
         str | None, typer.Option(metavar="PATH|HASH", help="One recording, and what was made of it.")
     ] = None,
 ) -> None:
-    """Delete the time from FROM to TO: no byte of it remains in the lifelog and its files.
+    """Delete the time from FROM to TO for good.
+
+    No byte of it remains in the lifelog and its files.
 
     Recordings that are added again stay without it. Your own files are not touched: they are named.
 

@@ -9,10 +9,11 @@ from typing import Annotated
 import typer
 
 from pdr_graph.cli.options import PlanScale
+from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.terminal import echo
 from pdr_graph.errors import EXIT_DEGRADED
 
-maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Draw, check and convert floor plans.")
+maps = App(no_args_is_help=True, rich_markup_mode=None, help="Draw, check and convert floor plans.")
 PlanPath = Annotated[
     Path, typer.Argument(metavar="PLAN", help="A floor plan of any format in docs/formats.md: a file, folder or zip.")
 ]
@@ -75,7 +76,7 @@ def map_convert(
     ] = None,
     floor: Annotated[str | None, typer.Option("--floor", metavar="LABEL", help="The label of the only floor.")] = None,
 ) -> None:
-    """Convert a plan to the GeoJSON of this project, draw what was understood, and check it.
+    """Convert a plan to GeoJSON, draw and check it.
 
     Points are in INPUT's own coordinates: units of a drawing, pixels of a picture from its upper
     left corner, points of a PDF page. Without a georeference the result is in metres along

@@ -11,7 +11,7 @@ import typer
 
 from pdr_graph.cli.options import BeaconsPath, FloorLabel, MapPath, RadioMapPath, WalkerPath, lag_seconds
 from pdr_graph.cli.terminal import echo
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, install
 
 LOOPBACK = "127.0.0.1"
 STUDY = "study"  # folder of the uploads that wait
@@ -85,7 +85,7 @@ def serve(
     try:
         from pdr_graph.serve import serving
     except ImportError as error:
-        raise InputError("serve", error.name or "", "no such package", "pip install 'pdr_graph[serve]'") from None
+        raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.serve.access import LOCAL, load_tokens
     from pdr_graph.serve.mqtt import broker_of
     from pdr_graph.serve.phyphox_polling import PhyphoxPhone
@@ -118,7 +118,7 @@ def serve_lifelog(
     store: Annotated[Path, typer.Argument(metavar="STORE", help="The lifelog.")],
     port: Port = LIFELOG_PORT,
 ) -> None:
-    """Show and correct the days of a lifelog in the browser, on this machine alone.
+    """Show and correct days in the browser, on this machine alone.
 
     The address that is printed has a token that is valid until Ctrl-C.
 
@@ -128,7 +128,7 @@ def serve_lifelog(
     try:
         from pdr_graph.serve import diary_page, serving
     except ImportError as error:
-        raise InputError("serve", error.name or "", "no such package", "pip install 'pdr_graph[serve]'") from None
+        raise InputError("serve", error.name or "", "no such package", install("serve")) from None
     from pdr_graph.lifelog.store import Store
 
     with Store(store):

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.contradiction import DOUBTFUL, FAILED, Contradiction, Verdict
-from pdr_graph.errors import count
+from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors.fixes import LOUD_BEACON
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.gps_track import REPEATED
@@ -175,7 +175,7 @@ def _probability(estimate: Estimate) -> Iterator[Contradiction]:
     """A route that is one of several; on a plan beside all fixes (`plan_placement`) its probability is 0."""
     limit = SURE if estimate.routes and not is_measured(estimate) else SELDOM_RIGHT
     if 0 < estimate.probability < limit:
-        text = f"this route has a probability of {estimate.probability:.0%}: others are as likely, or none fits"
+        text = f"this route has a probability of {percent(estimate.probability)}: another may be right"
         check = "the report's map; another fix would decide"
         yield Contradiction(ROUTE, "other routes", estimate.probability, "probability", text, check)
 

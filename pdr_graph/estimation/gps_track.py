@@ -95,11 +95,17 @@ def _knots(fixes: Fixes) -> GpsKnots:
     return GpsKnots(fixes.time, fixes.position, slow, independent * fixes.sigma)
 
 
+def without_data(time: Array) -> Mask:
+    """True ``(n - 1,)`` between two times of fixes ``(n,)`` [s] with a gap."""
+    span = np.diff(time)
+    return span > max(LONGEST, USUAL_INTERVALS * float(np.median(span)) if len(span) else 0.0)
+
+
 def _lost(fixes: Fixes) -> Mask:
     """True ``(n - 1,)`` between two fixes with a gap, a flight, or a stretch shorter than an epoch."""
     time, span = fixes.time, np.diff(fixes.time)
     flown = np.hypot(*np.diff(fixes.position, axis=0).T) > FASTEST * (span + LONGEST)  # shorter jumps are receivers'
-    lost = flown | (span > max(LONGEST, USUAL_INTERVALS * float(np.median(span)) if len(span) else 0.0))
+    lost = flown | without_data(fixes.time)
     for begin, end in _stretches(lost):
         if time[end] - time[begin] < EPOCH:
             lost[begin:end] = True

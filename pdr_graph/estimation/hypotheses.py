@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.contradiction import Contradiction
+from pdr_graph.errors import percent
 from pdr_graph.estimation.changed_prior import with_changed_prior
 from pdr_graph.estimation.factors.base import Hypothesis, State
 from pdr_graph.estimation.graph import WalkGraph
@@ -47,7 +48,7 @@ def contradictions(optima: list[Optimum], probability: Array) -> tuple[Contradic
         holds = np.array([any(other.text == text for other in optimum.assumed) for optimum in optima])
         share = float(probability[holds].sum() / probability.sum())
         if share > PROBABLE:
-            text = f"{text} (probability {share:.0%})"
+            text = f"{text} (probability {percent(share)})"
             against = "the steps and the other sources"
             found.append(
                 Contradiction(hypothesis.source, against, round(share, 3), "probability", text, hypothesis.check)

@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.errors import expect
+from pdr_graph.errors import count, expect
 from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.factors.losses import HUBER_WIDTH, huber_weight
 from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
@@ -410,7 +410,7 @@ def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
     refused = sum(meeting.weight == 0.0 for meeting in met)
     resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
     holds_for = {
-        f"{refused} fixes more than {GATE:.0f} sigma from where they were expected were rejected": refused > 0,
+        f"{count(refused, 'fix')} rejected: more than {GATE:.0f} sigma from the expected position": refused > 0,
         f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
     }
     return tuple(text for text, holds in holds_for.items() if holds)

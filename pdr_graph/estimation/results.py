@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.errors import percent
 from pdr_graph.estimation.factors.fixes import DUPLICATE, FROZEN, LOUD_BEACON, OUTSIDE
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
@@ -22,6 +23,7 @@ STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
 CROSSED_ANYWAY = 0.01  # share of rows, beside one, through walls on right routes: at most 1 of 15 to 222 real rows
 LOCATING = ("beacons", "ranges")  # kinds of measurement that determine a position, beside fixes
+PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 
 
@@ -48,9 +50,9 @@ class Placement:
     def warnings(self) -> tuple[str, ...]:
         """Warn of an unknown position or direction, and of a plan that is elsewhere."""
         warned = {
-            "no position fix: the track starts at (0, 0) with heading 0": self.used == 0 and not self.walled,
+            "no position fix: the track starts at (0, 0) along x": self.used == 0 and not self.walled,
             "no position fix: the place was sought on the whole plan": self.used == 0 and self.walled,
-            "one position fix: the direction of the walk is unknown, heading 0 was assumed": self.used == 1
+            "one position fix: the direction of the walk is unknown; it starts along x": self.used == 1
             and not self.walled
             and not self.headings,
             "no fix lies near the floor plan: its walls were not used": bool(self.used)
@@ -70,11 +72,10 @@ def warnings(
     fixes, headings = graph.positions, len(graph.headings.headings) > 0
     placement = Placement(int(fixes.used.sum()), headings, graph.floor_sequence is not None, graph.walled)
     warned = {
-        f"{walks} different walks explain the measurements, this route with a probability of {probability:.0%}; the "
-        "covariance spans them": walks > 1,
-        f"the walk fits the plan poorly, this route with a probability of {probability:.0%}: another is possible": (
-            walks == 1 and probability < SURE
-        ),
+        f"{walks} different walks explain the measurements, this route with a probability of {percent(probability)}; "
+        "the covariance spans them": walks > 1,
+        f"the walk fits the plan poorly, this route with a probability of {percent(probability)}: "
+        "another is possible": (walks == 1 and probability < SURE),
         "the optimiser had not converged": not converged,
     }
     outside, frozen = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still], int(fixes.still.sum())
@@ -96,13 +97,18 @@ def outside_warnings(time: Array, start: float, end: float) -> tuple[str, ...]:
     return (f"{len(time)} fixes lie outside the recording, by {least:.0f} s or more, and were not used",)
 
 
+def is_usual(warning: str) -> bool:
+    """True if a warning holds for most walks, and is no reason to doubt one."""
+    return warning.endswith(PRIOR_KEPT)
+
+
 def calibration_warnings(calibration: Calibration) -> tuple[str, ...]:
     """Warn of coefficients that the walk does not determine, and of a stride scale of no usual walker."""
     open_ = [NAMES[name] for n, name in enumerate(calibration.names) if not calibration.learnt[:, n].any()]
     scale = stride_scale(calibration)
     return (
         *((str(scale),) if scale is not None and scale.unusual else ()),
-        *((f"{', '.join(open_)} not observable from this walk: prior kept",) if open_ else ()),
+        *((f"{', '.join(open_)}{PRIOR_KEPT}",) if open_ else ()),
     )
 
 

@@ -10,6 +10,7 @@ import re
 
 import numpy as np
 
+from pdr_graph.errors import count
 from pdr_graph.io.delimited import TextRows
 from pdr_graph.io.validation import build_recording
 from pdr_graph.source import Source
@@ -36,7 +37,8 @@ def read(source: Source) -> Recording:
     rows = TextRows(source.where(name), lines, range(1, len(lines) + 1)).floats((0, first, first + 1, first + 2))
     started = np.cumsum(np.any(rows[:, 1:] != 0, axis=1)) > 0
     rows = rows[started] * (1e-9, 1, 1, 1)
-    notes = [f"accelerometer: {int((~started).sum())} first rows of zeros were left out"] if not started.all() else []
+    zeros = count(int((~started).sum()), "row")
+    notes = [f"accelerometer: {zeros} of zeros at the start left out"] if not started.all() else []
     return build_recording(source.where(name), source.path.stem, {"accelerometer": rows}, None, notes=notes)
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, install
 from pdr_graph.lifelog.remote_tasks import Look, Tasks, Work, collected, finished
 from pdr_graph.lifelog.time_limits import FleetLostError
 
@@ -100,7 +100,7 @@ def connected(scheduler: str) -> Iterator[Cluster]:
         from distributed import Client
         from distributed.comm.core import connect
     except ImportError:
-        raise InputError("--scheduler", "", "no Dask", "the extra fleet: pip install 'pdr_graph[fleet]'") from None
+        raise InputError("--scheduler", "", "no Dask", install("fleet")) from None
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # no tracebacks: the error is one line here
 
     async def greet() -> None:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, install
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.lifelog.day import VEHICLE, WALKING, Day, Outing, split_at_gaps
 from pdr_graph.lifelog.diary import corrected_rows, with_places, without_overlaps
@@ -83,7 +83,7 @@ def _require_libraries() -> None:
         import geopandas  # noqa: F401  # pyright: ignore[reportUnusedImport]
         import pyarrow  # noqa: F401  # pyright: ignore[reportUnusedImport]
     except ImportError as error:
-        raise InputError("--format parquet", "", f"no {error.name}", "pip install pdr_graph[geo]") from None
+        raise InputError("--format parquet", "", f"no {error.name}", install("geo")) from None
 
 
 def _bytes(frame: GeoDataFrame) -> bytes:

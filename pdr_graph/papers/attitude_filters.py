@@ -17,7 +17,7 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, install
 from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude, lasting_runs, on_one_grid, running_mean, runs, upright
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Recording
@@ -141,7 +141,7 @@ class Madgwick:
         try:
             import imufusion
         except ImportError:
-            expected = "pip install 'pdr_graph[attitude]'"
+            expected = install("attitude")
             raise InputError("imufusion", "", "it is not installed", expected) from None
         settings = imufusion.AhrsSettings()
         settings.convention, settings.gain, settings.sample_rate = imufusion.CONVENTION_ENU, gain, 1 / period

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, install
 from pdr_graph.gait.step_detection import LONGEST_STEP, SHORTEST_STEP, Landings
 from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.types import Array, Index
@@ -113,7 +113,7 @@ def _warped_distance(shape: Array, template: Array) -> float:
     try:
         from dtaidistance import dtw
     except ImportError:
-        raise InputError("dtaidistance", "", "it is not installed", "pip install 'pdr_graph[gait]'") from None
+        raise InputError("dtaidistance", "", "it is not installed", install("gait")) from None
     return float(dtw.distance(shape, template, window=WARP, use_c=True))
 
 

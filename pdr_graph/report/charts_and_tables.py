@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.colours import FIX, GREY, RADIO, TRACK
+from pdr_graph.errors import count
 from pdr_graph.evaluation import circular_error, error_text, evaluate, pair
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import horizontal_sigma
@@ -260,7 +261,7 @@ SCORES = {  # key in the result of `evaluate` -> label, unit
     ("n",): ("samples with ground truth", ""),
 }
 ESTIMATED, PRIOR_KEPT = "estimated", "not observable from this walk; prior kept"
-OWN_TABLE = ("fixes", "beacons")  # kinds of measurement with a table of their own
+OWN_TABLE = ("fixes", "beacons", "headings")  # kinds of measurement with a table of their own
 OPEN_ROWS = 30  # rows up to which a table is shown open
 MAXIMUM_REPORTS = 200  # rows shown of a kind of measurement
 HALF = 0.5  # weight below which a measurement is mostly ignored
@@ -291,6 +292,8 @@ def walk_tables(
     tables += [table("Sensors", *sensor_rows(walk))]
     tables += [_fixes(fixes, len(estimate.fixes))] if fixes else []
     tables += [_beacons(estimate.beacons)] if estimate.beacons else []
+    north, headings = summary["frame"]["kind"] != "local", estimate.reports.get("headings")
+    tables += [_headings(headings, north)] if headings else []
     tables += [
         measurement_table(kind, rows) for kind, rows in estimate.reports.items() if rows and kind not in OWN_TABLE
     ]
@@ -307,16 +310,29 @@ def scored(tracks: Mapping[str, Trajectory], truth: Trajectory, building: Buildi
     return table("Accuracy against ground truth", ["metric", "unit", *tracks], [row for row in rows if any(row[2:])])
 
 
-def live_figures(live: Mapping[str, Any]) -> list[list[str]]:
-    """Key figures of the current poses, and of the walk in hindsight, as [name, value]. live: of the summary."""
+PERCENTILES = "error 50 / 75 / 95 %"
+
+
+def error_figures(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Errors of the walk against the truth, as [name, value]; of a live walk those of both tracks, or its sigma."""
+    scores = summary["scores"]
+    if "live" in summary:
+        return _live_figures(summary["live"])
+    if scores is None or scores["ce"] is None:
+        return []
+    return [[PERCENTILES, error_text({**scores["ce"], "in_90": None})]]
+
+
+def _live_figures(live: Mapping[str, Any]) -> list[list[str]]:
+    """Key figures of the current poses, and of the walk in hindsight. live: of the summary."""
     error, smoothed = live["error"], live["hindsight"]["error"]
     if error is None:
         return [
             ["live: first pose after", f"{live['first_pose']:.1f} s"],
             ["live: median sigma", f"{live['sigma']:.1f} m"],
         ]
-    figures = [["live, known at once: error 50 / 75 / 95 %", error_text(error)]]
-    return figures + ([] if smoothed is None else [["in hindsight, smoothed", error_text(smoothed)]])
+    figures = [[f"live, known at once: {PERCENTILES}", error_text({**error, "in_90": None})]]
+    return figures + ([] if smoothed is None else [["in hindsight, smoothed", error_text({**smoothed, "in_90": None})]])
 
 
 def _evaluated(path: Trajectory, truth: Trajectory, building: Building | None) -> Mapping[str, Any]:
@@ -362,6 +378,23 @@ def _beacons(beacons: Sequence[BeaconReport]) -> Table:
     return table("Beacons", ["beacon", "observations", "residual [dB]", "x [m]", "y [m]", "status"], rows)
 
 
+def _headings(reports: Sequence[Any], north: bool) -> Table:
+    """The headings, clockwise from north, or from +y in a frame without north."""
+    rows = [
+        [
+            clock(h.time),
+            f"{(90 - np.degrees(h.heading)) % 360:.0f}",
+            f"{np.degrees(h.sigma):.0f}",
+            f"{round(-np.degrees(h.residual)):+d}",
+            f"{h.weight:.2f}",
+            h.reason,
+        ]
+        for h in reports
+    ]
+    head = ["time", f"heading [° from {'north' if north else '+y'}]", "sigma [°]", "residual [°]", "weight", "reason"]
+    return table("Headings", head, rows, [round(float(h.time), 2) for h in reports])
+
+
 def measurement_table(kind: str, reports: Sequence[Any]) -> Table:
     """A table of one kind of measurement, a row for each report (a dataclass), with a summary as its note.
 
@@ -372,9 +405,8 @@ def measurement_table(kind: str, reports: Sequence[Any]) -> Table:
     shown = reports[:MAXIMUM_REPORTS]
     rows = [[_cell(name, getattr(report, name)) for name in names] for report in shown]
     moments = [round(float(report.time), 2) for report in shown] if names[0] == "time" else []
-    notes = [
-        f"{len(reports)} measurements" + (f", the first {MAXIMUM_REPORTS} shown" if len(reports) > len(shown) else "")
-    ]
+    cut = f", the first {MAXIMUM_REPORTS} shown" if len(reports) > len(shown) else ""
+    notes = [count(len(reports), "measurement") + cut]
     if "residual" in names:
         residual = np.abs([report.residual for report in reports])
         notes += (

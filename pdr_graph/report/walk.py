@@ -11,9 +11,12 @@ import numpy as np
 
 from pdr_graph.colours import FIX, GREY, OTHER, RADIO, SURROUNDINGS, TRACK, TRUTH
 from pdr_graph.columns import OneLineRepr, time_span
-from pdr_graph.errors import printable
+from pdr_graph.errors import percent, printable
+from pdr_graph.estimation.gps_track import without_data
+from pdr_graph.estimation.results import is_usual
 from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.report import charts_and_tables, integrity, page
 from pdr_graph.report.page import (
@@ -43,6 +46,7 @@ NAMES = {
     "live": "in hindsight, smoothed",
 }  # of the results of each method
 SMALLEST_MARGIN = 5.0  # [m] shown around a walk
+WHOLE_PLAN, EDGE = 1.3, 1.0  # a plan up to this many times as large as what is shown is whole; [m] around it
 USED = 0.5  # weight from which a fix is within the map as it opens
 FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
 MANY = 2000  # rows above which lines are drawn thinner
@@ -80,7 +84,7 @@ class WalkReport(OneLineRepr):
         """All tracks, name -> (colour, path), the result first."""
         tracks = {self.name: (TRACK, self.estimate.trajectory)}
         others = self.estimate.routes[1:]
-        tracks |= {f"route {n + 2}, {share:.0%}": (OTHER, path) for n, (share, path) in enumerate(others)}
+        tracks |= {f"route {n + 2}, {percent(share)}": (OTHER, path) for n, (share, path) in enumerate(others)}
         tracks |= {name: (CAUSAL, path) for name, path in self.causal.items()}
         reckoned = {DEAD_RECKONING: (GREY, self.estimate.dead_reckoning)} if self.summary["steps"] else {}
         return tracks | (reckoned if self.method != "pdr" else {})
@@ -138,10 +142,10 @@ def content(report: WalkReport) -> dict[str, Any]:
 
 
 def _remarks(report: WalkReport) -> dict[str, list[str]]:
-    """Warnings, those of the estimate first; and notes of the reader about the data."""
+    """Warnings, those of the estimate first; and notes: of the reader, and what most walks leave open."""
     lines, first = report.summary["warnings"], report.estimate.warnings
-    notes = [line for line in lines if line in report.walk.notes]
-    warnings = sorted((line for line in lines if line not in report.walk.notes), key=lambda line: line not in first)
+    notes = [line for line in lines if line in report.walk.notes or is_usual(line)]
+    warnings = sorted((line for line in lines if line not in notes), key=lambda line: line not in first)
     return {"warnings": warnings, "notes": notes}
 
 
@@ -157,13 +161,13 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
     """Key figures of the walk, as [name, value]."""
     floors = [label for label in summary["floors"] if label]
     figures = [
-        *(charts_and_tables.live_figures(summary["live"]) if "live" in summary else []),
+        *charts_and_tables.error_figures(summary),
         ["distance", f"{summary['distance']:,.0f} m"],
         ["duration", charts_and_tables.clock(summary["duration"])],
         ["fixes", f"{len(summary['fixes']):,}"],
     ]
     if summary["steps"]:
-        stated = f"{probability:.0%}" if np.isfinite(probability) else "unknown"
+        stated = percent(probability) if np.isfinite(probability) else "unknown"
         figures += [["steps", f"{summary['steps']:,}"], ["probability of this route", stated]]
     figures += [["floors" if len(floors) > 1 else "floor", " → ".join(floors)]] if floors else []
     crossed = summary["wall_crossings"]
@@ -180,16 +184,24 @@ def _maps(report: WalkReport) -> list[dict[str, Any]]:
     for n, label in enumerate(report.labels):
         here = (on == n) | (on == EVERYWHERE)
         near = here[nearest(path.time, used[:, 0])]
-        corners = _around(np.concatenate([path.position[here], used[near, 1:]]))
+        corners = _around(np.concatenate([path.position[here], used[near, 1:]]), floors[n] if floors else None)
         maps.append({"name": label, "corners": corners, "plan": page.plan_drawing(floors[n]) if floors else None})
     return maps
 
 
-def _around(position: Array) -> list[list[float]]:
-    """South-west and north-east corner [m] of a box around positions ``(n, 2)``, with a margin."""
+def _around(position: Array, floor: FloorPlan | None) -> list[list[float]]:
+    """South-west and north-east corner [m] of a box around positions ``(n, 2)``, with a margin.
+
+    A plan that is hardly larger is shown as a whole.
+    """
     low, high = position.min(axis=0), position.max(axis=0)
     margin = max(SMALLEST_MARGIN, SURROUNDINGS * float(np.max(high - low)))
-    return [(low - margin).round(2).tolist(), (high + margin).round(2).tolist()]
+    low, high = low - margin, high + margin
+    if floor is not None:
+        west_south, east_north = np.minimum(low, floor.corners[0] - EDGE), np.maximum(high, floor.corners[1] + EDGE)
+        if (east_north - west_south < WHOLE_PLAN * (high - low)).all():
+            low, high = west_south, east_north
+    return [low.round(2).tolist(), high.round(2).tolist()]
 
 
 def _tracks(report: WalkReport) -> list[dict[str, Any]]:
@@ -206,7 +218,8 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
         }
         if path is result:
             style |= {"width": 1.4 if many else 2.6, "bands": bands(path, maps_of(path.floor, labels), len(labels))}
-            style |= {"gaps": _gaps(report.steps)}
+            walked = bool(report.summary["steps"])
+            style |= {"gaps": _gaps(report.steps) if walked else _gaps_of_fixes(report.estimate.fixes)}
         drawn.append(track(name, colour, path, maps_of(path.floor, labels), **style))
     drawn = [*integrity.source_tracks(report.sources, labels), *drawn]
     truth = [] if report.truth is None else [_truth(report.truth, labels)]
@@ -219,6 +232,13 @@ def _gaps(steps: Steps | None) -> list[list[float]]:
         return []
     begins = np.append(steps.start, steps.time[:-1])
     return np.stack([begins, steps.time], axis=1)[steps.is_gap].round(2).tolist()
+
+
+def _gaps_of_fixes(fixes: Sequence[FixReport]) -> list[list[float]]:
+    """Start and end of each time without positions [s], in a recording of positions alone."""
+    time = np.array([fix.time for fix in fixes])
+    lost = np.flatnonzero(without_data(time))
+    return np.stack([time[lost], time[lost + 1]], axis=1).round(2).tolist()
 
 
 def _truth(truth: Trajectory, labels: Sequence[str]) -> dict[str, Any]:

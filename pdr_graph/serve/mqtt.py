@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from pdr_graph.errors import InputError, one_line
+from pdr_graph.errors import InputError, install, one_line
 
 TOPIC = "sensor-logger"  # the app's default
 PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 8000, "wss": 8884}  # by scheme
@@ -102,7 +102,7 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
     try:
         import aiomqtt
     except ImportError:
-        raise InputError("--mqtt", "", "no aiomqtt", "pip install 'pdr_graph[serve-mqtt]'") from None
+        raise InputError("--mqtt", "", "no aiomqtt", install("serve-mqtt")) from None
     wait = FIRST_RETRY
     while True:
         try:

@@ -51,7 +51,7 @@ def test_inconsistent_fixes_lose_weight_and_outliers_are_rejected():
     assert "reduced weight" in near.fixes[5].reason
     assert far.fixes[5].weight == 0.0
     assert far.fixes[5].reason.endswith("sigma from where it was expected: rejected")
-    assert "1 fixes more than 5 sigma from where they were expected were rejected" in far.warnings
+    assert "1 fix rejected: more than 5 sigma from the expected position" in far.warnings
     assert far.trajectory.position == pytest.approx(farther.trajectory.position, abs=1e-9)
     without = kalman_filter(WalkGraph(steps, fixes[~sixth])).trajectory
     last = far.trajectory.position[-1], far.trajectory.covariance[-1]

@@ -185,5 +185,5 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r"found no pyarrow, expected pip install pdr_graph\[geo\]"):
+    with pytest.raises(InputError, match=r"found no pyarrow, expected pip install '\.\[geo\]'"):
         parquet_tables([])

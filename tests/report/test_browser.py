@@ -295,7 +295,41 @@ def test_a_row_of_a_table_moves_the_walker_into_sight(browser, walk):
 def test_hovering_says_time_place_sigma_and_heading(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     text = report.run("return document.getElementById('map').data.find(d => d.name === 'graph').text[10]")
-    assert re.fullmatch(r"graph \d:\d\d<br>x -?[\d.]+, y -?[\d.]+ ± [\d.]+ m, heading -?\d+°", text)
+    assert re.fullmatch(r"graph \d:\d\d<br>x -?[\d.]+, y -?[\d.]+ ± [\d.]+ m, heading \d+° from north", text)
+
+
+def test_headings_are_clockwise_from_north(browser, walk):
+    """As compasses, `--start-heading` and the map's arrow have them; the file has them from the x axis."""
+    report = Page(browser, walk / "out" / "report.html")
+    time, _, heading = trajectory(walk / "out" / "trajectory.csv")
+    for row in (20, len(time) - 20):
+        report.slide(begins(report) + time[row])
+        said = re.search(r"heading (\d+)° from north", report.run("return document.getElementById('readout').value"))
+        assert said is not None
+        assert np.cos(np.radians(90 - int(said[1])) - heading[row]) > np.cos(0.03), "rounded to a degree"
+
+
+def test_the_legend_shows_its_colours_by_night(browser, walk):
+    """On the light ground of the map, on which the tracks are."""
+    night = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", night)
+    try:
+        report = Page(browser, walk / "out" / "report.html")
+        ground = report.run("return document.querySelector('#map .legend .bg').style.fill")
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert min(int(part) for part in re.findall(r"\d+", ground)[:3]) > 200, ground
+
+
+def test_a_table_that_is_cut_off_says_so(browser, walk):
+    """By a double line at its right: on a phone, not on a wide screen."""
+    marked = "return [...document.querySelectorAll('#tables .scroll')].map(s => [s.classList.contains('wider'), "
+    marked += "s.scrollWidth > s.clientWidth + 1])"
+    for width in (390, 1920):
+        found = Page(browser, walk / "out" / "report.html", width=width).run(marked)
+        assert found
+        assert all(mark == cut for mark, cut in found)
+        assert any(cut for _, cut in found) == (width == 390)
 
 
 def test_the_scale_bar_is_as_long_as_it_says(browser, walk):

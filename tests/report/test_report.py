@@ -22,6 +22,7 @@ from walks import steps_of
 
 from pdr_graph import geometry
 from pdr_graph.batch import smooth_recording
+from pdr_graph.estimation.factors.heading_prior import HeadingReport
 from pdr_graph.evaluation import evaluate
 from pdr_graph.pipeline import Options
 from pdr_graph.plotting import GREY, OTHER, TRACK, TRUTH
@@ -263,6 +264,15 @@ def test_positions_alone_have_no_steps_and_no_probability():
     page(said)
 
 
+def test_times_without_positions_are_dashed_where_there_are_positions_alone():
+    time = np.append(np.arange(20.0), 300 + np.arange(20.0))
+    path = Trajectory(time, np.stack([time, time], axis=1), np.full(40, np.nan), ("",) * 40)
+    fixes = tuple(FixReport(t, t, t, 5.0, 0.0, 1.0, "") for t in time.tolist())
+    alone = Estimate(path, path, None, {"fixes": fixes}, 0, 0.0, True)
+    said = content(shown(Recording("track.gpx", 0.0, None), alone))
+    assert said["tracks"][0]["gaps"] == [[19.0, 300.0]]
+
+
 def test_each_sensor_of_a_recording_is_in_its_table():
     steps = steps_of(np.full(20, 0.7), np.zeros(20))
     rows = [row[0] for row in sensor_rows(recording_of(steps))[1]]
@@ -290,6 +300,22 @@ def test_tracks_are_told_apart_in_grey_and_without_green_cones():
             assert abs(lightness(first) - lightness(second)) > 15, f"{one} and {other} in grey"
             apart = lab(first, DEUTERANOPIA) - lab(second, DEUTERANOPIA)
             assert np.hypot.reduce(apart) > 20, f"{one} and {other} by deuteranopia"
+
+
+def test_headings_are_in_degrees_clockwise():
+    north_west = HeadingReport(3.0, np.radians(135), np.radians(10), np.radians(5), 1.0, "used")
+    made = estimated(*laps(1))
+    made = replace(made, estimate=replace(made.estimate, reports={"headings": (north_west,)}))
+    [table] = [table for table in content(made)["tables"] if table["title"] == "Headings"]
+    zero = "north" if content(made)["north"] else "+y"
+    assert table["head"][1:4] == [f"heading [° from {zero}]", "sigma [°]", "residual [°]"]
+    assert table["rows"] == [["0:03", "315", "10", "-5", "1.00", "used"]]
+
+
+def test_what_most_walks_leave_open_is_no_warning():
+    usual = "turn scale R_d not observable from this walk: prior kept"
+    said = content(estimated(*laps(1), warnings=[usual, "of the estimate"]))
+    assert (said["warnings"], said["notes"]) == (["of the estimate"], [usual])
 
 
 def test_housekeeping_is_apart_from_warnings_and_the_estimate_comes_first():

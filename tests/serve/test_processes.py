@@ -238,7 +238,7 @@ def test_without_the_extra_the_command_names_it(tmp_path):
     command = [sys.executable, "-c", hidden, "serve", "--out", str(tmp_path)]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
-    assert "pip install 'pdr_graph[serve]'" in ended.stderr
+    assert "pip install '.[serve]'" in ended.stderr
 
 
 def test_other_commands_do_not_import_the_server():

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pdr_graph.errors import InputError, check_not_special
+from pdr_graph.errors import InputError, check_not_special, install
 
 
 def check_file_size(path: Path, largest: int, advice: str = "") -> None:
@@ -26,4 +26,4 @@ def required_library(path: Path, noun: str, library: str) -> Iterator[None]:
     try:
         yield
     except ImportError:
-        raise InputError(path, "", f"{noun} and no {library}", "pip install pdr_graph[plans]") from None
+        raise InputError(path, "", f"{noun} and no {library}", install("plans")) from None

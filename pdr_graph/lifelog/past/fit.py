@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, install
 from pdr_graph.io.past_day import TRACK
 from pdr_graph.io.validation import float_of
 from pdr_graph.lifelog.past.json_values import Point, batch_of
@@ -29,7 +29,7 @@ def read(stream: BinaryIO, where: str) -> Iterator[Batch]:
     try:
         from garmin_fit_sdk import Decoder, Stream
     except ImportError:
-        raise InputError(where, "", "a FIT file", "pip install 'pdr_graph[fit]', which reads it") from None
+        raise InputError(where, "", "a FIT file", f"{install('fit')}, which reads it") from None
     content = stream.read(LARGEST_FIT + 1)
     if len(content) > LARGEST_FIT:
         raise InputError(where, "", f"more than {LARGEST_FIT // 10**6} MB", "an activity")

@@ -42,7 +42,10 @@ const bandOf = (track) => ({
 });
 const placeOf = ({ x, y, heading, covariance }) => {
   const sigma = covariance ? ` ± ${Math.sqrt((covariance[0] + covariance[2]) / 2).toFixed(1)}` : "";
-  const turned = Number.isFinite(heading) ? `, heading ${Math.round((heading * 180) / Math.PI)}°` : "";
+  const bearing = (((90 - (heading * 180) / Math.PI) % 360) + 360) % 360; // clockwise
+  const turned = Number.isFinite(heading)
+    ? `, heading ${Math.round(bearing) % 360}° from ${content.north ? "north" : "+y"}`
+    : "";
   return `x ${x.toFixed(1)}, y ${y.toFixed(1)}${sigma} m${turned}`;
 };
 const poseOf = (track, n) => ({
@@ -165,7 +168,13 @@ const drawMap = () => {
     hovermode: "closest",
     xaxis: { ...axis, range: [west, east], nticks: 6, showgrid: !own.plan },
     yaxis: { ...axis, range: [south, north], scaleanchor: "x", nticks: 8, showgrid: !own.plan },
-    legend: { orientation: "h", y: 1.01, yanchor: "bottom", font: { size: 11 } },
+    legend: {
+      orientation: "h",
+      y: 1.01,
+      yanchor: "bottom",
+      font: { size: 11, color: LIGHT.ink },
+      bgcolor: theme === LIGHT ? theme.card : theme.map, // light as the map, whose colours it shows
+    },
     images: picture(own),
     shapes: walkerShapes(),
     uirevision: "always",

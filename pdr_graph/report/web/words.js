@@ -6,7 +6,7 @@ const judge = ({ state, reasons }) => {
   const list = element("ul");
   list.append(...reasons.map((reason) => element("li", `${reason.text} (to check: ${reason.check})`)));
   here("verdict").className = state;
-  here("verdict").append(element("strong", state), reasons.length ? list : ": no source contradicts another");
+  here("verdict").append(element("strong", state), reasons.length ? list : ": no reason for doubt found");
 };
 const write = () => {
   if (content.verdict) judge(content.verdict);
@@ -21,7 +21,7 @@ const write = () => {
   for (const [lines, kind, name] of [
     [content.missing, "missing", "Missing"],
     [content.warnings, "warnings", "Warnings"],
-    [content.notes || [], "notes", "Notes on the data"],
+    [content.notes || [], "notes", "Notes"],
   ]) {
     const list = element("ul"),
       notice = element("details", undefined, { className: kind, open: kind !== "notes" });
@@ -65,9 +65,12 @@ const tabulate = () =>
   content.tables.forEach((table) => {
     const details = element("details");
     details.append(element("summary", table.rows.length > 5 ? `${table.title} (${table.rows.length})` : table.title));
-    details.addEventListener("toggle", () => details.children.length < 2 && details.append(...cells(table)), {
-      once: true,
-    });
+    const filled = () => {
+      if (details.children.length < 2) details.append(...cells(table));
+      const inside = details.querySelector(".scroll");
+      inside.classList.toggle("wider", inside.scrollWidth > inside.clientWidth + 1);
+    };
+    details.addEventListener("toggle", filled);
     details.open = table.open;
     here("tables").append(details);
   });
