@@ -12,6 +12,8 @@ from pdr_graph.types import Array, Index
 
 NODE_SPACING = 0.25  # [m] between grid nodes: bilinear error of 0.05 m at the 99th percentile
 NODES = 33  # per side of a tile, whose border nodes it shares with its neighbours: 8 m
+BLOCKS = 3  # per side of a tile, for each of which the walls nearby are sought
+AT_ONCE = 1000  # pairs of a block and a wall
 TILE = NODE_SPACING * (NODES - 1)
 NARROWEST_GAP = 0.3  # [m] narrower gaps are not walkable: slits between neighbouring shop polygons; chosen by hand
 DENSEST = 20.0  # corners per metre of walls: a finer outline is a curve that was cut into pieces
@@ -43,6 +45,7 @@ class DistanceField:
         if barriers is not None:
             lines = np.concatenate([lines, shapely.get_parts(shapely.line_merge(barriers))])
         self._walls = _segments(lines)
+        self._ends = shapely.get_coordinates(self._walls).reshape(-1, 2, 2)
         self._tree = shapely.STRtree(self._walls)
         low, high = shapely.bounds(self._walkable).reshape(2, 2)
         self._corner = (np.floor(low / TILE) - SURROUNDING_TILES) * TILE
@@ -77,7 +80,7 @@ class DistanceField:
         Returns the index of the point ``(p,)`` and the ends of the wall ``(p, 2, 2)`` [m].
         """
         point, wall = self._tree.query(shapely.points(points), predicate="dwithin", distance=within)
-        return point, shapely.get_coordinates(self._walls[wall]).reshape(-1, 2, 2)
+        return point, self._ends[wall]
 
     def exact(self, points: Array) -> Array:
         """Distance ``(n,)`` [m] at a few points ``(n, 2)`` [m], without the grid."""
@@ -168,16 +171,50 @@ class DistanceField:
 
     def _compute(self, tile: Index) -> Array:
         """Exact signed distances ``(NODES, NODES)`` at the nodes of one tile, rows along y. [m]"""
-        steps = np.arange(NODES) * NODE_SPACING
-        low = self._corner + tile * TILE
-        x, y = (a.ravel() for a in np.meshgrid(low[0] + steps, low[1] + steps))
-        centre = shapely.Point(x.mean(), y.mean())
-        nearest = self._tree.query_nearest(centre, return_distance=True, all_matches=False)[1][0]
-        reach = nearest + np.sqrt(2) * TILE  # the nearest wall of every node lies within
-        walls = shapely.multilinestrings(self._walls[self._tree.query(centre, predicate="dwithin", distance=reach)])
-        shapely.prepare(walls)
-        distance = shapely.distance(walls, shapely.points(x, y))
-        return np.where(shapely.contains_xy(self._walkable, x, y), distance, -distance).reshape(NODES, NODES)
+        x, y = (self._corner + tile * TILE)[:, None] + np.arange(NODES) * NODE_SPACING
+        distance = self._distances(x, y)
+        inside = np.empty(distance.shape, dtype=bool)
+        # No wall is between neighbours of which one is farther from all walls than from the other; 1 % for rounding
+        first = np.ones(distance.shape, dtype=bool)
+        first[:, 1:] = np.maximum(distance[:, 1:], distance[:, :-1]) < 1.01 * NODE_SPACING
+        row, column = np.nonzero(first)
+        inside[first] = shapely.contains_xy(self._walkable, x[column], y[row])
+        same_as = np.maximum.accumulate(np.where(first, np.arange(NODES), 0), axis=1)
+        return np.where(np.take_along_axis(inside, same_as, axis=1), distance, -distance)
+
+    def _distances(self, x: Array, y: Array) -> Array:
+        """Distance ``(NODES, NODES)`` [m] of the nodes at x, y ``(NODES,)`` [m] from the nearest wall.
+
+        Block by block of nodes: what is nearest to any of them lies within their diagonal of what is nearest to the
+        middle one.
+        """
+        x, y = x.reshape(BLOCKS, -1), y.reshape(BLOCKS, -1)
+        middle = x.shape[1] // 2
+        row, column = np.divmod(np.arange(BLOCKS**2), BLOCKS)
+        middles = shapely.points(x[column, middle], y[row, middle])
+        (which, _), nearest = self._tree.query_nearest(middles, return_distance=True, all_matches=False)
+        reach = np.empty(len(row))
+        reach[which] = nearest + np.sqrt(2) * NODE_SPACING * x.shape[1]
+        block, wall = self._tree.query(middles, predicate="dwithin", distance=reach)
+        least = np.full((len(row), len(x.T), len(y.T)), np.inf)
+        for begin in range(0, len(block), AT_ONCE):  # that many walls may lie in one place is no reason to need memory
+            some, walls = block[begin : begin + AT_ONCE], wall[begin : begin + AT_ONCE]
+            apart = _from_segments(x[column[some], None, :], y[row[some], :, None], self._ends[walls])
+            here, start = np.unique(some, return_index=True)
+            least[here] = np.minimum(least[here], np.minimum.reduceat(apart, start))
+        return least.reshape(BLOCKS, BLOCKS, *least.shape[1:]).swapaxes(1, 2).reshape(NODES, NODES)
+
+
+def _from_segments(x: Array, y: Array, ends: Array) -> Array:
+    """Distance ``(p, …)`` [m] of points at x, y ``(p, …)`` from segments ``(p, 2, 2)``, as GEOS computes it."""
+    (ax, ay), (bx, by) = ends.transpose(1, 2, 0)[..., None, None]
+    dx, dy, to_x, to_y = bx - ax, by - ay, x - ax, y - ay
+    square = dx * dx + dy * dy
+    square[square == 0.0] = 1.0
+    share = (to_x * dx + to_y * dy) / square
+    to_end = np.where(share <= 0.0, to_x * to_x + to_y * to_y, np.square(x - bx) + np.square(y - by))
+    beside = np.abs((dy * to_x - dx * to_y) / square) * np.sqrt(square)
+    return np.where((share > 0.0) & (share < 1.0), beside, np.sqrt(to_end))
 
 
 def _pixels(tiles: Array) -> Array:

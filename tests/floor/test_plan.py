@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import shapely
+from shapely import affinity
 
 from pdr_graph import FloorPlan, InputError
 from pdr_graph.floor.distance_field import OPEN_DISTANCE, DistanceField
@@ -122,6 +123,18 @@ def test_distance_field_agrees_with_exact_distances():
     error = np.abs(distance - exact)
     assert np.percentile(error, 99) < 0.06
     assert error.max() < 0.18  # half a cell's diagonal: at corners, where distance has a ridge
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.3])
+def test_distances_at_nodes_are_those_of_the_outline(turned):
+    """Walls along the nodes, where a node is neither inside nor outside, and across them; hundreds beside each node."""
+    pillars = shapely.box(*np.array([(x, y, x + 0.25, y + 0.25) for x in range(1, 29) for y in range(1, 9)]).T)
+    area = affinity.rotate(shapely.box(0, 0, 30, 10) - shapely.unary_union(pillars), turned, use_radians=True)
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(-2, 32, 0.25), np.arange(-2, 12, 0.25)))
+    exact = shapely.distance(area.boundary, shapely.points(x, y))
+    exact = np.where(shapely.contains_xy(area, x, y), exact, -exact)
+    found = DistanceField(area).at(np.stack([x, y], axis=1))[0]
+    assert found == pytest.approx(exact, abs=2e-3), "corners of pillars are arcs of chords"
 
 
 def test_approximate_distances_agree_with_exact_ones():
