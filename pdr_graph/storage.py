@@ -37,6 +37,7 @@ HEADER = struct.Struct("<IB")  # checksum, format
 CHECKSUM = 4  # bytes
 ARRAY = 1  # code of the msgpack extension
 SHAPE = struct.Struct("<4sB")  # dtype and number of dimensions, before the dimensions
+SIMPLE = (str, float, int, np.ndarray, type(None))  # values without fields
 DTYPES = frozenset(np.dtype(name).str for name in ("f8", "f4", "c16", "i8", "i4", "u8", "u4", "u1", "?"))
 MOST_DIMENSIONS = 8
 UNREADABLE = (
@@ -90,7 +91,7 @@ def _decoded(blob: bytes, kinds: Mapping[str, type]) -> Any:
     value = _decoder(kinds[name]).decode(raw)
     _check_complete(value)
     again = _ENCODER.encode([name, value])
-    if again != payload:
+    if again != bytes(payload):  # of a memoryview every byte would be compared by itself
         raise ValueError(_difference(msgspec.msgpack.decode(payload), msgspec.msgpack.decode(again)))
     return value
 
@@ -98,17 +99,26 @@ def _decoded(blob: bytes, kinds: Mapping[str, type]) -> Any:
 def _check_complete(value: Any, path: str = "$") -> None:
     """Raise ValueError if a field was not in the bytes; msgspec does not set such a field."""
     if is_dataclass(value):
-        present, added = vars(value), getattr(type(value), "added", ())
-        for name in (each.name for each in fields(value)):
+        present = vars(value)
+        for name, needed in _fields(type(value)):
             if name in present:
-                _check_complete(present[name], f"{path}.{name}")
-            elif name not in added:
+                inner = present[name]
+                if not isinstance(inner, SIMPLE):
+                    _check_complete(inner, f"{path}.{name}")
+            elif needed:
                 raise ValueError(f"missing field `{name}` - at `{path}`")
     elif isinstance(value, (list, tuple, dict)):
         for element in value.values() if isinstance(value, dict) else value:
-            if isinstance(element, (str, int, float)):
+            if isinstance(element, SIMPLE):
                 return  # elements are of one type
             _check_complete(element, f"{path}[...]")
+
+
+@cache
+def _fields(kind: type) -> tuple[tuple[str, bool], ...]:
+    """The name of each field of a dataclass, and whether it must be in the bytes."""
+    added = getattr(kind, "added", ())
+    return tuple((each.name, each.name not in added) for each in fields(kind))
 
 
 def _difference(found: Any, expected: Any, path: str = "$") -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from pdr_graph.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, DayTotals, T
 from pdr_graph.lifelog.visits import SHORTEST_VISIT, Track, Visit, on_sphere, visits_of
 from pdr_graph.storage import compress, decompress
 
+DAY = 86_400.0  # [s]
 MIN_NAME_PROBABILITY = 0.5  # of a place on a plan that names a visit; chosen by hand
 
 
@@ -75,9 +77,15 @@ def diary(log: Store, person: str, first: str = "", last: str = "") -> Diary:
     Places are those of all days. Raises InputError if the lifelog is damaged.
     """
     whole = UnpartedDiary.of(log, person, [date for name, date in log.days() if name == person])
-    days = parted(whole.rows, whole.clock, whole.track)
+    days = parted(_rows_near(whole.rows, first, last), whole.clock, whole.track)
     wanted = {date: own for date, own in days.items() if first <= date and (not last or date <= last)}
     return Diary(person, tuple(_day(log, person, date, own, whole) for date, own in wanted.items()), whole.places)
+
+
+def _rows_near(rows: Sequence[TimelineEntry], first: str, last: str) -> list[TimelineEntry]:
+    """The rows that may lie in the days from one date to another, in any time zone; "" for no limit."""
+    start, end = (datetime.fromisoformat(f"{date}T00:00Z").timestamp() if date else np.nan for date in (first, last))
+    return [row for row in rows if not (row.end < start - DAY or row.start > end + 2 * DAY)]
 
 
 @dataclass(frozen=True)
