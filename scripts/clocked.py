@@ -1,5 +1,6 @@
 """A command of ``pdr-graph`` in this process, with clocks around its stages: ``python scripts/clocked.py smooth …``.
 
+One stage after another, without the copy of the process that has some of them on a machine of two cores.
 Prints {"spent": {stage: [CPU, wall]}, "memory": [MB]}; imports nothing that the command itself would not.
 """
 
@@ -16,7 +17,7 @@ START = "interpreter and imports"
 REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
     "reading the recording": ("pdr_graph.io:load",),
-    "plan, fixes, frame": ("pdr_graph.pipeline:read",),
+    "plan, fixes, frame": ("pdr_graph.inputs:read",),
     "attitude": ("pdr_graph.gait.signals:attitude_of",),
     "steps": (
         "pdr_graph.pipeline:gait_signals",
@@ -39,7 +40,7 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
         "pdr_graph.io.writers:write_summary",
         "pdr_graph.io.gpx:write",
     ),
-    "picture": ("pdr_graph.outputs:write_results",),
+    "picture": ("pdr_graph.outputs:import_module", "pdr_graph.outputs:_draw"),
     "report: filter": ("pdr_graph.pipeline:kalman_filter",),
     "report: page": ("pdr_graph.outputs:write_report",),
     "summary": ("pdr_graph.outputs:summarize",),
@@ -78,8 +79,9 @@ def clocked(arguments):
         for function in functions:
             module, name = function.split(":")
             clocks.around(importlib.import_module(module), name, stage)
-    from pdr_graph import cli
+    from pdr_graph import cli, second_core
 
+    second_core._may_fork = lambda: False
     sys.argv[1:] = arguments
     at_start = np.array([time.process_time(), time.time() - _born()])
     before = _now()
