@@ -41,6 +41,7 @@ STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no
 }
 SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3 m
 MOST: dict[type, int] = {Fixes: 2, Headings: 1, Closures: 2, Ranges: 10}
+MOST_MOMENTS = 4  # of ranges in SPAN: each moment is a keyframe; those to several anchors may have the same
 UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"
 INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
 FINER = {  # unit of a clock: least and largest interval of inertial samples in it, at 10 to 1000 Hz
@@ -102,7 +103,10 @@ class EventChecks:
         if used is not None:
             times = last_time(used)  # sorted
             place += np.searchsorted(times, (span + 1) * SPAN) - np.searchsorted(times, span * SPAN)
-        return self._counted(name, data, place < most, TOO_OFTEN.format(most))
+        within = place < most
+        if isinstance(data, Ranges):
+            within &= _at_few_moments(last_time(data), np.empty(0) if used is None else last_time(used))
+        return self._counted(name, data, within, TOO_OFTEN.format(most))
 
     def heard(self, received: Sightings) -> Sightings:
         """The receptions whose times and levels are possible."""
@@ -180,3 +184,20 @@ def _as_gaps(steps: Steps, which: Mask) -> Steps:
     sigma_length = np.where(which, GAP_SPEED * steps.duration, steps.sigma_length)
     final_turn = steps.final_turn if abs(steps.final_turn) <= STEPS["turn"][1] else 0.0
     return replace(steps, sigma_length=sigma_length, final_turn=final_turn, **columns)
+
+
+def _at_few_moments(time: Array, used: Array) -> Mask:
+    """True ``(n,)`` for rows at one of the first MOST_MOMENTS moments of their SPAN.
+
+    time: ``(n,)`` [s]; used: times of the rows so far, in order [s].
+    """
+    moments = dict[float, set[float]]()
+    few = np.ones(len(time), dtype=bool)
+    for n, (moment, span) in enumerate(zip(time.tolist(), np.floor(time / SPAN).tolist(), strict=True)):
+        if span not in moments:
+            first, last = np.searchsorted(used, [span * SPAN, (span + 1) * SPAN])
+            moments[span] = set(used[first:last].tolist())
+        few[n] = moment in moments[span] or len(moments[span]) < MOST_MOMENTS
+        if few[n]:
+            moments[span].add(moment)
+    return few

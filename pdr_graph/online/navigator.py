@@ -128,6 +128,7 @@ class Navigator:
         self._steps: list[Steps] = []  # since `finalized` was last called
         self._beacons = beacons
         self._tail: Steps | None = None
+        self._pose: Pose | None = None  # the current pose, if it was asked for since the last event
         self._last_fixes = dict[str, tuple[float, ...]]()  # the last position of each receiver
         self._checks = EventChecks()
         self._accepted, self._early, self._certain, self._gaps = 0, 0, 0, 0
@@ -146,6 +147,7 @@ class Navigator:
     def push(self, event: Event) -> None:
         """Process an event; events must come in the order of arrival. Raises ValueError for an unknown sensor."""
         expect("Navigator.push, event", event, *EVENTS, instead="events_of(recording)")
+        self._pose = None
         if isinstance(event, Samples):
             self._checks.check_samples(event.sensor, event.time)
             self._sample(event)
@@ -181,6 +183,11 @@ class Navigator:
 
         Without a frame and a position, the start of the walk is the origin, after the first second of samples.
         """
+        if self._pose is None:
+            self._pose = self._current_pose()
+        return self._pose
+
+    def _current_pose(self) -> Pose | None:
         alone = self._alone
         if alone is not None and not (self._window.keyframes and alone.time < self._now + SENSORS_SILENT):
             return self._pose_by_fixes(alone)
@@ -251,7 +258,7 @@ class Navigator:
     def finish(self) -> Estimate:
         """End the walk and return its estimate, without the rows that `finalized` returned."""
         last = self._gait.finish()
-        self._tail = None
+        self._tail = self._pose = None
         if last is not None:
             self._extend(last)
         self._graph.finish()

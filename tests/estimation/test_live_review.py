@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -98,21 +99,21 @@ def test_a_lone_receiver_has_the_batchs_region():
 def test_an_adopted_assumption_stays_without_evidence_and_goes_against_it():
     """A pair once found swapped, in a past without its levels, and in one in which the list is right."""
     steps, (fixes, levels), _, _ = swapped()
-    first = Question(WalkGraph(steps, fixes, levels=levels), Findings(), {}, False).answer()
+    first = Question(partial(WalkGraph, steps, fixes, levels=levels), Findings(), {}, False).answer()
     assert len(first.findings.texts) == 1
     silent = replace(levels, time=levels.time[:4], beacon=levels.beacon[:4], rssi=levels.rssi[:4])
-    later = Question(WalkGraph(steps, fixes, levels=silent), first.findings, first.decisions, False).answer()
+    later = Question(partial(WalkGraph, steps, fixes, levels=silent), first.findings, first.decisions, False).answer()
     assert later.findings.texts == first.findings.texts
     right = replace(levels, position=drawn_beside_beacons(STEPS, 0, wrong=0.5)[2].position)
     places = np.column_stack([levels.position, np.zeros(len(levels.position))])
     wrong = {"beacons": first.decisions["beacons"] | {"position": levels.position, "prior": places}}
-    after = Question(WalkGraph(steps, fixes, levels=right), first.findings, wrong, False).answer()
+    after = Question(partial(WalkGraph, steps, fixes, levels=right), first.findings, wrong, False).answer()
     assert after.findings.texts == frozenset()
 
 
 def test_a_review_is_encoded_without_loss():
     steps, data, *_ = swapped()
-    review = Question(WalkGraph.of(steps, data), Findings(), {}, False).answer()
+    review = Question(partial(WalkGraph.of, steps, data), Findings(), {}, False).answer()
     again = decode(encode(review), type(review))
     assert again.findings == review.findings
     assert np.array_equal(again.excess.covariance, review.excess.covariance)
@@ -122,7 +123,7 @@ def test_the_past_that_is_compared_is_bounded():
     """There are no more than those of SPAN, and no older measurement."""
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
-    graph = live.history.question(live.graph.window.times[-1], live.graph.prior, Findings(), {}, False).graph
+    graph = live.history.question(live.graph.window.times[-1], live.graph.prior, Findings(), {}, False).graph()
     assert graph.steps.end - graph.steps.start < SPAN + 2
     assert graph.fixes.time.min() > graph.steps.start - 10
 

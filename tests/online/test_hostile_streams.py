@@ -199,3 +199,13 @@ def test_the_counts_survive_a_snapshot():
     again = Navigator.restored(decode(encode(nav.snapshot()), Navigator.Checkpoint))
     assert again.status.issues == nav.status.issues
     assert said(again, "fixes: 1 could not be used")
+
+
+def test_ranges_are_used_at_few_moments_and_to_many_anchors():
+    """Each moment is a keyframe: of 25 in a quarter of a second four are used, with all anchors that share one."""
+    events = [event for event in walk() if isinstance(event, Steps)][:10]
+    begin, random = np.ceil(events[-1].end), np.random.default_rng(0)
+    alone = pushed([*events, *(ranges_of(random, begin + 0.01 * n) for n in range(25))])
+    assert said(alone, "ranges: 21 came more often")
+    shared = pushed([*events, *(ranges_of(random, begin) for _ in range(9)), ranges_of(random, begin + 0.1)])
+    assert not said(shared, "ranges")

@@ -13,7 +13,7 @@ over the pieces of the whole walk, so that all keyframes are evaluated at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -283,8 +283,29 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
     return _bridge(pieces, increments.delta)
 
 
+def increment_covariance(pieces: Pieces, increments: Increments) -> Array:
+    """Covariance ``(k, 3, 3)`` of the whole increment of each interval, see `bridge`."""
+    x, y = increments.delta[:, :2].T
+    return _covariance_with(pieces, x, y)(x, y)[pieces.last]
+
+
 def _bridge(pieces: Pieces, delta: Array) -> Bridge:
     x, y = delta[:, :2].T
+    covariance = _covariance_with(pieces, x, y)
+    at_piece = covariance(x, y)
+    end = pieces.last[pieces.interval]
+    cross = covariance(x[end], y[end])
+    inverse = np.linalg.inv(at_piece[pieces.last])
+    gain = cross @ inverse[pieces.interval]
+    return Bridge(
+        root=np.linalg.cholesky(inverse).transpose(0, 2, 1).astype(float),
+        gain=gain,
+        spread=at_piece - gain @ cross.transpose(0, 2, 1),
+    )
+
+
+def _covariance_with(pieces: Pieces, x: Array, y: Array) -> Callable[[Array, Array], Array]:
+    """The function that returns Cov(Δ_k, Δ_o) ``(m, 3, 3)`` of each piece k, at x, y, with a piece at ``o``."""
     move_x, move_y = x.copy(), y.copy()
     move_x[1:] -= x[:-1]
     move_y[1:] -= y[:-1]
@@ -306,13 +327,4 @@ def _bridge(pieces: Pieces, delta: Array) -> Bridge:
         columns = [xx, xy, Su_y - S * y, yx, yy, S * x - Su_x, Su_y - S * o_y, S * o_x - Su_x, S]
         return np.ascontiguousarray(np.array(columns).T).reshape(-1, 3, 3)
 
-    at_piece = covariance(x, y)
-    end = pieces.last[pieces.interval]
-    cross = covariance(x[end], y[end])
-    inverse = np.linalg.inv(at_piece[pieces.last])
-    gain = cross @ inverse[pieces.interval]
-    return Bridge(
-        root=np.linalg.cholesky(inverse).transpose(0, 2, 1).astype(float),
-        gain=gain,
-        spread=at_piece - gain @ cross.transpose(0, 2, 1),
-    )
+    return covariance

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
@@ -44,7 +45,7 @@ class History:
     def question(self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool) -> Question:
         """The review of the last SPAN seconds before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
         steps = self._forget(now - SPAN)
-        graph = WalkGraph.of(steps, self.log.until(steps.end), prior=prior)
+        graph = partial(WalkGraph.of, steps, self.log.until(steps.end), prior=prior)
         kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.kinds}
         return Question(graph, before, kept, walled, self.log.all_numbers(steps.end))
 

@@ -44,7 +44,7 @@ class LiveOutput:
     def is_placed(self, until: float) -> bool:
         """True if a measurement up to ``until`` [s] has told a position; else the start defines the frame."""
         graph = self.graph
-        placed = graph.has_position or graph.finalized.anchored or self.modes.mixture is not None
+        placed = graph.finalized.anchored or self.modes.mixture is not None or graph.has_position
         return placed or bool(self._fixes_between(-np.inf, until))
 
     def mixture(self, tail: Steps | None = None, until: float | None = None) -> GaussianMixture:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.factors.preintegration import bridge, intervals, preintegrate
+from pdr_graph.estimation.factors.preintegration import increment_covariance, intervals, preintegrate
 from pdr_graph.estimation.kalman import (
     FAR,
     OF_POSITION,
@@ -101,8 +101,7 @@ def predict(
     pieces = intervals(whole, start, begin, moments)
     mean_c = mixture.mean[mixture.best, 3:]
     increments = preintegrate(pieces, np.tile(mean_c, (len(moments), 1)))
-    root = bridge(pieces, increments).root
-    spread = np.linalg.inv(root.transpose(0, 2, 1) @ root)
+    spread = increment_covariance(pieces, increments)
     waiting = list(fixes)
     for n, moment in enumerate(moments.tolist()):
         last = pieces.last[n]

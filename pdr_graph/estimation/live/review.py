@@ -9,6 +9,7 @@ evidence speaks against it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -124,13 +125,14 @@ class Review:
 
 @dataclass(frozen=True)
 class Question:
-    """A review that is due. graph: of the recent past, without its plan; before: what the last review found.
+    """A review that is due.
 
-    decisions: about the kinds that this adopted, by row of the graph's data; walled: the walk has a plan, for which no
-    other walk is added; numbers: permanent numbers of the rows, by kind: some may be dropped before the answer is used.
+    graph: builds that of the recent past, without its plan; before: what the last review found; decisions: about the
+    kinds that this adopted, by row of the graph's data; walled: the walk has a plan, for which no other walk is added;
+    numbers: permanent numbers of the rows, by kind: some may be dropped before the answer is used.
     """
 
-    graph: WalkGraph
+    graph: Callable[[], WalkGraph]
     before: Findings
     decisions: Decisions
     walled: bool
@@ -156,7 +158,7 @@ class Question:
 
     def _optima(self) -> list[Optimum]:
         """The walks that remain; first the best, or that under the adopted assumptions if it is about as good."""
-        optima = explanations(solve_robust(self.graph))
+        optima = explanations(solve_robust(self.graph()))
         adopted = [n for n, one in enumerate(optima) if _texts(one) == self.before.texts]
         if adopted and adopted[0] > 0:
             one = optima[adopted[0]]
