@@ -22,7 +22,7 @@ from pdr_graph.estimation.global_localization import begun_on
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
-from pdr_graph.estimation.results import FIRST_ONLY, missing_of
+from pdr_graph.estimation.results import FIRST_ONLY, POSITIONS_ALONE, missing_of
 from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import read_route
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
 OPEN = "the direction of dead reckoning from one fix is open"
 SMOOTHED = ("graph", "rts")  # methods whose report also shows the causal filter
-POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 NO_ACCELEROMETER = "steps: there is no accelerometer, so that this is the fixes alone, smoothed"
 
 

@@ -23,6 +23,7 @@ STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
 CROSSED_ANYWAY = 0.01  # share of rows, beside one, through walls on right routes: at most 1 of 15 to 222 real rows
 LOCATING = ("beacons", "ranges")  # kinds of measurement that determine a position, beside fixes
+POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
 
@@ -98,8 +99,8 @@ def outside_warnings(time: Array, start: float, end: float) -> tuple[str, ...]:
 
 
 def is_usual(warning: str) -> bool:
-    """True if a warning holds for most walks, and is no reason to doubt one."""
-    return warning.endswith(PRIOR_KEPT)
+    """True if a warning is no reason to doubt a walk: it holds for most, or for all of such recordings."""
+    return warning.endswith(PRIOR_KEPT) or warning == POSITIONS_ALONE
 
 
 def calibration_warnings(calibration: Calibration) -> tuple[str, ...]:

@@ -217,6 +217,12 @@ def test_a_drawing_without_a_unit_is_refused_with_a_guess(lines):
         Building.load(lines)
 
 
+def test_a_picture_without_a_scale_is_told_how_to_measure_one(tmp_path):
+    drawn.picture(0.05).save(tmp_path / "scan.png")
+    with pytest.raises(InputError, match=r"a picture of \d+ by \d+ pixels and no scale, .*--two-points"):
+        Building.load(tmp_path / "scan.png")
+
+
 @pytest.mark.parametrize("scale", [0.001, 500.0, 0.0, -1.0, float("nan"), float("inf")])
 def test_a_scale_that_cannot_be_is_refused(lines, scale):
     with pytest.raises(InputError, match=r"m(etres)? per unit"):

@@ -34,6 +34,10 @@ def drawing_of_picture(path: Path, picture: Picture, scale: float | None, finer:
     scale, or if the dark lines enclose no building.
     """
     rows, columns = np.array(picture.shape) / finer
+    if scale is None:
+        found = f"a picture of {columns:.0f} by {rows:.0f} pixels and no scale"
+        expected = '--scale METRES_PER_PIXEL, or pdr-graph map convert --two-points "x1,y1 x2,y2 = METRES"'
+        raise InputError(path, "", found, expected)
     metres = metres_per_unit(path, np.array([[0.0, 0.0], [columns, rows]]), scale, "a picture in pixels") / finer
     with required_library(path, "a picture", "scikit-image"):
         walls, affine = traced(picture, metres, notes)

@@ -111,7 +111,8 @@ def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
     if core.sum() > LIMITS.thick_share * closed.sum():
         thin = int(closed.sum() - core.sum())
         closed &= raster.dilation(core)
-        notes.append(f"lines thinner than {LIMITS.thick} pixels beside thick walls were left out ({thin} pixels)")
+        if thin:
+            notes.append(f"lines thinner than {LIMITS.thick} pixels beside thick walls were left out ({thin} pixels)")
     parts, number = raster.parts(closed, diagonal=True)
     if not number:
         return closed
