@@ -92,7 +92,7 @@ def _persons(log: Store, wanted: Sequence[str]) -> list[str]:
     """The persons to show. Raises InputError for one without days."""
     people = sorted({person for person, _ in log.days()})
     if not people:
-        raise InputError(log.path, "", "no day", "a built lifelog: run pdr-graph lifelog build")
+        raise InputError(log.path, "", "no day", "lifelog build, and more than one position a day")
     for person in wanted:
         if person not in people:
             raise InputError("--person", "", repr(person), f"one of {', '.join(people)}")

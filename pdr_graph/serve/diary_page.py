@@ -135,7 +135,7 @@ def _day(store: Path, query: Fields) -> tuple[DiaryDay, list[str], list[str]]:
         on = query.get("date") or (stored[-1] if stored else "")
         wanted = period_of(day=on)
         if wanted is None:
-            raise InputError(store, "", "no day", "a built lifelog: run pdr-graph lifelog build")
+            raise InputError(store, "", "no day", "lifelog build, and more than one position a day")
         middle, most = wanted.first.toordinal(), date.max.toordinal()
         around = [date.fromordinal(min(max(middle + n, 1), most)).isoformat() for n in (-DAYS_AROUND, DAYS_AROUND)]
         days = {day.date: day for day in diary(log, person, *around).days}
