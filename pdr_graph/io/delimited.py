@@ -24,11 +24,14 @@ MAXIMUM_LINE = 10_000  # characters; rows of recorders have some hundred
 
 
 class Lines(Sequence[str]):
-    """The lines of a text, split when one of them is asked for: pyarrow splits long tables itself."""
+    """The lines of a UTF-8 text, split when one of them is asked for: pyarrow splits long tables itself."""
 
-    def __init__(self, text: str):
-        self.text = text.removesuffix("\n")
-        self._count = self.text.count("\n") + 1 if text else 0
+    def __init__(self, content: bytes, begin: int = 0, count: int | None = None):
+        """begin: of the first line in ``content`` [bytes]; count: number of lines, if it is known."""
+        self.content, self.begin = content, begin
+        self.end = max(begin, len(content) - content.endswith(b"\n"))
+        self._count = content.count(b"\n", begin, self.end) + 1 if count is None else count
+        self._count *= self.end > begin
 
     def __len__(self) -> int:
         return self._count
@@ -45,7 +48,17 @@ class Lines(Sequence[str]):
 
     @cached_property
     def _split(self) -> list[str]:
-        return self.text.split("\n") if self._count else []
+        return self.content[self.begin : self.end].decode().split("\n") if self._count else []
+
+    def head(self, count: int) -> list[str]:
+        """The first few lines."""
+        head, end = [], self.begin - 1
+        while len(head) < min(count, self._count):
+            first = end + 1
+            end = self.content.find(b"\n", first, self.end)
+            end = self.end if end < 0 else end
+            head.append(self.content[first:end].decode())
+        return head
 
 
 @dataclass(frozen=True)
@@ -106,15 +119,17 @@ class TextRows(OneLineRepr):
             from pyarrow import csv as arrow
         except ImportError:
             return None
-        text = self.lines.text if isinstance(self.lines, Lines) else "\n".join(self.lines)
-        width = text[: text.find("\n")].count(self.delimiter) + 1
-        if '"' in text or max(columns) >= width:
+        lines = (
+            self.lines if isinstance(self.lines, Lines) else Lines("\n".join(self.lines).encode(), 0, len(self.lines))
+        )
+        width = lines.head(1)[0].count(self.delimiter) + 1
+        if lines.content.find(b'"', lines.begin, lines.end) >= 0 or max(columns) >= width:
             return None
         names = [str(k) for k in range(width)]
         kept = [names[k] for k in columns]
         try:
             table = arrow.read_csv(
-                pyarrow.py_buffer(text.encode()),
+                pyarrow.py_buffer(memoryview(lines.content)[lines.begin : lines.end]),
                 arrow.ReadOptions(use_threads=False, column_names=names),
                 arrow.ParseOptions(delimiter=self.delimiter, quote_char=False),
                 arrow.ConvertOptions(include_columns=kept, column_types=dict.fromkeys(kept, pyarrow.float64())),
@@ -198,28 +213,58 @@ def split(line: str, delimiter: str) -> list[str]:
 
 
 BLANKS = " \r\t;,"  # the only characters of a row with empty cells
-FIRST_LINE = re.compile(r"[^\n]*[^\s][^\n]*")
-BLANK_ROW = re.compile(rf"\n[{BLANKS}]*\n|\n[{BLANKS}]+\Z")
+BLANK_ROW = re.compile(rf"\n[{BLANKS}]*\n|\n[{BLANKS}]+\Z".encode())
+BEGINS_BLANK_ROW = np.isin(np.arange(256), [*f"{BLANKS}\n".encode()])  # by the first byte of a line
+CHUNK = 1 << 22  # bytes
 
 
-def table(where: str, text: str) -> Table:
+def table(where: str, text: str | bytes) -> Table:
     """Split the text of a CSV with a header. Delimiters are tab, semicolon or comma; decimal marks point or comma.
 
-    where: name of the file in messages. Raises InputError if the text is empty or its header is too long.
+    where: name of the file in messages; text: or its UTF-8 bytes. Raises InputError if the text is empty or its header
+    is too long.
     """
-    head = FIRST_LINE.search(text)
-    if head is None:
-        raise InputError(where, "", "an empty file", "a header and rows")
-    if len(head[0]) > MAXIMUM_LINE:
-        raise InputError(where, "line 1", f"{len(head[0])} characters", "a header")
-    delimiter = next((d for d in DELIMITERS if d in head[0]), ",")
-    header = tuple(name.strip() for name in split(head[0], delimiter))
-    rows: Sequence[str] = Lines(text[head.end() + 1 :])
-    first = text.count("\n", 0, head.start()) + 2
+    content = text.encode() if isinstance(text, str) else text
+    begin, end = _first_line(where, content)
+    if end - begin > MAXIMUM_LINE and (length := len(content[begin:end].decode())) > MAXIMUM_LINE:
+        raise InputError(where, "line 1", f"{length} characters", "a header")
+    head = content[begin:end].decode()
+    delimiter = next((d for d in DELIMITERS if d in head), ",")
+    header = tuple(name.strip() for name in split(head, delimiter))
+    newlines, maybe_blank = _scan(content, end)
+    rows: Sequence[str] = Lines(content, end + 1, newlines - content.endswith(b"\n"))
+    first = content.count(b"\n", 0, begin) + 2
     numbers: Sequence[int] = range(first, first + len(rows))
-    if BLANK_ROW.search(text):
+    if maybe_blank and BLANK_ROW.search(content):
         kept = [(number, line) for number, line in zip(numbers, rows, strict=True) if line.strip(BLANKS)]
         numbers, rows = [number for number, _ in kept], [line for _, line in kept]
-    if delimiter != "," and any("," in line for line in rows[:10]):
-        rows = [line.replace(",", ".") for line in rows]
+    if delimiter != "," and any("," in line for line in (rows.head(10) if isinstance(rows, Lines) else rows[:10])):
+        with_points = Lines(content.replace(b",", b"."), end + 1, len(rows))
+        rows = with_points if isinstance(rows, Lines) else [line.replace(",", ".") for line in rows]
     return Table(header, TextRows(where, rows, numbers, delimiter))
+
+
+def _first_line(where: str, content: bytes) -> tuple[int, int]:
+    """Begin and end of the first line that is not blank [bytes]; raises InputError without one."""
+    begin = 0
+    while begin < len(content):
+        end = content.find(b"\n", begin)
+        end = len(content) if end < 0 else end
+        if content[begin:end].decode().strip():
+            return begin, end
+        begin = end + 1
+    raise InputError(where, "", "an empty file", "a header and rows")
+
+
+def _scan(content: bytes, begin: int) -> tuple[int, bool]:
+    """Number of newlines from byte ``begin`` on, and False if it is certain that no line after one of them is blank.
+
+    Ten times as fast as to search for a blank line.
+    """
+    newlines, blank = 0, False
+    for first in range(begin, len(content), CHUNK):
+        text = np.frombuffer(content, np.uint8, min(CHUNK + 1, len(content) - first), first)
+        after = np.flatnonzero(text[:CHUNK] == ord("\n")) + 1
+        newlines += len(after)
+        blank = blank or bool(BEGINS_BLANK_ROW[text[after[after < len(text)]]].any())
+    return newlines, blank

@@ -42,7 +42,7 @@ def read(source: Source) -> Recording:
     tables: dict[str, Array] = {}
     fixes: Fixes | None = None
     for name in _tables_named(source):
-        table = delimited.table(source.where(name), source.text(name))
+        table = delimited.table(source.where(name), source.utf8(name))
         for sensor, chosen in _sensors(name, table).items():
             if sensor in tables or (sensor == "location" and fixes is not None):
                 notes.append(f"{sensor}: a second table, {PurePosixPath(name).name}, was left out")
@@ -95,7 +95,7 @@ def _clock(source: Source) -> ExperimentClock:
     name = source.named("time.csv")
     if name is None:
         return ExperimentClock(np.zeros(1), np.zeros(1), unix=False)
-    events = delimited.table(source.where(name), source.text(name))
+    events = delimited.table(source.where(name), source.utf8(name))
     table = events.rows.floats((1, 2))
     words = events.rows.words(0)[: len(table)]
     starts = table[[word.upper() == "START" for word in words]]

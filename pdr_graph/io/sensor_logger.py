@@ -106,7 +106,7 @@ def _metadata(source: Source) -> dict[str, str]:
     name = source.named("Metadata.csv")
     if name is None:
         return {}
-    table = delimited.table(source.where(name), source.text(name))
+    table = delimited.table(source.where(name), source.utf8(name))
     return {key.lower(): (table.rows.words(k) or [""])[0] for k, key in enumerate(table.header)}
 
 
@@ -115,7 +115,7 @@ def _table(source: Source, *files: str) -> Table | None:
     for file in files:
         name = source.named(file)
         if name is not None and source.head(name, 1):
-            table = delimited.table(source.where(name), source.text(name))
+            table = delimited.table(source.where(name), source.utf8(name))
             if len(table.rows):
                 return table
     return None

@@ -29,13 +29,24 @@ class Windows:
     @classmethod
     def of(cls, signal: Signal) -> Windows:
         """The windows of a signal; its last samples that fill none are left out, unless there is none."""
-        samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
-        number = len(signal) // samples
-        parts = signal.values[: number * samples].reshape(number, samples, -1)
+        parts = _parts(signal)
+        number, samples, _ = parts.shape
         size = np.linalg.norm(parts, axis=2)
-        typical, mean = np.median(size, axis=1), np.linalg.norm(parts.mean(axis=1), axis=1)
+        typical = np.median(size, axis=1)
         swing = size.std(axis=1) / np.maximum(typical, np.finfo(float).tiny)
-        return cls(signal.time[: number * samples : samples], typical, mean, swing)
+        return cls(signal.time[: number * samples : samples], typical, mean_magnitudes(signal), swing)
+
+
+def _parts(signal: Signal) -> Array:
+    """The values ``(w, k, 3)`` of each window."""
+    samples = min(max(1, round(WINDOW * signal.rate)), len(signal))
+    number = len(signal) // samples
+    return signal.values[: number * samples].reshape(number, samples, -1)
+
+
+def mean_magnitudes(signal: Signal) -> Array:
+    """Magnitude ``(w,)`` of the mean vector in windows of WINDOW, as of `Windows`."""
+    return np.linalg.norm(_parts(signal).mean(axis=1), axis=1)
 
 
 FEWEST = 2  # windows in the other unit

@@ -20,9 +20,9 @@ from pdr_graph.io.signal_checks import (
     GRAVITY,
     GRAVITY_IN_G,
     WINDOW,
-    Windows,
     check_one_unit,
     check_times,
+    mean_magnitudes,
     note_clipping,
 )
 from pdr_graph.types import LONLAT, STANDARD_GRAVITY, Array, Fixes, Mask, Recording, Sightings, Signal, Trajectory
@@ -122,7 +122,7 @@ def _clean(path: str, sensor: str, table: Array, notes: list[str]) -> Array:
         raise InputError(path, sensor, found, expected)
     if missing:
         notes.append(f"{sensor}: {missing} rows without a value were left out")
-    ordered = _in_order(path, sensor, table[valid], notes)
+    ordered = _in_order(path, sensor, table[valid] if missing else table, notes)
     return _spread(sensor, _without_repeats(sensor, ordered, notes), notes)
 
 
@@ -146,8 +146,9 @@ def _without_repeats(sensor: str, table: Array, notes: list[str]) -> Array:
     repeated = np.zeros(len(table), dtype=bool)
     again = np.flatnonzero(table[1:, 0] == table[:-1, 0]) + 1
     repeated[again] = (table[again] == table[again - 1]).all(axis=1)
-    if repeated.any():
-        notes.append(f"{sensor}: {int(repeated.sum())} repeated rows were left out")
+    if not repeated.any():
+        return table
+    notes.append(f"{sensor}: {int(repeated.sum())} repeated rows were left out")
     return table[~repeated]
 
 
@@ -208,7 +209,7 @@ def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, flo
 
     Over a stride the walker's own acceleration averages out, and gravity remains.
     """
-    gravity = float(np.median(Windows.of(signal).mean))
+    gravity = float(np.median(mean_magnitudes(signal)))
     median = float(np.median(np.linalg.norm(signal.values, axis=1)))
     if GRAVITY[0] <= gravity <= GRAVITY[1]:
         return "accelerometer", 1.0
