@@ -47,9 +47,23 @@ def test_memory_of_a_walk_does_not_grow_with_its_square():
     assert np.isfinite(track.covariance).all()
 
 
-def test_smoothing_loads_nothing_that_takes_long_and_is_not_needed():
+LOADED = "import sys, {}; print(*(name for name in {} if name in sys.modules))"
+
+
+@pytest.mark.parametrize(
+    ("modules", "slow"),
+    [
+        (
+            "pdr_graph.cli, pdr_graph.pipeline, pdr_graph.plotting, pdr_graph.report.walk",
+            SLOW_TO_LOAD,
+        ),
+        ("pdr_graph.outputs, pdr_graph.report.walk", ("matplotlib",)),  # a copy of the process draws
+        ("pdr_graph.cli, pdr_graph.batch", ("scipy", "vqf")),  # loaded while the recording is read
+        ("pdr_graph.lifelog.show, pdr_graph.lifelog.revision", ("scipy", "vqf", "matplotlib", "pdr_graph.pipeline")),
+    ],
+)
+def test_a_command_loads_nothing_that_takes_long_and_is_not_needed(modules, slow):
     """Each of these takes a tenth of a second to half of one; together as long as an hour's graph."""
-    modules = "pdr_graph.cli, pdr_graph.pipeline, pdr_graph.plotting, pdr_graph.report.walk"
-    said = f"import sys, {modules}; print(*(name for name in {SLOW_TO_LOAD} if name in sys.modules))"
+    said = LOADED.format(modules, slow)
     loaded = subprocess.run([sys.executable, "-c", said], check=True, capture_output=True, text=True).stdout.split()
     assert loaded == []

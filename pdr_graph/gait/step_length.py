@@ -10,12 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
-from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.types import Array
+
+if TYPE_CHECKING:
+    from pdr_graph.gait.signals import GaitSignals
 
 BANDS = np.linspace(0.0, 5.0, 5)  # [Hz] [calibration-walk] uses four bands of 0–5 Hz; their edges are not published
 
@@ -78,6 +80,8 @@ class StepFeatures:
     @cached_property
     def _lifts(self) -> Array:
         """Vertical acceleration, peak to peak [m/s²], and time from minimum to maximum [s] of each step ``(n, 2)``."""
+        from scipy.ndimage import gaussian_filter1d  # here, since walkers are read where no steps are detected
+
         attitude, landings = self.gait.attitude, self.gait.landings
         smoothing = 0.05  # [s] Gaussian; chosen by hand
         up = attitude.R_world_device.apply(attitude.acceleration)[:, 2]

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pdr_graph.errors import expect
-from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.barometer import STAIRS, Climbs
 from pdr_graph.types import Array, Recording, Steps
+
+if TYPE_CHECKING:
+    from pdr_graph.gait.signals import GaitSignals
+    from pdr_graph.inertial.barometer import Climbs
 
 SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps; chosen by hand
 
@@ -31,6 +34,8 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
 
     Raises InputError if there is no accelerometer.
     """
+    from pdr_graph.gait.signals import gait_signals  # here, since lifelogs use steps that were detected long ago
+
     expect("detect_steps, recording", recording, Recording, list, instead="load(path)")
     expect("detect_steps, walker", walker, Walker, None, instead="Walker(height=1.72)")
     walker = walker or Walker()
@@ -153,6 +158,8 @@ def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> 
     climbs, kinds: height changes and their kinds from `climb_kinds`. Stride models are fitted on level ground and
     overestimate steps on stairs by half.
     """
+    from pdr_graph.inertial.barometer import STAIRS
+
     length, sigma = steps.length.copy(), steps.sigma_length.copy()
     for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
         on = (steps.time > start) & (steps.time - steps.duration < end) & ~steps.is_gap

@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.cells import Area
 from pdr_graph.io.tables import check_geodetic, read_table
 from pdr_graph.types import LONLAT, Beacons, Recording
+
+if TYPE_CHECKING:
+    from pdr_graph.floor.cells import Area
 
 BEACON_LIST = "BLE_Locations.csv"  # the list that the organisers of IPIN competitions put in the folder of a log
 SURVEY_SIGMA = 1.0  # [m] per axis, of a position without a stated sigma; chosen by hand

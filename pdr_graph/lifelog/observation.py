@@ -9,28 +9,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.frames import Frame
-from pdr_graph.gait.compass import magnetic_headings
-from pdr_graph.gait.signals import GaitSignals, gait_signals
-from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile
-from pdr_graph.inertial.magnetometer import measured_field
-from pdr_graph.inputs import Inputs, read
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.local_time import zone_at
 from pdr_graph.lifelog.masking import DELETED, without_times
 from pdr_graph.lifelog.store import RecordingOptions
-from pdr_graph.plausibility import FASTEST_RIDE
 from pdr_graph.storage import compress, decode, decompress, encode
 from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
 from pdr_graph.walk_options import Options
+
+if TYPE_CHECKING:
+    from pdr_graph.gait.signals import GaitSignals
+    from pdr_graph.inputs import Inputs
 
 # Chosen by hand
 END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
@@ -131,6 +129,9 @@ def from_bytes(blob: bytes) -> Observation:
 
 def read_inputs(recording: Path, options: RecordingOptions) -> Inputs:
     """Read a recording and the files of its options. Raises InputError if a file cannot be used."""
+    from pdr_graph.inputs import read  # here, as what detects steps: most commands use what was observed long ago
+    from pdr_graph.plausibility import FASTEST_RIDE
+
     files = Options(
         plan=options.plan,
         fixes=options.fixes,
@@ -148,6 +149,10 @@ def observe(recording: Path, options: RecordingOptions | None = None) -> Observa
 
     Raises InputError if the recording cannot be used or has no date.
     """
+    from pdr_graph.gait.compass import magnetic_headings
+    from pdr_graph.gait.signals import gait_signals
+    from pdr_graph.gait.steps import detect_steps
+
     options = options or RecordingOptions()
     inputs = read_inputs(recording, options)
     walk, walker = inputs.walk, replace(inputs.walker, profile=None)
@@ -230,6 +235,8 @@ def _fields_at_ends(gaits: list[GaitSignals]) -> Ends | None:
 
 def _mean_field(gait: GaitSignals, begin: float, end: float, at: int) -> Array:
     """Mean field ``(3,)`` [µT] from ``begin`` to ``end`` [s]: forward, left, up for the walker at sample ``at``."""
+    from pdr_graph.inertial.magnetometer import measured_field
+
     attitude = gait.attitude
     assert gait.recording.magnetometer is not None, "the caller has checked it"
     held = attitude[slice(*np.searchsorted(attitude.time, [begin, end]).tolist())]
