@@ -30,7 +30,9 @@ OF_A_LAP = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]  # corne
 LAPS = 38  # about an hour
 OF_A_DAY = "24 h between walls, fix every 30 steps, lag 60 s"
 OF_SAMPLES = "from samples at 100 Hz, between walls, fix every 15 s, lag 60 s"
+PERIOD, FIRST_FIXES = 0.5, 5  # of a step [s]; number of fixes of which walkers of a crowd miss some
 HANDED_OUT = 100  # steps after which settled rows are taken away
+CROWD, CROWD_TIME = 200, 300.0  # walkers at once, and how long they walk [s]
 SPUN = 2e-3  # [s] of CPU time, of a loop that does nothing: what the machine adds on the wall
 
 
@@ -90,12 +92,43 @@ def live_rows():
     busy = hour.took[:, [0, 2]].sum() / hour.nav.pose.time
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     said = f"The walk from samples kept one core busy for {100 * busy:.1f} % of its time. OMP_NUM_THREADS: {threads}."
-    return f"{latency}\n\n{control}\n\n{memory}\n\n{said}"
+    return f"{latency}\n\n{control}\n\n{memory}\n\n{crowd_row()}\n\n{said}"
+
+
+def crowd_row():
+    """Many walkers in turn, step by step: seconds of one core for a second of all their walks, and memory."""
+    steps, fixes = held_by_walls(int(CROWD_TIME / PERIOD), period=PERIOD)
+    plan, before = FloorPlan.load(LOOP), resident()
+    walkers = [(Navigator(plan, lag=LAG), said_events(steps, fixes[n % FIRST_FIXES :])) for n in range(CROWD)]
+    took = dict.fromkeys(("push", "pose", "review"), 0.0)
+    for _ in range(len(steps)):
+        for nav, events in walkers:
+            moments = [time.process_time()]
+            push_step(nav, events)
+            moments.append(time.process_time())
+            nav.pose  # noqa: B018
+            moments.append(time.process_time())
+            nav.review()
+            moments.append(time.process_time())
+            for name, seconds in zip(took, np.diff(moments), strict=True):
+                took[name] += seconds
+    shares = [f"{seconds / CROWD_TIME:.2f}" for seconds in (*took.values(), sum(took.values()))]
+    header = ["walkers of steps and fixes, between walls", "walk [s]", *(f"{name}, cores" for name in (*took, "all"))]
+    each = (resident() - before) / CROWD
+    return table([*header, "MB each"], [[CROWD, f"{CROWD_TIME:.0f}", *shares, f"{each:.1f}"]])
+
+
+def push_step(nav, events):
+    """Push the events up to the next step of a walker, if there is one."""
+    for event in events:
+        nav.push(event)
+        if isinstance(event, Steps):
+            return
 
 
 def walks():
     """The walks, pushed, by what they are."""
-    day = pushed(Navigator(FloorPlan.load(LOOP), lag=LAG), said_events(*held_by_walls(DAY, period=0.5)), DAY)
+    day = pushed(Navigator(FloorPlan.load(LOOP), lag=LAG), said_events(*held_by_walls(DAY, period=PERIOD)), DAY)
     return {
         OF_A_DAY: day,
         "no walls, fixes at 1 Hz, lag 60 s": pushed(Navigator(lag=LAG), said_events(*walk(20_000, 2)), 20_000),
@@ -126,6 +159,7 @@ def pushed(nav, events, steps):
     count, most, memory = 0, nav.steps, []
     looks = [int(share * steps) for share in SHARES[:-1]]
     gc.collect()
+    gc.freeze()  # as `replay` and `serve` do; otherwise a full garbage collection takes 30 ms of some step
     for event in events:
         before = clocks()
         nav.push(event)
