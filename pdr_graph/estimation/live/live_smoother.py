@@ -26,7 +26,6 @@ from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.modes import ModesCheckpoint
 from pdr_graph.estimation.live.new_fixes import NewFixes
-from pdr_graph.estimation.live.path_trial import Trial
 from pdr_graph.estimation.live.plan_search import SOURCE, Places, PlacesQuestion
 from pdr_graph.estimation.live.review import Excess, Findings, Review
 from pdr_graph.estimation.live.schedule import SCHEDULE
@@ -45,15 +44,12 @@ class SmootherCheckpoint:
     sure: bool
     solved: bool
     restarting: bool
-    measured: bool
     carried: bool
     modes: ModesCheckpoint | None
     next_batch: float
     asked: dict[str, Index]
     solution: BatchSolution | None
     batch_due: float
-    trial: Trial | None
-    trial_due: float
     places: Places | None
     search_due: float
     next_search: float
@@ -90,7 +86,6 @@ class LiveSmoother(NewFixes):
         self.finished = self.solved = False
         self.next_comparison, self.restarts = -np.inf, 0
         self._walls_due, self._rounds_due = False, 0
-        self._measured = False  # the last keyframe had new measurements, which are not classified yet
         self._restarting = self._carried = False  # the past is dropped at the next solution; but for its calibration
         self.history, self.findings = History(), Findings()
         self._review = Deferred[Review](executor)
@@ -106,8 +101,7 @@ class LiveSmoother(NewFixes):
         window.floor = window.floor if floor is None else floor
         if not window.keyframes:
             self.graph.begin()
-        busy = self._reclassify_due()
-        busy = self._close() or busy or self._refine()
+        busy = self._close() or self._refine()
         self._follow_modes()
         if self._particles is not None and self._particles.process(busy):
             self._compare(self._particles)
@@ -117,7 +111,6 @@ class LiveSmoother(NewFixes):
         self.graph.append(data)
         window = self.graph.window
         if window.keyframes and bool((self.graph.log.times(data) <= window.steps.end).any()):
-            self._reclassify_due()
             self._close()
             self._follow_modes()
 
@@ -143,11 +136,8 @@ class LiveSmoother(NewFixes):
         if not graph.window.keyframes:
             return
         self.finished = graph.window.finished = True
-        self._reclassify_due()
         self._close(at_end=True)
-        self._reclassify_due()
         self._batch.cancel()
-        self._trial.cancel()
         self._search.cancel()
         if not self.sure and graph.has_position:
             self._adopt_batch(self._batch_question().answer())
@@ -179,8 +169,9 @@ class LiveSmoother(NewFixes):
         self._search_plan()
         if not self._solve_by_batch():
             graph.update()
-        self._adopt_alternative()
-        self._measured = reached
+        if reached and self.sure:
+            self._reclassify()
+            self._doubt_new_fixes()
         self._compare_sources(SCHEDULE.comparison_time)
         self._follow(new)
         graph.finalize_leaving()
@@ -236,7 +227,11 @@ class LiveSmoother(NewFixes):
         """
         now = self.graph.window.times[-1]
         solution = self._batch.collect(now)
-        if solution is not None:
+        if solution is not None and solution.alternative:
+            self.graph.update()
+            self.graph.finalize_leaving()
+            self._try(solution.path, solution.decisions)
+        elif solution is not None:
             self._adopt_batch(solution)
         if not self.sure and self.graph.window.duration > SCHEDULE.longest_open and np.isinf(self.graph.isam.lag):
             self.graph.rebuild(self.graph.lag)  # keyframes leave the window although the direction is open
@@ -280,12 +275,12 @@ class LiveSmoother(NewFixes):
             not np.isin(numbers[kind], self._asked.get(kind, ())).all() for kind in kinds
         )
 
-    def _batch_question(self) -> BatchQuestion:
-        """The batch of the window."""
+    def _batch_question(self, alternative: bool = False) -> BatchQuestion:
+        """The batch of the window. alternative: its solution is tried, not adopted."""
         graph = self.graph
         graph.finalize_leaving()
         c = self._first_calibration(self._carried)[0] if self._restarting else None
-        return BatchQuestion(graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
+        return BatchQuestion(graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered), alternative)
 
     def _adopt_batch(self, solution: BatchSolution) -> None:
         """Restart from a solution of the batch."""
@@ -326,7 +321,6 @@ class LiveSmoother(NewFixes):
         self._restarting, self._carried = True, carried
         self.sure = self.solved = False
         self._batch.cancel()
-        self._trial.cancel()
         self.next_batch = -np.inf
 
     def _first_calibration(self, carried: bool) -> tuple[Array, Array]:
@@ -338,14 +332,6 @@ class LiveSmoother(NewFixes):
         if C(first) not in graph.isam:
             return graph.c_prior
         return graph.window.c[first], graph.isam.covariance([C(first)]) + np.diag(np.square(graph.prior.change))
-
-    def _reclassify_due(self) -> bool:
-        """Check the measurements of the last keyframe, with the step after it; False if it had none."""
-        due, self._measured = self._measured and self.sure, False
-        if due:
-            self._reclassify()
-            self._doubt_new_fixes()
-        return due
 
     def _reclassify(self) -> None:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
@@ -362,7 +348,6 @@ class LiveSmoother(NewFixes):
     def review(self) -> None:
         """Do what is due soon in an idle moment; else the push that needs it does, with equal results."""
         self._batch.work()
-        self._trial.work()
         self._review.work()
         self._search.work()
 
@@ -401,7 +386,6 @@ class LiveSmoother(NewFixes):
             graph.update(everything=True)
             return
         graph.finalize_leaving()
-        self._trial.cancel()
         graph.c_prior = self._first_calibration(carried=True)
         window.pose = review.poses(np.array(window.times), window.pose)
         for interval in window.intervals:
@@ -425,15 +409,12 @@ class LiveSmoother(NewFixes):
             sure=self.sure,
             solved=self.solved,
             restarting=self._restarting,
-            measured=self._measured,
             carried=self._carried,
             modes=self.modes.checkpoint(),
             next_batch=self.next_batch,
             asked=self._asked,
             solution=self._batch.work(),
             batch_due=self._batch.due,
-            trial=self._trial.work(),
-            trial_due=self._trial.due,
             places=self._search.work(),
             search_due=self._search.due,
             next_search=self.next_search,
@@ -457,11 +438,9 @@ class LiveSmoother(NewFixes):
         self.alternatives_tried, self.alternatives_accepted = checkpoint.tried, checkpoint.taken
         self.history.restore(checkpoint.history)
         self.solved, self._restarting, self._carried = checkpoint.solved, checkpoint.restarting, checkpoint.carried
-        self._measured = checkpoint.measured
         self._asked = checkpoint.asked
         self.modes.restore(checkpoint.modes)
         self._batch.restore(checkpoint.solution, checkpoint.batch_due)
-        self._trial.restore(checkpoint.trial, checkpoint.trial_due)
         self._search.restore(checkpoint.places, checkpoint.search_due)
         self.next_search = checkpoint.next_search
         self._review.restore(checkpoint.review, checkpoint.review_due)
