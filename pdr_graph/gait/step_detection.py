@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d, median_filter, uniform_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
 from pdr_graph.types import Array, Complex, Index, Mask
 
@@ -62,10 +62,12 @@ def _step_durations(landed: Array, start: float) -> Array:
     intervals = np.diff(landed, prepend=start)
     walking = np.clip(intervals, SHORTEST_STEP, LONGEST_STEP)
     walking[0] = walking[min(1, len(walking) - 1)]
-    typical = median_filter(walking, size=5, mode="nearest")
     alone = intervals >= LONGEST_STEP
     alone[0] = True
-    return np.where(alone, typical, intervals)
+    rows = np.flatnonzero(alone)
+    beside = np.clip(rows[:, None] + np.arange(-2, 3), 0, len(walking) - 1)
+    intervals[rows] = np.sort(walking[beside], axis=1)[:, 2]
+    return intervals
 
 
 @dataclass(frozen=True)

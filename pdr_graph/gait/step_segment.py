@@ -127,6 +127,10 @@ class SegmentStream:
         """Times ``(count,)`` of the next samples. [s]"""
         return self.origin + self.period * np.arange(self.count, self.count + count, dtype=float)
 
+    def next_time(self, number: int) -> float:
+        """Time of the sample that is so many after the last. [s]"""
+        return self.origin + self.period * (self.count + number - 1)
+
     def available(self, until: float) -> int:
         """Number of further samples up to a time [s]."""
         return int((until - self.origin) / self.period + 1e-6) + 1 - self.count

@@ -131,7 +131,7 @@ class StepStream:
     def _is_due(self) -> bool:
         """True if a block of samples, or many packets, wait for processing."""
         sensors = self._sensors.values()
-        due = -np.inf if self._segment is None else float(self._segment.next_times(self._segment.block)[-1])
+        due = -np.inf if self._segment is None else self._segment.next_time(self._segment.block)
         newest = [sensor.newest for sensor in sensors]
         if min(newest) >= due or max(newest) >= due + STEP_STREAM.lagging:
             return True
@@ -159,7 +159,7 @@ class StepStream:
             pass
         if self._segment is not None:
             for sensor in self._sensors.values():
-                sensor.forget(float(self._segment.next_times(1)[0]))
+                sensor.forget(self._segment.next_time(1))
             self._provisional = self._corrected(self._segment.provisional())
             if self.preview is not None and self._provisional is not None:
                 self.preview(self._segment.provisional_signals())
