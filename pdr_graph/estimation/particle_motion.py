@@ -26,7 +26,7 @@ ODDS = np.log((TRIES + 1) / np.maximum(np.arange(TRIES + 1), 1))  # log-odds of 
 CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
 STAIRS_SIGMA = 1.0  # [m] distance from stairs or a lift at a floor change, whose time a barometer measures roughly
 COSTS = (BODY, CLEAR, CLEAR_PRICE, OUTSIDE_PRICE, WALL_COST)
-REPAID = 1_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
+REPAID = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
 
 Motion = tuple[float, float, float, float]  # of a step: length [m], turn [rad], time [s], points tested against walls
 
