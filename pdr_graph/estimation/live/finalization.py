@@ -11,7 +11,7 @@ import numpy as np
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.live.step_buffer import Interval
-from pdr_graph.geometry import pose_rotation
+from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array
 
 COVARIANCE_INTERVAL = 5.0  # [s] between covariances of the first keyframe; rows between are interpolated
@@ -71,6 +71,17 @@ class FinalizedTrajectory:
             R = pose_rotation(np.full(len(pose), at.pose_i[n, 2]))
             spread = R @ interval.bridge.spread[interval.row_piece] @ R.transpose(0, 2, 1)
             self.left.append(TrajectoryRows(interval.row_time, pose, spread, [interval.label] * len(pose)))
+
+    def begin(self, start: Array, after: Array, covariance: Array) -> None:
+        """Set the covariance of the first pose of a walk whose position is measured; otherwise it defines the frame.
+
+        The solver has marginalised it: it is that of the first keyframe in the window, moved back rigidly, which
+        neglects the errors of the few steps between them. start, after ``(3,)``: the poses of both; covariance
+        ``(3, 3)``: of the keyframe.
+        """
+        moved = np.eye(3)
+        moved[:2, 2] = rotation(np.pi / 2) @ (start[:2] - after[:2])
+        self.edge = self.edge[0], moved @ covariance @ moved.T
 
     def rows(self, time: float, covariance: Array) -> list[TrajectoryRows]:
         """All rows; covariances are interpolated between that of ``edge`` and that of the first keyframe in the window.

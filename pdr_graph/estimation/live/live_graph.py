@@ -337,8 +337,11 @@ class LiveGraph:
         else:
             at = self.evaluate(everything=True)
         self._report_until(until, at)
-        self.finalized.take(window.intervals[:count], at, window.pose[0].copy() if window.complete else None)
+        start = window.pose[0].copy() if window.complete else None
+        self.finalized.take(window.intervals[:count], at, start)
         window.forget(count)
+        if start is not None and self.has_position:
+            self.finalized.begin(start, window.pose[0], self.covariance(0))
         self._current = None
         if not self.finalized.anchored:
             self.finalized.hinge = window.pose[0].copy()
