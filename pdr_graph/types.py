@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -53,7 +52,7 @@ class Signal(OneLineRepr):
     def __len__(self) -> int:
         return len(self.time)
 
-    @cached_property
+    @property
     def rate(self) -> float:
         """Sampling rate from the median interval; gaps do not lower it. [Hz]"""
         return float(1 / np.median(np.diff(self.time))) if len(self) > 1 else 0.0
