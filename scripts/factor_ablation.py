@@ -25,7 +25,7 @@ from pdr_graph.estimation.factors import losses as loss_functions
 from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.start import CorridorUse
 from pdr_graph.evaluation import circular_error, pair
-from pdr_graph.gait.steps import append_steps, gap
+from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.lifelog import sessions
 from pdr_graph.measurements import Closures
 

@@ -34,7 +34,7 @@ from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.estimation.optimizer import _rotated, solutions
 from pdr_graph.gait.compass import COMPASS_SIGMA
-from pdr_graph.gait.steps import append_steps, gap, shifted
+from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
 from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
 from pdr_graph.lifelog.sessions import STANDING_SIGMA

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from pdr_graph import WalkGraph, kalman_filter
-from pdr_graph.gait.steps import concatenate_steps
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import interpolate
 from pdr_graph.online.interface import Pose, Samples, trajectory_of
 from pdr_graph.online.navigator import Navigator

@@ -16,7 +16,7 @@ from live_speed import said_events
 from stream_attacks import arcade, later, recording
 
 from pdr_graph import detect_steps
-from pdr_graph.gait.steps import gap
+from pdr_graph.gait.step_chunks import gap
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes, Steps

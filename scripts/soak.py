@@ -20,7 +20,7 @@ from synthetic_walks import held_by_walls
 from tables import publish, table
 
 from pdr_graph import FloorPlan
-from pdr_graph.gait.steps import gap
+from pdr_graph.gait.step_chunks import gap
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Beacons, Fixes, Steps
 

@@ -16,7 +16,7 @@ from synthetic_walks import held_by_walls
 
 from pdr_graph import FloorPlan
 from pdr_graph.estimation.fingerprinting import RadioMap
-from pdr_graph.gait.steps import gap
+from pdr_graph.gait.step_chunks import gap
 from pdr_graph.measurements import Levels, Ranges
 from pdr_graph.online.interface import Event, Samples, Scan, events_of
 from pdr_graph.simulation.scenario import Scenario

@@ -8,7 +8,7 @@ from walks import fixes_at, wandering_walk
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.contradiction import Contradiction, Verdict
-from pdr_graph.gait.steps import gap, join
+from pdr_graph.gait.step_chunks import gap, join
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import dead_reckon
 from pdr_graph.measurements import Closures, Levels, Ranges

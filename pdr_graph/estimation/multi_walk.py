@@ -20,7 +20,7 @@ from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, WALKING_SPEED
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, near_start
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.gait.steps import append_steps, gap, shifted
+from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import interpolate, nearest, row_times, wrap_angle
 from pdr_graph.measurements import Closures, by_type, with_offset
 from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, Headings, Trajectory

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_graph.gait.signals import GaitSignals
+from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.gait.step_segment import STEP_STREAM, SegmentCheckpoint, SegmentStream
-from pdr_graph.gait.steps import concatenate_steps, gap
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, SHORTEST_WALK
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION, GravityRestorer, Health, SensorStream

@@ -5,20 +5,17 @@ Gaps in a recording become rows of length 0. Steps on stairs are as long as the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pdr_graph.errors import expect
+from pdr_graph.gait.signals import GaitSignals, gait_signals
+from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
+from pdr_graph.inertial.barometer import STAIRS, Climbs
 from pdr_graph.types import Array, Recording, Steps
-
-if TYPE_CHECKING:
-    from pdr_graph.gait.signals import GaitSignals
-    from pdr_graph.inertial.barometer import Climbs
 
 SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps; chosen by hand
 
@@ -34,8 +31,6 @@ def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None
 
     Raises InputError if there is no accelerometer.
     """
-    from pdr_graph.gait.signals import gait_signals  # here, since lifelogs use steps that were detected long ago
-
     expect("detect_steps, recording", recording, Recording, list, instead="load(path)")
     expect("detect_steps, walker", walker, Walker, None, instead="Walker(height=1.72)")
     walker = walker or Walker()
@@ -86,67 +81,6 @@ def _sigma_turn(gait: GaitSignals, walker: Walker, start: float) -> Array:
     return np.sqrt(usual**2 + np.diff(variance))
 
 
-GAP_SPEED = 1.0  # [m/s] standard deviation per axis of the displacement in a gap: the walker stands or walks
-GAP_SIGMA_TURN = 1.2  # [rad] of the heading change in a gap: nearly unknown, but the optimiser still has a gradient
-
-
-def gap(
-    start: float, end: float, turn: float = 0.0, sigma_turn: float = GAP_SIGMA_TURN, speed: float = GAP_SPEED
-) -> Steps:
-    """One row of length 0 for the time between two parts of a recording [s].
-
-    turn, sigma_turn: heading change and its standard deviation [rad]; speed: standard deviation of the displacement
-    per second and axis [m/s].
-    """
-    long, nothing = np.array([end - start]), np.zeros(1)
-    return Steps(
-        start,
-        end,
-        time=np.array([end]),
-        duration=long,
-        length=nothing,
-        turn=np.array([turn]),
-        pause_turn=nothing,
-        sigma_length=speed * long,
-        sigma_turn=np.array([sigma_turn]),
-    )
-
-
-def join(parts: Sequence[Steps]) -> Steps:
-    """Join the parts of a walk, with a `gap` between each two."""
-    joined = parts[0]
-    for part in parts[1:]:
-        joined = append_steps(append_steps(joined, gap(joined.end, part.start)), part)
-    if len(parts) > 1:
-        joined = replace(joined, unknown=(*joined.unknown, f"{len(parts) - 1} gaps in the recording"))
-    return joined
-
-
-def append_steps(first: Steps, then: Steps) -> Steps:
-    """Concatenate two chunks of a walk; the second starts where the first ends."""
-    return concatenate_steps((first, then))
-
-
-def concatenate_steps(chunks: Sequence[Steps]) -> Steps:
-    """Concatenate at least one chunk of a walk; each starts where the one before ends."""
-    names = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
-    columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names}
-    row, turned = 0, 0.0  # [rad] since the last step
-    for chunk in chunks:
-        if len(chunk):
-            columns["turn"][row] += turned
-            columns["pause_turn"][row] += turned
-            turned = 0.0
-        row, turned = row + len(chunk), turned + chunk.final_turn
-    unknown = tuple(dict.fromkeys(line for chunk in chunks for line in chunk.unknown))
-    return Steps(chunks[0].start, chunks[-1].end, **columns, final_turn=turned, unknown=unknown)
-
-
-def shifted(steps: Steps, by: float) -> Steps:
-    """The same walk at times that are ``by`` [s] later."""
-    return replace(steps, start=steps.start + by, end=steps.end + by, time=steps.time + by)
-
-
 BLONDEL = 0.63  # [m] two rises and one going: Blondel's rule
 SHORTEST_GOING, LONGEST_GOING = 0.22, 0.38  # [m] depths of treads that are built
 SIGMA_GOING = 0.1  # [m] of a step on stairs: landings are among them; chosen by hand
@@ -158,8 +92,6 @@ def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> 
     climbs, kinds: height changes and their kinds from `climb_kinds`. Stride models are fitted on level ground and
     overestimate steps on stairs by half.
     """
-    from pdr_graph.inertial.barometer import STAIRS
-
     length, sigma = steps.length.copy(), steps.sigma_length.copy()
     for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
         on = (steps.time > start) & (steps.time - steps.duration < end) & ~steps.is_gap

@@ -16,7 +16,7 @@ import numpy as np
 from pdr_graph.estimation.factors.fixes import DRIVEN, STRETCHED, WITHIN
 from pdr_graph.estimation.gps_track import LOST, way_through
 from pdr_graph.estimation.transport_mode import RIDES, STANDS, WALKS
-from pdr_graph.gait.steps import GAP_SIGMA_TURN
+from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN
 from pdr_graph.geometry import distance_walked, interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, Segment
 from pdr_graph.lifelog.observation import StatedActivity

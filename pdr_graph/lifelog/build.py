@@ -262,19 +262,12 @@ def _missing_observations(log: Store, chains: Sequence[DayChain]) -> list[Observ
 
 def _tasks_of(log: Store, entries: Sequence[Entry]) -> Iterator[tuple[Entry, ObservationTask | str]]:
     """Each recording with its task, or with the reason why it has none."""
-    hashes = {"plan": lru_cache(None)(_plan_hash), "": lru_cache(None)(fingerprint)}  # each file once
+    hashes = {"plan": lru_cache(None)(observation.plan_hash), "": lru_cache(None)(fingerprint)}  # each file once
     for entry in entries:
         try:
             yield entry, _task(log, entry, hashes)
         except InputError as error:
             yield entry, str(error)
-
-
-def _plan_hash(plan: Path) -> str:
-    """Name and hash of the files of a floor plan."""
-    from pdr_graph.floor.formats import plan_fingerprint  # here, since few days have a plan and it is slow to load
-
-    return plan_fingerprint(plan)
 
 
 def _task(log: Store, entry: Entry, hashes: Mapping[str, Callable[[Path], str]]) -> ObservationTask:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pdr_graph.columns import select_rows
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait.steps import gap, shifted
+from pdr_graph.gait.step_chunks import gap, shifted
 from pdr_graph.measurements import take, with_offset
 from pdr_graph.types import INSTANT, Array, Mask, Steps
 

@@ -291,6 +291,13 @@ class ObservationResult:
     zone: str = ""
 
 
+def plan_hash(plan: Path) -> str:
+    """Name and hash of the files of a floor plan."""
+    from pdr_graph.floor.formats import plan_fingerprint  # here, since few days have a plan and it is slow to load
+
+    return plan_fingerprint(plan)
+
+
 def observe_all(tasks: Sequence[ObservationTask], observe: Observe | None = None) -> Iterator[ObservationResult]:
     """Observe recordings and write each observation to its file, unless it exists; yields a result per recording.
 

@@ -16,7 +16,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.frames import Frame
-from pdr_graph.gait.steps import GAP_SPEED
+from pdr_graph.gait.step_chunks import GAP_SPEED
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, with_stated_rides, without_rides
 from pdr_graph.lifelog.day import Day, Outing

@@ -18,7 +18,7 @@ import numpy as np
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
-from pdr_graph.gait.steps import GAP_SIGMA_TURN, append_steps, gap, shifted
+from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, append_steps, gap, shifted
 from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation, StatedActivity
 from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
 from pdr_graph.types import Array, Beacons, Fixes, Headings, Index, Sightings, Signal, Steps

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.gait.steps import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
+from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
 from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
 from pdr_graph.sensor_names import unknown_sensor

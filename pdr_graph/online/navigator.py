@@ -30,8 +30,8 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
-from pdr_graph.gait.steps import concatenate_steps
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.measurements import last_time, take

@@ -18,7 +18,7 @@ from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest
-from pdr_graph.report import charts_and_tables, integrity, page
+from pdr_graph.report import charts_and_tables, integrity, page, scores
 from pdr_graph.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
@@ -102,7 +102,7 @@ def content(report: WalkReport) -> dict[str, Any]:
     """The content of the page, in the form documented in ``web/content.js``."""
     estimate, summary, labels = report.estimate, report.summary, report.labels
     paths = {name: path for name, (_, path) in report.tracks.items()}
-    scores = None if report.truth is None else charts_and_tables.scored(paths, report.truth, report.building)
+    accuracy = None if report.truth is None else scores.scored(paths, report.truth, report.building)
     fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MAXIMUM_MARKS).tolist()]
     fix_labels = [_fix_label(fix) for fix in fixes]
     return {
@@ -133,7 +133,7 @@ def content(report: WalkReport) -> dict[str, Any]:
             *integrity.protection_charts(estimate.trajectory, summary["protection"]),
         ],
         "tables": [
-            *([scores] if scores is not None else []),
+            *([accuracy] if accuracy is not None else []),
             *integrity.source_tables(report.sources, estimate.trajectory),
             *integrity.protection_tables(summary["protection"]),
             *charts_and_tables.walk_tables(report.walk, fixes, estimate, summary),
@@ -161,7 +161,7 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
     """Key figures of the walk, as [name, value]."""
     floors = [label for label in summary["floors"] if label]
     figures = [
-        *charts_and_tables.error_figures(summary),
+        *scores.error_figures(summary),
         ["distance", f"{summary['distance']:,.0f} m"],
         ["duration", charts_and_tables.clock(summary["duration"])],
         ["fixes", f"{len(summary['fixes']):,}"],

@@ -25,7 +25,7 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait import compass
-from pdr_graph.gait.steps import GAP_SIGMA_TURN, GAP_SPEED, append_steps, gap, shifted
+from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, GAP_SPEED, append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog import multi_day
 from pdr_graph.measurements import Closures, Levels

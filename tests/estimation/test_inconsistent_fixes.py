@@ -10,7 +10,7 @@ from pdr_graph import kalman_filter, kalman_smoother, smooth
 from pdr_graph.estimation.factors.fixes import REJECTED, consistent_chains
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.gait.steps import concatenate_steps, gap, join, shifted
+from pdr_graph.gait.step_chunks import concatenate_steps, gap, join, shifted
 from pdr_graph.geometry import unit
 from pdr_graph.types import Fixes, Steps
 

@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import X
 
 from pdr_graph import FloorPlan
 from pdr_graph.estimation.covariance import eliminated
-from pdr_graph.gait.steps import gap
+from pdr_graph.gait.step_chunks import gap
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes
 

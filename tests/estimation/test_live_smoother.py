@@ -15,7 +15,7 @@ from pdr_graph.estimation.factors import preintegration, start
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.gait.steps import concatenate_steps, gap
+from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.geometry import dead_reckon, rotation, wrap_angle
 from pdr_graph.types import Fixes
 

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
-from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, append_steps, detect_steps
+from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of

@@ -10,7 +10,7 @@ from walks import drawn_from_the_model
 
 from pdr_graph import dead_reckon
 from pdr_graph.frames import Frame
-from pdr_graph.gait.steps import append_steps
+from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.geometry import interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, WALKING
 from pdr_graph.lifelog.reconstruct import reconstruct

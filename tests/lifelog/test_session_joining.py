@@ -8,7 +8,7 @@ from observations import HERE, NOON, cut_in_two, observation, positions, walk
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait.steps import GAP_SIGMA_TURN
+from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN
 from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, turn_by_field
 from pdr_graph.types import Beacons
 

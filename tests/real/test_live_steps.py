@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pdr_graph import detect_steps, io
+from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.gait.step_stream import StepStream
-from pdr_graph.gait.steps import append_steps
 
 WALKS = ["ms_indoor20/site1/B1/*.txt", "ms_indoor20/site2/*/*.txt", "ipin2023_track3/*Trial01*.txt", "ipin21_hcu/eight"]
 

@@ -10,7 +10,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, TableCheckpoint
 from pdr_graph.estimation.live.review import Findings, Question
 from pdr_graph.estimation.live.step_buffer import later_steps
-from pdr_graph.gait.steps import concatenate_steps
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.types import Steps
 
 SPAN = 120.0  # [s] of the walk in which sources are compared: twice the usual lag; chosen by hand

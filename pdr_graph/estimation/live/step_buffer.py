@@ -18,7 +18,7 @@ from pdr_graph.estimation.factors.preintegration import (
     whole_pieces,
 )
 from pdr_graph.floor.distance_field import DistanceField
-from pdr_graph.gait.steps import concatenate_steps
+from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.types import INSTANT, Array, Index, Steps
 
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
