@@ -126,8 +126,16 @@ def _path(
 
 
 def _points(line: Array) -> str:
-    """The points ``(n, 2)`` [m] of a line in SVG syntax, where y points down."""
-    return " ".join(f"{x:.2f},{-y:.2f}" for x, y in line.tolist())
+    """The points ``(n, 2)`` [m] of a line in SVG syntax, where y points down: the first, then the moves, to 1 cm."""
+    at = np.rint(100 * line * (1, -1)).astype(int)
+    moves = np.diff(at, axis=0)
+    moves = moves[moves.any(axis=1)]
+    return f"{_pairs(at[:1])}l{_pairs(moves)}" if len(moves) else _pairs(at[:1])
+
+
+def _pairs(centimetres: Array) -> str:
+    """Pairs ``(n, 2)`` in metres without trailing zeros."""
+    return " ".join(f"{x / 100:.10g},{y / 100:.10g}" for x, y in centimetres.tolist())
 
 
 EVERYWHERE, NOWHERE = -1, -2  # instead of a map number: on every map, on none

@@ -8,6 +8,7 @@ import time
 import zlib
 from dataclasses import dataclass, replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -153,6 +154,25 @@ def test_the_report_of_twelve_hours_with_a_fix_per_second_is_smaller_than_8_mb()
         Recording("march", 0.0, None), Estimate(path, path, None, {"fixes": fixes}, 1, 0.0, True), causal={"live": path}
     )
     assert len(page(content(march))) < MOST_BYTES
+
+
+def drawn(path):
+    """The lines of an SVG path of absolute starts and relative moves."""
+    for part in path.split("M")[1:]:
+        start, _, moves = part.rstrip("Z").partition("l")
+        pairs = np.array([pair.split(",") for pair in f"{start} {moves}".split()], dtype=float)
+        yield np.cumsum(pairs, axis=0)
+
+
+def test_a_plan_of_ten_kilometres_is_drawn_to_a_centimetre():
+    """Moves are short to write; they are of rounded corners, so that errors do not add up."""
+    angle = np.linspace(0, 40, 4000)
+    line = np.column_stack([5000 + 300 * angle * np.cos(angle), -120 * angle])
+    shape = shapely.LineString(line)
+    floor = SimpleNamespace(corners=np.array([[0.0, 0.0], [10_000.0, 0.0]]))
+    (path,) = drawn(re.search(r' d="([^"]*)"', page_module._path(floor, shapely.multilinestrings([shape])))[1])
+    assert path[[0, -1]] == pytest.approx(line[[0, -1]] * (1, -1), abs=0.006)
+    assert shapely.hausdorff_distance(shapely.LineString(path * (1, -1)), shape) < 0.011
 
 
 def test_a_page_has_no_placeholder_left_and_no_url_to_load(hour):
