@@ -198,8 +198,8 @@ def positions_alone(fixes: Fixes) -> Result:
 
 
 def _filter_track(graph: WalkGraph) -> Mapping[str, Trajectory]:
-    """The causal filter's track, which the report shows beside a smoothed estimate."""
-    return {"filter": kalman_filter(graph).trajectory}
+    """The causal filter's track, which the report shows beside a smoothed estimate; it needs a position to begin at."""
+    return {} if graph.unplaced else {"filter": kalman_filter(graph).trajectory}
 
 
 def _with_headings(walk: Estimate, headings: Headings) -> Estimate:

@@ -17,7 +17,7 @@ from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Inputs
-from pdr_graph.pipeline import observe
+from pdr_graph.pipeline import Evidence, causal_tracks, observe
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Steps
@@ -69,6 +69,14 @@ def test_a_walk_is_found_on_its_plan_without_any_position():
     assert estimate.probability > 0.9
     assert error(estimate, truth) < 2.0
     assert not plan.crosses_wall(estimate.trajectory.position[:-1], estimate.trajectory.position[1:]).any()
+
+
+def test_no_filter_is_shown_of_a_walk_without_any_position():
+    """It would begin at (0, 0), which may be millions of metres from the plan."""
+    plan, steps, _ = arcade()
+    seen = Fixes(steps.time[:1], np.zeros((1, 2)), np.ones(1), ("",))
+    for fixes, names in ((Fixes.none(), []), (seen, ["filter"])):
+        assert list(causal_tracks(Evidence(steps, fixes, building=Building.around(plan)), "graph")) == names
 
 
 def test_a_symmetric_building_has_two_answers_of_one_half():

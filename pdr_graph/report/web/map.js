@@ -151,7 +151,7 @@ const picture = ({ plan }) => {
 };
 const LENGTHS = [
   // 2,500m, and 12km where ticks are a kilometre apart or more
-  { dtickrange: [null, 999], value: ",~r" },
+  { dtickrange: [null, 999], value: ",.10~r" }, // all digits of UTM's northings
   { dtickrange: [999, null], value: "~s" },
 ];
 const drawMap = () => {
