@@ -180,7 +180,8 @@ def test_a_cluster_without_workers_is_refused():
 
 def test_the_message_without_dask_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"found no Dask, expected the extra fleet"), fleet(scheduler="tcp://a:1"):
+    message = r"found no Dask, expected pip install '\.\[fleet\]'"
+    with pytest.raises(InputError, match=message), fleet(scheduler="tcp://a:1"):
         pass
 
 
