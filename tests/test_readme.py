@@ -13,7 +13,9 @@ def test_the_readme_examples_run_as_printed(tmp_path):
     """In an empty folder: what they need they make."""
     said = pages.execute(ROOT / "README.md", tmp_path)
     assert (tmp_path / "walk.png").stat().st_size > 20_000
-    assert "p50" in said
+    median = re.search(r"^median error (\d\.\d\d) m$", said, re.MULTILINE)
+    assert median
+    assert 0.3 < float(median[1]) < 1.5
     assert "Pose(" in said
 
 
