@@ -7,13 +7,13 @@ while the walk is estimated.
 from __future__ import annotations
 
 import gc
-from functools import partial
+from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 
 from pdr_graph import io
 from pdr_graph.progress import Stages
-from pdr_graph.second_core import beside
+from pdr_graph.second_core import in_background
 from pdr_graph.walk_options import Options
 from pdr_graph.whole_files import output_folder
 
@@ -28,18 +28,24 @@ def smooth_recording(
     """
     options, stage = options or Options(), Stages()
     with stage("reading"):
-        with beside(partial(import_module, "pdr_graph.pipeline")):
+        with in_background(partial(import_module, "pdr_graph.pipeline")):
             walk = io.load(recording, options.gnss_latency)
         from pdr_graph.inputs import read
-        from pdr_graph.outputs import REPORT, aside, write
+        from pdr_graph.outputs import REPORT, picture_call, write
         from pdr_graph.pipeline import causal_tracks, estimate, observe, positions_alone
 
-        gc.freeze()  # imported modules stay: the garbage collector need not visit them
+        keep_modules()
         inputs = read(recording, options, walk=walk)
     with stage("steps"):
         evidence = observe(inputs, options)
     causal = partial(causal_tracks, evidence, options.method) if report else dict
-    with aside(inputs, causal) as call, output_folder(out, without=() if report else (REPORT,)) as staged:
+    with picture_call(inputs, causal) as call, output_folder(out, without=() if report else (REPORT,)) as staged:
         with stage("estimate"):
             result = estimate(evidence, options.method) if inputs.walk.signals else positions_alone(inputs.fixes)
         return write(staged, inputs, result, options, stage, report, call)
+
+
+@cache
+def keep_modules() -> None:
+    """Leave imported modules out of garbage collection; once, since what later calls freeze is never collected."""
+    gc.freeze()

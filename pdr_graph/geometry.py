@@ -1,8 +1,9 @@
-"""Angles, plane geometry, dead reckoning, confidence regions, protection levels and the Viterbi algorithm."""
+"""Angles, plane geometry, dead reckoning, confidence regions, protection levels; Gaussian weights, Viterbi."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -224,3 +225,11 @@ def viterbi(costs: Sequence[Array] | Array, moves: Sequence[Array] | Array) -> t
     for before in reversed(origin):
         states.append(before.reshape(len(rows), -1)[rows, states[-1]])
     return np.stack(states[::-1], axis=-1).reshape(*shape, -1), total.min(axis=-1)
+
+
+@lru_cache(maxsize=64)
+def gaussian_weights(sigma: float) -> Array:
+    """Weights of a Gaussian ``(2 reach + 1,)``; sigma [samples]. With `correlate1d` they are `gaussian_filter1d`."""
+    at = np.arange(-int(4 * sigma + 0.5), int(4 * sigma + 0.5) + 1)
+    weights = np.exp(-0.5 / (sigma * sigma) * at**2)
+    return weights / weights.sum()

@@ -28,7 +28,7 @@ from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.progress import Stages
 from pdr_graph.report.library import packed_library
-from pdr_graph.second_core import ForkedCall, beside
+from pdr_graph.second_core import ForkedCall, in_background
 from pdr_graph.types import Estimate, Steps, Trajectory
 from pdr_graph.walk_options import Options
 
@@ -81,15 +81,15 @@ def write(
     options: Options,
     stage: Stages,
     report: bool = True,
-    call: ForkedCall[Aside] | None = None,
+    call: ForkedCall[PictureAndTracks] | None = None,
 ) -> tuple[str, ...]:
     """Write trajectory, picture, walker, report and summary to ``out``; returns what is missing, a line each.
 
-    report: False leaves ``report.html`` out; call: one of `aside` that has not been started.
+    report: False leaves ``report.html`` out; call: one of `picture_call` that has not been started.
     """
     estimate, missing = result.estimate, result.missing
-    call = call or aside(inputs, result.tracks if report else dict)
-    with stage("write"), beside(packed_library) if report else nullcontext():
+    call = call or picture_call(inputs, result.tracks if report else dict)
+    with stage("write"), in_background(packed_library) if report else nullcontext():
         call.start(estimate)
         write_tracks(out, inputs, estimate, options.rate)
         if result.steps is not None and teaches_profile(estimate):
@@ -128,11 +128,11 @@ def write_tracks(out: Path, inputs: Inputs, estimate: Estimate, rate: float | No
 
 Picture = bytes | str
 """A PNG, or why there is none."""
-Aside = tuple[Picture, Mapping[str, Trajectory] | None]
-"""What can be computed aside: the picture, and the causal tracks if they are known."""
+PictureAndTracks = tuple[Picture, Mapping[str, Trajectory] | None]
+"""The picture, and the causal tracks if they are known."""
 
 
-def aside(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] | None]) -> ForkedCall[Aside]:
+def picture_call(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] | None]) -> ForkedCall[PictureAndTracks]:
     """The call that draws the picture of an estimate; as a context it has a process of its own.
 
     causal: computes the causal tracks, before the estimate is known.
@@ -148,7 +148,7 @@ def aside(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] | None])
     return ForkedCall(partial(_draw, inputs), prepare)
 
 
-def _draw(inputs: Inputs, tracks: Mapping[str, Trajectory] | None, estimate: Estimate) -> Aside:
+def _draw(inputs: Inputs, tracks: Mapping[str, Trajectory] | None, estimate: Estimate) -> PictureAndTracks:
     """The picture of a walk, or a text if it cannot be drawn, since the result is still useful; and the tracks."""
     try:
         from pdr_graph.plotting import picture_bytes, plot

@@ -24,7 +24,7 @@ LENGTH = 8  # [bytes] of an answer's length, before it
 
 
 @contextmanager
-def beside(task: Callable[[], object]) -> Iterator[None]:
+def in_background(task: Callable[[], object]) -> Iterator[None]:
     """Run a task in a thread beside the block: an import while a file is unzipped, or what is computed outside Python.
 
     An exception of the task is dropped, since what failed is tried again where it is needed.

@@ -5,6 +5,7 @@ import resource
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 import warnings
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from pdr_graph import second_core
-from pdr_graph.second_core import ForkedCall, beside
+from pdr_graph.second_core import ForkedCall, in_background
 
 HERE = os.getpid()
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="copies are made on Linux alone")
@@ -164,13 +165,28 @@ def test_if_the_process_is_killed_its_copy_ends_too():
 
 def test_a_task_beside_a_block_is_done_at_its_end():
     done = []
-    with beside(lambda: done.append(time.sleep(0.2))):
+    with in_background(lambda: done.append(time.sleep(0.2))):
         assert done == []
     assert done == [None]
 
 
 def test_an_exception_of_a_task_beside_is_dropped(capsys):
     """What failed is tried again where it is needed."""
-    with beside(lambda: 1 / 0):
+    with in_background(lambda: 1 / 0):
         pass
     assert capsys.readouterr() == ("", "")
+
+
+def test_the_garbage_of_a_walk_is_not_frozen_with_the_modules():
+    """A program that smooths many walks would grow with each."""
+    code = """
+        import gc
+        from pdr_graph.batch import keep_modules
+
+        keep_modules()
+        before = gc.get_freeze_count()
+        garbage = [[] for _ in range(1000)]
+        keep_modules()
+        assert gc.get_freeze_count() <= before
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=True, timeout=60)

@@ -26,7 +26,7 @@ ODDS = np.log((TRIES + 1) / np.maximum(np.arange(TRIES + 1), 1))  # log-odds of 
 CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
 STAIRS_SIGMA = 1.0  # [m] distance from stairs or a lift at a floor change, whose time a barometer measures roughly
 COSTS = (BODY, CLEAR, CLEAR_PRICE, OUTSIDE_PRICE, WALL_COST)
-REPAID = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
+LOAD_AFTER = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
 
 Motion = tuple[float, float, float, float]  # of a step: length [m], turn [rad], time [s], points tested against walls
 
@@ -52,9 +52,9 @@ class Compiled:
 
     def for_particles(self, count: int, may_load: bool) -> ModuleType | None:
         """The compiled functions to move ``count`` particles, None for NumPy's; may_load: if it is time to."""
-        if self.moved < REPAID:
+        if self.moved < LOAD_AFTER:
             self.moved += count
-            if may_load and self.moved >= REPAID:
+            if may_load and self.moved >= LOAD_AFTER:
                 self.load()
         return self.functions
 
@@ -63,7 +63,7 @@ class Compiled:
 
         NumPy's remain without numba, or where it has no folder for what it compiles.
         """
-        self.moved = REPAID
+        self.moved = LOAD_AFTER
         with suppress(Exception):  # numba raises what it likes, and is not needed
             from pdr_graph.estimation import particle_kernels
 

@@ -7,7 +7,6 @@ output is final and is stored; after that it is computed at each update as for a
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import correlate1d
@@ -25,20 +24,13 @@ from pdr_graph.gait.step_detection import (
     maxima,
     strong_maxima,
 )
+from pdr_graph.geometry import gaussian_weights
 from pdr_graph.types import Array, Index
 
 MARGIN = 1e-6  # [s] rounding of a time that is counted from another sample
 
 
-@lru_cache(maxsize=64)
-def gaussian(sigma: float) -> Array:
-    """Weights of a Gaussian ``(2 reach + 1,)``; sigma [samples]. With `correlate1d` it is `gaussian_filter1d`."""
-    at = np.arange(-int(4 * sigma + 0.5), int(4 * sigma + 0.5) + 1)
-    weights = np.exp(-0.5 / (sigma * sigma) * at**2)
-    return weights / weights.sum()
-
-
-class Windowed:
+class WindowSums:
     """Sums of the products of a signal with itself and of its squares, in windows as those of `_correlations`."""
 
     def __init__(self, sampling: float):
@@ -95,7 +87,7 @@ class CandidateStream:
 
     def __init__(self, sampling: float, look_ahead: float, first: int):
         self.sampling, self.look_ahead, self.first = sampling, look_ahead, first
-        self.windowed = Windowed(sampling)
+        self.windowed = WindowSums(sampling)
         self.windowed.first = first
         self.past = int(self.windowed.lags[-1])
         self.reach = longest_reach(sampling)
@@ -119,14 +111,14 @@ class CandidateStream:
         fresh = at_frequency(level, self.which[which - self.first], self.sampling)
         self.wave = np.concatenate([self.wave[: self.wave_final - self.first], fresh])
 
-        smoothing = len(gaussian(CANDIDATE.level / self.sampling)) // 2
+        smoothing = len(gaussian_weights(CANDIDATE.level / self.sampling)) // 2
         self.level_final = max(self.level_final, final - smoothing)
         self.which_final = max(self.which_final, self.level_final - self.windowed.reach)
         self.wave_final = max(self.wave_final, min(self.which_final + self.late, self.level_final - self.reach))
         self._update_certain()
 
     def _update_level(self, smooth: Array) -> None:
-        weights = gaussian(CANDIDATE.level / self.sampling)
+        weights = gaussian_weights(CANDIDATE.level / self.sampling)
         known = self.level_final - self.first
         begin = max(0, known - len(weights) // 2)
         fresh = smooth[begin:] - correlate1d(smooth[begin:], weights)

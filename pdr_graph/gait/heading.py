@@ -354,7 +354,7 @@ def walking_direction(attitude: Attitude, step: float) -> Direction:
     the walker, whose turn then comes from the gait, or is 0 ± 0.35 rad.
     """
     samples = max(1, round(step / attitude.period))
-    steady = mean_attitude(continuous(attitude.R_world_device.as_quat()), 2 * samples)
+    steady = mean_attitude(with_continuous_signs(attitude.R_world_device.as_quat()), 2 * samples)
     turned = np.concatenate([[0.0], np.cumsum(turns_about_vertical(steady))])
     rate_integral = integrated_rate(attitude)
     coning = uniform_filter1d(rate_integral, 2 * samples, mode="nearest") - turned
@@ -381,8 +381,8 @@ def integrated_rate(attitude: Attitude) -> Array:
     return turned - turned[0]
 
 
-def continuous(quaternion: Array) -> Array:
-    """Quaternions ``(n, 4)`` of the same attitudes, with signs that do not change from sample to sample."""
+def with_continuous_signs(quaternion: Array) -> Array:
+    """Quaternions ``(n, 4)`` of the same attitudes, with signs that do not jump from sample to sample."""
     turned_round = np.cumprod(np.where(np.sum(quaternion[1:] * quaternion[:-1], axis=1) < 0, -1.0, 1.0))
     return quaternion * np.concatenate([[1.0], turned_round])[:, None]
 
@@ -390,7 +390,7 @@ def continuous(quaternion: Array) -> Array:
 def mean_attitude(quaternion: Array, samples: int) -> Array:
     """Unit quaternions ``(4, n)`` of attitudes ``(n, 4)`` averaged over a window of samples.
 
-    Means of `continuous` quaternions are those of the attitudes for swings of less than 90°.
+    Means of quaternions `with_continuous_signs` are those of the attitudes for swings of less than 90°.
     """
     mean = uniform_filter1d(np.ascontiguousarray(quaternion.T), samples, axis=1, mode="nearest")
     return mean / np.linalg.norm(mean, axis=0)

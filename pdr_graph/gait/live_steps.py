@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from pdr_graph import storage
-from pdr_graph.gait.candidate_stream import CandidateStream, gaussian
+from pdr_graph.gait.candidate_stream import CandidateStream
 from pdr_graph.gait.step_detection import (
     BOUT,
     CANDIDATE,
@@ -17,6 +17,7 @@ from pdr_graph.gait.step_detection import (
     decimation,
     steadiness,
 )
+from pdr_graph.geometry import gaussian_weights
 from pdr_graph.types import Array
 
 
@@ -136,7 +137,7 @@ class StepDetector:
     @property
     def _smooth_final(self) -> int:
         """Number of the first smoothed |a| that later samples may change."""
-        reach = len(gaussian(CANDIDATE.smoothing / self.period)) // 2
+        reach = len(gaussian_weights(CANDIDATE.smoothing / self.period)) // 2
         return max(self.smoothed_first, (self.count - 1 - reach) // decimation(self.period) + 1)
 
     def _smooth(self) -> None:
@@ -152,14 +153,14 @@ class StepDetector:
 
     def _magnitude(self, begin: int) -> Array:
         """Smoothed |a| ``(m,)`` from smoothed sample ``begin`` on. [m/s²]"""
-        weights, stride = gaussian(CANDIDATE.smoothing / self.period), decimation(self.period)
+        weights, stride = gaussian_weights(CANDIDATE.smoothing / self.period), decimation(self.period)
         first = max(self.first, begin * stride - len(weights) // 2)
         smooth = correlate1d(np.linalg.norm(self.samples[first - self.first :], axis=1), weights)
         return smooth[begin * stride - first :: stride]
 
     def _steadiness(self, begin: int) -> Array:
         """Steadiness of the vertical ``(m,)`` from smoothed sample ``begin`` on."""
-        weights, stride = gaussian(CANDIDATE.tilt_smoothing / self.period), decimation(self.period)
+        weights, stride = gaussian_weights(CANDIDATE.tilt_smoothing / self.period), decimation(self.period)
         reach, known = len(weights) // 2, self._gravity_first + self._gravity.shape[1]
         first = max(self.first, known - reach)
         fresh = correlate1d(self.samples[first - self.first :].T.copy(), weights, axis=1)[:, known - first :]

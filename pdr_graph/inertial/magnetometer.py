@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.frames import EarthField
-from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.geometry import gaussian_weights, interpolate, nearest
 from pdr_graph.inertial.attitude import LONGEST_BRIDGED, Attitude
 from pdr_graph.inertial.attitude_stream import SensorStream
 from pdr_graph.types import Array, Signal
@@ -176,11 +176,10 @@ def field_in_world(attitude: Attitude, device: Array, every: int = 1) -> Array:
 
     Only the rows that are returned are smoothed: an observation of north per second needs one of a hundred.
     """
-    sigma = MAGNETOMETER.smoothing / attitude.period
-    reach = round(4 * sigma)
-    weights = np.exp(-((np.arange(-reach, reach + 1) / sigma) ** 2) / 2)
+    weights = gaussian_weights(MAGNETOMETER.smoothing / attitude.period)
+    reach = len(weights) // 2
     world = np.pad(attitude.R_world_device.apply(device), ((reach, reach), (0, 0)), mode="edge")
-    return sliding_window_view(world, len(weights), axis=0)[::every] @ (weights / weights.sum())
+    return sliding_window_view(world, len(weights), axis=0)[::every] @ weights
 
 
 @dataclass(frozen=True)

@@ -100,12 +100,11 @@ class EventChecks:
         order = np.argsort(span, kind="stable")
         place = np.empty(len(data), dtype=np.intp)
         place[order] = np.arange(len(data)) - np.searchsorted(span[order], span[order])
-        if used is not None:
-            times = last_time(used)  # sorted
-            place += np.searchsorted(times, (span + 1) * SPAN) - np.searchsorted(times, span * SPAN)
+        earlier = np.empty(0) if used is None else last_time(used)  # sorted
+        place += np.searchsorted(earlier, (span + 1) * SPAN) - np.searchsorted(earlier, span * SPAN)
         within = place < most
         if isinstance(data, Ranges):
-            within &= _at_few_moments(last_time(data), np.empty(0) if used is None else last_time(used))
+            within &= _at_few_moments(last_time(data), earlier)
         return self._counted(name, data, within, TOO_OFTEN.format(most))
 
     def heard(self, received: Sightings) -> Sightings:

@@ -12,7 +12,7 @@ from pdr_graph import Headings, WalkGraph, estimation
 from pdr_graph.estimation import particle_motion
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import ParticleFilter, particle_filter
-from pdr_graph.estimation.particle_motion import COMPILED, REPAID, Compiled, Walls, stepped
+from pdr_graph.estimation.particle_motion import COMPILED, LOAD_AFTER, Compiled, Walls, stepped
 
 NUMPYS = particle_motion._first_try
 
@@ -30,7 +30,7 @@ def compiled():
 def by(functions, monkeypatch, run):
     """The result of ``run`` by some functions, NumPy's if None, and how many particles NumPy moved."""
     monkeypatch.setattr(COMPILED, "functions", functions)
-    monkeypatch.setattr(COMPILED, "moved", REPAID)
+    monkeypatch.setattr(COMPILED, "moved", LOAD_AFTER)
     tried = []
     monkeypatch.setattr(
         particle_motion, "_first_try", lambda state, *rest: tried.append(state.shape[1]) or NUMPYS(state, *rest)
@@ -108,7 +108,7 @@ def test_a_walk_of_compiled_steps_is_the_same_walk(compiled, monkeypatch):
 def moved(loader, monkeypatch, **given):
     """Move 1000 particles until loading is repaid, and once more."""
     monkeypatch.setattr(particle_motion, "COMPILED", loader)
-    monkeypatch.setattr(particle_motion, "REPAID", 3000)
+    monkeypatch.setattr(particle_motion, "LOAD_AFTER", 3000)
     particles = ParticleFilter(Prior(), 0, fewest=1000, most=1000, **given)
     particles.begin_at(crowd(1000, 5))
     for _ in range(4):
