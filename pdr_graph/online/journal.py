@@ -30,7 +30,7 @@ from pdr_graph.storage import Kind, decode, encode, encode_and_decode
 from pdr_graph.types import Estimate, Trajectory
 
 REMEDY = "finish the walk with the pdr_graph that began it, or start a new --journal"
-JOURNAL = Kind("journal", 0x50445247, 2, REMEDY)  # "PDRG", and of this form of file
+JOURNAL = Kind("journal", 0x50445247, 3, REMEDY)  # "PDRG", and of this form of file
 SCHEMA = (
     "CREATE TABLE setting (name TEXT PRIMARY KEY, bytes BLOB NOT NULL)",
     "CREATE TABLE event (number INTEGER PRIMARY KEY, bytes BLOB NOT NULL)",

@@ -245,7 +245,7 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
 
 @pytest.mark.parametrize(
     ("version", "remedy"),
-    [(1, "finish the walk with the pdr_graph that began it, or start a new --journal"), (3, "use the newer pdr_graph")],
+    [(1, "finish the walk with the pdr_graph that began it, or start a new --journal"), (4, "use the newer pdr_graph")],
 )
 def test_another_version_is_an_input_error(tmp_path, version, remedy):
     walked(tmp_path / "walk", 3).close()
@@ -253,14 +253,14 @@ def test_another_version_is_an_input_error(tmp_path, version, remedy):
         database.execute(f"PRAGMA user_version = {version}")
         database.execute("PRAGMA journal_mode = DELETE")
     database.close()
-    refused(tmp_path / "walk", f"format: found {version}, expected 2, which this version reads: {remedy}")
+    refused(tmp_path / "walk", f"format: found {version}, expected 3, which this version reads: {remedy}")
 
 
 def test_a_journal_of_format_1_is_an_input_error_and_unchanged(tmp_path):
     """Made by pdr_graph 0.1.0 with its JSON events; compressed."""
     path = tmp_path / "walk"
     path.write_bytes(zlib.decompress((HERE / "journal_format_1.z").read_bytes()))
-    refused(path, "format: found 1, expected 2")
+    refused(path, "format: found 1, expected 3")
 
 
 def test_an_empty_file_is_a_new_journal(tmp_path):

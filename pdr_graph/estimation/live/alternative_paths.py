@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
 
 from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
@@ -14,9 +13,9 @@ from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
+from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
 from pdr_graph.types import Index
 
@@ -33,12 +32,13 @@ class AlternativePaths(LiveOutput):
     def __init__(self, graph: LiveGraph, executor: Executor | None) -> None:
         super().__init__(graph)
         self._batch, self.next_batch = Deferred[BatchSolution](executor), -np.inf
+        self._trial = Deferred[Trial](executor)
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
         self.batch_reviewed = False
         self.alternatives_tried, self.alternatives_accepted = 0, 0
         self._particles: ParallelParticleFilter | None = None
 
-    def _batch_question(self, alternative: bool = False) -> BatchQuestion:
+    def _batch_question(self) -> BatchQuestion:
         raise NotImplementedError
 
     def _restart(self, carried: bool = True) -> None:
@@ -76,11 +76,11 @@ class AlternativePaths(LiveOutput):
         window = self.graph.window
         at = int(np.searchsorted(window.times, particles.times[-1] - CLOSE))
         alternative = particles.alternative_path(window.pose[min(at, len(window.times) - 1), :2])
-        if alternative is not None:
-            self._try(alternative)
+        if alternative is not None and self._trial.idle:
+            self._ask_trial(lambda: (alternative, {}), SCHEDULE.rounds)
         elif self._review_due():
             self.batch_reviewed = True
-            self._batch.ask(self._batch_question(alternative=True), window.times[-1] + SCHEDULE.batch_time)
+            self._ask_batch_for_alternative()
         elif self._cost_check_due() and self._cost_too_high():
             self._restart(carried=False)
 
@@ -88,7 +88,7 @@ class AlternativePaths(LiveOutput):
         """True if the batch should solve the walk once more, before any of it leaves the window."""
         window = self.graph.window
         long = window.times[-1] - window.times[0] > SCHEDULE.review_after
-        return not self.batch_reviewed and self._batch.idle and self.graph.has_position and window.complete and long
+        return not self.batch_reviewed and self._trial.idle and self.graph.has_position and window.complete and long
 
     def _cost_check_due(self) -> bool:
         window = self.graph.window
@@ -99,45 +99,25 @@ class AlternativePaths(LiveOutput):
         fixes = len(self.graph.log.position_times())
         return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
 
-    def _try(self, alternative: AlternativePath, decisions: Decisions | None = None) -> None:
-        """Optimise from an alternative path; return to the present one unless the alternative costs less.
+    def _ask_batch_for_alternative(self) -> None:
+        """Try the path that the batch finds."""
+        self._ask_trial(self._batch_question().alternative, SCHEDULE.batch_rounds)
 
-        decisions: about measurements, on that path; by default the present ones.
-        """
-        graph, window = self.graph, self.graph.window
-        if alternative.time[-1] < window.times[0]:
+    def _ask_trial(self, alternative: Callable[[], tuple[AlternativePath, Decisions]], rounds: int) -> None:
+        """Compare an alternative with the present path, see `TrialQuestion`, and adopt the better one later."""
+        self.graph.finalize_leaving()
+        question = TrialQuestion(self.graph.copy(), set(self.graph.isam.factors), alternative, rounds)
+        self._trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
+
+    def _adopt_alternative(self) -> None:
+        """Move the window to an alternative that was accepted."""
+        graph = self.graph
+        trial = self._trial.collect(graph.window.times[-1])
+        if trial is None:
             return
         self.alternatives_tried += 1
-        isam, pose, c = graph.isam, window.pose.copy(), dict(window.c)
-        walls = [interval.fields for interval in window.intervals]
-        before, decided = graph.total_cost + self._associate_walls(ALL), dict(graph.decisions)
-        graph.decide({**decided, **(decisions or {})})
-        self._move_to(alternative)
-        price = self._associate_walls(ALL)
-        for _ in range(SCHEDULE.rounds if decisions is None else SCHEDULE.batch_rounds):
-            graph.relinearize()
-        if graph.total_cost + price < before:
+        if trial.accepted and trial.path.time[-1] >= graph.window.times[0]:
             self.alternatives_accepted += 1
-            return
-        for interval, fields in zip(window.intervals, walls, strict=True):
-            interval.fields = fields
-        window.pose, window.c = pose, c
-        graph.decide(decided)
-        graph.restore_solver(isam)
-
-    def _move_to(self, path: AlternativePath) -> None:
-        """Move the window to a path; keyframes after its end are dead-reckoned."""
-        graph, window = self.graph, self.graph.window
-        times = np.array(window.times)
-        within = np.flatnonzero((times >= path.time[0] - CLOSE) & (times <= path.time[-1] + CLOSE))
-        window.pose[within] = path.poses(times[within])
-        window.dead_reckon(int(within[-1]), path.state[-1, 3:])
-        values = gtsam.Values(graph.isam.values)
-        for number, pose in zip(window.keyframes, window.pose, strict=True):
-            values.update(X(number), gtsam.Pose2(*pose))
-        for interval in window.intervals:
-            if interval.begin >= path.time[0] - CLOSE:
-                window.c[interval.segment] = path.state[-1, 3:]
-                values.update(C(interval.segment), path.state[-1, 3:])
-        self._associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
-        graph.restart_solver(graph.isam.with_values(values), graph.isam.factors)
+            graph.finalize_leaving()
+            graph.decide(graph.decisions | trial.decisions)
+            move_to(graph, trial.path, graph.isam.factors)

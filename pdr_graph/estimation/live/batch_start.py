@@ -29,8 +29,7 @@ class BatchSolution:
 
     time: ``(m + 1,)`` start and ends of the pieces [s]; pose: ``(m + 1, 3)`` there; segment_start: ``(s,)`` [s]; c:
     ``(s, 3)``; decisions: about measurements, by kind; sure: no other path is likely, and the direction is certain;
-    modes: all paths that remain, at the end; directed: each has a direction; headings: numbers of those that it used;
-    alternative: it is one to try beside the present path, not to adopt.
+    modes: all paths that remain, at the end; directed: each has a direction; headings: numbers of those that it used.
     """
 
     time: Array
@@ -42,7 +41,6 @@ class BatchSolution:
     modes: GaussianMixture
     directed: bool
     headings: Index
-    alternative: bool
 
     @property
     def near(self) -> Position:
@@ -68,12 +66,11 @@ class BatchSolution:
 class BatchQuestion:
     """A solution that is due.
 
-    graph: builds that of the window; numbers: permanent numbers of its rows, by kind; alternative: see `BatchSolution`.
+    graph: builds that of the window; numbers: permanent numbers of its rows, by kind.
     """
 
     graph: Callable[[], WalkGraph]
     numbers: dict[str, Index]
-    alternative: bool = False
 
     def answer(self) -> BatchSolution:
         """The most probable walk, with a test whether it is certain, and the other ways that remain."""
@@ -98,8 +95,12 @@ class BatchQuestion:
             modes=modes,
             directed=bool((variance < AMBIGUOUS**2).all()),
             headings=self.numbers.get("headings", np.empty(0, dtype=np.intp)),
-            alternative=self.alternative,
         )
+
+    def alternative(self) -> tuple[AlternativePath, Decisions]:
+        """The most probable walk as a path to try, and the decisions on it."""
+        solution = self.answer()
+        return solution.path, solution.decisions
 
     def _decisions(self, graph: WalkGraph) -> Decisions:
         found = {measurement.name: measurement.decisions() for measurement in graph.measurements}

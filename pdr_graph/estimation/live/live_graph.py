@@ -7,6 +7,7 @@ their factors linearised at the estimate, and again when a variable has moved.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -406,6 +407,15 @@ class LiveGraph:
             return WalkGraph.of(steps, [*data, *raw], floor=plan, floors=labels, prior=prior).decided(of_kinds)
 
         return build
+
+    def copy(self) -> LiveGraph:
+        """An independent graph of the same window, without rows and reports; its solver has no factors yet."""
+        other = copy(self)
+        other.window, other.log = self.window.copy(), self.log.copy()
+        other.isam = self.isam.with_values(self.isam.values)
+        other.finalized, other.collectors, other._arrivals = FinalizedTrajectory(), [], list(self._arrivals)
+        other._current = other._last = other._checked_poses = None
+        return other
 
     def checkpoint(self) -> LiveGraphCheckpoint:
         """Return the state, from which the walk continues bit by bit the same."""

@@ -26,6 +26,7 @@ from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.modes import ModesCheckpoint
 from pdr_graph.estimation.live.new_fixes import NewFixes
+from pdr_graph.estimation.live.path_trial import Trial
 from pdr_graph.estimation.live.plan_search import SOURCE, Places, PlacesQuestion
 from pdr_graph.estimation.live.review import Excess, Findings, Review
 from pdr_graph.estimation.live.schedule import SCHEDULE
@@ -50,6 +51,8 @@ class SmootherCheckpoint:
     asked: dict[str, Index]
     solution: BatchSolution | None
     batch_due: float
+    trial: Trial | None
+    trial_due: float
     places: Places | None
     search_due: float
     next_search: float
@@ -138,6 +141,7 @@ class LiveSmoother(NewFixes):
         self.finished = graph.window.finished = True
         self._close(at_end=True)
         self._batch.cancel()
+        self._trial.cancel()
         self._search.cancel()
         if not self.sure and graph.has_position:
             self._adopt_batch(self._batch_question().answer())
@@ -169,6 +173,7 @@ class LiveSmoother(NewFixes):
         self._search_plan()
         if not self._solve_by_batch():
             graph.update()
+        self._adopt_alternative()
         if reached and self.sure:
             self._reclassify()
             self._doubt_new_fixes()
@@ -227,11 +232,7 @@ class LiveSmoother(NewFixes):
         """
         now = self.graph.window.times[-1]
         solution = self._batch.collect(now)
-        if solution is not None and solution.alternative:
-            self.graph.update()
-            self.graph.finalize_leaving()
-            self._try(solution.path, solution.decisions)
-        elif solution is not None:
+        if solution is not None:
             self._adopt_batch(solution)
         if not self.sure and self.graph.window.duration > SCHEDULE.longest_open and np.isinf(self.graph.isam.lag):
             self.graph.rebuild(self.graph.lag)  # keyframes leave the window although the direction is open
@@ -275,12 +276,12 @@ class LiveSmoother(NewFixes):
             not np.isin(numbers[kind], self._asked.get(kind, ())).all() for kind in kinds
         )
 
-    def _batch_question(self, alternative: bool = False) -> BatchQuestion:
-        """The batch of the window. alternative: its solution is tried, not adopted."""
+    def _batch_question(self) -> BatchQuestion:
+        """The batch of the window."""
         graph = self.graph
         graph.finalize_leaving()
         c = self._first_calibration(self._carried)[0] if self._restarting else None
-        return BatchQuestion(graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered), alternative)
+        return BatchQuestion(graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
 
     def _adopt_batch(self, solution: BatchSolution) -> None:
         """Restart from a solution of the batch."""
@@ -321,6 +322,7 @@ class LiveSmoother(NewFixes):
         self._restarting, self._carried = True, carried
         self.sure = self.solved = False
         self._batch.cancel()
+        self._trial.cancel()
         self.next_batch = -np.inf
 
     def _first_calibration(self, carried: bool) -> tuple[Array, Array]:
@@ -348,6 +350,7 @@ class LiveSmoother(NewFixes):
     def review(self) -> None:
         """Do what is due soon in an idle moment; else the push that needs it does, with equal results."""
         self._batch.work()
+        self._trial.work()
         self._review.work()
         self._search.work()
 
@@ -386,6 +389,7 @@ class LiveSmoother(NewFixes):
             graph.update(everything=True)
             return
         graph.finalize_leaving()
+        self._trial.cancel()
         graph.c_prior = self._first_calibration(carried=True)
         window.pose = review.poses(np.array(window.times), window.pose)
         for interval in window.intervals:
@@ -415,6 +419,8 @@ class LiveSmoother(NewFixes):
             asked=self._asked,
             solution=self._batch.work(),
             batch_due=self._batch.due,
+            trial=self._trial.work(),
+            trial_due=self._trial.due,
             places=self._search.work(),
             search_due=self._search.due,
             next_search=self.next_search,
@@ -441,6 +447,7 @@ class LiveSmoother(NewFixes):
         self._asked = checkpoint.asked
         self.modes.restore(checkpoint.modes)
         self._batch.restore(checkpoint.solution, checkpoint.batch_due)
+        self._trial.restore(checkpoint.trial, checkpoint.trial_due)
         self._search.restore(checkpoint.places, checkpoint.search_due)
         self.next_search = checkpoint.next_search
         self._review.restore(checkpoint.review, checkpoint.review_due)

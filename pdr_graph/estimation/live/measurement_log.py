@@ -190,6 +190,12 @@ class MeasurementLog:
         if self.longer is not None:
             self.longer.keep_latest(count)
 
+    def copy(self) -> MeasurementLog:
+        """An independent log of the same rows."""
+        other = MeasurementLog()
+        other._tables, other.version = dict(self._tables), self.version
+        return other
+
     def checkpoint(self) -> list[TableCheckpoint]:
         """Return all tables."""
         return [TableCheckpoint(encode(table.data), table.number, table.count) for table in self._tables.values()]

@@ -39,13 +39,13 @@ class NewFixes(AlternativePaths):
         """Ask the batch for another way if a new fix is far from the present one, or behind a wall."""
         graph, window = self.graph, self.graph.window
         now, fixes, numbers = window.times[-1], graph.log.rows(Fixes), graph.log.numbers("fixes")
-        if not self.sure or fixes is None or numbers is None or not self._batch.idle or now < self.next_batch:
+        if not self.sure or fixes is None or numbers is None or not self._trial.idle or now < self.next_batch:
             return
         within = (fixes.time >= window.times[0]) & (fixes.time <= now + CLOSE)
         new = np.flatnonzero(within & ~np.isin(numbers, self._asked.get("fixes", ())))
         self._asked = graph.log.all_numbers(now)
         if len(new) and self._is_elsewhere(fixes[new]).any():
-            self._batch.ask(self._batch_question(alternative=True), now + SCHEDULE.batch_time)
+            self._ask_batch_for_alternative()
             self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
 
     def _is_elsewhere(self, fixes: Fixes) -> Mask:

@@ -14,7 +14,7 @@ import numpy as np
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import GaussianMixture
-from pdr_graph.estimation.live.step_buffer import Interval
+from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.optimizer import SAME_PATH
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleFilter
 from pdr_graph.estimation.path_modes import dominant_modes
@@ -39,6 +39,10 @@ class AlternativePath:
     def poses(self, time: Array) -> Array:
         """Poses ``(n, 3)`` at times ``(n,)`` [s]."""
         return poses_at(time, self.time, self.state[:, :3])
+
+    def calibration(self, time: float) -> Array:
+        """(R_s, R_d, b) ``(3,)`` at a time [s]."""
+        return self.state[min(int(np.searchsorted(self.time, time - CLOSE)), len(self.time) - 1), 3:]
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,7 @@ class ParallelParticleFilter:
         if self._apart < CONFIRMATIONS:
             return None
         self._apart = 0
+        path[:, 3:] = path[-1, 3:]  # the last is the best informed
         return AlternativePath(np.array(self.times), path)
 
     def forget(self, before: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,6 +139,12 @@ class StepBuffer:
             start = float(self.whole[count - 1, END])
             self.walked, self.start, self.whole = float(self.walked_by(start)), start, self.whole[count:]
         self.chunks = [later_steps(steps, before) for steps in self.chunks if steps.end > before] or self.chunks[-1:]
+
+    def copy(self) -> StepBuffer:
+        """An independent buffer of the same steps."""
+        other = copy(self)
+        other.chunks = list(self.chunks)
+        return other
 
     def checkpoint(self) -> StepCheckpoint:
         """Return the state."""

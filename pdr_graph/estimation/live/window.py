@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -180,6 +181,13 @@ class Window:
         self.steps.forget(self.times[0])
         kept = {*self.segments, self.segment}
         self.c = {segment: value for segment, value in self.c.items() if segment in kept}
+
+    def copy(self) -> Window:
+        """An independent window in the same state."""
+        other = copy(self)
+        other.keyframes, other.times, other.pose = list(self.keyframes), list(self.times), self.pose.copy()
+        other.intervals, other.c, other.steps = [copy(each) for each in self.intervals], dict(self.c), self.steps.copy()
+        return other
 
     def checkpoint(self) -> WindowCheckpoint:
         """Return the state without the poses."""

@@ -1,0 +1,94 @@
+"""Trial of an alternative path: optimised on a copy of the window, and compared with the present path there.
+
+The copy is made when the alternative is found; the comparison is computed beside the walk (`Deferred`), so that the
+window moves only if the alternative costs less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import C, X
+
+from pdr_graph.estimation.live.isam import Name
+from pdr_graph.estimation.live.live_graph import LiveGraph
+from pdr_graph.estimation.live.measurement_log import Decisions
+from pdr_graph.estimation.live.particles import AlternativePath
+from pdr_graph.estimation.live.step_buffer import CLOSE
+from pdr_graph.estimation.live.window import ALL, Window
+
+LEAST_GAIN = 0.1  # [nats] by which an alternative must cost less: else it is the same path; chosen by hand
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A compared alternative.
+
+    accepted: it costs less than the path that was present by LEAST_GAIN; path: at its optimum; decisions: about
+    measurements, on it.
+    """
+
+    accepted: bool
+    path: AlternativePath
+    decisions: Decisions
+
+
+@dataclass(frozen=True)
+class TrialQuestion:
+    """A comparison that is due.
+
+    graph: a copy of the walk's, which `answer` changes; names: of all its factors; alternative: the path, and decisions
+    about measurements on it; rounds: most relinearisations.
+    """
+
+    graph: LiveGraph
+    names: Collection[Name]
+    alternative: Callable[[], tuple[AlternativePath, Decisions]]
+    rounds: int
+
+    def answer(self) -> Trial:
+        """The alternative at its optimum, and whether it costs less than the present path."""
+        graph = self.graph
+        graph.restart_solver(graph.isam, self.names)
+        before = self._optimized()
+        path, decisions = self.alternative()
+        graph.decide(graph.decisions | decisions)
+        move_to(graph, path, self.names)
+        return Trial(self._optimized() < before - LEAST_GAIN, _path_of(graph.window), decisions)
+
+    def _optimized(self) -> float:
+        """The cost of the path at its optimum, with the price of the regions that it leads through."""
+        price = self.graph.associate_walls(ALL)
+        for _ in range(self.rounds):
+            self.graph.relinearize()
+        return self.graph.total_cost + price
+
+
+def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) -> None:
+    """Move the window to a path and restart the solver there; keyframes after its end are dead-reckoned.
+
+    names: of all factors, see `LiveGraph.restart_solver`.
+    """
+    window = graph.window
+    times = np.array(window.times)
+    within = np.flatnonzero((times >= path.time[0] - CLOSE) & (times <= path.time[-1] + CLOSE))
+    window.pose[within] = path.poses(times[within])
+    window.dead_reckon(int(within[-1]), path.state[-1, 3:])
+    values = gtsam.Values(graph.isam.values)
+    for number, pose in zip(window.keyframes, window.pose, strict=True):
+        values.update(X(number), gtsam.Pose2(*pose))
+    for interval in window.intervals:
+        if interval.begin >= path.time[0] - CLOSE:
+            window.c[interval.segment] = path.calibration(interval.end)
+            values.update(C(interval.segment), window.c[interval.segment])
+    graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
+    graph.restart_solver(graph.isam.with_values(values), names)
+
+
+def _path_of(window: Window) -> AlternativePath:
+    """The estimate of a window, with the calibration of the interval before each keyframe."""
+    c = np.array([window.c[interval.segment] for interval in (window.intervals[0], *window.intervals)])
+    return AlternativePath(np.array(window.times), np.column_stack([window.pose, c]))

@@ -1,0 +1,86 @@
+"""The trial of an alternative path beside a walk under way, between two aisles with shops between them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from walks import PERIOD, fixes_at, steps_of
+
+from pdr_graph import FloorPlan
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.estimation.live.particles import AlternativePath
+from pdr_graph.estimation.live.path_trial import TrialQuestion, move_to
+from pdr_graph.estimation.live.schedule import SCHEDULE
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import Area
+from pdr_graph.frames import Frame
+
+STRIDE, STEPS, EVERY = 0.7, 60, 10
+RIGHT, OTHER, SHOP = 1.0, 9.0, -2.0  # y of the middle of the aisles and a shop; fixes are along the first [m]
+
+
+def two_aisles(length=100.0):
+    """Two aisles of 2 m with shops beside and between them."""
+    shops = (shapely.box(0, low, length, high) for low, high in ((-4, 0), (2, 8), (10, 14)))
+    areas = (Area("floor", "", shapely.box(-2, -4, length, 14)), *(Area("shop", "", shop) for shop in shops))
+    return Building.around(FloorPlan("1", areas, Frame()))
+
+
+@pytest.fixture(scope="module")
+def walking():
+    """A walk along the first aisle, still going on; it is sure."""
+    live = LiveSmoother(lag=60.0, plan=two_aisles())
+    step = steps_of(np.full(1, STRIDE), np.zeros(1))
+    for n in range(STEPS):
+        begin, end = PERIOD * n, PERIOD * (n + 1)
+        live.extend(replace(step, start=begin, end=end, time=np.array([end])))
+        if n % EVERY == 0:
+            live.append(fixes_at([end], [[STRIDE * (n + 1), RIGHT]], 1.0))
+    assert live.sure
+    return live
+
+
+def along(graph, y):
+    """The window's path, straight along an aisle."""
+    times, c = np.array(graph.window.times), np.tile([1.0, 1.0, 0.0], (len(graph.window.times), 1))
+    place = STRIDE / PERIOD * times
+    return AlternativePath(times, np.column_stack([place, np.full(len(times), y), np.zeros(len(times)), c]))
+
+
+def trial(live, graph, y, decisions=None):
+    """The trial of a path along an aisle, beside a graph."""
+    alternative, names = along(graph, y), set(live.graph.isam.factors)
+    return TrialQuestion(graph.copy(), names, lambda: (alternative, decisions or {}), SCHEDULE.rounds).answer()
+
+
+def test_the_other_aisle_costs_more(walking):
+    assert not trial(walking, walking.graph, OTHER).accepted
+
+
+def test_the_present_path_is_no_alternative_to_itself(walking):
+    assert not trial(walking, walking.graph, RIGHT).accepted
+
+
+def test_out_of_the_shops_the_aisle_is_found(walking):
+    """A walk through the shop beside the aisle, which takes all fixes for outliers, pays the shop's price."""
+    graph, names = walking.graph.copy(), set(walking.graph.isam.factors)
+    decided = walking.graph.decisions
+    graph.decide({"fixes": decided["fixes"] | {"held": np.zeros(STEPS // EVERY, dtype=bool)}})
+    move_to(graph, along(graph, SHOP), names)
+    assert np.abs(graph.window.pose[:, 1] - SHOP).max() < 0.1, "a control: it stays there"
+    found = trial(walking, graph, RIGHT, decided)
+    assert found.accepted
+    graph.decide(found.decisions)
+    move_to(graph, found.path, names)
+    assert np.abs(graph.window.pose[:, 1] - RIGHT).max() < 0.1
+
+
+def test_a_trial_leaves_the_walk_as_it_is(walking):
+    graph = walking.graph
+    pose, values, factors, cost = graph.window.pose.copy(), graph.isam.values, dict(graph.isam.factors), graph.cost
+    trial(walking, graph, OTHER)
+    assert np.array_equal(graph.window.pose, pose)
+    assert graph.isam.values is values
+    assert graph.isam.factors == factors
+    assert graph.cost == cost
