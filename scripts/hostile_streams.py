@@ -1,8 +1,9 @@
 """Attack the live navigator with hostile streams, for docs/reliability.md: latency, memory, and what the status says.
 
-    python scripts/hostile_streams.py [--write] [--limit SECONDS] [PART OF A NAME …]
+    python scripts/hostile_streams.py [--write] [--limit SECONDS] [--idle] [PART OF A NAME …]
 
-Each attack has a process of its own. Nothing is computed in idle moments: a push has all the work that is due.
+Each attack has a process of its own. Nothing is computed in idle moments: a push has all the work that is due; but with
+--idle, as `replay` and `serve` do, whose times are not those of a push.
 """
 
 import argparse
@@ -26,7 +27,7 @@ OF_PUSH = ["push p99 [ms]", "max", "first half, p99", "second half, p99"]
 HEADER = ["attack", "events", "walk [h]", *OF_PUSH, "pose p99 [ms]", "MB grown", "the status says"]
 
 
-def attack(name, limit):
+def attack(name, limit, idle):
     """One row of the table."""
     warnings.simplefilter("ignore")
     stream = ATTACKS[name]()
@@ -37,6 +38,8 @@ def attack(name, limit):
             before = time.process_time()
             nav.push(event)
             push.append(time.process_time() - before)
+            if idle:
+                nav.review()
             now = max(now, moment(event, now))
             if len(push) % 50 == 0:
                 issues |= look(nav, pose)
@@ -83,13 +86,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="parts of names")
     parser.add_argument("--limit", type=float, default=LIMIT, help="CPU time of one attack [s]")
+    parser.add_argument("--idle", action="store_true", help="long answers in idle moments between the events")
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     names = [name for name in ATTACKS if not options.names or any(part in name for part in options.names)]
     rows = []
     for name in names:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
-            rows.append(pool.apply(attack, (name, options.limit)))
+            rows.append(pool.apply(attack, (name, options.limit, options.idle)))
         print(*rows[-1], sep=" | ", flush=True)
     publish("reliability.md", "hostile streams", table(HEADER, rows))
 
