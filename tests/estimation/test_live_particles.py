@@ -11,6 +11,7 @@ from pdr_graph import FloorPlan, Headings, WalkGraph
 from pdr_graph.estimation.factors.preintegration import intervals, whole_pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleFilter, particle_filter
+from pdr_graph.estimation.particle_motion import COMPILED
 from pdr_graph.estimation.path_modes import dominant_modes
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
@@ -99,6 +100,7 @@ def test_dropped_keyframes_do_not_change_the_others():
 
 def test_memory_is_constant():
     floor, cloud, size = aisle(), begun(), []
+    COMPILED.load()  # or it is loaded within
     tracemalloc.start()
     for keyframe in range(400):
         on(cloud, floor, 1, at(2.0, sigma=3.0))

@@ -62,6 +62,15 @@ def test_the_present_path_is_no_alternative_to_itself(walking):
     assert not trial(walking, walking.graph, RIGHT).accepted
 
 
+def test_a_path_that_has_left_the_window_is_no_alternative(walking):
+    """Particles that are behind: in a rest, one keyframe is left."""
+    path = along(walking.graph, OTHER)
+    past = replace(path, time=path.time - path.time[-1] - 10.0)
+    names = set(walking.graph.isam.factors)
+    question = TrialQuestion(walking.graph.copy(), names, lambda: (past, {}), SCHEDULE.rounds)
+    assert not question.answer().accepted
+
+
 def test_out_of_the_shops_the_aisle_is_found(walking):
     """A walk through the shop beside the aisle, which takes all fixes for outliers, pays the shop's price."""
     graph, names = walking.graph.copy(), set(walking.graph.isam.factors)

@@ -115,9 +115,9 @@ class AlternativePaths(LiveOutput):
         trial = self._trial.collect(graph.window.times[-1])
         if trial is None:
             return
+        graph.finalize_leaving()
         self.alternatives_tried += 1
-        if trial.accepted and trial.path.time[-1] >= graph.window.times[0]:
+        if trial.accepted and len(trial.path.within(graph.window.times)):
             self.alternatives_accepted += 1
-            graph.finalize_leaving()
             graph.decide(graph.decisions | trial.decisions)
             move_to(graph, trial.path, graph.isam.factors)

@@ -7,6 +7,7 @@ are elsewhere than the graph, their path is an alternative for it.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,7 @@ from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleF
 from pdr_graph.estimation.path_modes import dominant_modes
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
-from pdr_graph.types import Array
+from pdr_graph.types import Array, Index
 
 FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
@@ -35,6 +36,11 @@ class AlternativePath:
 
     time: Array
     state: Array
+
+    def within(self, time: Sequence[float]) -> Index:
+        """Indices of the times [s], ascending, that it covers."""
+        begin, end = np.searchsorted(time, (self.time[0] - CLOSE, self.time[-1] + CLOSE))
+        return np.arange(begin, end)
 
     def poses(self, time: Array) -> Array:
         """Poses ``(n, 3)`` at times ``(n,)`` [s]."""

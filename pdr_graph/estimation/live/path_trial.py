@@ -55,6 +55,8 @@ class TrialQuestion:
         graph.restart_solver(graph.isam, self.names)
         before = self._optimized()
         path, decisions = self.alternative()
+        if not len(path.within(graph.window.times)):
+            return Trial(False, path, {})  # it has left the window: the particles are behind
         graph.decide(graph.decisions | decisions)
         move_to(graph, path, self.names)
         return Trial(self._optimized() < before - LEAST_GAIN, _path_of(graph.window), decisions)
@@ -73,9 +75,8 @@ def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) ->
     names: of all factors, see `LiveGraph.restart_solver`.
     """
     window = graph.window
-    times = np.array(window.times)
-    within = np.flatnonzero((times >= path.time[0] - CLOSE) & (times <= path.time[-1] + CLOSE))
-    window.pose[within] = path.poses(times[within])
+    within = path.within(window.times)
+    window.pose[within] = path.poses(np.array(window.times)[within])
     window.dead_reckon(int(within[-1]), path.state[-1, 3:])
     values = gtsam.Values(graph.isam.values)
     for number, pose in zip(window.keyframes, window.pose, strict=True):
