@@ -68,8 +68,8 @@ def printable(text: str) -> str:
 
 
 def count(number: int, noun: str) -> str:
-    """A number of things as a text: ``1 fix``, ``12 fixes``."""
-    return f"{number} {noun}{'' if number == 1 else 'es' if noun.endswith('x') else 's'}"
+    """A number of things as a text: ``1 fix``, ``12 fixes``, ``2 stairs``."""
+    return f"{number} {noun}{'' if number == 1 or noun.endswith('s') else 'es' if noun.endswith('x') else 's'}"
 
 
 MILLISECONDS = (10.0, 1000.0)  # [Hz] usual rates, a thousandth of which is seen if milliseconds are read as seconds

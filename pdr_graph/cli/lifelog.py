@@ -175,13 +175,14 @@ def build(
 
     with _progress_bar() as advance:
         result = built(store, zone, workers, scheduler, 60 * time_limit, advance)
-    echo(f"{result.built} days built, {result.up_to_date} up to date, {len(result.failures)} failed -> {store}")
+    rest = f"{result.up_to_date} up to date, {len(result.failures)} failed"
+    echo(f"{count(result.built, 'day')} built, {rest} -> {store}")
     if together:
         from pdr_graph.lifelog.multi_day import estimate_together
 
         with _progress_bar() as advance:
             days = estimate_together(store, advance)
-        echo(f"{days} days estimated together -> {store}")
+        echo(f"{count(days, 'day')} estimated together -> {store}")
     _end((*result.refusals, *result.failures, *result.unfinished))
 
 

@@ -11,7 +11,7 @@ import typer
 from pdr_graph.cli.options import PlanScale
 from pdr_graph.cli.plain_help import App
 from pdr_graph.cli.terminal import echo
-from pdr_graph.errors import EXIT_DEGRADED
+from pdr_graph.errors import EXIT_DEGRADED, count
 
 maps = App(no_args_is_help=True, rich_markup_mode=None, help="Draw, check and convert floor plans.")
 PlanPath = Annotated[
@@ -121,7 +121,7 @@ def _report_check(plan: Path, scale: float | None = None) -> None:
         echo(f"note: {note}")
     for floor in building.floors:
         kinds = Counter(area.kind for area in floor.areas)
-        drawn = ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+        drawn = ", ".join(count(n, kind) for kind, n in sorted(kinds.items()))
         height = f"at {floor.height:g} m, " if len(building.floors) > 1 else ""
         echo(f"{floor.label or plan.stem}: {height}{floor.walkable_area:.0f} m² walkable; {drawn}")
     for connection in building.connections:

@@ -58,7 +58,7 @@ def test_a_missing_recording_at_build_is_one_line_and_exit_3(tmp_path):
     add(log, [tmp_path])
     (tmp_path / "0.plt").unlink()
     code, message, errors = run("build", log)
-    assert (code, message) == (3, f"1 days built, 0 up to date, 0 failed -> {log}\n")
+    assert (code, message) == (3, f"1 day built, 0 up to date, 0 failed -> {log}\n")
     assert errors == [
         f"pdr-graph: {tmp_path / '0.plt'}: found no such file, "
         "expected the recording: add it again from its present place"
@@ -107,7 +107,7 @@ main()
     [line] = done.stderr.strip().splitlines()
     assert line.startswith(f"pdr-graph: {log}")
     assert "File too large" in line
-    assert run("build", log) == (0, f"1 days built, 0 up to date, 0 failed -> {log}\n", [])
+    assert run("build", log) == (0, f"1 day built, 0 up to date, 0 failed -> {log}\n", [])
 
 
 def test_begins_is_the_start_of_a_recording_without_a_clock(tmp_path):
