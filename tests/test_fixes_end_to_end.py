@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 import simulated
-from test_cli import ROUTE, run
+from commands import run
+from test_cli import ROUTE
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 import simulated
-from test_cli import ROUTE, run
+from commands import run
+from test_cli import ROUTE
 
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.io import load
