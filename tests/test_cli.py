@@ -119,9 +119,8 @@ def test_evaluate_scores_the_graph_better_than_filter_and_dead_reckoning(folder,
     scores = {}
     for method in ("pdr", "filter", "rts"):
         out = folder / method
-        code, _, _ = run(
-            "smooth", folder / "walk.txt", "--fixes", folder / "fixes.csv", "--method", method, "--out", out
-        )
+        options = ("--fixes", folder / "fixes.csv", "--method", method, "--no-report", "--out", out)
+        code, _, _ = run("smooth", folder / "walk.txt", *options)
         assert code == 3, (
             "the direction by one fix, and the stride by the filter, which rejects good fixes, are doubtful"
         )
@@ -413,14 +412,15 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
 
     more = {"recorder": "sensor_logger", "wifi": {"access_points": 15}, "fixes": {"period": 5.0}}
     for seed in (1, 2):
-        write(simulate(simulated.scenario(ROUTE, seed, **more)), tmp_path / f"walk{seed}")
+        write(simulate(simulated.scenario(ROUTE[:4], seed, **more)), tmp_path / f"walk{seed}")
     first, result, radio_map = tmp_path / "walk1", tmp_path / "result", tmp_path / "arcade.npz"
     fixes = first / "fixes.csv"
-    assert run("smooth", first, "--map", ARCADE, "--fixes", fixes, "--out", result)[0] == 0
+    assert run("smooth", first, "--map", ARCADE, "--fixes", fixes, "--no-report", "--out", result)[0] == 0
     code, printed, errors = run("radio-map", first, result, "--out", radio_map)
     assert (code, errors) == (0, [])
     assert "scans of" in printed
     second = (tmp_path / "walk2", "--no-recorded-fixes", "--radio-map", radio_map, "--out", tmp_path / "second")
+    second += ("--no-report",)
     assert run("smooth", *second, "--map", ARCADE)[0] == 0
     summary = json.loads((tmp_path / "second" / "summary.json").read_text())
     assert len(summary["fixes"]) > 5

@@ -94,8 +94,7 @@ def test_a_stated_scale_overrides_a_wrong_unit_of_a_dxf_drawing(tmp_path):
     assert "not $INSUNITS" in notes_of(tmp_path / "plan.dxf", 0.001)
 
 
-@pytest.mark.parametrize("skew", [0.0, 3.0, -7.5])
-@pytest.mark.parametrize("thick", [True, False])
+@pytest.mark.parametrize(("thick", "skew"), [(True, 0.0), (False, 0.0), (False, 3.0), (True, -7.5)])
 def test_a_skewed_scan_with_a_gap_of_a_pixel_gives_the_walkable_area(tmp_path, skew, thick):
     path = tmp_path / "scan.png"
     drawn.picture(skew=skew, thick=thick, gap=True).save(path)
