@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from plans import MAPS
 
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
@@ -52,4 +53,13 @@ def indoor_location(folder, route, seed=0):
     """Write a walk as the Indoor Location Competition's recorder does, with fixes and truth."""
     more = {"recorder": "indoor_location", "fixes": {"period": 10.0, "outliers": 0.2}, "phone": {"rate": RATE}}
     write(simulate(scenario(route, seed, **more)), folder)
+    return folder
+
+
+def arcade(folder, seed=1, **more):
+    """Write a walk of 27 s through maps/arcade.geojson as Sensor Logger does, with eight fixes and the truth."""
+    given = {"seed": seed, "start": 1777629600.0, "plan": str(MAPS / "arcade.geojson"), "phone": {"rate": RATE}}
+    route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [20.0, 27.7]]}, {"stand": 2}]
+    given |= {"route": route, "fixes": {"period": 4.0, "sigma": 1.0}}
+    write(simulate(Scenario.of(given | more)), folder)
     return folder

@@ -3,14 +3,13 @@
 import csv
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import recorders
 import simulated
+from commands import run
 from typer.testing import CliRunner
 
 import pdr_graph
@@ -23,18 +22,17 @@ ARCADE, EIGHT = MAPS / "arcade.geojson", MAPS / "figure_eight.geojson"
 ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])
 
 
-def run(*arguments, cwd=None):
-    """Run the command in a process; return its exit code, output and error lines."""
-    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, timeout=120)
-    return done.returncode, done.stdout, done.stderr.strip().splitlines()
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walk")
     simulated.indoor_location(folder, ROUTE, seed=4)
     return folder
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """A walk of 27 s, for what does not depend on the way."""
+    return simulated.arcade(tmp_path_factory.mktemp("short"), recorder="indoor_location")
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +49,7 @@ def rows(path):
 
 
 def test_truth_is_scored_and_not_used_by_the_estimate(tmp_path):
-    walk, scored = tmp_path / "walk", "Accuracy against ground truth"
-    run("simulate", "arcade", "--out", walk)
+    walk, scored = simulated.arcade(tmp_path / "walk"), "Accuracy against ground truth"
     for verb in ("smooth", "replay"):
         command = [verb, walk, "--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv", "--out"]
         with_truth, without = tmp_path / verb, tmp_path / f"{verb} without"
@@ -122,9 +119,8 @@ def test_evaluate_scores_the_graph_better_than_filter_and_dead_reckoning(folder,
     scores = {}
     for method in ("pdr", "filter", "rts"):
         out = folder / method
-        code, _, _ = run(
-            "smooth", folder / "walk.txt", "--fixes", folder / "fixes.csv", "--method", method, "--out", out
-        )
+        options = ("--fixes", folder / "fixes.csv", "--method", method, "--no-report", "--out", out)
+        code, _, _ = run("smooth", folder / "walk.txt", *options)
         assert code == 3, (
             "the direction by one fix, and the stride by the filter, which rejects good fixes, are doubtful"
         )
@@ -416,14 +412,15 @@ def test_a_radio_map_of_one_walk_gives_fixes_to_the_next(tmp_path):
 
     more = {"recorder": "sensor_logger", "wifi": {"access_points": 15}, "fixes": {"period": 5.0}}
     for seed in (1, 2):
-        write(simulate(simulated.scenario(ROUTE, seed, **more)), tmp_path / f"walk{seed}")
+        write(simulate(simulated.scenario(ROUTE[:4], seed, **more)), tmp_path / f"walk{seed}")
     first, result, radio_map = tmp_path / "walk1", tmp_path / "result", tmp_path / "arcade.npz"
     fixes = first / "fixes.csv"
-    assert run("smooth", first, "--map", ARCADE, "--fixes", fixes, "--out", result)[0] == 0
+    assert run("smooth", first, "--map", ARCADE, "--fixes", fixes, "--no-report", "--out", result)[0] == 0
     code, printed, errors = run("radio-map", first, result, "--out", radio_map)
     assert (code, errors) == (0, [])
     assert "scans of" in printed
     second = (tmp_path / "walk2", "--no-recorded-fixes", "--radio-map", radio_map, "--out", tmp_path / "second")
+    second += ("--no-report",)
     assert run("smooth", *second, "--map", ARCADE)[0] == 0
     summary = json.loads((tmp_path / "second" / "summary.json").read_text())
     assert len(summary["fixes"]) > 5
@@ -441,9 +438,9 @@ HOSTILE = ("walk-\udcff", "walk\x1b[31mred\a", "$\\frac", "two\nlines")  # not U
 
 @pytest.mark.parametrize("command", ["smooth", "replay"])
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_name_of_any_bytes_is_data_and_no_command(folder, tmp_path, command, name):
+def test_a_name_of_any_bytes_is_data_and_no_command(short, tmp_path, command, name):
     """Every result is written, the summary has the exact name, and the terminal gets one printable line for each."""
-    shutil.copy(folder / "walk.txt", tmp_path / name)
+    shutil.copy(short / "walk.txt", tmp_path / name)
     code, out, err = run(command, name, "--out", "result", cwd=tmp_path)
     assert (code, err) == (0, [])
     assert all(line.isprintable() for line in out.splitlines())
@@ -451,7 +448,7 @@ def test_a_name_of_any_bytes_is_data_and_no_command(folder, tmp_path, command, n
     assert json.loads((tmp_path / "result" / "summary.json").read_text())["recording"].startswith(name)
 
 
-def test_a_result_of_a_hostile_name_is_one_line(folder, tmp_path):
-    shutil.copy(folder / "walk.txt", tmp_path / "two\nlines")
+def test_a_result_of_a_hostile_name_is_one_line(short, tmp_path):
+    shutil.copy(short / "walk.txt", tmp_path / "two\nlines")
     _, out, _ = run("smooth", "two\nlines", cwd=tmp_path)
     assert out.splitlines()[-1] == "-> two\ufffdlines-smoothed/report.html"

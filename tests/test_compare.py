@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from test_cli import inside, run
+import simulated
+from commands import run
+from test_cli import inside
 
 from pdr_graph import read_trajectory
 
@@ -12,8 +14,7 @@ from pdr_graph import read_trajectory
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
     """A walk with its result by two methods."""
-    folder = tmp_path_factory.mktemp("walks") / "walk"
-    assert inside("simulate", "arcade", "--out", folder)[0] == 0
+    folder = simulated.arcade(tmp_path_factory.mktemp("walks") / "walk")
     for method in ("graph", "filter"):
         inside("smooth", folder, *given(folder), "--method", method, "--out", folder.parent / f"by-{method}")
     return folder

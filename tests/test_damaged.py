@@ -14,13 +14,13 @@ from pdr_graph.types import Recording, Signal
 
 RECORDINGS, TABLES, PLANS = inputs()
 WALK = Recording("walk", 1.7e9, 1.7e9, accelerometer=Signal(np.arange(0.0, 60.0, 0.02), np.zeros((3000, 3))))
-COPIES = 100
+COPIES, OF_DRAWINGS = 100, 20  # a drawing that is read takes half a second
 
 
 def survive(name, undamaged, use, folder):
     file, whole = undamaged
     loaded, errors = 0, []
-    for n in range(COPIES):
+    for n in range(OF_DRAWINGS if name in PLAN_SCALES else COPIES):
         (folder / file).write_bytes(mutated(whole, random.Random(f"{name}{n}")))
         try:
             with warnings.catch_warnings(action="error"):

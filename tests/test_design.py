@@ -3,6 +3,7 @@
 import ast
 import re
 from collections import Counter
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -83,17 +84,19 @@ def is_type_checking(node):
     return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
+@cache
 def imported(path, checking=True):
     """What a file imports, wherever in it, in functions too: module and name; checking: for type checkers too."""
-    nodes = [ast.parse(path.read_text(encoding="utf-8"))]
+    nodes, found = [ast.parse(path.read_text(encoding="utf-8"))], set()
     while nodes:
         node = nodes.pop()
         if isinstance(node, ast.Import):
-            yield from ((alias.name, "") for alias in node.names)
+            found |= {(alias.name, "") for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            yield from ((node.module or "", alias.name) for alias in node.names)
+            found |= {(node.module or "", alias.name) for alias in node.names}
         if checking or not is_type_checking(node):
             nodes += ast.iter_child_nodes(node)
+    return found
 
 
 def drawn():

@@ -6,12 +6,14 @@ import unicodedata
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import commands
 import pages
 import pytest
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
+FIRST = DOCS / "tutorials" / "first-walk.md"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 FENCED = re.compile(r"^```.*?^```$|`[^`\n]*`", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -24,11 +26,19 @@ def name(page):
 
 @pytest.fixture(scope="module")
 def runs(request, tmp_path_factory):
-    """Of each tutorial that is tested its folder, and what went wrong in it; as many at once as there are cores."""
+    """Of each tutorial that is tested its folder, and what went wrong in it; as many at once as there are cores.
+
+    The commands of the first one, as of README.md, are the installed program; those of the others are run by copies of
+    a process that has imported it.
+    """
     tested = [item.callspec.params["page"] for item in request.session.items if "runs" in item.fixturenames]
     folders = {page: tmp_path_factory.mktemp(page.stem) for page in tested}
+    programs = commands.program(tmp_path_factory.mktemp("programs")).parent
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        yield {page: (folder, pool.submit(pages.execute_apart, page, folder)) for page, folder in folders.items()}
+        yield {
+            page: (folder, pool.submit(pages.execute_apart, page, folder, None if page == FIRST else programs))
+            for page, folder in folders.items()
+        }
 
 
 @pytest.mark.parametrize("page", TUTORIALS, ids=name)

@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 import simulated
-from test_cli import ROUTE, run
+from commands import run
+from test_cli import ROUTE
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +19,7 @@ def smoothed(folder, out, rows):
     """Exit code, error lines, and the summary of the walk with these fixes, if there is one."""
     given = out / "given.csv"
     given.write_text("time,x,y,sigma\n" + "".join(f"{t},{x},{y},1.0\n" for t, x, y in rows))
-    code, _, errors = run("smooth", folder / "walk.txt", "--fixes", given, "--out", out / "result")
+    code, _, errors = run("smooth", folder / "walk.txt", "--fixes", given, "--no-report", "--out", out / "result")
     summary = out / "result" / "summary.json"
     return code, errors, json.loads(summary.read_text()) if summary.exists() else None
 

@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 import recorders
+from commands import run
 from mutations import geolife, gpx
-from test_cli import ARCADE, run
+from test_cli import ARCADE
 
 from pdr_graph import read_trajectory
 

@@ -26,7 +26,7 @@ from pdr_graph.simulation.simulate import simulate
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A walk, its fixes, and its plan in metres."""
-    folder = simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+    folder = simulated.arcade(tmp_path_factory.mktemp("walk"), recorder="indoor_location")
     own_writer.write(folder / "local.geojson", replace(formats.read(ARCADE), frame=Frame()))
     return folder
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import simulated
 from test_cli import inside
 
 from pdr_graph import read_trajectory
@@ -20,7 +21,7 @@ BESIDE = str(Path(sys.executable).parent)
 def result(tmp_path_factory):
     folder = tmp_path_factory.mktemp("arcade")
     walk, out = folder / "walk", folder / "result"
-    assert inside("simulate", "arcade", "--out", walk)[0] == 0
+    simulated.arcade(walk)
     given = ("--map", walk / "plan.geojson", "--fixes", walk / "fixes.csv", "--truth", walk / "truth.csv")
     assert inside("smooth", walk, *given, "--out", out)[0] == 0
     return out
@@ -50,7 +51,7 @@ def test_evo_ape_has_the_error_of_summary_json(result):
 def test_evo_traj_reads_both_files(result):
     printed = evo("evo_traj", "tum", result / "trajectory.tum", "--ref", result / "truth.tum")
     lengths = [float(value) for value in re.findall(r"([\d.]+)m path length", printed)]
-    assert lengths == pytest.approx([155, 155], abs=1.5)
+    assert lengths == pytest.approx([28.3, 26.5], abs=0.1)
 
 
 def test_a_tum_file_has_a_row_within_evos_tolerance_of_any_time(result):
@@ -77,7 +78,7 @@ def test_qgis_reads_line_and_fixes(result):
     assert list(table.geometry.geom_type) == ["LineString", *["Point"] * len(fixes)]
     assert fixes.weight.between(0, 1).all()
     metres = table[table.kind == "trajectory"].to_crs(table.estimate_utm_crs()).length.iloc[0]
-    assert metres == pytest.approx(155, abs=1.5)
+    assert metres == pytest.approx(28.3, abs=0.5)
 
 
 def test_movingpandas_makes_a_trajectory_of_the_geojson(result):
@@ -89,8 +90,8 @@ def test_movingpandas_makes_a_trajectory_of_the_geojson(result):
     points = geopandas.points_from_xy(*line.geometry.xy, crs=4326)
     moving = geopandas.GeoDataFrame({"t": pandas.to_datetime(line.times, unit="s")}, geometry=points)
     trajectory = movingpandas.Trajectory(moving, traj_id="walk", t="t")
-    assert trajectory.get_length() == pytest.approx(155, abs=1.5)
-    assert trajectory.get_duration().total_seconds() == pytest.approx(129.5, abs=0.2)
+    assert trajectory.get_length() == pytest.approx(28.3, abs=0.5)
+    assert trajectory.get_duration().total_seconds() == pytest.approx(27.3, abs=0.2)
 
 
 def test_the_rate_option_sets_the_rows_per_second(result, tmp_path):

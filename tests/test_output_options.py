@@ -2,17 +2,18 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
-from test_cli import COMMANDS, inside, rows, run
+import simulated
+from commands import run
+from test_cli import COMMANDS, inside, rows
 
 
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("walks") / "walk"
-    assert inside("simulate", "arcade", "--out", folder)[0] == 0
-    return folder
+    return simulated.arcade(tmp_path_factory.mktemp("walks") / "walk")
 
 
 def given(walk, *more):
@@ -32,22 +33,27 @@ def test_help_is_in_plain_words(command):
     assert not re.search(r"pdr-graph .* pdr-graph ", said), "two examples on one line"
 
 
-@pytest.mark.parametrize("command", ["smooth", "replay"])
-def test_the_first_lines_are_verdict_key_figures_and_errors(walk, tmp_path, command):
-    code, printed, _ = run(command, *given(walk, "--truth", walk / "truth.csv", "--out", tmp_path / "out"))
-    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+@pytest.fixture(scope="module", params=["smooth", "replay"])
+def written(walk, request, tmp_path_factory):
+    """A command, its output folder and its ending, with the truth and without other options."""
+    out = tmp_path_factory.mktemp(request.param) / "out"
+    return request.param, out, run(request.param, *given(walk, "--truth", walk / "truth.csv", "--out", out))
+
+
+def test_the_first_lines_are_verdict_key_figures_and_errors(written):
+    _, out, (code, printed, _) = written
+    summary = json.loads((out / "summary.json").read_text())
     lines = printed.splitlines()
     sigma = f"median sigma {summary['sigma']:.2f} m per axis"
     expected = f"{summary['steps']} steps, {summary['distance']:.1f} m in {summary['duration']:.1f} s, {sigma}"
     assert (code, lines[0]) == (0, f"ok: {expected}")
     assert "error 50 / 75 / 95 %: " in lines[1]
-    assert lines[-1] == f"-> {tmp_path / 'out' / 'report.html'}"
+    assert lines[-1] == f"-> {out / 'report.html'}"
     assert set(summary["scores"]) == {"ce", "he", "eag", "ve", "ca", "oe", "fe", "n", "in_90"}
 
 
-def test_the_stored_scores_are_those_of_evaluate(walk, tmp_path):
-    out = tmp_path / "out"
-    assert run("smooth", *given(walk, "--truth", walk / "truth.csv", "--out", out))[0] == 0
+def test_the_stored_scores_are_those_of_evaluate(walk, written):
+    _, out, _ = written
     stored = json.loads((out / "summary.json").read_text())["scores"]
     printed = run("evaluate", out / "trajectory.csv", walk / "truth.csv", "--map", walk / "plan.geojson", "--json")[1]
     scores = json.loads(printed)
@@ -75,7 +81,7 @@ def test_quiet_leaves_errors(tmp_path):
 
 @pytest.mark.parametrize("command", ["smooth", "replay"])
 def test_json_prints_the_summary_alone(walk, tmp_path, command):
-    code, printed, errors = run(command, *given(walk, "--out", tmp_path / "out", "--json"))
+    code, printed, errors = run(command, *given(walk, "--out", tmp_path / "out", "--json", "--no-report"))
     assert (code, errors) == (0, [])
     assert json.loads(printed) == json.loads((tmp_path / "out" / "summary.json").read_text())
 
@@ -95,20 +101,21 @@ def test_a_folder_of_something_else_is_refused_unless_forced(walk, tmp_path):
     assert "found a folder with 1 other file (cat.jpg)" in errors[0]
     assert errors[0].endswith("(--force writes there anyway)")
     assert [path.name for path in photos.iterdir()] == ["cat.jpg"]
-    assert run("smooth", *given(walk, "--out", photos, "--force"))[0] == 0
+    assert run("smooth", *given(walk, "--out", photos, "--force", "--no-report"))[0] == 0
     assert (photos / "cat.jpg").read_bytes() == b"cat"
-    assert run("smooth", *given(walk, "--out", photos))[0] == 0, "an earlier result is replaced"
+    assert run("smooth", *given(walk, "--out", photos, "--no-report"))[0] == 0, "an earlier result is replaced"
 
 
 def test_inputs_and_folders_may_lie_in_the_output_folder(walk, tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "mine.csv").write_bytes((walk / "fixes.csv").read_bytes())
     journal = ("--journal", tmp_path / "walk.journal")
-    assert run("smooth", walk, "--fixes", tmp_path / "mine.csv", "--out", tmp_path)[0] == 0
+    given_twice = (walk, "--fixes", tmp_path / "mine.csv", "--no-report")
+    assert run("smooth", *given_twice, "--out", tmp_path)[0] == 0
     (tmp_path / "summary.json").unlink()
     for file in tmp_path.glob("[tfrw]*.*"):
         file.unlink()
-    assert run("replay", walk, "--fixes", tmp_path / "mine.csv", *journal, "--out", tmp_path)[0] in (0, 3)
+    assert run("replay", *given_twice, *journal, "--out", tmp_path)[0] in (0, 3)
 
 
 def test_the_recording_is_no_output_folder(walk):
@@ -136,7 +143,7 @@ def test_a_taller_walker_takes_longer_steps(walk, tmp_path):
         lengths[height] = sum(float(row["length"]) for row in rows(file))
     assert lengths[1.9] / lengths[1.5] == pytest.approx(1.9 / 1.5, rel=0.02)
     out = tmp_path / "out"
-    assert run("smooth", walk, "--height", 1.9, "--no-recorded-fixes", "--out", out)[0] == 0
+    assert run("smooth", walk, "--height", 1.9, "--no-recorded-fixes", "--no-report", "--out", out)[0] == 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["settings"]["walker"]["height"] == 1.9
     assert summary["distance"] == pytest.approx(np.sum(lengths[1.9]), rel=0.02)
@@ -145,19 +152,23 @@ def test_a_taller_walker_takes_longer_steps(walk, tmp_path):
 def test_the_height_option_comes_before_that_of_the_walkers_file(walk, tmp_path):
     (tmp_path / "walker.toml").write_text("height = 1.50\n")
     out = tmp_path / "out"
-    assert run("smooth", walk, "--walker", tmp_path / "walker.toml", "--height", 1.8, "--out", out)[0] == 0
+    assert (
+        run("smooth", walk, "--walker", tmp_path / "walker.toml", "--height", 1.8, "--no-report", "--out", out)[0] == 0
+    )
     assert json.loads((out / "summary.json").read_text())["settings"]["walker"]["height"] == 1.8
 
 
-@pytest.mark.parametrize("command", ["smooth", "replay"])
-def test_no_report_writes_everything_but_the_report(walk, tmp_path, command):
+def test_no_report_writes_everything_but_the_report(walk, written, tmp_path):
     """Of two runs that are otherwise alike; an earlier report does not stay beside a later result."""
-    run(command, *given(walk, "--out", tmp_path / "with"))
-    code, printed, _ = run(command, *given(walk, "--out", tmp_path / "without", "--no-report"))
-    names = {path.name for path in (tmp_path / "with").iterdir()}
+    command, with_report, _ = written
+    options = ("--truth", walk / "truth.csv", "--no-report", "--out")
+    code, printed, _ = run(command, *given(walk, *options, tmp_path / "without"))
+    names = {path.name for path in with_report.iterdir()}
+    assert "report.html" in names
     assert (code, {path.name for path in (tmp_path / "without").iterdir()}) == (0, names - {"report.html"})
     assert printed.splitlines()[-1] == f"-> {tmp_path / 'without' / 'figure.png'}"
     for name in ("trajectory.csv", "trajectory.tum", "figure.png"):
-        assert (tmp_path / "with" / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
-    assert run(command, *given(walk, "--out", tmp_path / "with", "--no-report"))[0] == 0
-    assert not (tmp_path / "with" / "report.html").exists()
+        assert (with_report / name).read_bytes() == (tmp_path / "without" / name).read_bytes()
+    earlier = shutil.copytree(with_report, tmp_path / "earlier")
+    assert run(command, *given(walk, *options, earlier))[0] == 0
+    assert not (earlier / "report.html").exists()

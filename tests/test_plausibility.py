@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import simulated
-from test_cli import ARCADE, MAPS, ROUTE, run
+from commands import run
+from test_cli import ARCADE, MAPS, ROUTE
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.building import Building

@@ -23,7 +23,6 @@ from pdr_graph.report.walk import content
 from pdr_graph.types import BeaconReport, Estimate, Trajectory
 
 MAPS = Path(__file__).parents[2] / "maps"
-ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6)])
 HOUR = 70  # laps of 55 s
 FIRST_PICTURE = 2.0  # [s] of an hour's walk, from the click on the file
 ARROW = 6.0  # [px] from the middle of the arrow's box to the point that it turns about: its tip is longer than its tail
@@ -39,7 +38,7 @@ def browser():
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
     """The folder of a simulated walk through the arcade, smoothed and replayed."""
-    folder = simulated.indoor_location(tmp_path_factory.mktemp("walk"), ROUTE, seed=4)
+    folder = simulated.arcade(tmp_path_factory.mktemp("walk"), recorder="indoor_location")
     options = Options(plan=MAPS / "arcade.geojson", fixes=folder / "fixes.csv")
     assert smooth_recording(folder / "walk.txt", folder / "out", options) == ()
     assert replay_recording(folder / "walk.txt", folder / "live", options) == ()
@@ -101,7 +100,7 @@ def test_the_slider_moves_the_walker_along_the_trajectory(browser, walk):
 def test_the_walker_has_the_heading_of_the_trajectory(browser, walk):
     report = Page(browser, walk / "out" / "report.html")
     time, _, heading = trajectory(walk / "out" / "trajectory.csv")
-    for row in (10, 30, 50):
+    for row in (10, 25, 40):
         report.slide(begins(report) + time[row])
         tip = report.run("return document.getElementById('map').layout.shapes.find(s => s.name === 'walker').path")
         x, y = map(float, tip[1:].split("L")[0].split(","))
@@ -164,8 +163,7 @@ def test_the_page_fits_a_phone_and_a_screen(browser, walk, width):
 def test_an_hours_walk_is_drawn_within_two_seconds(browser, tmp_path):
     """The best of three, since other processes use the machine too."""
     path = written(tmp_path, content(estimated(*laps(HOUR))))
-    seconds = [Page(browser, path).picture for _ in range(3)]
-    assert min(seconds) < FIRST_PICTURE, seconds
+    assert any(Page(browser, path).picture < FIRST_PICTURE for _ in range(3))
 
 
 def two_floors():

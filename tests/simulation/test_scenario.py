@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_cli import run
+from commands import run
 
 from pdr_graph import InputError, evaluate, io, read_fixes, read_trajectory
 from pdr_graph.geometry import interpolate
