@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from pdr_graph.estimation.factors.base import Measurement, State, insert
+from pdr_graph.estimation.factors.base import Measurement, insert
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
@@ -282,10 +282,6 @@ class LiveGraph:
         isam.start(self._changes(at, again=again))
         self.window.read(isam.values)
 
-    def restore_solver(self, isam: TransactionalISAM) -> None:
-        """Use a former solver again; the caller has restored its estimate in the window."""
-        self.isam, self._current = isam, None
-
     def _changes(self, at: Evaluation, tighter: float = 1.0, again: Collection[Name] = ()) -> dict[Name, Linear]:
         """New and relinearised factors of the evaluation ``at``."""
         self._checked_poses = self.window.pose.copy()
@@ -295,7 +291,7 @@ class LiveGraph:
     def _new_variables(self, at: Evaluation) -> tuple[gtsam.Values, dict[int, float]]:
         """Variables that the solver does not have yet, and the time [s] until which each variable is needed."""
         values, times, now = gtsam.Values(), dict[int, float](), self.window.times[-1]
-        needed = {"x": at.chain.time, "c": self._segment_ends(at.state)}
+        needed = {"x": at.chain.time, "c": self.window.segment_ends(at.state.number("c"))}
         needed |= {
             variables.symbol: variables.needed for m in at.measurements for variables in m.variables(at.state.poses)
         }
@@ -308,11 +304,6 @@ class LiveGraph:
                 if new or symbol != "x":
                     times[key] = min(time, now) if time > -np.inf else now
         return values, times
-
-    def _segment_ends(self, state: State) -> Array:
-        """The end of the last interval of each calibration ``(s,)``. [s]"""
-        ends = {interval.segment: interval.end for interval in self.window.intervals}
-        return np.array([ends.get(segment, self.window.times[-1]) for segment in state.number("c").tolist()])
 
     def _update(
         self,

@@ -23,9 +23,8 @@ from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
 from pdr_graph.estimation.live.history import History, HistoryCheckpoint
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
-from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.modes import ModesCheckpoint
-from pdr_graph.estimation.live.new_fixes import NewFixes
+from pdr_graph.estimation.live.new_fixes import NewFixes, were_rejected
 from pdr_graph.estimation.live.path_trial import Trial
 from pdr_graph.estimation.live.plan_search import SOURCE, Places, PlacesQuestion
 from pdr_graph.estimation.live.review import Excess, Findings, Review
@@ -385,7 +384,7 @@ class LiveSmoother(NewFixes):
         before = graph.decisions
         adopted = review.decisions
         graph.decide(before | adopted)
-        if window.located_plan is not None or not self.sure or self._were_rejected(before, adopted):
+        if window.located_plan is not None or not self.sure or were_rejected(before, adopted):
             graph.update(everything=True)
             return
         graph.finalize_leaving()
@@ -397,14 +396,6 @@ class LiveSmoother(NewFixes):
         graph.rebuild(graph.lag)
         for _ in range(SCHEDULE.rounds):
             graph.relinearize()
-
-    def _were_rejected(self, before: Decisions, adopted: Decisions) -> bool:
-        """True if the adopted decisions are about fixes alone, and those now wrong had no weight before either."""
-        if set(adopted) != {FixFactor.name} or FixFactor.name not in before:
-            return False
-        old, new = before[FixFactor.name], adopted[FixFactor.name]
-        rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
-        return bool(np.isin(new["number"][new["wrong"].astype(bool)], rejected).all())
 
     def checkpoint(self) -> SmootherCheckpoint:
         """Return the state, without the rows that `pop_finalized` returned."""

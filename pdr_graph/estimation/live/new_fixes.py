@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.estimation.factors.base import poses_at
+from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.receivers import sourced
 from pdr_graph.estimation.live.alternative_paths import AlternativePaths
+from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.prediction import beyond_gate, predict
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE
@@ -56,3 +58,12 @@ class NewFixes(AlternativePaths):
         plan = window.located_plan
         walled = False if plan is None else plan[window.floor].crosses_wall(there, fixes.position)
         return (sigmas > DOUBTED) | (walled & (sigmas > DOUBTED_BEHIND_WALL))
+
+
+def were_rejected(before: Decisions, adopted: Decisions) -> bool:
+    """True if the adopted decisions are about fixes alone, and those now wrong had no weight before either."""
+    if set(adopted) != {FixFactor.name} or FixFactor.name not in before:
+        return False
+    old, new = before[FixFactor.name], adopted[FixFactor.name]
+    rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
+    return bool(np.isin(new["number"][new["wrong"].astype(bool)], rejected).all())

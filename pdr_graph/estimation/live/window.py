@@ -165,6 +165,11 @@ class Window:
         """Numbers of the calibration segments in the window, ascending."""
         return sorted({interval.segment for interval in self.intervals} or {self.segment})
 
+    def segment_ends(self, numbers: Index) -> Array:
+        """The end of the last interval of each calibration ``(s,)``. [s]"""
+        ends = {interval.segment: interval.end for interval in self.intervals}
+        return np.array([ends.get(segment, self.times[-1]) for segment in numbers.tolist()])
+
     def row_labels(self) -> list[str]:
         """The floor's label of each trajectory row of the stored steps: start, steps, end."""
         ends = np.array([interval.end for interval in self.intervals])
