@@ -114,9 +114,9 @@ def test_the_probability_of_a_walk_beside_the_plan_is_zero_in_python_too(arcade,
 
 @pytest.fixture(scope="module")
 def laps():
-    """Twelve laps of a corridor in 21 min: steps, true trajectory and plan."""
+    """Seven laps of a corridor in 12 min: steps, true trajectory and plan."""
     corners = [[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75]]
-    route = [corners[0], {"stand": 5}, *({"to": [*corners[1:], corners[0]]} for _ in range(12))]
+    route = [corners[0], {"stand": 5}, *({"to": [*corners[1:], corners[0]]} for _ in range(7))]
     made = pdr.simulate(pdr.Scenario.of({"route": route, "plan": str(LOOP), "phone": {"rate": 50}}))
     return pdr.detect_steps(made.recording("accelerometer", "gyroscope")), made.truth, pdr.FloorPlan.load(LOOP)
 

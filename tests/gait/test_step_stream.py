@@ -20,7 +20,7 @@ from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import Recording, Signal
 
-ROUTE = [[0, 0], {"stand": 3}, {"to": [[20, 0], [20, 15]]}, {"stand": 14}, {"to": [[0, 15], [0, 0]]}, {"stand": 2}]
+ROUTE = [[0, 0], {"stand": 3}, {"to": [[12, 0], [12, 8]]}, {"stand": 14}, {"to": [[0, 8], [0, 0]]}, {"stand": 2}]
 INERTIAL = ("accelerometer", "gyroscope")
 
 
@@ -75,6 +75,12 @@ def live(packets, walker=None, gait=None):
     return chunks + ([rest] if rest is not None else []), tails, gait
 
 
+@cache
+def usual():
+    """All of the walk, in packets of a tenth of a second."""
+    return live(sent(walk()))
+
+
 def whole(chunks):
     return reduce(append_steps, chunks)
 
@@ -115,15 +121,15 @@ def test_stride_model_and_profile_apply_to_live_steps():
         assert found.turn.sum() == pytest.approx(steps.turn.sum(), abs=0.07)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(st.floats(0.01, 20.0))
 def test_packets_of_any_size_give_the_same_steps(packet):
-    assert same(whole(live(sent(walk(), packet))[0]), whole(live(sent(walk()))[0]), rounding=1e-12)
+    assert same(whole(live(sent(walk(), packet))[0]), whole(usual()[0]), rounding=1e-12)
 
 
 def test_chunks_follow_one_another_and_cover_the_walk():
     """From the first sample to the last; standing becomes certain too."""
-    chunks, _, _ = live(sent(walk()))
+    chunks, _, _ = usual()
     assert all(one.end == then.start for one, then in pairwise(chunks))
     end = walk().signals["accelerometer"].time[-1]
     assert (chunks[0].start, chunks[-1].end) == pytest.approx((0, end), abs=0.05)
@@ -144,7 +150,7 @@ def test_a_step_is_certain_in_time():
 
 def test_provisional_steps_predict_the_certain_ones():
     """They begin at the end of the certain steps, and about as many become certain."""
-    chunks, tails, _ = live(sent(walk()))
+    chunks, tails, _ = usual()
     ends = {chunk.end for chunk in chunks} | {chunks[0].start}
     assert all(tail.start in ends for tail in tails)
     time = whole(chunks).time
@@ -172,7 +178,7 @@ def test_a_restored_stream_continues_bit_by_bit(at):
 
 
 def test_the_state_does_not_grow():
-    """An hour of standing and walking has the state of a minute."""
+    """Ten minutes of standing and walking have the state of two laps."""
     packets, gait, sizes = sent(walk(), 1.0), StepStream(), []
     length = packets[-1][1][-1] + 0.02
     for turn in range(12):
@@ -211,7 +217,7 @@ def test_bad_samples_are_dropped_and_counted():
         if n % 11 == 0:
             bad.append((sensor, np.array([[np.nan, np.inf, 1e300, time[0] + 4000][n // 11 % 4]]), values[:1]))
     chunks, _, gait = live(bad)
-    assert same(whole(chunks), whole(live(packets)[0]))
+    assert same(whole(chunks), whole(usual()[0]))
     assert all(health.dropped > 100 for health in gait.health.values())
     assert all(health.gaps == health.clock_resets == 0 for health in gait.health.values())
 
@@ -235,7 +241,7 @@ def test_a_few_late_packets_are_not_a_clock_reset():
     packets = sent(walk())
     mixed = packets[:400] + packets[360:400] + packets[400:]
     assert len(packets[360:400]) * 0.05 <= SENSOR_VALIDATION.clock_reset
-    assert same(whole(live(mixed)[0]), whole(live(packets)[0]))
+    assert same(whole(live(mixed)[0]), whole(usual()[0]))
 
 
 @pytest.mark.parametrize("silence", [3.0, 3600.0])
@@ -301,7 +307,7 @@ def test_steps_are_found_without_gravity_in_the_samples():
     assert found.unknown == (NO_GRAVITY,)
     assert np.sum(np.abs(found.turn) * (found.time > 10)) > 1  # they walked round
     both = [one for pair in zip(packets, linear, strict=True) for one in pair]
-    assert same(whole(live(both)[0]), whole(live(packets)[0]))  # where there is an accelerometer it is not asked
+    assert same(whole(live(both)[0]), whole(usual()[0]))  # where there is an accelerometer it is not asked
 
 
 def test_there_are_no_steps_without_an_accelerometer():
@@ -317,7 +323,7 @@ def test_a_high_sampling_rate_is_reduced():
         flood = []
         for sensor, time, values in sent(recording):
             signal = recording.signals[sensor]
-            if begin < time[0] < begin + 8:
+            if begin < time[0] < begin + 4:
                 time = np.arange(time[0], time[-1] + 0.02, 1e-4)
                 values = np.stack([np.interp(time, signal.time, axis) for axis in signal.values.T], axis=1)
             flood.append((sensor, time, values))
@@ -347,7 +353,7 @@ def test_samples_of_another_shape_are_refused():
         StepStream().push("gyroscope", np.arange(4.0), np.zeros((4, 2)))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_chunks_are_a_valid_walk_for_any_packets(seed):
     """With random clock jumps, lost, repeated and swapped packets, high rates, and wrong values and times."""
     random, shift, packets = np.random.default_rng(seed), 0.0, []
@@ -361,11 +367,11 @@ def test_chunks_are_a_valid_walk_for_any_packets(seed):
         elif fault < 5:
             time[row] = random.choice([np.nan, -np.inf, 1e300, time[0] + 3, time[0] - 3])
         elif fault < 7:
-            time, values = np.sort(random.uniform(time[0], time[-1] + 1e-3, 3000)), np.resize(values, (3000, 3))
+            time, values = np.sort(random.uniform(time[0], time[-1] + 1e-3, 1500)), np.resize(values, (1500, 3))
         packets += [(sensor, time + shift, values)] * random.choice([0, 1, 2], p=[0.03, 0.95, 0.02])
         if fault == 7:
             packets[-2:] = packets[:-3:-1]
     chunks, tails, _ = live(packets)
     assert all(one.end == then.start for one, then in pairwise(chunks))
     assert {tail.start for tail in tails} <= {chunk.end for chunk in chunks} | {chunks[0].start}
-    assert len(whole(chunks)) > 20
+    assert len(whole(chunks)) > 11, "of 57 steps"

@@ -8,17 +8,21 @@ import time as clock
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import get_ident
 
 import numpy as np
 
 from pdr_graph.gait.walker import Profile
 from pdr_graph.io.geolife import DAY, EPOCH_1899
+from pdr_graph.lifelog import time_limits
 from pdr_graph.lifelog.day import STANDING, WALKING, Outing, Segment, Stay
 from pdr_graph.lifelog.day import Day as OneDay
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.types import Trajectory
 
 FIRST = datetime(2024, 5, 1, 22, 30, tzinfo=UTC).timestamp()  # [s] Unix time of the first recording
+
+LIMIT = 60.0  # [s] of a day that hangs
 
 PLACE = 52.5, 13.4  # latitude and longitude of all recordings [deg]
 
@@ -96,25 +100,39 @@ class Failing:
         return reconstruct(person, date, observations, profile)
 
 
-def dying(person, date, observations, profile):
-    """`reconstruct` that ends the process on one day of one person, as a crash in a library would."""
-    if (person, date) == ("person1", "2024-05-03"):
-        os._exit(11)
-    return reconstruct(person, date, observations, profile)
+def dying_or_hanging(person, date, observations, profile):
+    """`reconstruct` that ends the process on one day of one person, as a crash in a library would.
 
-
-def hanging(person, date, observations, profile):
-    """`reconstruct` that hangs on one day of one person."""
+    On a day of another it hangs, half a second before its time limit of LIMIT.
+    """
     if (person, date) == ("person1", "2024-05-02"):
+        os._exit(11)
+    if (person, date) == ("person2", "2024-05-02"):
+        time_limits._deadlines[get_ident()] -= LIMIT - 0.5
+        time_limits._set_timer()
         clock.sleep(3600)
     return reconstruct(person, date, observations, profile)
 
 
-def freezing(person, date, observations, profile):
+def freezing(folder):
     """`reconstruct` that stops its process on one day of one person, as a disk that does not answer would."""
-    if (person, date) == ("person1", "2024-05-02"):
-        os.kill(os.getpid(), signal.SIGSTOP)
-    return reconstruct(person, date, observations, profile)
+    return Freezing(str(folder))
+
+
+class Freezing:
+    """A class, since workers need to pickle it."""
+
+    def __init__(self, folder):
+        self.file = Path(folder) / "frozen"
+
+    def __call__(self, person, date, observations, profile):
+        if (person, date) == ("person1", "2024-05-02"):
+            self.file.touch()
+            os.kill(os.getpid(), signal.SIGSTOP)
+        return reconstruct(person, date, observations, profile)
+
+    def frozen(self):
+        return self.file.exists()
 
 
 def counting(folder):
@@ -140,10 +158,29 @@ def slow(person, date, observations, profile):
     return reconstruct(person, date, observations, profile)
 
 
-def very_slow(person, date, observations, profile):
-    """`reconstruct` that takes long enough for the test to stop the scheduler."""
-    clock.sleep(1.0)
-    return reconstruct(person, date, observations, profile)
+def waiting(folder, after):
+    """`reconstruct` that waits after so many days, until `end` is called."""
+    (Path(folder) / "made").mkdir()
+    return Waiting(str(folder), after)
+
+
+class Waiting(Counting):
+    """A class, since workers need to pickle it."""
+
+    def __init__(self, folder, after):
+        super().__init__(Path(folder) / "made")
+        self.after, self.file = after, Path(folder) / "over"
+
+    def __call__(self, person, date, observations, profile):
+        while len(os.listdir(self.folder)) >= self.after and not self.over():
+            clock.sleep(0.02)
+        return super().__call__(person, date, observations, profile)
+
+    def end(self):
+        self.file.touch()
+
+    def over(self):
+        return self.file.exists()
 
 
 def filling(person, date, observations, profile):

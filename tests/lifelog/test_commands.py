@@ -9,16 +9,15 @@ from datetime import UTC, datetime
 
 import days_standin as standin
 import pytest
+from command_inside import command
 from test_ingest import phyphox
 
 from pdr_graph.lifelog.ingest import add
 
 
 def run(*arguments):
-    """Run the command line; returns its exit code, output and error lines."""
-    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    return done.returncode, done.stdout, done.stderr.strip().splitlines()
+    """Run a command of the lifelog; returns its exit code, output and error lines."""
+    return command("lifelog", *arguments)
 
 
 def test_days_are_added_and_built(tmp_path):
@@ -124,8 +123,8 @@ def test_begins_is_the_start_of_a_recording_without_a_clock(tmp_path):
 def test_a_progress_bar_is_shown_on_a_terminal_only(tmp_path):
     log, walk = tmp_path / "days.db", standin.recording(tmp_path / "walk.plt")
     main, terminal = os.openpty()
-    command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", "add", log, walk]
-    done = subprocess.run(command, stderr=terminal, stdout=subprocess.PIPE, timeout=60)
+    adding = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "lifelog", "add", log, walk]
+    done = subprocess.run(adding, stderr=terminal, stdout=subprocess.PIPE, timeout=60)
     os.close(terminal)
     assert done.stdout.decode() == f"1 added -> {log}\n"
     assert "1/1" in os.read(main, 100_000).decode()

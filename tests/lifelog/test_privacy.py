@@ -90,7 +90,7 @@ def nearest(text, place=HOME):
 
 
 @given(seed=st.integers(0, 10**6), radius=st.floats(20, 400), home=st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_no_byte_of_an_export_has_a_coordinate_in_a_cut_place(seed, radius, home):
     random = np.random.default_rng(seed)
     place = HOME if home else random.uniform(-300, 300, 2)  # which may lie on the way
@@ -104,7 +104,7 @@ def test_no_byte_of_an_export_has_a_coordinate_in_a_cut_place(seed, radius, home
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_activities_in_a_cut_place_change_no_byte(seed):
     """Positions, durations within a quarter of an hour, recordings and looks in it."""
     random = np.random.default_rng(seed)
@@ -266,7 +266,7 @@ def guesses(hide, secrets, days):
     found = []
     for n in range(secrets):
         random = np.random.default_rng(n)
-        walks = [[streets(random, minutes=25) for _ in range(2)] for _ in range(days)]
+        walks = [[streets(random, minutes=16) for _ in range(2)] for _ in range(days)]
         points, ways = ends(without_private_places([day(out, backwards(back)) for out, back in walks], hide(n), [])[0])
         if len(points) > 2:  # a circle takes three; some walks never leave what is hidden
             found.append([np.hypot(*(attack(points, ways) - HOME)) / RADIUS for attack in ATTACKS])

@@ -6,8 +6,9 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
+from time import monotonic
 
+import dask_processes
 import days_standin as standin
 import numpy as np
 import pytest
@@ -18,13 +19,14 @@ from threadpoolctl import threadpool_info
 
 from pdr_graph import InputError
 from pdr_graph.lifelog import cluster as clusters
+from pdr_graph.lifelog import time_limits
 from pdr_graph.lifelog import workers as fleets
 from pdr_graph.lifelog.build import BuildResult, DayChain, PlannedDay, build
 from pdr_graph.lifelog.store import StoredDay
 from pdr_graph.lifelog.time_limits import FleetLostError
 from pdr_graph.lifelog.workers import MAX_TASK_SIZE, ONE_THREAD, CrashedItem, fleet, pack
 
-HERE = Path(__file__).parent
+FORKED = {"distributed.worker.multiprocessing-method": "forkserver"}  # of a process that has imported Dask: at once
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def cluster():
         "distributed.deploy.lost-worker-timeout": "10 minutes",
         "distributed.comm.timeouts.connect": "2 minutes",
         "distributed.scheduler.allowed-failures": 1,  # of a task, 3 by default: each takes a restart
-    }
+    } | FORKED
     with dask.config.set(settings), distributed.LocalCluster(**options, dashboard_address=":0") as local:
         yield local.scheduler_address
 
@@ -70,12 +72,20 @@ def test_a_day_that_fails_in_a_worker_does_not_stop_the_others(tmp_path, elsewhe
     assert [message.replace("/there/", "/here/") for message in result.refusals] == list(expected.refusals)
 
 
-def test_a_crashed_process_costs_only_its_day(tmp_path, elsewhere):
-    log, _ = added(tmp_path)
-    message = f"person1, 2024-05-03: {CrashedItem('').reason}"
-    assert built(log, standin.dying, **elsewhere) == BuildResult(14, 0, (message,), ())
-    assert built(log) == BuildResult(3, 12, (), ()), "that day and those after it"
-    whole, _ = added(tmp_path / "whole")
+def test_a_day_that_crashes_or_hangs_and_a_recording_that_crashes_cost_only_themselves(
+    tmp_path, monkeypatch, elsewhere
+):
+    """A day that hangs does so when nearly all of its minute is over: the others have theirs, also under load."""
+    log, paths = added(tmp_path, days=3)
+    monkeypatch.setattr(fleets, "STALL_FACTOR", 40)
+    reason = CrashedItem("").reason
+    days = standin.dying_or_hanging
+    result = build(log, reconstruct=days, observe=standin.dying_of("0-1.plt"), time_limit=standin.LIMIT, **elsewhere)
+    assert (result.built, result.unfinished) == (6, ())
+    assert result.failures == (f"person1, 2024-05-02: {reason}", f"person2, 2024-05-02: {reason}")
+    assert result.refusals == (f"{paths['person0'][1]}: {reason}",)
+    assert built(log).built == 6, "those days and all after them"
+    whole, _ = added(tmp_path / "whole", days=3)
     built(whole)
     assert content(log) == content(whole)
 
@@ -87,32 +97,30 @@ def test_a_full_disk_of_a_worker_ends_the_build(tmp_path):
     assert built(log).failures == ()
 
 
-def test_a_recording_that_crashes_its_process_is_refused(tmp_path):
-    log, paths = added(tmp_path, people=2, days=2)
-    result = build(log, workers=2, observe=standin.dying_of("0-1.plt"), reconstruct=standin.reconstruct)
-    assert (result.built, result.failures) == (3, ())
-    assert result.refusals == (f"{paths['person0'][1]}: {CrashedItem('').reason}",)
-
-
-def thread_counts(task):
-    """Work that yields its numbers of threads, of loaded libraries and of those to be loaded."""
+def threads_and_numbers(task):
+    """Work that yields its numbers of threads, of loaded libraries and of those to be loaded, and an inverse."""
     for item in task:
+        a = np.random.default_rng(item).normal(size=(300, 300))
         yield (
             item,
+            np.linalg.inv(a @ a.T).tobytes(),
             [library["num_threads"] for library in threadpool_info()],
             {n: os.environ.get(n) for n in ONE_THREAD},
         )
 
 
-def test_each_worker_has_one_thread(elsewhere):
-    before = dict(os.environ)
+def test_each_worker_has_one_thread_and_the_same_numbers(elsewhere):
+    """Floats come back from a worker bit by bit; the control is a product of random matrices."""
+    before, numbers = dict(os.environ), []
     with fleet(**elsewhere) as there, fleet() as here:
         for crew in (here, there):
-            results = list(crew.run(thread_counts, [(1,), (2, 3)]))
-            assert sorted(item for item, _, _ in results) == [1, 2, 3]
-            for _, threads, variables in results:
+            results = list(crew.run(threads_and_numbers, [(1,), (2, 3), (4, 5)]))
+            numbers.append(sorted(result[:2] for result in results))
+            for _, _, threads, variables in results:
                 assert set(threads) == {1}
                 assert variables == ONE_THREAD
+    assert numbers[0] == numbers[1]
+    assert [item for item, _ in numbers[1]] == [1, 2, 3, 4, 5]
     assert dict(os.environ) == before, "of this process for a while only"
 
 
@@ -186,44 +194,66 @@ def test_the_message_without_dask_names_the_extra(monkeypatch):
 
 
 @pytest.fixture
+def hurry(monkeypatch):
+    """A function: from its call on, time of the build that waits here passes 100 times as fast."""
+    began = []
+
+    def clock():
+        now = monotonic()
+        return now + 99 * (now - began[0]) if began else now
+
+    monkeypatch.setattr(clusters, "monotonic", clock)
+    monkeypatch.setattr(time_limits, "monotonic", clock)
+    monkeypatch.setattr(time_limits.StallWatch, "PERIOD", 0.05)
+    return lambda: began.append(monotonic())
+
+
+@pytest.fixture
 def small_cluster():
     """A scheduler and its only worker: the processes by name, and the address."""
     pytest.importorskip("distributed")
+    import dask
+    from distributed.utils import get_mp_context
+
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-    quiet = {"stderr": subprocess.DEVNULL, "env": os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}}
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", address[16:], "--no-dashboard"]
-    processes = {"scheduler": subprocess.Popen([*command, "--host", "127.0.0.1"], **quiet)}
-    command = [sys.executable, "-m", "distributed.cli.dask_worker", address, "--no-dashboard", "--no-nanny"]
-    processes["worker"] = subprocess.Popen([*command, "--nthreads", "1"], **quiet)
+    with dask.config.set(FORKED):
+        start = get_mp_context().Process
+    processes = {
+        "scheduler": start(target=dask_processes.scheduler, args=(address[16:],)),
+        "worker": start(target=dask_processes.worker, args=(address,)),
+    }
+    for process in processes.values():
+        process.start()
     try:
         wait_for(address)
         yield processes, address
     finally:
         for process in processes.values():
             process.kill()
-            process.wait()
+            process.join()
 
 
 @pytest.mark.parametrize("ending", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("which", ["scheduler", "worker"])
 def test_a_cluster_that_goes_or_freezes_leaves_the_rest_to_the_next_build(
-    tmp_path, monkeypatch, small_cluster, which, ending
+    tmp_path, monkeypatch, small_cluster, hurry, which, ending
 ):
     """A worker that freezes keeps its connection: only the missing results tell."""
-    monkeypatch.setattr(clusters, "ASK_PERIOD", 0.5)
-    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 10.0)
-    monkeypatch.setattr(clusters, "RESTART_TIME", 20.0)
     monkeypatch.setattr(fleets, "STALL_FACTOR", 1)
     log, _ = added(tmp_path, people=2, days=6)
     processes, address = small_cluster
+    waiting = standin.waiting(tmp_path, after=4)
 
     def progress(stage, done, of):
-        if stage == "days" and done >= 2:
-            processes[which].send_signal(ending)
+        if stage == "days" and done >= 2 and not waiting.over():
+            os.kill(processes[which].pid, ending)
+            monkeypatch.setattr(clusters, "ASK_PERIOD", 0.1)
+            monkeypatch.setattr(clusters, "CONNECT_TIMEOUT", 0.5)
+            hurry()
+            waiting.end()
 
-    options = {"scheduler": address, "time_limit": 40.0, "progress": progress}
-    result = build(log, **options, reconstruct=standin.very_slow)
+    result = build(log, scheduler=address, time_limit=60.0, progress=progress, reconstruct=waiting)
     left = 12 - result.built
     expected = f": {left} person-day{'s' * (left > 1)} not built, left to the next build: person"
     assert len(result.unfinished) == (left > 0), "a worker may finish without its scheduler"
@@ -258,20 +288,17 @@ def test_recordings_that_a_lost_fleet_has_not_observed_are_named(tmp_path, monke
     assert built(log) == BuildResult(8, 0, (), ())
 
 
-def test_a_day_that_hangs_costs_itself(tmp_path, monkeypatch, elsewhere):
-    """The limit is generous enough for a machine under load, the fleet's for workers that restart there."""
-    log, _ = added(tmp_path, people=2, days=3)
-    monkeypatch.setattr(fleets, "STALL_FACTOR", 40)
-    message = f"person1, 2024-05-02: {CrashedItem('').reason}"
-    assert built(log, standin.hanging, **elsewhere, time_limit=12.0) == BuildResult(5, 0, (message,), ())
-    assert built(log) == BuildResult(2, 4, (), ()), "that day and the one after it"
-
-
-def test_processes_that_freeze_are_ended(tmp_path, monkeypatch):
+def test_processes_that_freeze_are_ended(tmp_path, monkeypatch, hurry):
     """A frozen process cannot end itself."""
     monkeypatch.setattr(fleets, "STALL_FACTOR", 1)
     log, _ = added(tmp_path, people=2, days=3)
-    result = built(log, standin.freezing, workers=2, time_limit=40.0)
+    freezing, hurried = standin.freezing(tmp_path), []
+
+    def progress(stage, done, of):
+        if freezing.frozen() and not hurried:
+            hurried.append(hurry())
+
+    result = built(log, freezing, workers=2, time_limit=60.0, progress=progress)
     assert (result.failures, result.refusals) == ((), ())
     [line] = result.unfinished
     assert line.startswith("no recording and no day was finished for 1 min: ")
@@ -281,9 +308,8 @@ def test_processes_that_freeze_are_ended(tmp_path, monkeypatch):
 
 def test_a_time_limit_ends_the_process_of_a_hanging_item_only():
     code = "import time; from pdr_graph.lifelog.time_limits import limited; list(limited(map(time.sleep, {}), 3.0))"
-    for sleeps, ended in (([1.0] * 5, 0), ([0.1, 600], 1)):
-        done = run_alone(code.format(sleeps))
-        assert (done.returncode, done.stderr) == (ended, b"")
+    alone = [begun_alone(code.format(sleeps)) for sleeps in ([0.7] * 5, [0.1, 600])]
+    assert [(process.communicate(timeout=300)[1], process.returncode) for process in alone] == [(b"", 0), (b"", 1)]
 
 
 def test_the_earliest_deadline_of_several_threads_counts():
@@ -293,13 +319,13 @@ from pdr_graph.lifelog.time_limits import limited
 threading.Thread(target=lambda: list(limited(map(time.sleep, [600]), 2.0)), daemon=True).start()
 list(limited(map(time.sleep, [0.1] * 3000), 600.0))
 """
-    assert run_alone(code).returncode == 1
+    assert begun_alone(code).wait(timeout=300) == 1
 
 
-def run_alone(code):
-    """Run Python code in a process of its own."""
+def begun_alone(code):
+    """A process of its own that runs Python code."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-    return subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, timeout=300)
+    return subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.PIPE)
 
 
 def wait_for(address):
@@ -308,16 +334,3 @@ def wait_for(address):
 
     with distributed.Client(address, timeout=30, set_as_default=False) as client:
         client.wait_for_workers(1, timeout=30)
-
-
-def test_numbers_do_not_depend_on_the_process(elsewhere):
-    """Floats come back from a worker bit by bit; the control is a product of random matrices."""
-    with fleet(**elsewhere) as there, fleet() as here:
-        one, other = (sorted(crew.run(drawn, [(n,) for n in range(5)])) for crew in (here, there))
-    assert one == other
-
-
-def drawn(task):
-    for seed in task:
-        a = np.random.default_rng(seed).normal(size=(300, 300))
-        yield seed, np.linalg.inv(a @ a.T).tobytes()

@@ -23,14 +23,20 @@ from pdr_graph.types import LONLAT, Fixes, Recording, Sightings, Signal
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 JUMP = 3600.0  # [s]
+END = 80.0  # [s] of a walk
+
+
+def until(end, signal):
+    early = signal.time < end
+    return Signal(signal.time[early], signal.values[early])
 
 
 @cache
 def walk(name):
-    """A scenario as its phone recorded it, a fix of 1 m each ten seconds, and its truth."""
+    """A scenario of at most 80 s as its phone recorded it, a fix of 1 m each ten seconds, and its truth."""
     simulation = simulate(Scenario.load(SCENARIOS / f"{name}.toml"))
-    signals = {sensor: simulation.signals[sensor] for sensor in ("accelerometer", "gyroscope")}
-    at = np.arange(1.0, simulation.truth.time[-1] - 1.0, 10.0)
+    signals = {sensor: until(END, simulation.signals[sensor]) for sensor in ("accelerometer", "gyroscope")}
+    at = np.arange(1.0, min(END, simulation.truth.time[-1]) - 1.0, 10.0)
     place = np.column_stack([np.interp(at, simulation.truth.time, axis) for axis in simulation.truth.position.T])
     place += np.random.default_rng(1).normal(0, 1.0, place.shape)
     fixes = Fixes(at, place, np.ones(len(at)), ("",) * len(at))
@@ -85,8 +91,7 @@ def error(track, truth):
     return float(np.median(np.hypot(*(track.position[inside] - place).T)))
 
 
-@pytest.mark.parametrize("name", ["loop", "arcade", "figure_eight"])
-@pytest.mark.parametrize("lag", [60.0, None])
+@pytest.mark.parametrize(("name", "lag"), [("loop", 30.0), ("arcade", 30.0), ("arcade", None), ("figure_eight", None)])
 def test_live_is_as_good_as_the_batch(name, lag):
     """The smoothed walk: at most 1.3 times the error of the batch plus 0.3 m, since finalised rows lack later data."""
     recording, truth = walk(name)
@@ -195,13 +200,13 @@ def test_an_absurd_fix_among_good_ones_changes_nothing(name):
 @pytest.mark.parametrize("sigma", [1e300, 1e-300])
 def test_an_absurd_fix_alone_is_no_reason_to_stop(sigma):
     samples = [event for event in events("arcade") if isinstance(event, Samples)]
-    checked([one_fix(60.0, (40.0, 7.0), sigma), *samples], lag=60.0)
+    checked([one_fix(60.0, (40.0, 7.0), sigma), *samples], lag=30.0)
 
 
 @pytest.mark.parametrize("place", [(1e300, 1e300), (1e3, 1e3), (139.0, 95.0)])
 def test_an_absurd_first_fix_on_earth_does_not_define_the_frame(place):
     """Nor is it an exception, in a projection that has no such place."""
-    samples = [event for event in events() if isinstance(event, Samples)]
+    samples = [event for event in events() if isinstance(event, Samples) and when(event) < 45]
     good = [one_fix(5.0, (139.0, 35.0), 3.0, epsg=LONLAT), one_fix(30.0, (139.0001, 35.0), 3.0, epsg=LONLAT)]
     nav = checked([one_fix(1.0, place, 3.0, epsg=LONLAT), *samples[:300], *good, *samples[300:]])[0]
     assert nav.frame.origin == pytest.approx((35.0, 139.0), abs=1e-3)
@@ -224,7 +229,7 @@ def test_fixes_only_is_an_issue():
 def test_samples_only():
     nav, _, track = checked([event for event in events() if isinstance(event, Samples)])
     assert nav.status.state == "no absolute position"
-    assert len(track) > 150
+    assert len(track) > 100
 
 
 def test_unknown_data_is_ignored():
@@ -270,7 +275,7 @@ def test_gaps_are_no_milliseconds():
     assert not any("seem to have" in issue for issue in nav.status.issues)
 
 
-@settings(max_examples=6, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=4, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(st.randoms(use_true_random=False), st.integers(1, 200))
 def test_any_order_of_events(random, reach):
     """Each event comes up to so many later than it should."""
@@ -300,9 +305,11 @@ def test_a_snapshot_in_mid_walk_goes_on_to_the_same_end():
 
 
 def test_a_killed_replay_ends_the_same(tmp_path):
-    """Killed twelve times at random, the replay ends with the same trajectory as an uninterrupted one."""
+    """Killed six times at random, the replay ends with the same trajectory as an uninterrupted one."""
     folder = tmp_path / "walk"
-    write(simulate(Scenario.load(SCENARIOS / "arcade.toml")), folder)
+    route = [[2.5, 18.0], {"stand": 2}, {"to": [[6.8, 18.2], [6.8, 27.8], [27.6, 27.6]]}, {"stand": 2}]
+    short = Scenario.of({"seed": 3, "route": route, "fixes": {"period": 6, "sigma": 1.5}})
+    write(simulate(short), folder)
 
     def replay(out):
         command = [sys.executable, "-c", "from pdr_graph.cli import main; main()", "replay", str(folder)]
@@ -312,7 +319,7 @@ def test_a_killed_replay_ends_the_same(tmp_path):
 
     assert replay("whole").wait() in (0, 3)
     log, random = tmp_path / "killed.journal-wal", np.random.default_rng(0)
-    for _ in range(12):
+    for _ in range(6):
         running, before = replay("killed"), log.stat().st_mtime_ns if log.exists() else 0
         while running.poll() is None and not (log.exists() and log.stat().st_mtime_ns > before):
             time.sleep(0.01)

@@ -22,7 +22,7 @@ def added(log, data):
     """Days with positions alone, and two of walks: one on a plan, one with beacons."""
     add(log, [data / "geolife_sample", data / "gpx_sample"], person="Geo")
     add(log, [data.joinpath(*FLOOR)], RecordingOptions(plan=data.joinpath(*FLOOR)), person="Ms")
-    add(log, [data / "ipin2023_track3"], person="Ipin")
+    add(log, sorted((data / "ipin2023_track3").glob("*Trial24*")), person="Ipin")
     return log
 
 
@@ -68,7 +68,7 @@ def test_real_days_are_the_same_however_often_their_build_is_killed(data, whole,
     nursery = subprocess.Popen([sys.executable, "-c", CHILD, log], stdin=-1, stdout=-1, text=True, bufsize=1)
     assert nursery.stdin is not None
     assert nursery.stdout is not None
-    for _ in range(20):
+    for _ in range(12):
         nursery.stdin.write("live\n")
         child = int(nursery.stdout.readline())
         time.sleep(luck.uniform(0, 0.25))
@@ -76,6 +76,6 @@ def test_real_days_are_the_same_however_often_their_build_is_killed(data, whole,
             os.kill(child, signal.SIGKILL)
         ends.append(int(nursery.stdout.readline()))
     nursery.communicate("\n", timeout=60)
-    assert ends.count(signal.SIGKILL) > 9, "a control: a fast machine may be done before"
+    assert ends.count(signal.SIGKILL) > 5, "a control: a fast machine may be done before"
     build(log, zone="Asia/Shanghai")
     assert content(log) == whole

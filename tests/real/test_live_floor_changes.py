@@ -53,7 +53,6 @@ def test_the_stairs_of_a_museum(data):
 @pytest.mark.parametrize(
     ("pattern", "start"),
     [
-        ("ipin2023_track3/*Trial01*.txt", "0"),
         ("ipin2023_track3/*Trial24*.txt", "-2"),
         ("nju_phyphox_outdoor", "1"),
         ("ipin21_hcu/eight", "4"),

@@ -9,9 +9,20 @@ from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
 from pdr_graph.inputs import read
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.types import Fixes
+from pdr_graph.types import Fixes, Signal
 
+MINUTES = 2.5
 WALKS = {"IPIN": "ipin2023_track3/*Trial01*.txt", "NJU": "nju_phyphox_outdoor"}
+
+
+def beginning_of(given):
+    """The first MINUTES of a walk with its fixes; the truth remains."""
+    end = given.walk.accelerometer.time[0] + 60.0 * MINUTES
+    signals = {
+        name: Signal(signal.time[signal.time < end], signal.values[signal.time < end])
+        for name, signal in given.walk.signals.items()
+    }
+    return replace(given, walk=replace(given.walk, **signals), fixes=given.fixes[given.fixes.time < end])
 
 
 def distance(track, at, place):
@@ -21,10 +32,13 @@ def distance(track, at, place):
     return float(np.median(np.hypot(*(there - place[known]).T)))
 
 
-@pytest.mark.parametrize(("name", "lag"), [("IPIN", 60.0), ("IPIN", None), ("NJU", 60.0)])
+@pytest.mark.parametrize(("name", "lag"), [("IPIN", 60.0), ("NJU", None)])
 def test_live_is_about_as_good_as_the_batch(data, name, lag):
-    """Smoothed, by the truth where it was surveyed, else by the GNSS fixes; both without the compass or a plan."""
-    given = read(sorted(data.glob(WALKS[name]))[0])
+    """Smoothed, by the truth where it was surveyed, else by the GNSS fixes; both without the compass or a plan.
+
+    The first MINUTES of each.
+    """
+    given = beginning_of(read(sorted(data.glob(WALKS[name]))[0]))
     batch = smooth(WalkGraph(detect_steps(given.walk), given.fixes)).trajectory
     nav = Navigator(lag=lag, frame=given.frame)
     for n, event in enumerate(events_of(replace(given.walk, fixes=given.fixes, magnetometer=None))):

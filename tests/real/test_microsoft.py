@@ -87,9 +87,9 @@ def test_smoothing_beats_straight_lines_between_the_waypoints_given(walks, with_
 
 
 def test_one_waypoint_a_compass_and_the_plan_find_the_walk(walks):
-    """The first waypoint alone: half of the others within 2.5 m and nearly all in the right aisle."""
+    """The first waypoint alone: half of the others within 2.5 m and nearly all in the right aisle; each third walk."""
     errors = []
-    for path, walk in walks.items():
+    for path, walk in list(walks.items())[::3]:
         plan, truth = FloorPlan.load(path.parent), walk.truth
         headings = magnetic_headings(walk, plan.frame, np.zeros(2))
         graph = WalkGraph(detect_steps(walk), given(walk, np.array([0])), headings=headings, floor=plan)

@@ -1,6 +1,7 @@
 """Museum walks of IPIN 2023 by the phone's own GNSS and the beacons that the organisers list."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from pdr_graph.io.tables import read_trajectory
 def smoothed(data, tmp_path_factory):
     """By the trial's number: errors [m] at the landmarks and the summary, of the whole command."""
 
+    @cache
     def run(trial):
         (path,) = (data / "ipin2023_track3").glob(f"*Trial{trial}_*.txt")
         out = tmp_path_factory.mktemp(f"trial{trial}")

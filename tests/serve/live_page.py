@@ -20,7 +20,7 @@ def browser_of():
 class LivePage(ShownPage):
     """The page at an address, loaded. theme: light or dark."""
 
-    def __init__(self, browser, url, width=1280, height=800, theme="light"):
+    def __init__(self, browser, url, width=800, height=600, theme="light"):
         self.browser = browser
         self.resize(width, height)
         self.dress(theme)

@@ -232,7 +232,7 @@ def test_the_map_follows_its_walker_until_it_is_dragged(browser, arcade):
     page.run("page.state.map.jumpTo({center: [135.001, 35.001], zoom: 21})")
     arcade.pose(x=6.0)
     inside = "const p = page.state.map.project([...page.walkers.values()][0].at);"
-    page.until(f"{inside} return p.x > 0 && p.x < 1280 && p.y > 0 && p.y < 800")
+    page.until(f"{inside} return p.x > 0 && p.x < 800 && p.y > 0 && p.y < 600")
     page.run("page.state.map.fire('dragstart')")
     page.until("return document.getElementById('follow').getAttribute('aria-pressed') === 'false'")
     page.run("document.getElementById('follow').click()")

@@ -20,13 +20,13 @@ from pdr_graph.serve.message_log import MAGIC, Entry, MessageLog, read_body, rea
 from pdr_graph.simulation.streaming import batches, message
 from pdr_graph.types import LONLAT, Fixes, Recording, Signal
 
-SECONDS = 30
+SECONDS = 20
 EPOCH = 1_700_000_000.0  # Unix time [s]
 
 
 @pytest.fixture(scope="module")
 def recording():
-    """A walk of half a minute with a fix every five seconds."""
+    """A walk of half a minute with a fix every five seconds; messages are those of SECONDS."""
     walk = simulated.walk_along(np.array([[0.0, 0.0], [25.0, 0.0], [25.0, 15.0]]), seed=3)
     frame, every = enu(48.0, 11.0), slice(0, None, 500)
     places = frame.to_lonlat(walk.position[every])
@@ -218,7 +218,7 @@ def test_a_finished_walk_has_its_whole_path(bodies, tmp_path):
     walk.close()
     assert pose["state"] == "finished"
     assert path["current"]["time"] == []
-    assert len(path["finalised"]["time"]) > 30
+    assert len(path["finalised"]["time"]) > 18
 
 
 def test_a_clock_hours_off_is_an_issue(bodies, tmp_path):

@@ -106,6 +106,8 @@ class AlternativePaths(LiveOutput):
     def _ask_trial(self, alternative: Callable[[], tuple[AlternativePath, Decisions]], rounds: int) -> None:
         """Compare an alternative with the present path, see `TrialQuestion`, and adopt the better one later."""
         self.graph.finalize_leaving()
+        if not self.graph.window.intervals:
+            return  # a single keyframe has no other path: the lag is shorter than the time between fixes
         question = TrialQuestion(self.graph.copy(), set(self.graph.isam.factors), alternative, rounds)
         self._trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
 
