@@ -7,9 +7,9 @@ import sys
 from contextlib import closing
 from datetime import UTC, datetime
 
+import commands
 import days_standin as standin
 import pytest
-from command_inside import command
 from test_ingest import phyphox
 
 from pdr_graph.lifelog.ingest import add
@@ -17,7 +17,7 @@ from pdr_graph.lifelog.ingest import add
 
 def run(*arguments):
     """Run a command of the lifelog; returns its exit code, output and error lines."""
-    return command("lifelog", *arguments)
+    return commands.run("lifelog", *arguments)
 
 
 def test_days_are_added_and_built(tmp_path):

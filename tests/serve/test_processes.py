@@ -13,7 +13,7 @@ import urllib.request
 import numpy as np
 import pytest
 import simulated
-from command_inside import command
+from commands import run
 
 from pdr_graph.frames import enu
 from pdr_graph.serve.message_log import read_entries
@@ -227,7 +227,7 @@ def test_another_host_has_a_token_and_prints_it(tmp_path, bodies):
     ],
 )
 def test_bad_options_end_with_one_line(tmp_path, options, text):
-    code, _, errors = command("serve", "--out", tmp_path / "out", "--port", "0", *options)
+    code, _, errors = run("serve", "--out", tmp_path / "out", "--port", "0", *options)
     assert (code, len(errors)) == (2, 1)
     assert text in errors[0]
 

@@ -51,12 +51,11 @@ class TrialQuestion:
 
     def answer(self) -> Trial:
         """The alternative at its optimum, and whether it costs less than the present path."""
-        graph = self.graph
-        graph.restart_solver(graph.isam, self.names)
-        before = self._optimized()
-        path, decisions = self.alternative()
+        graph, (path, decisions) = self.graph, self.alternative()
         if not len(path.within(graph.window.times)):
             return Trial(False, path, {})  # it has left the window: the particles are behind
+        graph.restart_solver(graph.isam, self.names)
+        before = self._optimized()
         graph.decide(graph.decisions | decisions)
         move_to(graph, path, self.names)
         return Trial(self._optimized() < before - LEAST_GAIN, _path_of(graph.window), decisions)
