@@ -68,7 +68,7 @@ def hours(folder):
     ):
         columns = [column.round(4) for column in (time, *values)]
         write_csv(pyarrow.table(columns, names=xyz(unit, name + " {}")), folder / f"{name}.csv")
-    return ["steps", folder, "--out", "OUT/s.csv"], 0
+    return ["smooth", folder, "--out", "OUT/walk"], 0
 
 
 def changed(change, sensors=("acceleration", "angular_rate"), make_files=None):
@@ -251,5 +251,5 @@ RECORDINGS = (
         for u, k in (("s", 1), ("µs", 10**6), ("ns", 10**9))
     ),
     Attack("phyphox: milliseconds in a column of seconds", phyphox_milliseconds, EITHER, "millisec|Hz"),
-    Attack("steps: 10 h at 400 Hz", hours, USED),
+    Attack("10 h at 400 Hz", hours, USED),
 )

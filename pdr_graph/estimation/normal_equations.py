@@ -33,18 +33,19 @@ class NormalEquations:
         self._bound = [self._variables(block) for block in at.blocks]
         pairs = [bound[:, pair] for bound in self._bound for pair in combinations(range(bound.shape[1]), 2)]
         self.elimination = Elimination(count, *np.concatenate([np.empty((0, 2), dtype=np.intp), *pairs]).T)
-        self._to_blocks = [self._to_rows(bound) for bound in self._bound]
-        self._to_variables = [Sum(bound, count) for bound in self._bound]
+        places = [self._rows(bound).ravel() for bound in self._bound]
+        self._to_blocks = Sum(np.concatenate(places), 3 * len(self.elimination.codes))
+        self._to_variables = Sum(np.concatenate([bound.ravel() for bound in self._bound]), count)
 
-    def _to_rows(self, bound: Index) -> Sum:
-        """Sums of JᵀJ of each factor to the rows of the blocks. bound: ``(n, v)`` its variables."""
+    def _rows(self, bound: Index) -> Index:
+        """The rows of the blocks to which JᵀJ of each factor is added. bound: ``(n, v)`` its variables."""
         (n, v), elimination = bound.shape, self.elimination
         slots = np.empty((n, v, v), dtype=np.intp)
         for a, b in product(range(v), repeat=2):
             own = a == b
             slots[:, a, b] = elimination.diagonal[bound[:, a]] if own else elimination.slots(bound[:, a], bound[:, b])
         rows = 3 * slots[:, :, None] + np.arange(3)[:, None]  # of three numbers, so that nothing is copied
-        return Sum(rows.reshape(n, 3 * v, v), 3 * len(elimination.codes))
+        return rows.reshape(n, 3 * v, v)
 
     def fits(self, at: Evaluation) -> bool:
         """True if all factors at ``at`` bind the same variables."""
@@ -55,10 +56,9 @@ class NormalEquations:
     def assembled(self, at: Evaluation, curved: bool = True) -> LinearSystem:
         """The system at a state; curved: with the curvature of the residuals, for a step of the search."""
         rows, right = np.zeros((3 * len(self.elimination.codes), 3)), np.zeros((self.elimination.count, 3))
-        for block, to_blocks, to_variables in zip(at.blocks, self._to_blocks, self._to_variables, strict=True):
-            squares, gradient = _products(block, curved)
-            to_blocks.add(rows, squares)
-            to_variables.add(right, -gradient)
+        squares, gradients = zip(*(_products(block, curved) for block in at.blocks), strict=True)
+        self._to_blocks.add(rows, np.concatenate(squares))
+        self._to_variables.add(right, -np.concatenate(gradients))
         return LinearSystem(self, at, rows.reshape(-1, 3, 3), right, curved)
 
     def _variables(self, block: FactorBlock) -> Index:
@@ -191,14 +191,13 @@ def first_variables(state: State) -> dict[str, int]:
 
 
 def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
-    """JᵀJ ``(n, 3 v, v, 3)`` and Jᵀr ``(n, v, 3)`` of each factor, weighted."""
+    """Rows of JᵀJ ``(n · 3 v · v, 3)`` and of Jᵀr ``(n · v, 3)`` of all factors in turn, weighted."""
     residual, derivatives = block.weighted
     n, v = len(block), len(derivatives)
     J = np.hstack(derivatives)
-    rows = len(residual) // max(n, 1)
-    if len(residual) == rows * n and np.array_equal(block.row_of, np.repeat(np.arange(n), rows)):
-        J = J.reshape(n, rows, 3 * v)
-        gradient = residual.reshape(n, 1, rows) @ J
+    if block.rows_each:
+        J = J.reshape(n, block.rows_each, 3 * v)
+        gradient = residual.reshape(n, 1, block.rows_each) @ J
         if curved and block.curvature is not None:
             J = np.concatenate([J, np.sqrt(block.weight)[:, None, None] * block.curvature()], axis=1)
         squares = J.transpose(0, 2, 1) @ J
@@ -208,4 +207,4 @@ def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:
         if len(present):
             squares[present] = np.add.reduceat(J[:, :, None] * J[:, None, :], start)
             gradient[present] = np.add.reduceat(J * residual[:, None], start)
-    return squares.reshape(n, 3 * v, v, 3), gradient.reshape(n, v, 3)
+    return squares.reshape(-1, 3), gradient.reshape(-1, 3)

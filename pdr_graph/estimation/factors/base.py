@@ -187,8 +187,8 @@ class FactorBlock:
 
     name: of the kind; residual: ``(m,)`` whitened; row_of: ``(m,)`` the factor of each row, ascending.
     variables: of each factor, as symbol and rows ``(n,)`` of the state; jacobian: returns the derivatives ``(m, 3)`` of
-    all rows by each of these variables, in GTSAM's local coordinates.
-    number: ``(n,)`` permanent number of each factor; loss: of the norm of its residual; signed: the loss is of the
+    all rows by each of these variables, in GTSAM's local coordinates; number: ``(n,)`` permanent number of each factor.
+    rows_each: rows of every factor, 0 if they vary; loss: of the norm of its residual; signed: the loss is of the
     residual itself, which has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
     tolerance: by symbol, change ``(3,)`` of a variable at which a live smoother linearises the factors again, None for
     linear factors; signature: ``(n,)`` of a factor's data, a change by 1 matters; prior: these are priors of variables
@@ -204,6 +204,7 @@ class FactorBlock:
     variables: tuple[tuple[str, Index], ...]
     jacobian: Callable[[], Sequence[Array]]
     number: Index
+    rows_each: int = 0
     loss: Loss = GAUSSIAN
     signed: bool = False
     most_rows: Index | None = None
@@ -230,8 +231,8 @@ class FactorBlock:
             return [by.reshape(-1, 3) for by in jacobian()]
 
         number = np.arange(n) if number is None else number
-        row_of = np.repeat(np.arange(n), r)
-        return cls(name, residual.ravel(), row_of, tuple(variables), rows, number, signed=r == 1, **others)
+        row_of = np.arange(n).repeat(r)
+        return cls(name, residual.ravel(), row_of, tuple(variables), rows, number, r, signed=r == 1, **others)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -260,7 +261,7 @@ class FactorBlock:
     @cached_property
     def cost(self) -> float:
         """The sum of the losses, as GTSAM counts it: half a squared residual where the loss is Gaussian."""
-        return float(np.sum(self.loss.cost(self.deviation)))
+        return float(self.loss.cost(self.deviation).sum())
 
     @cached_property
     def weighted(self) -> tuple[Array, list[Array]]:

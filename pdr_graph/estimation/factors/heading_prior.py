@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -73,13 +74,17 @@ class HeadingFactor(Measurement):
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """One factor for each heading."""
+        return [heading_block(self.name, at, *self._bound)]
+
+    @cached_property
+    def _bound(self) -> tuple[Index, Headings, Index]:
+        """Keyframes ``(h,)`` of the headings that have one, what is assumed of these headings, and their numbers."""
         which = np.flatnonzero(self.keyframe >= 0)
         headings = take(self.headings, which)
         started = of_start(headings)
         heading = wrap_angle(headings.heading - np.where(started, 0.0, self.off))
         sigma = np.where(started & self.wrong_start, ANY_HEADING, headings.sigma)
-        headings = replace(headings, heading=heading, sigma=sigma)
-        return [heading_block(self.name, at, self.keyframe[which], headings, self.number[which])]
+        return self.keyframe[which], replace(headings, heading=heading, sigma=sigma), self.number[which]
 
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
         """All compass headings are off by a large angle, by iron; the start heading is wrong.

@@ -99,19 +99,18 @@ class CalibrationFactor(Measurement):
         later = np.flatnonzero(follows)
         number, sigma = at.state.number("c"), np.array(self.change)
         mean, covariance, root = self._priors
-        keys = at.state.keys("c").tolist()
 
         def prior_factor(n: int) -> gtsam.NonlinearFactor:
             import gtsam
 
             noise = gtsam.noiseModel.Gaussian.Covariance(covariance[n])
-            return gtsam.PriorFactorVector(keys[first[n]], mean[n], noise)
+            return gtsam.PriorFactorVector(int(at.state.keys("c")[first[n]]), mean[n], noise)
 
         def changed(n: int) -> gtsam.NonlinearFactor:
             import gtsam
 
-            s, noise = int(later[n]), gtsam.noiseModel.Diagonal.Sigmas(sigma)
-            return gtsam.BetweenFactorVector(keys[s - 1], keys[s], np.zeros(3), noise)
+            before, after = at.state.keys("c")[later[n] - 1 : later[n] + 1].tolist()
+            return gtsam.BetweenFactorVector(before, after, np.zeros(3), gtsam.noiseModel.Diagonal.Sigmas(sigma))
 
         by = np.tile(np.diag(1 / sigma), (len(later), 1, 1))
         return [

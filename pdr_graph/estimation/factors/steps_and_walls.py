@@ -111,8 +111,8 @@ class WallFactor(Measurement):
         r, steepness = np.zeros(len(distance)), np.zeros(len(distance))
         for keep, sigma in ((self.margin, self.sigma), (BODY, BODY_SIGMA * self.sigma)):
             near = moved & (distance < keep)
-            r[near] += (keep - distance[near]) / sigma
-            steepness[near] += 1 / sigma
+            r += np.where(near, keep - distance, 0.0) / sigma
+            steepness += near / sigma
         return r, -gradient * steepness[:, None]
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
