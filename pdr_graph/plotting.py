@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.legend_handler import HandlerPolyCollection
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
@@ -83,8 +84,11 @@ def plot(
 def _draw_legend(figure: Figure, canvases: Sequence[Axes]) -> None:
     """Name the marks of all axes below them, each once."""
     columns = max(2, int(figure.get_figwidth() / 1.9))
-    named = {text: mark for axes in canvases for mark, text in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(named.values(), named.keys(), loc="lower center", ncols=columns, frameon=False, fontsize=9)
+    handlers: Any = {PatchCollection: HandlerPolyCollection()}  # which matplotlib knows from 3.11 on
+    marks = [zip(*axes.get_legend_handles_labels(handlers), strict=True) for axes in canvases]
+    named = {text: mark for of_axes in marks for mark, text in of_axes}
+    style: Any = {"loc": "lower center", "ncols": columns, "frameon": False, "fontsize": 9}
+    figure.legend(named.values(), named.keys(), handler_map=handlers, **style)
 
 
 def _draw_scale(axes: Axes) -> None:

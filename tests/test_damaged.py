@@ -24,6 +24,7 @@ def survive(name, undamaged, use, folder):
         (folder / file).write_bytes(mutated(whole, random.Random(f"{name}{n}")))
         try:
             with warnings.catch_warnings(action="error"):
+                warnings.simplefilter("ignore", DeprecationWarning)  # of older libraries about one another
                 use(folder / file)
             loaded += 1
         except InputError as error:

@@ -76,16 +76,16 @@ class GaussianMixture:
 
     def summary(self) -> tuple[Array, Array]:
         """Mean ``(6,)`` of the most probable hypothesis, and covariance ``(6, 6)`` of the mixture about it."""
-        return self._about(self.mean[self.best])
+        return self.about(self.mean[self.best])
 
     def expectation(self) -> tuple[Array, Array]:
         """Mean ``(6,)`` and covariance ``(6, 6)`` of the whole mixture; the mean of directions is circular."""
         weight = np.exp(self.log_weight)
         mean = weight @ self.mean
         mean[2] = np.angle(weight @ np.exp(1j * self.mean[:, 2]))
-        return self._about(mean)
+        return self.about(mean)
 
-    def _about(self, mean: Array) -> tuple[Array, Array]:
+    def about(self, mean: Array) -> tuple[Array, Array]:
         """``mean (6,)``, and the covariance ``(6, 6)`` of the mixture about it."""
         if len(self) == 1:
             return self.mean[0], self.covariance[0]

@@ -255,7 +255,7 @@ def test_a_pickle_in_a_map_is_not_run(learnt, tmp_path):
     path, proof = tmp_path / "map.npz", tmp_path / "proof"
     learnt.save(path)
     arrays = dict(np.load(path))
-    np.savez(path, **arrays | {"frame": np.array(Obedient(str(proof)), dtype=object)}, allow_pickle=True)
+    np.savez(path, **arrays | {"frame": np.array(Obedient(str(proof)), dtype=object)})
     with pytest.raises(InputError):
         RadioMap.load(path)
     assert not proof.exists()

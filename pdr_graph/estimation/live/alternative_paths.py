@@ -48,20 +48,20 @@ class AlternativePaths(LiveOutput):
         """Associate the last pieces with walls and return the price; no walls before the batch solved the walk."""
         return self.graph.associate_walls(pieces) if self.solved else 0.0
 
-    def _follow(self, new: list[Interval]) -> None:
+    def _follow(self, new: list[Interval], may_begin: bool) -> None:
         """Pass new intervals to the particle filter, which starts at the estimate as soon as that is certain.
 
+        may_begin: False where the estimate has no walls yet, as the batch has just been adopted.
         After a gap as long as the lag, new intervals may have left the window already: it starts again.
         """
         window = self.graph.window
         plan, left = window.located_plan, any(interval.j not in window.keyframes for interval in new)
-        if plan is None or not self.sure:
+        if plan is None or not self.sure or left:
             self._particles = None
-        elif self._particles is None or left:
-            begin = window.times[-1]
-            belief = self.keyframe_belief()
+        if plan is not None and self.sure and self._particles is None and may_begin:
+            begin, belief = window.times[-1], self.keyframe_belief()
             self._particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
-        else:
+        elif self._particles is not None:
             for interval in new:
                 self._particles.enqueue(interval, self._measurements_at(interval.j))
             self._particles.forget(window.times[0])

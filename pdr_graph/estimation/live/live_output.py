@@ -16,6 +16,7 @@ from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.modes import Modes, after_headings, in_walkable_area
+from pdr_graph.estimation.live.particles import ParallelParticleFilter
 from pdr_graph.estimation.live.prediction import (
     Belief,
     Position,
@@ -30,12 +31,15 @@ from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.measurements import take
 from pdr_graph.types import Array, Calibration, Estimate, Fixes, Headings, Steps
 
+LEAST_PROBABILITY = 0.1  # of the graph's way, however few particles are there; chosen by hand
+
 
 class LiveOutput:
     """Results of a walk under way; base class of `LiveSmoother`."""
 
     finished: bool
     _final: Estimate | None
+    _particles: ParallelParticleFilter | None
 
     def __init__(self, graph: LiveGraph) -> None:
         self.graph, self.modes, self.sure = graph, Modes(), False
@@ -63,11 +67,31 @@ class LiveOutput:
         if fixes and modes.mixture is None and not self.graph.has_position:
             base, at, fixes = in_any_direction(base, fixes[0]), fixes[0].time, fixes[1:]
         ways = predict(base, whole, window.steps.start, at, end, fixes)
-        if not self.sure and len(ways) > 1:
+        if self.sure:
+            ways = self._with_others(ways, whole, end)
+        elif len(ways) > 1:
             ways = self._weighted(ways, whole, end)
         stated = ways.covariance.copy()
         stated[:, :3, :3] += self.graph.excess.at(np.array([end]))[0]
         return replace(ways, covariance=stated)
+
+    def _with_others(self, ways: GaussianMixture, whole: Array, end: float) -> GaussianMixture:
+        """The way of the graph at ``end`` [s], first, and those of particles elsewhere, until the next fix."""
+        particles, start = self._particles, self.graph.window.steps.start
+        if particles is None or particles.elsewhere is None:
+            return ways
+        begin = particles.times[-1]
+        if begin < start or self._fixes_between(begin, end):  # the steps since have left the window, or a fix decides
+            return ways
+        others = predict(particles.elsewhere, whole, start, begin, end, [])
+        own = max(1.0 - float(np.exp(others.log_weight).sum()), LEAST_PROBABILITY)
+        every = np.arange(len(ways) + len(others))
+        return GaussianMixture(
+            np.concatenate([ways.mean, others.mean]),
+            np.concatenate([ways.covariance, others.covariance]),
+            np.concatenate([ways.log_weight + np.log(own), others.log_weight]),
+            every,
+        ).take(every)
 
     def _weighted(self, ways: GaussianMixture, whole: Array, end: float) -> GaussianMixture:
         """The ways at ``end`` [s], weighted by headings that no batch has used, and by walls."""
@@ -84,8 +108,11 @@ class LiveOutput:
         return self.expected(self.mixture(tail, until))
 
     def expected(self, ways: GaussianMixture) -> Belief:
-        """Expectation over ways, moved into the walkable area; the covariance is about the position that is given."""
-        mean, covariance = ways.expectation()
+        """Expectation over ways, or the first once the walk is certain, in the walkable area.
+
+        The covariance of all ways is about the position that is given.
+        """
+        mean, covariance = ways.about(ways.mean[0]) if self.sure else ways.expectation()
         plan = self.graph.window.located_plan
         if plan is None:
             return Belief(mean, covariance)

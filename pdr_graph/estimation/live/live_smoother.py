@@ -170,14 +170,15 @@ class LiveSmoother(NewFixes):
         if contradicted and self.sure:
             self._restart()
         self._search_plan()
-        if not self._solve_by_batch():
+        adopted = self._solve_by_batch()
+        if not adopted:
             graph.update()
         self._adopt_alternative()
         if reached and self.sure:
             self._reclassify()
             self._doubt_new_fixes()
         self._compare_sources(SCHEDULE.comparison_time)
-        self._follow(new)
+        self._follow(new, may_begin=not adopted)
         graph.finalize_leaving()
         self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
         return True

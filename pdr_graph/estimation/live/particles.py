@@ -17,16 +17,19 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.optimizer import SAME_PATH
-from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleFilter
+from pdr_graph.estimation.particle_filter import LEAST_STRIDE, KeyframeMeasurements, ParticleFilter, Paths
 from pdr_graph.estimation.path_modes import dominant_modes
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.geometry import differences
 from pdr_graph.types import Array, Index
 
 FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
 DOMINANT = 0.7  # share of the particles in one mode, whose present position is right in 96 % of cases
 CONFIRMATIONS = 2  # keyframes in a row at which that mode must differ from the graph; chosen by hand
+SPREAD = 1.5  # sigmas of the first particles, relative to those of the graph, which may be in the wrong aisle
+LEAST_SHARE = 0.02  # of the particles, in a mode that counts
 SEED = 0
 
 
@@ -69,16 +72,17 @@ class _Keyframe:
 class ParallelParticleFilter:
     """A particle filter that runs in small jobs between the updates of the graph.
 
-    belief, time [s], label: state and floor at which it starts. times: of its keyframes [s].
+    belief, time [s], label: state and floor at which it starts. times: of its keyframes [s]; elsewhere: the ways of the
+    particles that are not where the graph is, see `ways_elsewhere`, at the last keyframe.
     """
 
     def __init__(self, plan: Building, prior: Prior, belief: GaussianMixture, time: float, label: str):
         self.plan, self.label, self.times = plan, label, [time]
         self._jobs: deque[_Piece | _Keyframe] = deque()
         self._apart = 0
-        mean, spread = belief.mean[0], np.sqrt(np.diag(belief.covariance[0]))
+        self.elsewhere: GaussianMixture | None = None
         self._filter = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, at_once=1)
-        self._filter.begin(mean[:2], float(spread[:2].max()), float(mean[2]), float(spread[2]))
+        self._filter.begin_at(_drawn(belief, self._filter.random))
 
     def enqueue(self, interval: Interval, measurements: KeyframeMeasurements) -> None:
         """Queue the next interval and the measurements at its end."""
@@ -108,7 +112,9 @@ class ParallelParticleFilter:
     def alternative_path(self, position: Array) -> AlternativePath | None:
         """The path of most particles if it has differed from the graph, now at ``position (2,)`` [m], for a while."""
         paths = self._filter.paths()
-        share, which = dominant_modes(paths)[0]
+        modes = dominant_modes(paths)
+        self.elsewhere = ways_elsewhere(paths, [which for _, which in modes], position)
+        share, which = modes[0]
         path = paths.state[:, :, which]
         apart = share > DOMINANT and np.hypot(*(path[-1, :2] - position)) > SAME_PATH
         self._apart = self._apart + 1 if apart else 0
@@ -128,3 +134,32 @@ class ParallelParticleFilter:
         """Distance fields of the stairs and lifts between two floors."""
         floors = {self.plan.index(label), self.plan.index(other)}
         return [way.field for way in self.plan.connections if floors <= set(way.floors)]
+
+
+def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> GaussianMixture | None:
+    """The ways of the particles that are not where the graph is, with the logarithm of their share; None without any.
+
+    middles: the middle particle of each mode; a particle belongs to the nearest. position: of the graph ``(2,)`` [m].
+    """
+    state, ways = paths.state[-1], list[tuple[Array, Array, float]]()
+    apart = np.hypot(*(state[:2, None] - state[:2, middles][:, :, None]))
+    mode = np.where(np.hypot(*(state[:2] - position[:, None])) < SAME_PATH, -1, np.argmin(apart, axis=0))
+    for k in range(len(middles)):
+        own, weight = state[:, mode == k].T, paths.weight[mode == k]
+        share = float(weight.sum())
+        if share > LEAST_SHARE:
+            mean = weight @ own / share
+            mean[2] = np.angle(weight @ np.exp(1j * own[:, 2]))
+            off = differences(own, mean)
+            ways.append((mean, off.T * weight @ off / share, np.log(share)))
+    if not ways:
+        return None
+    mean, covariance, log_share = map(np.array, zip(*ways, strict=True))
+    return GaussianMixture(mean, covariance, log_share, np.arange(len(ways)))
+
+
+def _drawn(belief: GaussianMixture, random: np.random.Generator) -> Array:
+    """Particles ``(6, MOST)`` of a belief, whose sigmas are SPREAD times as large."""
+    state = random.multivariate_normal(belief.mean[0], SPREAD**2 * belief.covariance[0], MOST).T
+    state[3] = np.maximum(state[3], LEAST_STRIDE)
+    return state
