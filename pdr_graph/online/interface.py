@@ -135,7 +135,9 @@ class Mode(OneLineRepr):
 
 @dataclass(frozen=True)
 class Pose(OneLineRepr):
-    """The current pose of the walker: the expectation over all ways that remain, in the walkable area of a plan.
+    """The current pose of the walker, in the walkable area of a plan: the expectation over all ways that remain.
+
+    Once the direction is certain it is that of one way; the others are those of particles elsewhere on the plan.
 
     time [s]; x, y [m]; heading [rad]; floor: the plan's label, empty where unknown; covariance: ``(3, 3)`` of
     (x, y, heading) in the output axes [m, m, rad], of all ways together; modes: the ways, the most probable first;

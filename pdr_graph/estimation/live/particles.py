@@ -160,6 +160,7 @@ def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> Gau
 
 def _drawn(belief: GaussianMixture, random: np.random.Generator) -> Array:
     """Particles ``(6, MOST)`` of a belief, whose sigmas are SPREAD times as large."""
-    state = random.multivariate_normal(belief.mean[0], SPREAD**2 * belief.covariance[0], MOST).T
+    wider = SPREAD**2 * belief.covariance[0]
+    state = random.multivariate_normal(belief.mean[0], wider, MOST, check_valid="ignore").T  # to the last digit
     state[3] = np.maximum(state[3], LEAST_STRIDE)
     return state
