@@ -44,7 +44,7 @@ class NormalEquations:
         for a, b in product(range(v), repeat=2):
             own = a == b
             slots[:, a, b] = elimination.diagonal[bound[:, a]] if own else elimination.slots(bound[:, a], bound[:, b])
-        rows = 3 * slots[:, :, None] + np.arange(3)[:, None]  # of three numbers, so that nothing is copied
+        rows = 3 * slots[:, :, None] + np.arange(3)[:, None]  # a block is three rows of three numbers
         return rows.reshape(n, 3 * v, v)
 
     def fits(self, at: Evaluation) -> bool:

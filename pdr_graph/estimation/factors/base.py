@@ -188,8 +188,8 @@ class FactorBlock:
     name: of the kind; residual: ``(m,)`` whitened; row_of: ``(m,)`` the factor of each row, ascending.
     variables: of each factor, as symbol and rows ``(n,)`` of the state; jacobian: returns the derivatives ``(m, 3)`` of
     all rows by each of these variables, in GTSAM's local coordinates; number: ``(n,)`` permanent number of each factor.
-    rows_each: rows of every factor, 0 if they vary; loss: of the norm of its residual; signed: the loss is of the
-    residual itself, which has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
+    rows_each: rows of every factor, 0 if they vary; loss: of the norm of its residual, or of the residual itself where
+    every factor has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
     tolerance: by symbol, change ``(3,)`` of a variable at which a live smoother linearises the factors again, None for
     linear factors; signature: ``(n,)`` of a factor's data, a change by 1 matters; prior: these are priors of variables
     that the kind adds.
@@ -206,7 +206,6 @@ class FactorBlock:
     number: Index
     rows_each: int = 0
     loss: Loss = GAUSSIAN
-    signed: bool = False
     most_rows: Index | None = None
     tolerance: Mapping[str, Array] | None = field(default_factory=lambda: TOLERANCE)
     signature: Array | None = None
@@ -232,7 +231,7 @@ class FactorBlock:
 
         number = np.arange(n) if number is None else number
         row_of = np.arange(n).repeat(r)
-        return cls(name, residual.ravel(), row_of, tuple(variables), rows, number, r, signed=r == 1, **others)
+        return cls(name, residual.ravel(), row_of, tuple(variables), rows, number, r, **others)
 
     def __len__(self) -> int:
         return len(self.number)
@@ -249,7 +248,7 @@ class FactorBlock:
     @cached_property
     def deviation(self) -> Array:
         """Deviation ``(n,)`` of each factor [σ]: the norm of its residual, or the signed residual."""
-        if self.signed:
+        if self.rows_each == 1:
             return self.residual
         return np.sqrt(np.bincount(self.row_of, self.residual**2, len(self)))
 

@@ -36,7 +36,7 @@ class AlternativePaths(LiveOutput):
         self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
         self.batch_reviewed = False
         self.alternatives_tried, self.alternatives_accepted = 0, 0
-        self._particles: ParallelParticleFilter | None = None
+        self._particles = None
 
     def _batch_question(self) -> BatchQuestion:
         raise NotImplementedError
@@ -55,16 +55,16 @@ class AlternativePaths(LiveOutput):
         After a gap as long as the lag, new intervals may have left the window already: it starts again.
         """
         window = self.graph.window
-        plan, left = window.located_plan, any(interval.j not in window.keyframes for interval in new)
-        if plan is None or not self.sure or left:
+        plan = window.located_plan if self.sure else None
+        if plan is None or any(interval.j not in window.keyframes for interval in new):
             self._particles = None
-        if plan is not None and self.sure and self._particles is None and may_begin:
-            begin, belief = window.times[-1], self.keyframe_belief()
-            self._particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
-        elif self._particles is not None:
+        if self._particles is not None:
             for interval in new:
                 self._particles.enqueue(interval, self._measurements_at(interval.j))
             self._particles.forget(window.times[0])
+        elif plan is not None and may_begin:
+            begin, belief = window.times[-1], self.keyframe_belief()
+            self._particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
 
     def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
         """Fixes and headings at the keyframe with this number, for the particles."""
