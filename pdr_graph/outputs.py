@@ -326,7 +326,7 @@ def _unscored(truth: Path | None, inputs: Inputs, estimate: Estimate) -> tuple[s
 def _truth_beside(inputs: Inputs, estimate: Estimate) -> Trajectory | None:
     """The truth in the output frame; None if it cannot be placed there, or lies elsewhere than the walk."""
     truth, frame = inputs.walk.truth, inputs.frame
-    located = estimate.fixes or estimate.routes
+    located = estimate.placed or estimate.fixes or estimate.routes
     if truth is None or not located or (truth.epsg is not None and not frame.georeferenced):
         return None
     truth = frame.place(truth)

@@ -27,6 +27,7 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
+FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
@@ -420,6 +421,7 @@ class Estimate(OneLineRepr):
     probability: of this route, against other routes that also explain the measurements; NaN if it is unknown.
     routes: probability and path of each route, this one first; empty if nothing but the fixes determines it.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`.
+    placed: a live walk was certain of its place before the measurements that are still reported.
     """
 
     trajectory: Trajectory
@@ -433,6 +435,7 @@ class Estimate(OneLineRepr):
     warnings: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
     routes: tuple[tuple[float, Trajectory], ...] = ()
+    placed: bool = False
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:

@@ -94,7 +94,8 @@ def wall_crossings(building: Building, trajectory: Trajectory) -> tuple[Contradi
 
 def _place(estimate: Estimate) -> Iterator[Contradiction]:
     """Fixes, none of which can be used, and nothing else that measures positions."""
-    if estimate.fixes and not used_fixes(estimate.fixes) and not any(_transmitters(estimate)):
+    placed = estimate.placed or used_fixes(estimate.fixes) or any(_transmitters(estimate))
+    if estimate.fixes and not placed:
         text = "no fix lies within the recording: where the walk was is unknown"
         yield Contradiction("fixes", "recording", float("nan"), "s", text, "the clock of the fixes", FAILED)
 

@@ -153,7 +153,7 @@ def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
 
 def missing_of(estimate: Estimate, fixes: int) -> tuple[str, ...]:
     """Return what could not be estimated for a walk with so many fixes, a line each."""
-    if fixes and not used_fixes(estimate.fixes):
+    if fixes and not (estimate.placed or used_fixes(estimate.fixes)):
         missing = ("a place: no fix lies within the recording",)
     elif is_a_guess(estimate.fixes):
         missing = ("a place: the fixes contradict the steps and one another",)
@@ -184,7 +184,8 @@ def is_located(estimate: Estimate) -> bool:
 
 def is_measured(estimate: Estimate) -> bool:
     """True if any measurement determined the position, not the plan alone."""
-    return bool(used_fixes(estimate.fixes)) or any(estimate.reports.get(kind) for kind in LOCATING)
+    locating = (used_fixes(estimate.fixes), *(estimate.reports.get(kind) for kind in LOCATING))
+    return estimate.placed or any(locating)
 
 
 def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *, fits: bool = True) -> float:

@@ -14,7 +14,7 @@ from pdr_graph.io.delimited import MISSING, Table
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
 from pdr_graph.io.validation import iso_time
 from pdr_graph.source import Source
-from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
+from pdr_graph.types import FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 
 def read_fixes(
@@ -65,7 +65,8 @@ def _tabular_fixes(path: Path, recording: Recording) -> Fixes:
     names = ("lon", "lat") if geodetic else ("x", "y")
     order = np.argsort(numbers["time"], kind="stable")
     position = np.stack([numbers[n] for n in names], axis=1)
-    _check_rows(path, numbers["sigma"] <= 0, numbers["sigma"], "sigma", "a standard deviation above 0 m")
+    needed = f"a standard deviation of {FINEST:g} m or more"
+    _check_rows(path, numbers["sigma"] < FINEST, numbers["sigma"], "sigma", needed)
     if geodetic:
         check_geodetic(path, numbers)
     epsg = LONLAT if geodetic else None
@@ -219,7 +220,7 @@ def _check_rows(path: str | Path, wrong: Mask, values: Array, name: str, expecte
     """Raise InputError at the first row that is wrong."""
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.6f}", expected)
+        raise InputError(path, f"data row {row + 1}, {name}", f"{values[row]:.15g}", expected)
 
 
 def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:

@@ -283,6 +283,7 @@ class Navigator:
             cost=smoother.graph.cost,
             converged=True,
             contradictions=contradictions_of(smoother, self.building, rows, reports),
+            placed=smoother.graph.finalized.anchored,
         )
 
     def _dead_reckoning(self) -> Trajectory:

@@ -204,3 +204,19 @@ def test_without_steps_and_fixes_is_an_input_error(folder, tmp_path):
 
     with pytest.raises(InputError, match="neither steps nor fixes"):
         replay_recording(folder / "walk.txt", tmp_path, Options(recorded_fixes=False), Nothing)
+
+
+@pytest.mark.parametrize("journal", [False, True])
+def test_a_walk_whose_only_fix_has_left_the_window_has_a_place(folder, tmp_path, journal):
+    """The direction is given. Its score is that of the walk whose fix is still in the window, or nearly."""
+    scores = {}
+    table = (folder / "fixes.csv").read_text().splitlines()
+    (tmp_path / "first.csv").write_text("\n".join(table[:2]) + "\n")
+    for lag in (6.0, 1000.0):
+        given = Options(fixes=tmp_path / "first.csv", start_heading=90.0, truth=folder / "truth.csv", lag=lag)
+        given = replace(given, journal=tmp_path / f"{lag}.journal" if journal else None)
+        assert replay_recording(folder / "walk.txt", tmp_path / "out", given) == ()
+        summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+        assert summary["sigma"] is not None
+        scores[lag] = summary["live"]["hindsight"]["error"]["p50"]
+    assert scores[6.0] == pytest.approx(scores[1000.0], abs=0.5)

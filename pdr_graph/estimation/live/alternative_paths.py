@@ -97,7 +97,7 @@ class AlternativePaths(LiveOutput):
     def _cost_too_high(self) -> bool:
         """True if the cost is too high for a correct path, and there are fixes to find another."""
         fixes = len(self.graph.log.position_times())
-        return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
+        return fixes > 0 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
 
     def _ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""

@@ -192,7 +192,9 @@ class LiveOutput:
     def reports(self) -> dict[str, tuple[Any, ...]]:
         """Reports by kind: of the window, and of finalised measurements since `pop_finalized` was last called."""
         at, past = self.graph.evaluate(everything=True), self.graph.finalized.reports
-        result = {}
+        result = {
+            name: tuple(reports.values()) for name, reports in past.items()
+        }  # of kinds that left the window whole
         for measurement in at.measurements:
             reports = measurement.reports(at)
             if measurement.instances is not None:

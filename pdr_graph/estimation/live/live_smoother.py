@@ -297,8 +297,8 @@ class LiveSmoother(NewFixes):
             graph.finalized.move(window.pose[0].copy())
         graph.finalized.anchored |= self.sure
         self.next_comparison = -np.inf if self.sure else self.next_comparison
+        self._associate_walls(ALL)  # or a solver without walls would move the walk off the solution
         graph.rebuild(graph.lag if self.sure or window.duration > SCHEDULE.longest_open else np.inf)
-        self._associate_walls(ALL)
         for _ in range(SCHEDULE.rounds if self.finished else 0):  # else the next steps do, see `_refine`
             graph.relinearize()
 
@@ -311,7 +311,6 @@ class LiveSmoother(NewFixes):
         window.dead_reckon(int(np.searchsorted(times, solution.time[-1] + CLOSE)) - 1, solution.c[-1])
         for interval in window.intervals:
             window.c[interval.segment] = solution.calibration(interval.end)
-            interval.fields = [None] * len(interval.fields)
 
     def _restart(self, carried: bool = True) -> None:
         """Solve the window anew, since measurements contradict the walk; the information from before it is dropped.

@@ -1,0 +1,41 @@
+"""A walk under way whose direction is measured roughly, and whose walls say which way it went."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from walks import PERIOD, fixes_at, steps_of
+
+from pdr_graph import FloorPlan
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import Area
+from pdr_graph.frames import Frame
+
+STRIDE, HALF = 0.7, 1.5  # [m] of a step; half the width of the corridor
+OFF = 0.3  # [rad] of the measured direction, one sigma
+
+
+def corridor():
+    return Building.around(FloorPlan("1", (Area("corridor", "", shapely.box(-1, -HALF, 200, HALF)),), Frame()))
+
+
+@pytest.mark.parametrize("off", [-OFF, OFF])
+def test_a_solution_of_the_batch_is_adopted_with_its_walls(off):
+    """A solver without them would turn the walk to the measured direction: 11 m out of the corridor."""
+    live = LiveSmoother(lag=60.0, plan=corridor())
+    step, outside, adopted = steps_of(np.full(1, STRIDE), np.zeros(1)), 0.0, 0
+    live.extend(replace(step, start=0.0, end=PERIOD, time=np.array([PERIOD])))
+    live.append(fixes_at([PERIOD], [[STRIDE, 0.0]], 1.0))
+    live.set_heading(0, PERIOD, off, OFF)
+    for n in range(1, 80):
+        begin, end = PERIOD * n, PERIOD * (n + 1)
+        before = live.graph.isam
+        live.extend(replace(step, start=begin, end=end, time=np.array([end])))
+        adopted += live.graph.isam is not before
+        outside = max(outside, float(np.abs(live.graph.window.pose[:, 1]).max()) - HALF)
+    assert adopted > 3
+    assert live.sure
+    assert outside < 1.2, "[m], for a step or two"
+    assert live.graph.window.pose[-1, 1:] == pytest.approx(0.0, abs=HALF)
