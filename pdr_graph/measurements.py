@@ -13,6 +13,7 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.types import Array, Index
 
 Data = TypeVar("Data", bound=Any)
+FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
 
 
 @dataclass(frozen=True)

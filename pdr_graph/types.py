@@ -27,7 +27,6 @@ Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
-FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
@@ -347,10 +346,8 @@ class Calibration(OneLineRepr):
     The coefficients are R_s and R_d of [map-matching] Eqs. (4), (5) and the E_straight of [calibration-walk] Eq. (9)
     written as a gyro drift: true length = R_s × length, true turn = R_d × turn + b × Δt.
 
-    start: ``(s,)`` start of each segment [s].
-    value: ``(s, 3)`` R_s [-], R_d [-], b [rad/s].
-    covariance: ``(s, 3, 3)``.
-    prior_sigma: ``(s, 3)`` prior standard deviations.
+    start: ``(s,)`` start of each segment [s]; value: ``(s, 3)`` R_s [-], R_d [-], b [rad/s].
+    covariance: ``(s, 3, 3)``; prior_sigma: ``(s, 3)`` prior standard deviations.
     """
 
     start: Array
@@ -413,15 +410,15 @@ class BeaconReport:
 class Estimate(OneLineRepr):
     """The estimated walk.
 
-    trajectory: start pose, one row per step at its end, last pose.
-    dead_reckoning: the same rows from the steps alone, rigidly aligned to the fixes.
-    calibration: None if the method has none; reports: of each measurement by kind: "fixes" in input order, "beacons".
+    trajectory: start pose, one row per step at its end, last pose; dead_reckoning: the same rows from the steps alone,
+    rigidly aligned to the fixes; calibration: None if the method has none; reports: of each measurement by kind:
+    "fixes" in input order, "beacons".
     iterations: of the optimiser; cost: half the sum of squared, robustly weighted residuals, NaN if not defined;
-    converged: False if the optimiser stopped before the cost converged.
-    probability: of this route, against other routes that also explain the measurements; NaN if it is unknown.
-    routes: probability and path of each route, this one first; empty if nothing but the fixes determines it.
-    warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`.
-    placed: a live walk was certain of its place before the measurements that are still reported.
+    converged: False if the optimiser stopped before the cost converged; probability: of this route, against other
+    routes that also explain the measurements; NaN if it is unknown; routes: probability and path of each route, this
+    one first; empty if nothing but the fixes determines it.
+    warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`;
+    placed: the place of a live walk was certain before the first report.
     """
 
     trajectory: Trajectory

@@ -13,8 +13,9 @@ from pdr_graph.io import delimited, geolife, gpx, ipin21, tum
 from pdr_graph.io.delimited import MISSING, Table
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
 from pdr_graph.io.validation import iso_time
+from pdr_graph.measurements import FINEST
 from pdr_graph.source import Source
-from pdr_graph.types import FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
+from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 
 def read_fixes(

@@ -48,10 +48,9 @@ class AlternativePaths(LiveOutput):
         """Associate the last pieces with walls and return the price; no walls before the batch solved the walk."""
         return self.graph.associate_walls(pieces) if self.solved else 0.0
 
-    def _follow(self, new: list[Interval], may_begin: bool) -> None:
+    def _follow(self, new: list[Interval]) -> None:
         """Pass new intervals to the particle filter, which starts at the estimate as soon as that is certain.
 
-        may_begin: False where the estimate has no walls yet, as the batch has just been adopted.
         After a gap as long as the lag, new intervals may have left the window already: it starts again.
         """
         window = self.graph.window
@@ -62,7 +61,7 @@ class AlternativePaths(LiveOutput):
             for interval in new:
                 self._particles.enqueue(interval, self._measurements_at(interval.j))
             self._particles.forget(window.times[0])
-        elif plan is not None and may_begin:
+        elif plan is not None:
             begin, belief = window.times[-1], self.keyframe_belief()
             self._particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
 
@@ -97,7 +96,7 @@ class AlternativePaths(LiveOutput):
     def _cost_too_high(self) -> bool:
         """True if the cost is too high for a correct path, and there are fixes to find another."""
         fixes = len(self.graph.log.position_times())
-        return fixes > 0 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
+        return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
 
     def _ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""

@@ -71,10 +71,8 @@ class TransactionalISAM:
         """True if a variable is alive."""
         return self.values.exists(key)
 
-    def changes(
-        self, block: FactorBlock, state: State, tighter: float = 1.0, again: Collection[Name] = ()
-    ) -> dict[Name, Linear]:
-        """The factors of a block that are new or must be linearised again, at ``tighter`` times its tolerance.
+    def changes(self, block: FactorBlock, state: State, again: Collection[Name] = ()) -> dict[Name, Linear]:
+        """The factors of a block that are new or must be linearised again.
 
         Priors of variables that a kind adds are new only if one of their variables is, or if ``again`` names them.
         """
@@ -91,7 +89,7 @@ class TransactionalISAM:
             due[due] = [not complete or name in again for name, complete in zip(names, alive, strict=True)]
         old = np.array([n for n, factor in enumerate(stored) if factor is not None], dtype=np.intp)
         if len(old):
-            due[old] = _stale([stored[n] for n in old.tolist()], block, point[old], old, signature[old], tighter)
+            due[old] = _stale([stored[n] for n in old.tolist()], block, point[old], old, signature[old])
         if not due.any():
             return {}
         return _linear(block, state, np.flatnonzero(due), keys, point, signature)
@@ -139,6 +137,10 @@ class TransactionalISAM:
         """Joint covariance of some variables, in GTSAM's local coordinates."""
         return np.asarray(self._smoother.getISAM2().jointMarginalCovariance(keys).fullMatrix())
 
+    def linearized(self) -> gtsam.GaussianFactorGraph:
+        """All factors, with the marginals, at the estimate."""
+        return self.graph().linearize(self.values)
+
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """All factors, with the marginals."""
         return _graph([*(linear.factor for linear in self.factors.values()), *self.marginal])
@@ -154,11 +156,18 @@ class TransactionalISAM:
         isam.values = values
         return isam
 
+    def moved(self, values: gtsam.Values) -> TransactionalISAM:
+        """The same variables at other values, with all factors as they are; it has not started."""
+        isam = self.with_values(values)
+        isam.factors = self.factors
+        return isam
+
     def insert(self, values: gtsam.Values, times: Mapping[int, float]) -> None:
-        """Add variables before `start`. times: until which each is needed [s]."""
-        self.values = gtsam.Values(self.values)
-        self.values.insert(values)
-        self._times |= {key: times[key] for key in values.keys()}
+        """Add variables before `start`. times: [s] until which these are needed, and variables that must stay alive."""
+        if values.size():
+            self.values = gtsam.Values(self.values)
+            self.values.insert(values)
+        self._times |= times
 
     def start(self, factors: Mapping[Name, Linear]) -> None:
         """Add the first factors, after `with_values` or `restored`."""
@@ -255,21 +264,19 @@ class IsamCheckpoint:
     marginal: list[PackedFactor]
 
 
-def _stale(
-    stored: Sequence[Linear | None], block: FactorBlock, point: Array, rows: Index, signature: Array, tighter: float
-) -> Mask:
+def _stale(stored: Sequence[Linear | None], block: FactorBlock, point: Array, rows: Index, signature: Array) -> Mask:
     """True ``(n,)`` for factors that moved too far from their linearisation point, or whose data changed."""
     was = [factor for factor in stored if factor is not None]
-    stale = np.abs(np.array([factor.signature for factor in was]) - signature) > tighter
+    stale = np.abs(np.array([factor.signature for factor in was]) - signature) > 1.0
     if block.tolerance is None:
         return stale
     apart = np.abs(point - np.array([factor.point for factor in was]))
     for n, (symbol, _) in enumerate(block.variables):
         if symbol == "x":
             apart[:, 3 * n + 2] = np.abs(wrap_angle(apart[:, 3 * n + 2]))
-    stale |= (apart > block.limits() * tighter).any(axis=1)
+    stale |= (apart > block.limits()).any(axis=1)
     if block.loss is not GAUSSIAN:
-        stale |= np.abs(block.weight[rows] - [factor.weight for factor in was]) > WEIGHT_CHANGE * tighter
+        stale |= np.abs(block.weight[rows] - [factor.weight for factor in was]) > WEIGHT_CHANGE
     return stale
 
 

@@ -1,12 +1,11 @@
-"""The factor graph of a walk under way: the batch's factors over a window, and the marginal of finalised variables.
+"""The factor graph of a walk under way: the factors of a window, and the marginal of finalised variables.
 
-Measurements are the same objects as the batch's, made from the rows in the window. The incremental solver receives
-their factors linearised at the estimate, and again when a variable has moved.
+The incremental solver receives the factors linearised at the estimate, and again when a variable has moved.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
@@ -15,33 +14,30 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from pdr_graph.estimation.factors.base import Measurement, insert
+from pdr_graph.estimation.factors.base import insert
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.corridor import CorridorFactor
-from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
-from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
-from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.factors.start import Prior, StartFactor
+from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.isam import IsamCheckpoint, Linear, Name, TransactionalISAM
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
-    Collector,
     Decisions,
-    MeasurementLog,
     TableCheckpoint,
-    merged_decisions,
-    same_decisions,
 )
+from pdr_graph.estimation.live.nearby_optimum import restart_nearby
 from pdr_graph.estimation.live.review import Excess
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import ALL, Part, Window, WindowCheckpoint
-from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.estimation.live.window import ALL, WindowCheckpoint
+from pdr_graph.estimation.live.window_graph import WindowGraph
+from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation, wrap_angle
-from pdr_graph.measurements import take
 from pdr_graph.types import Array, Index
 
 RECENT = 150  # intervals that each update evaluates, chosen by hand
 FULL_CHECK = 25  # keyframes after which a relinearisation evaluates all intervals, chosen by hand
+OVERSHOT, ROUNDS = 10.0, 5  # [nats] by which a solution between walls may cost more than what it was linearised at,
+# until it is sought again by damped steps; most of these steps. Both are chosen by hand
 UNMOVED = np.array([0.05, 0.05, 0.005])  # [m, m, rad] a move below the tolerance of every factor
 
 
@@ -69,30 +65,17 @@ class LiveGraphCheckpoint:
     too_late: int
 
 
-class LiveGraph:
-    """The factors of a walk under way, and the solver that they go to.
+class LiveGraph(WindowGraph):
+    """The factors of a walk under way, and the solver that they go to; arguments as of `WindowGraph`.
 
-    prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the first
-    floor.
-    c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind;
     too_late: number of measurements from before the window; excess: what the stated covariance has beside the solver's.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
-        self.prior, self.lag = prior or Prior(), lag
-        if plan is not None and len(plan.labels) == 1:
-            floor = plan.labels[0]
-        self.window, self.log, self.finalized = Window(self.prior, plan, floor), MeasurementLog(), FinalizedTrajectory()
-        self.isam, self.collectors = TransactionalISAM(lag), list[Collector]()
-        self.c_prior = np.array(self.prior.mean), self.prior.covariance
-        self.decisions: Decisions = {}
+        super().__init__(prior, lag, plan, floor)
+        self.finalized = FinalizedTrajectory()
         self.too_late, self.excess = 0, Excess.none()
         self._arrivals = list[float]()
-        self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
-        self._current: tuple[Part, list[Measurement]] | None = None
-        self._outdated, self._version = False, 0  # True if rows or intervals are newer than `_current`
-        self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
-        self._last: tuple[Any, gtsam.Values, Evaluation] | None = None  # the latest evaluation, and its input
         self._leaving = 0  # keyframes still in the window that the solver has marginalised or is about to
         self._checked_poses: Array | None = None  # where the factors were last checked for relinearisation
 
@@ -155,92 +138,20 @@ class LiveGraph:
         self.log.version += bool(reached)
         return new, bool(reached)
 
-    @property
-    def has_position(self) -> bool:
-        """True if a measurement in the window determines a position."""
-        times = self.log.position_times()
-        return bool(len(times)) and bool(self.window.times) and float(times.min()) <= self.window.times[-1] + CLOSE
-
-    def current(self, everything: bool = False) -> tuple[Part, list[Measurement]]:
-        """The last RECENT intervals, or all, and the measurements bound to them."""
-        if everything and len(self.window.intervals) > RECENT:
-            return self._measured(self.window.part(ALL))
-        if self._current is None or self._outdated or self._version != self.log.version:
-            self._current, self._outdated = self._measured(self.window.part(RECENT)), False
-            self._version = self.log.version
-        return self._current
-
-    def evaluate(self, everything: bool = False) -> Evaluation:
-        """The window's factors at the estimate."""
-        return self._evaluate(self.current(everything))
-
-    def _evaluate(self, current: tuple[Part, list[Measurement]]) -> Evaluation:
-        values = self.isam.values
-        if self._last is None or self._last[0] is not current or self._last[1] is not values:
-            part, measurements = current
-            at = part.chain.evaluate(part.state(values, measurements), measurements)
-            self._last = current, values, at
-        return self._last[2]
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squared, robustly weighted residuals of the window."""
-        return self.evaluate(everything=True).cost
-
-    @property
-    def total_cost(self) -> float:
-        """Cost of the window plus that of the marginal, to compare estimates."""
-        return self.cost + self.isam.marginal_cost()
-
-    def _measured(self, part: Part) -> tuple[Part, list[Measurement]]:
-        window, chain = self.window, part.chain
-        state = self.log.version, chain.time[0] if part.first else -np.inf, window.finished
-        if self._measured_at != state:
-            end = np.inf if window.finished else window.times[-1]
-            measurements = list[Measurement]()
-            if window.steps.chunks:
-                measurements = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
-            self._measured_at, self._measurements = state, measurements
-        measured = [measurement.bind(chain) for measurement in self._measurements]
-        return part, [StepFactor(), *measured, *self._priors(part), *self._on_plan(part)]
-
-    def _priors(self, part: Part) -> list[Measurement]:
-        """Priors of calibration and first pose, while these are in the window."""
-        row = {number: n for n, number in enumerate(part.segments.tolist())}
-        begins = {row[self._begins]: self.c_prior} if self._begins in row else {}
-        keyframe, hold = self._hold
-        held = [hold] if part.chain.number[0] == keyframe else []
-        return [CalibrationFactor(begins, self.prior.change), *held]
-
-    def _on_plan(self, part: Part) -> list[Measurement]:
-        """Factors of walls and corridors, if the plan is used."""
-        walls, use, plan = part.walls(), self.prior.corridors, self.window.located_plan
-        evidence: list[Measurement] = [] if walls is None else [walls]
-        if plan is not None and (use.turns or use.directions) and part.intervals:
-            labels = [interval.label for interval in part.intervals for _ in interval.fields]
-            at = part.chain.evaluate(part.state(self.isam.values, ()))
-            evidence.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
-        return evidence
-
     def update(self, everything: bool = False) -> None:
         """Update the solver with new factors, and with those that must be relinearised."""
         self.finalize_leaving()
         at = self.evaluate(everything)
         values, times = self._new_variables(at)
-        add = self._changes(at)
-        self._update(add, self.isam.obsolete(at.blocks, at.state), values, times)
+        self._update(at, self._changes(at), values, times)
 
-    def relinearize(self, tighter: float = 1.0, everything: bool = False) -> bool:
+    def relinearize(self, everything: bool = False) -> bool:
         """Relinearise factors whose variables have moved; False if there were none."""
-        if tighter == 1.0 and self._unmoved():
+        if self._unmoved():
             return False
         self.finalize_leaving()
         at = self.evaluate(everything or self.window.count % FULL_CHECK == 0)
-        add = self._changes(at, tighter)
-        remove = self.isam.obsolete(at.blocks, at.state)
-        if add or remove:
-            self._update(add, remove)
-        return bool(add or remove)
+        return self._update(at, self._changes(at))
 
     def _unmoved(self) -> bool:
         """True if no pose has moved by as much as any factor tolerates since the last check."""
@@ -270,22 +181,50 @@ class LiveGraph:
         self.log.version += 1  # the decisions may have changed
         self.update(everything=True)
 
-    def restart_solver(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
+    def restart_solver(
+        self, isam: TransactionalISAM, again: Collection[Name], kept: Mapping[Name, Linear] | None = None
+    ) -> None:
         """Start ``isam``, a solver with variables at other values, and use it from now on; it gets missing variables.
 
-        again: names of the priors to add again, of variables that measurements add.
+        again: names of the priors to add again, of variables that measurements add; kept: see `outside`.
         """
         self.isam = isam
-        self.window.read(isam.values)
-        at = self.evaluate(everything=True)
-        isam.insert(*self._new_variables(at))
-        isam.start(self._changes(at, again=again))
+        factors = self._all_factors(again)
+        isam.start({**(kept or {}), **factors})
+        self._read()
+
+    def place(self, isam: TransactionalISAM) -> None:
+        """Use this solver, which need not have started, and move the window to its values."""
+        self.isam = isam
         self.window.read(isam.values)
 
-    def _changes(self, at: Evaluation, tighter: float = 1.0, again: Collection[Name] = ()) -> dict[Name, Linear]:
+    def outside(self, factors: Mapping[Name, Linear]) -> dict[Name, Linear]:
+        """Those of some factors whose variables are not all in the window, since the solver is about to forget them."""
+        at = self.evaluate(everything=True)
+        inside, listed = set(at.state.keys("x").tolist()), {(b.name, n) for b in at.blocks for n in b.number.tolist()}
+        return {
+            name: factor
+            for name, factor in factors.items()
+            if name not in listed and not (factor.poses and inside.issuperset(factor.poses))
+        }
+
+    def linearized(self, again: Collection[Name]) -> gtsam.GaussianFactorGraph:
+        """The factors and the marginal at the estimate, for a solver that has not started; again: see above."""
+        self.isam.factors = self._all_factors(again)
+        return self.isam.linearized()
+
+    def _all_factors(self, again: Collection[Name]) -> dict[Name, Linear]:
+        """All factors for a solver that has not started; it gets missing variables."""
+        at = self.evaluate(everything=True)
+        self.isam.insert(*self._new_variables(at))
+        obsolete = set(self.isam.obsolete(at.blocks, at.state))
+        remaining = {name: factor for name, factor in self.isam.factors.items() if name not in obsolete}
+        return remaining | self._changes(at, again=again)
+
+    def _changes(self, at: Evaluation, again: Collection[Name] = ()) -> dict[Name, Linear]:
         """New and relinearised factors of the evaluation ``at``."""
         self._checked_poses = self.window.pose.copy()
-        blocks = (self.isam.changes(block, at.state, tighter, again) for block in at.blocks)
+        blocks = (self.isam.changes(block, at.state, again) for block in at.blocks)
         return {name: factor for block in blocks for name, factor in block.items()}
 
     def _new_variables(self, at: Evaluation) -> tuple[gtsam.Values, dict[int, float]]:
@@ -307,13 +246,32 @@ class LiveGraph:
 
     def _update(
         self,
+        at: Evaluation,
         add: Mapping[Name, Linear],
-        remove: Sequence[Name] = (),
         values: gtsam.Values | None = None,
         times: dict[int, float] | None = None,
-    ) -> None:
-        """Update the solver and copy its estimate to the window."""
+    ) -> bool:
+        """Update the solver and copy its estimate to the window; False if nothing has changed.
+
+        at: the present estimate; add: factors linearised there; values, times: of new variables. A solution that costs
+        much more than ``at`` has crossed walls that held nothing before: it is sought again from there.
+        """
+        remove = self.isam.obsolete(at.blocks, at.state)
+        if not (add or remove or values is not None):
+            return False
+        before, factors = self.isam.with_values(self.isam.values), dict(self.isam.factors)
+        pose, c = self.window.pose.copy(), dict(self.window.c)
         self.isam.update(add, remove, values, times)
+        self._read()
+        whole = at.chain.number[0] == self.window.keyframes[0]
+        if self.window.located_plan is not None and self.evaluate(everything=whole).cost > at.cost + OVERSHOT:
+            self.isam, self.window.pose, self.window.c, self._leaving = before, pose, c, 0
+            self.isam.factors = factors
+            restart_nearby(self, factors, ROUNDS)
+        return True
+
+    def _read(self) -> None:
+        """Copy the estimate of the solver to the window."""
         self._leaving = next((n for n, number in enumerate(self.window.keyframes) if X(number) in self.isam), 0)
         self.window.read(self.isam.values, self._leaving)
 
@@ -363,41 +321,6 @@ class LiveGraph:
         """Covariance ``(3, 3)`` of the n-th keyframe by the solver, in the output axes."""
         R = pose_rotation(self.window.pose[[n], 2])[0]
         return R @ self.isam.covariance([X(self.window.keyframes[n])]) @ R.T
-
-    def store_decisions(self, measurements: Sequence[Measurement]) -> bool:
-        """Store the decisions about measurements; True if any has changed."""
-        changed = False
-        for measurement in measurements:
-            if decided := measurement.decisions():
-                stored = self.decisions.get(measurement.name, {})
-                merged = merged_decisions(stored, decided)
-                changed |= not same_decisions(stored, merged)
-                self.decisions[measurement.name] = merged
-        return changed
-
-    def decide(self, decisions: Decisions) -> None:
-        """Replace the decisions about measurements."""
-        self.decisions = decisions
-        self.log.version += 1
-
-    def batch_graph(self, decided: bool = True, c: Array | None = None, but: str = "") -> Callable[[], WalkGraph]:
-        """A function that builds the batch's graph of the present window, at any later time and in any thread.
-
-        decided: with the decisions about whole kinds (relocated beacons).
-        c: mean ``(3,)`` of the calibration, by default that of `c_prior`; but: source of fixes and headings left out.
-        """
-        window, steps = self.window, self.window.steps.steps
-        raw = [data for collector in self.collectors for data in collector.complete(steps)]
-        data = [rows for rows in self.log.until(window.covered) if type(rows) not in map(type, raw)]
-        data = [take(d, np.flatnonzero(np.array(d.source) != but)) if but and hasattr(d, "source") else d for d in data]
-        prior = Prior(**{**vars(self.prior), "mean": tuple((self.c_prior[0] if c is None else c).tolist())})
-        plan, labels = window.located_plan, None if window.located_plan is None else window.row_labels()
-        of_kinds = {name: rows for name, rows in self.decisions.items() if decided and "number" not in rows}
-
-        def build() -> WalkGraph:
-            return WalkGraph.of(steps, [*data, *raw], floor=plan, floors=labels, prior=prior).decided(of_kinds)
-
-        return build
 
     def copy(self) -> LiveGraph:
         """An independent graph of the same window, without rows and reports; its solver has no factors yet."""

@@ -13,7 +13,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Any
 
-import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C
 
@@ -24,6 +23,7 @@ from pdr_graph.estimation.live.deferred import Deferred
 from pdr_graph.estimation.live.history import History, HistoryCheckpoint
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.modes import ModesCheckpoint
+from pdr_graph.estimation.live.nearby_optimum import restart_nearby
 from pdr_graph.estimation.live.new_fixes import NewFixes, were_rejected
 from pdr_graph.estimation.live.path_trial import Trial
 from pdr_graph.estimation.live.plan_search import SOURCE, Places, PlacesQuestion
@@ -131,8 +131,7 @@ class LiveSmoother(NewFixes):
     def finish(self) -> None:
         """End the walk.
 
-        If the window still holds the whole walk, the batch solves it; else the window is relinearised until the cost no
-        longer decreases.
+        If the window still holds the whole walk, the batch solves it; else the window moves to the optimum nearby.
         """
         graph = self.graph
         if not graph.window.keyframes:
@@ -151,13 +150,10 @@ class LiveSmoother(NewFixes):
         self.next_comparison = -np.inf
         self._compare_sources(0.0, Findings())
         best, least = graph.isam, graph.total_cost
-        graph.restart_solver(best.with_values(gtsam.Values(best.values), relinearize=0.0), best.factors)
-        enough = 1 - SCHEDULE.final_decrease
-        while graph.relinearize(SCHEDULE.final_tolerance, everything=True) and graph.total_cost < least * enough:
-            best, least = graph.isam, graph.total_cost
-            graph.restart_solver(best.with_values(gtsam.Values(best.values)), best.factors)
-        if graph.total_cost > least:
-            graph.restart_solver(best.with_values(gtsam.Values(best.values)), best.factors)
+        graph.isam = best.with_values(best.values, relinearize=0.0)
+        restart_nearby(graph, best.factors, SCHEDULE.final_rounds)
+        if not graph.total_cost < least:
+            graph.place(best)
 
     def _close(self, at_end: bool = False) -> bool:
         """Close the keyframes due after new steps and measurements, and update; False if none was due."""
@@ -178,7 +174,7 @@ class LiveSmoother(NewFixes):
             self._reclassify()
             self._doubt_new_fixes()
         self._compare_sources(SCHEDULE.comparison_time)
-        self._follow(new, may_begin=not adopted)
+        self._follow(new)
         graph.finalize_leaving()
         self._walls_due, self._rounds_due = graph.window.plan is not None, SCHEDULE.rounds
         return True

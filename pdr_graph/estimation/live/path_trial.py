@@ -16,6 +16,7 @@ from gtsam.symbol_shorthand import C, X
 from pdr_graph.estimation.live.isam import Name
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.measurement_log import Decisions
+from pdr_graph.estimation.live.nearby_optimum import optimize_nearby
 from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL, Window
@@ -54,25 +55,26 @@ class TrialQuestion:
         graph, (path, decisions) = self.graph, self.alternative()
         if not len(path.within(graph.window.times)):
             return Trial(False, path, {})  # it has left the window: the particles are behind
-        graph.restart_solver(graph.isam, self.names)
         before = self._optimized()
         graph.decide(graph.decisions | decisions)
-        move_to(graph, path, self.names)
+        place_on(graph, path)
         return Trial(self._optimized() < before - LEAST_GAIN, _path_of(graph.window), decisions)
 
     def _optimized(self) -> float:
         """The cost of the path at its optimum, with the price of the regions that it leads through."""
         price = self.graph.associate_walls(ALL)
-        for _ in range(self.rounds):
-            self.graph.relinearize()
-        return self.graph.total_cost + price
+        return optimize_nearby(self.graph, self.names, self.rounds) + price
 
 
 def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) -> None:
-    """Move the window to a path and restart the solver there; keyframes after its end are dead-reckoned.
+    """Move the window to a path and restart the solver there; names: of all factors, see `LiveGraph.restart_solver`."""
+    place_on(graph, path)
+    graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
+    graph.restart_solver(graph.isam, names)
 
-    names: of all factors, see `LiveGraph.restart_solver`.
-    """
+
+def place_on(graph: LiveGraph, path: AlternativePath) -> None:
+    """Move the window to a path, without a solution there; keyframes after its end are dead-reckoned."""
     window = graph.window
     within = path.within(window.times)
     window.pose[within] = path.poses(np.array(window.times)[within])
@@ -84,8 +86,7 @@ def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) ->
         if interval.begin >= path.time[0] - CLOSE:
             window.c[interval.segment] = path.calibration(interval.end)
             values.update(C(interval.segment), window.c[interval.segment])
-    graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
-    graph.restart_solver(graph.isam.with_values(values), names)
+    graph.place(graph.isam.with_values(values))
 
 
 def _path_of(window: Window) -> AlternativePath:

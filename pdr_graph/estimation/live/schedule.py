@@ -11,8 +11,7 @@ class Schedule:
 
     rounds: relinearisations after a keyframe, one with each of the next steps; wall_pieces: last pieces whose walls are
     associated again at a keyframe.
-    final_tolerance: share of the usual relinearisation thresholds, for the end of the walk; final_decrease: share of
-    the cost by which a final round must lower it for another to follow.
+    final_rounds: most linearisations at the end of the walk.
     batch_interval [s], batch_share: the batch solves an ambiguous walk again after this time and this share of the
     walk's duration, whichever is longer, and its solution is adopted batch_time [s] later; longest_ambiguous: time [s]
     after which the most probable path is accepted if there are three fixes; longest_open: duration of the window [s]
@@ -31,8 +30,7 @@ class Schedule:
 
     rounds: int = 4
     wall_pieces: int = 60
-    final_tolerance: float = 1e-4
-    final_decrease: float = 1e-4
+    final_rounds: int = 30
     batch_interval: float = 3.0
     batch_share: float = 0.2
     batch_time: float = 1.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C
+from gtsam.symbol_shorthand import C, X
 
 from pdr_graph.estimation.factors.base import Measurement, State, extract
 from pdr_graph.estimation.factors.chain import Chain
@@ -156,8 +156,10 @@ class Window:
 
     def read(self, values: gtsam.Values, first: int = 0) -> None:
         """Copy calibrations and the poses from the ``first``-th keyframe on from ``values``."""
-        self.pose = self.pose.copy()
-        self.pose[first + np.argsort(self.keyframes[first:])] = extract(values, "x")
+        self.pose, poses, numbers = self.pose.copy(), extract(values, "x"), np.array(self.keyframes[first:])
+        if len(poses) > len(numbers):  # the solver still has keyframes that have left the window
+            poses = poses[np.isin([key for key in values.keys() if X(0) <= key < X(1 << 40)], [X(n) for n in numbers])]
+        self.pose[first + np.argsort(numbers)] = poses
         self.c |= {segment: values.atVector(C(segment)) for segment in self.c if values.exists(C(segment))}
 
     @property
