@@ -26,7 +26,8 @@ from pdr_graph.types import Array, Index
 
 FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
-DOMINANT = 0.7  # share of the particles in one mode: on walks with few fixes it is then within 4 m in 82 % of cases
+DOMINANT = 0.5  # share of the particles in one mode, whose path is tried; chosen by hand, as is the next
+MOSTLY = 0.9  # share of the particles elsewhere, from which that of the heaviest mode is tried, however small
 CONFIRMATIONS = 2  # keyframes in a row at which that mode must differ from the graph; chosen by hand
 SPREAD = 1.5  # sigmas of the first particles, relative to those of the graph, which may be in the wrong aisle
 LEAST_SHARE = 0.02  # of the particles, in a mode that counts
@@ -110,13 +111,14 @@ class ParallelParticleFilter:
         return False
 
     def alternative_path(self, position: Array) -> AlternativePath | None:
-        """The path of most particles if it has differed from the graph, now at ``position (2,)`` [m], for a while."""
+        """The heaviest path if most particles have been apart from the graph, at ``position (2,)`` [m], for a while."""
         paths = self._filter.paths()
         modes = dominant_modes(paths)
         self.elsewhere = ways_elsewhere(paths, [which for _, which in modes], position)
         share, which = modes[0]
         path = paths.state[:, :, which]
-        apart = share > DOMINANT and np.hypot(*(path[-1, :2] - position)) > SAME_PATH
+        gone = 0.0 if self.elsewhere is None else float(np.exp(self.elsewhere.log_weight).sum())
+        apart = max(share / DOMINANT, gone / MOSTLY) > 1 and np.hypot(*(path[-1, :2] - position)) > SAME_PATH
         self._apart = self._apart + 1 if apart else 0
         if self._apart < CONFIRMATIONS:
             return None
