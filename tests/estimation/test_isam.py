@@ -33,7 +33,7 @@ def named(factors):
 
 def stored(isam):
     """Restored from its checkpoint, without factors yet."""
-    return TransactionalISAM.restored(deepcopy(isam.checkpoint()))
+    return TransactionalISAM.restored(deepcopy(isam.checkpoint({})))
 
 
 @cache

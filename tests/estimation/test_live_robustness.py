@@ -1,16 +1,20 @@
 """Live walks with late, few and wrong fixes and short windows: no exception, no divergence."""
 
 import sys
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import X
+from gtsam.symbol_shorthand import C, X
+from test_live_smoother import walking
+from walks import drawn_from_the_model
 
 from pdr_graph import FloorPlan
 from pdr_graph.estimation.covariance import eliminated
+from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.gait.step_chunks import gap
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes
@@ -92,3 +96,26 @@ def test_a_system_that_rounding_errors_make_indeterminate_is_solved():
     with pytest.raises(RuntimeError):
         linear.eliminateSequential(ordering)
     assert np.isfinite(eliminated(linear, ordering).optimize().at(X(1))).all()
+
+
+@pytest.mark.parametrize("way", ["copied", "written down"])
+def test_another_solver_of_the_walk_knows_as_much(way):
+    """At each keyframe, also where the solver has yet to forget a calibration that has left the window."""
+    steps, fixes, _ = drawn_from_the_model(220, 1)
+    live, compared = LiveSmoother(lag=15.0), 0
+    for _ in walking(live, steps, fixes, size=4):
+        graph = live.graph
+        if len(graph.window.keyframes) < 3:
+            continue
+        if way == "copied":
+            other = graph.copy()
+            other.restart_solver(other.isam, set(graph.isam.factors))
+        else:
+            restored = LiveSmoother(lag=15.0)
+            restored.restore(deepcopy(live.checkpoint()))
+            other = restored.graph
+        segment = graph.window.segment
+        told, known = (one.isam.covariance([C(segment)]) for one in (other, graph))
+        assert np.sqrt(np.diag(told)) == pytest.approx(np.sqrt(np.diag(known)), rel=0.1)
+        compared += 1
+    assert compared > 20

@@ -162,6 +162,11 @@ class TransactionalISAM:
         isam.factors = self.factors
         return isam
 
+    def absorb(self, factors: Mapping[Name, Linear]) -> None:
+        """Count factors as marginals, before `start`: they keep their linearisation, and lose their names."""
+        self.marginal = [*self.marginal, *(linear.factor for linear in factors.values())]
+        self.factors = {name: factor for name, factor in self.factors.items() if name not in factors}
+
     def insert(self, values: gtsam.Values, times: Mapping[int, float]) -> None:
         """Add variables before `start`. times: [s] until which these are needed, and variables that must stay alive."""
         if values.size():
@@ -174,15 +179,18 @@ class TransactionalISAM:
         self.factors = dict(factors)
         self._start_or_hold(gtsam.Values(self.values))
 
-    def checkpoint(self) -> IsamCheckpoint:
-        """Variables and marginals."""
+    def checkpoint(self, kept: Mapping[Name, Linear]) -> IsamCheckpoint:
+        """Variables and marginals; kept: factors that are stored as marginals."""
         return IsamCheckpoint(
             lag=self.lag,
             rebuilds=list(self.rebuilds),
             keys=np.array(list(self.values.keys()), dtype=np.int64),
             times=np.array([self._times[key] for key in self.values.keys()]),
             variables=np.array([_numbers(self.values, key) for key in self.values.keys()]).reshape(-1, 3),
-            marginal=[_packed(factor, self.values) for factor in self.marginal],
+            marginal=[
+                _packed(factor, self.values)
+                for factor in (*self.marginal, *(linear.factor for linear in kept.values()))
+            ],
         )
 
     @classmethod

@@ -181,16 +181,13 @@ class LiveGraph(WindowGraph):
         self.log.version += 1  # the decisions may have changed
         self.update(everything=True)
 
-    def restart_solver(
-        self, isam: TransactionalISAM, again: Collection[Name], kept: Mapping[Name, Linear] | None = None
-    ) -> None:
+    def restart_solver(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
         """Start ``isam``, a solver with variables at other values, and use it from now on; it gets missing variables.
 
-        again: names of the priors to add again, of variables that measurements add; kept: see `outside`.
+        again: names of the priors to add again, of variables that measurements add.
         """
         self.isam = isam
-        factors = self._all_factors(again)
-        isam.start({**(kept or {}), **factors})
+        isam.start(self._all_factors(again))
         self._read()
 
     def place(self, isam: TransactionalISAM) -> None:
@@ -199,7 +196,10 @@ class LiveGraph(WindowGraph):
         self.window.read(isam.values)
 
     def outside(self, factors: Mapping[Name, Linear]) -> dict[Name, Linear]:
-        """Those of some factors whose variables are not all in the window, since the solver is about to forget them."""
+        """Those of some factors that no evaluation of the window has, since the solver is about to forget a variable.
+
+        A solver that replaces theirs must absorb them, or their information is lost.
+        """
         at = self.evaluate(everything=True)
         inside, listed = set(at.state.keys("x").tolist()), {(b.name, n) for b in at.blocks for n in b.number.tolist()}
         return {
@@ -327,6 +327,7 @@ class LiveGraph(WindowGraph):
         other = copy(self)
         other.window, other.log = self.window.copy(), self.log.copy()
         other.isam = self.isam.with_values(self.isam.values)
+        other.isam.absorb(self.outside(self.isam.factors))
         other.finalized, other.collectors, other._arrivals = FinalizedTrajectory(), [], list(self._arrivals)
         other._current = other._last = other._checked_poses = None
         return other
@@ -339,7 +340,7 @@ class LiveGraph(WindowGraph):
         return LiveGraphCheckpoint(
             window=self.window.checkpoint(),
             past=self.finalized.checkpoint(),
-            isam=self.isam.checkpoint(),
+            isam=self.isam.checkpoint(self.outside(self.isam.factors)),
             tables=self.log.checkpoint(),
             collectors=[collector.checkpoint() for collector in self.collectors],
             decisions=self.decisions,

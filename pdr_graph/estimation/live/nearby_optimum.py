@@ -48,19 +48,15 @@ def optimize_nearby(graph: LiveGraph, names: Collection[Name], rounds: int) -> f
     return cost
 
 
-def restart_nearby(graph: LiveGraph, factors: Mapping[Name, Linear], rounds: int) -> float:
-    """Restart the solver at the optimum near the present path, and return the cost there.
+def restart_nearby(graph: LiveGraph, factors: Mapping[Name, Linear], rounds: int) -> None:
+    """Restart the solver at the optimum near the present path.
 
     The solver of the graph has not started, and may have factors that are linearised nearby; factors: all that it had
     before; rounds: most linearisations.
     """
-    marginal, kept = graph.isam.marginal, graph.outside(factors)
-    graph.isam.marginal = [*marginal, *(linear.factor for linear in kept.values())]
-    graph.isam.factors = {name: factor for name, factor in graph.isam.factors.items() if name not in kept}
-    cost = optimize_nearby(graph, factors, rounds)
-    graph.isam.marginal = marginal
-    graph.restart_solver(graph.isam, factors, kept)
-    return cost
+    graph.isam.absorb(graph.outside(factors))
+    optimize_nearby(graph, factors, rounds)
+    graph.restart_solver(graph.isam, factors)
 
 
 def _stepped(system: gtsam.GaussianFactorGraph, values: gtsam.Values, reach: float) -> gtsam.Values:

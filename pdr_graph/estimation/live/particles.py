@@ -27,8 +27,7 @@ from pdr_graph.types import Array, Index
 FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
 DOMINANT = 0.5  # share of the particles in one mode, whose path is tried; chosen by hand, as is the next
-MOSTLY = 0.9  # share of the particles elsewhere, from which that of the heaviest mode is tried, however small
-CONFIRMATIONS = 2  # keyframes in a row at which that mode must differ from the graph; chosen by hand
+MOSTLY = 0.7  # share of the particles elsewhere, from which that of the heaviest mode is tried, however small
 SPREAD = 1.5  # sigmas of the first particles, relative to those of the graph, which may be in the wrong aisle
 LEAST_SHARE = 0.02  # of the particles, in a mode that counts
 SEED = 0
@@ -80,7 +79,6 @@ class ParallelParticleFilter:
     def __init__(self, plan: Building, prior: Prior, belief: GaussianMixture, time: float, label: str):
         self.plan, self.label, self.times = plan, label, [time]
         self._jobs: deque[_Piece | _Keyframe] = deque()
-        self._apart = 0
         self.elsewhere: GaussianMixture | None = None
         self._filter = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, at_once=1)
         self._filter.begin_at(_drawn(belief, self._filter.random))
@@ -111,7 +109,7 @@ class ParallelParticleFilter:
         return False
 
     def alternative_path(self, position: Array) -> AlternativePath | None:
-        """The heaviest path if most particles have been apart from the graph, at ``position (2,)`` [m], for a while."""
+        """The heaviest path if most particles are apart from the graph, which is at ``position (2,)`` [m]."""
         paths = self._filter.paths()
         modes = dominant_modes(paths)
         self.elsewhere = ways_elsewhere(paths, [which for _, which in modes], position)
@@ -119,10 +117,8 @@ class ParallelParticleFilter:
         path = paths.state[:, :, which]
         gone = 0.0 if self.elsewhere is None else float(np.exp(self.elsewhere.log_weight).sum())
         apart = max(share / DOMINANT, gone / MOSTLY) > 1 and np.hypot(*(path[-1, :2] - position)) > SAME_PATH
-        self._apart = self._apart + 1 if apart else 0
-        if self._apart < CONFIRMATIONS:
+        if not apart:
             return None
-        self._apart = 0
         path[:, 3:] = path[-1, 3:]  # the last is the best informed
         return AlternativePath(np.array(self.times), path)
 

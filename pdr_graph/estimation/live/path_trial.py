@@ -68,7 +68,9 @@ class TrialQuestion:
 
 def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) -> None:
     """Move the window to a path and restart the solver there; names: of all factors, see `LiveGraph.restart_solver`."""
+    outside = graph.outside(graph.isam.factors)
     place_on(graph, path)
+    graph.isam.absorb(outside)
     graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
     graph.restart_solver(graph.isam, names)
 
