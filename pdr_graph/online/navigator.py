@@ -18,6 +18,7 @@ from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors import kind_of
+from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG
 from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA
 from pdr_graph.estimation.factors.level_collector import LevelCollector
 from pdr_graph.estimation.factors.start import Prior
@@ -291,7 +292,8 @@ class Navigator:
         if not self._steps:
             return trajectory_of_rows([])
         steps = concatenate_steps(self._steps)
-        reports = [fix for fix in self._fix_reports() if fix.weight > 0 and fix.time >= steps.start]
+        begin = steps.start - LONGEST_OVERHANG
+        reports = [fix for fix in self._fix_reports() if fix.weight > 0 and fix.time >= begin]
         place = np.array([(fix.x, fix.y) for fix in reports]).reshape(-1, 2)
         time, sigma = np.array([fix.time for fix in reports]), np.array([fix.sigma for fix in reports])
         return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(reports)))

@@ -60,9 +60,12 @@ def restart_nearby(graph: LiveGraph, factors: Mapping[Name, Linear], rounds: int
 
 
 def _stepped(system: gtsam.GaussianFactorGraph, values: gtsam.Values, reach: float) -> gtsam.Values:
-    """The values at the damped solution of a system that is linearised at ``values``."""
+    """The values at the damped solution of a system that is linearised at ``values``; these if it has none."""
     damped = system.clone()
     for key in values.keys():
         sigma = reach * (POSE_REACH if key >> SYMBOL_BITS == POSE_CHARACTER else OTHER_REACH)
         damped.add(key, np.diag(1.0 / sigma), np.zeros(3), gtsam.noiseModel.Unit.Create(3))
-    return values.retract(damped.optimize())
+    try:
+        return values.retract(damped.optimize())
+    except (RuntimeError, ValueError, IndexError):  # of GTSAM, by rounding errors or factors that are not finite
+        return values
