@@ -114,7 +114,7 @@ COMMANDS = {
     "latitude and longitude": ((*SMOOTH, "--fixes", "swapped.csv"), "(latitude and longitude swapped?)"),
     "degrees as x and y": ((*SMOOTH, "--fixes", "degrees.csv"), "(time,lat,lon,sigma in the header?)"),
     "degrees and minutes": ((*SMOOTH, "--fixes", "dms.csv"), "(degrees and minutes? write decimal degrees, south and"),
-    "a sigma of 0": ((*SMOOTH, "--fixes", "sigma-0.csv"), "data row 1, sigma: found 0.000000, expected a standard dev"),
+    "a sigma of 0": ((*SMOOTH, "--fixes", "sigma-0.csv"), "data row 1, sigma: found 0, expected a standard dev"),
     "a unit in a cell": (
         (*SMOOTH, "--fixes", "sigma-unit.csv"),
         "line 2, sigma: found '1.5m' (a unit in the cell? wri",
