@@ -415,8 +415,8 @@ class Estimate(OneLineRepr):
     "fixes" in input order, "beacons".
     iterations: of the optimiser; cost: half the sum of squared, robustly weighted residuals, NaN if not defined;
     converged: False if the optimiser stopped before the cost converged; probability: of this route, against other
-    routes that also explain the measurements; NaN if it is unknown; routes: probability and path of each route, this
-    one first; empty if nothing but the fixes determines it.
+    routes that also explain the measurements, NaN if it is unknown; routes: probability and path of each route, this
+    one first, empty if nothing but the fixes determines it.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`;
     placed: the place of a live walk was certain before the first report.
     """

@@ -159,7 +159,7 @@ class TransactionalISAM:
     def moved(self, values: gtsam.Values) -> TransactionalISAM:
         """The same variables at other values, with all factors as they are; it has not started."""
         isam = self.with_values(values)
-        isam.factors = self.factors
+        isam.factors = dict(self.factors)
         return isam
 
     def absorb(self, factors: Mapping[Name, Linear]) -> None:

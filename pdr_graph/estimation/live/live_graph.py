@@ -145,12 +145,12 @@ class LiveGraph(WindowGraph):
         values, times = self._new_variables(at)
         self._update(at, self._changes(at), values, times)
 
-    def relinearize(self, everything: bool = False) -> bool:
+    def relinearize(self) -> bool:
         """Relinearise factors whose variables have moved; False if there were none."""
         if self._unmoved():
             return False
         self.finalize_leaving()
-        at = self.evaluate(everything or self.window.count % FULL_CHECK == 0)
+        at = self.evaluate(everything=self.window.count % FULL_CHECK == 0)
         return self._update(at, self._changes(at))
 
     def _unmoved(self) -> bool:
@@ -259,15 +259,14 @@ class LiveGraph(WindowGraph):
         remove = self.isam.obsolete(at.blocks, at.state)
         if not (add or remove or values is not None):
             return False
-        before, factors = self.isam.with_values(self.isam.values), dict(self.isam.factors)
-        pose, c = self.window.pose.copy(), dict(self.window.c)
+        window, walled = self.window, self.window.located_plan is not None
+        before = (self.isam.moved(self.isam.values), window.pose, dict(window.c)) if walled else None
         self.isam.update(add, remove, values, times)
         self._read()
-        whole = at.chain.number[0] == self.window.keyframes[0]
-        if self.window.located_plan is not None and self.evaluate(everything=whole).cost > at.cost + OVERSHOT:
-            self.isam, self.window.pose, self.window.c, self._leaving = before, pose, c, 0
-            self.isam.factors = factors
-            restart_nearby(self, factors, ROUNDS)
+        whole = at.chain.number[0] == window.keyframes[0]
+        if before is not None and self.evaluate(everything=whole).cost > at.cost + OVERSHOT:
+            (self.isam, window.pose, window.c), self._leaving = before, 0
+            restart_nearby(self, self.isam.factors, ROUNDS)
         return True
 
     def _read(self) -> None:
@@ -368,6 +367,6 @@ class LiveGraph(WindowGraph):
         self.window.restore(checkpoint.window)
         isam = TransactionalISAM.restored(checkpoint.isam)
         if self.window.keyframes:
-            self.window.read(isam.values)
+            self.place(isam)
             self.window.associate_walls(ALL)
             self.restart_solver(isam, [(name, number) for name, number in checkpoint.brought])

@@ -162,7 +162,7 @@ class LiveOutput:
             return first
         part = window.part(ALL)
         at = part.chain.evaluate(part.state(graph.isam.values, ()))
-        linear = graph.isam.graph().linearize(graph.isam.values)
+        linear = graph.isam.linearized()
         net = eliminated(linear, metis_ordering(linear))
         keys = [(X(interval.i), X(interval.j), C(interval.segment)) for interval in window.intervals]
         which = np.concatenate(

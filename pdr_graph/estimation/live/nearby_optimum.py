@@ -17,11 +17,11 @@ from pdr_graph.estimation.live.isam import POSE_CHARACTER, SYMBOL_BITS, Linear, 
 if TYPE_CHECKING:
     from pdr_graph.estimation.live.live_graph import LiveGraph
 
+# All are chosen by hand
 FIRST_REACH, LEAST_REACH, MOST_REACH = 3.0, 0.01, 100.0  # of a step, see POSE_REACH
 REACH_CHANGE = 4.0  # factor by which the reach grows after a step that lowers the cost, and shrinks after another
 POSE_REACH, OTHER_REACH = np.array([1.0, 1.0, 0.1]), np.full(3, 0.1)  # [m, m, rad], [-] sigma of a step at reach 1
 ENOUGH = 1e-4  # share of the cost by which a step must lower it for another to follow
-# All are chosen by hand
 
 
 def optimize_nearby(graph: LiveGraph, names: Collection[Name], rounds: int) -> float:

@@ -68,16 +68,14 @@ class TrialQuestion:
 
 def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) -> None:
     """Move the window to a path and restart the solver there; names: of all factors, see `LiveGraph.restart_solver`."""
-    outside = graph.outside(graph.isam.factors)
     place_on(graph, path)
-    graph.isam.absorb(outside)
     graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
     graph.restart_solver(graph.isam, names)
 
 
 def place_on(graph: LiveGraph, path: AlternativePath) -> None:
     """Move the window to a path, without a solution there; keyframes after its end are dead-reckoned."""
-    window = graph.window
+    window, outside = graph.window, graph.outside(graph.isam.factors)
     within = path.within(window.times)
     window.pose[within] = path.poses(np.array(window.times)[within])
     window.dead_reckon(int(within[-1]), path.state[-1, 3:])
@@ -89,6 +87,7 @@ def place_on(graph: LiveGraph, path: AlternativePath) -> None:
             window.c[interval.segment] = path.calibration(interval.end)
             values.update(C(interval.segment), window.c[interval.segment])
     graph.place(graph.isam.with_values(values))
+    graph.isam.absorb(outside)
 
 
 def _path_of(window: Window) -> AlternativePath:

@@ -16,6 +16,7 @@ from pdr_graph.estimation.factors.preintegration import Bridge, Pieces, preinteg
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT
+from pdr_graph.estimation.live.isam import POSE_CHARACTER, SYMBOL_BITS
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.distance_field import DistanceField
@@ -158,7 +159,8 @@ class Window:
         """Copy calibrations and the poses from the ``first``-th keyframe on from ``values``."""
         self.pose, poses, numbers = self.pose.copy(), extract(values, "x"), np.array(self.keyframes[first:])
         if len(poses) > len(numbers):  # the solver still has keyframes that have left the window
-            poses = poses[np.isin([key for key in values.keys() if X(0) <= key < X(1 << 40)], [X(n) for n in numbers])]
+            keys = [key for key in values.keys() if key >> SYMBOL_BITS == POSE_CHARACTER]
+            poses = poses[np.isin(keys, [X(n) for n in numbers])]
         self.pose[first + np.argsort(numbers)] = poses
         self.c |= {segment: values.atVector(C(segment)) for segment in self.c if values.exists(C(segment))}
 
