@@ -17,13 +17,15 @@ STRIDE, HALF = 0.7, 1.5  # [m] of a step; half the width of the corridor
 OFF = 0.3  # [rad] of the measured direction, one sigma
 
 
-def corridor():
-    return Building.around(FloorPlan("1", (Area("corridor", "", shapely.box(-1, -HALF, 200, HALF)),), Frame()))
+def corridor(*beside):
+    """A corridor, and others at these ordinates [m]."""
+    shapes = [shapely.box(-1, y - HALF, 200, y + HALF) for y in (0.0, *beside)]
+    return Building.around(FloorPlan("1", tuple(Area("corridor", "", shape) for shape in shapes), Frame()))
 
 
-def walking(off, steps, lag=60.0):
+def walking(off, steps, lag=60.0, beside=()):
     """A walk along the corridor from one fix, with a first heading that is so far off [rad]; yields after each step."""
-    live = LiveSmoother(lag=lag, plan=corridor())
+    live = LiveSmoother(lag=lag, plan=corridor(*beside))
     step = steps_of(np.full(1, STRIDE), np.zeros(1))
     live.extend(replace(step, start=0.0, end=PERIOD, time=np.array([PERIOD])))
     live.append(fixes_at([PERIOD], [[STRIDE, 0.0]], 1.0))
@@ -56,3 +58,15 @@ def test_the_end_of_a_walk_costs_no_more_than_before(off):
     assert live.graph.total_cost <= before + 1e-6
     assert np.abs(live.graph.window.pose[:, 1]).max() < HALF
     assert np.abs(live.graph.window.pose[-1, 0] - 150 * STRIDE) < 15.0
+
+
+@pytest.mark.parametrize(("beside", "asked"), [((), 0), ((20.0,), 0), ((6.0,), 1)])
+def test_a_fix_beyond_a_wall_leads_to_a_search_only_where_one_can_walk_there(beside, asked, monkeypatch):
+    """Two sigmas aside, where nobody can walk: the present way is the nearest; or in a corridor beside this one."""
+    steps, searches = 80, []
+    *_, live = walking(0.0, steps, beside=beside)
+    assert live.sure
+    live._trial.cancel()
+    monkeypatch.setattr(live, "_ask_batch_for_alternative", lambda: searches.append(1))
+    live.append(fixes_at([PERIOD * steps], [[STRIDE * steps, 6.0]], 3.0))
+    assert len(searches) == asked

@@ -301,7 +301,7 @@ class LiveSmoother(NewFixes):
     def _adopt(self, solution: BatchSolution) -> None:
         """Copy poses, calibrations and decisions of the batch into the window."""
         graph, window = self.graph, self.graph.window
-        graph.decisions |= solution.decisions
+        graph.decisions = graph.decisions | solution.decisions
         times = np.array(window.times)
         window.pose = solution.poses(times)
         window.dead_reckon(int(np.searchsorted(times, solution.time[-1] + CLOSE)) - 1, solution.c[-1])

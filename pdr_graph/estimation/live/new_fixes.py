@@ -51,13 +51,20 @@ class NewFixes(AlternativePaths):
             self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
 
     def _is_elsewhere(self, fixes: Fixes) -> Mask:
-        """``(f,)`` True for fixes that the present way passes at over DOUBTED sigmas, or beyond a wall."""
+        """``(f,)`` True for fixes that the present way passes at over DOUBTED sigmas, or in an area beyond a wall.
+
+        A fix where nobody can walk counts as the nearest place where one can: in a corridor, most fixes are beyond its
+        walls, and no other way leads there.
+        """
         window = self.graph.window
         there = poses_at(fixes.time, np.array(window.times), window.pose)[:, :2]
         sigmas = np.hypot(*(fixes.position - there).T) / fixes.sigma
-        plan = window.located_plan
-        walled = False if plan is None else plan[window.floor].crosses_wall(there, fixes.position)
-        return (sigmas > DOUBTED) | (walled & (sigmas > DOUBTED_BEHIND_WALL))
+        elsewhere, plan = sigmas > DOUBTED, window.located_plan
+        if plan is not None:
+            floor = plan[window.floor]
+            begin, end = (np.array([floor.nearest_walkable(p) for p in places]) for places in (there, fixes.position))
+            elsewhere |= (sigmas > DOUBTED_BEHIND_WALL) & floor.crosses_wall(begin, end)
+        return elsewhere
 
 
 def were_rejected(before: Decisions, adopted: Decisions) -> bool:

@@ -39,7 +39,8 @@ class WindowGraph:
 
     prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the first
     floor.
-    c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind.
+    c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind; never
+    changed in place, since copies and open questions have them too.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
@@ -131,7 +132,7 @@ class WindowGraph:
                 stored = self.decisions.get(measurement.name, {})
                 merged = merged_decisions(stored, decided)
                 changed |= not same_decisions(stored, merged)
-                self.decisions[measurement.name] = merged
+                self.decisions = self.decisions | {measurement.name: merged}
         return changed
 
     def decide(self, decisions: Decisions) -> None:
