@@ -94,11 +94,9 @@ class AlternativePaths(LiveOutput):
         return window.count % SCHEDULE.cost_interval == 0 and window.times[-1] >= self.next_batch
 
     def _cost_too_high(self) -> bool:
-        """True if the cost is too high for a correct path, and there are positions to find another."""
-        at = self.graph.evaluate(everything=True)
-        placing = {kind.name for kind in at.measurements if kind.determines_position}
-        rows = sum(len(block.residual) for block in at.blocks if block.name in placing)
-        return rows > 2 and at.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), rows)
+        """True if the cost is too high for a correct path, and there are fixes to find another."""
+        fixes = len(self.graph.log.position_times())
+        return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
 
     def _ask_batch_for_alternative(self) -> None:
         """Try the path that the batch finds."""

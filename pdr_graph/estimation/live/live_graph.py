@@ -220,10 +220,11 @@ class LiveGraph(WindowGraph):
     def _all_factors(self, again: Collection[Name]) -> dict[Name, Linear]:
         """All factors for a solver that has not started; it gets missing variables."""
         at = self.evaluate(everything=True)
-        self.isam.insert(*self._new_variables(at))
         obsolete = set(self.isam.obsolete(at.blocks, at.state))
         remaining = {name: factor for name, factor in self.isam.factors.items() if name not in obsolete}
-        return remaining | self._changes(at, again=again)
+        factors = remaining | self._changes(at, again=again)
+        self.isam.insert(*self._new_variables(at))  # after the priors of new variables were found to be missing
+        return factors
 
     def _changes(self, at: Evaluation, again: Collection[Name] = ()) -> dict[Name, Linear]:
         """New and relinearised factors of the evaluation ``at``."""

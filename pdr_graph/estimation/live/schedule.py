@@ -24,8 +24,8 @@ class Schedule:
     places; search_interval [s], search_share: it is sought again after this time and this share of the walk's duration,
     whichever is longer, and the result is adopted search_time [s] later; longest_search: time [s] after which the
     search is given up, since the whole walk is kept for it.
-    cost_interval: keyframes between checks of the cost; cost_base, cost_per_keyframe, cost_per_residual: the limit of
-    the cost, twice that of correct walks; a fix has two residuals, a beacon's level one.
+    cost_interval: keyframes between checks of the cost; cost_base, cost_per_keyframe, cost_per_fix: the limit of the
+    cost, twice that of correct walks.
     """
 
     rounds: int = 4
@@ -49,7 +49,7 @@ class Schedule:
     cost_interval: int = 5
     cost_base: float = 8.0
     cost_per_keyframe: float = 0.4
-    cost_per_residual: float = 1.5
+    cost_per_fix: float = 3.0
 
     def batch_delay(self, duration: float) -> float:
         """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
@@ -63,9 +63,9 @@ class Schedule:
         """Time [s] until a walk of this duration [s] is sought on the plan again."""
         return max(self.search_interval, self.search_share * duration)
 
-    def cost_limit(self, keyframes: int, residuals: int) -> float:
-        """Cost above which a window with so many keyframes and residuals of positions cannot be on the correct path."""
-        return self.cost_base + self.cost_per_keyframe * keyframes + self.cost_per_residual * residuals
+    def cost_limit(self, keyframes: int, fixes: int) -> float:
+        """Cost above which a window with so many keyframes and fixes cannot be on the correct path."""
+        return self.cost_base + self.cost_per_keyframe * keyframes + self.cost_per_fix * fixes
 
 
 SCHEDULE = Schedule()
