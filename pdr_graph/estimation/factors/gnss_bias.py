@@ -23,15 +23,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import (
-    PLANE,
-    TOLERANCE,
-    AnyArray,
-    FactorBlock,
-    Hypothesis,
-    Measurement,
-    Variables,
-)
+from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
 from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.receivers import ALONG, alike, by_source, drift
@@ -48,7 +40,6 @@ LATELY = 2.0  # [s] over which the velocity is averaged
 AMBLE = 1.0  # [m/s] assumed after the last step, until the next node
 SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
-OF_RECEIVERS = TOLERANCE | {"g": np.array([5.0, 5.0, 0.2])}  # linear in the offset
 THROUGHOUT = 1.0  # k of a receiver that is as good as it states
 SCATTERED = 1.1  # [σ] root mean square residual from which all errors may be larger than stated,
 LARGER = ((2.0, 1.5), (4.0, 3.0))  # by these factors, and the price of that assumption [nats]
@@ -221,14 +212,7 @@ class GnssBias(Measurement):
         loss = RobustLoss(self.fixes.outlier[fix])
         tenths = 10 * np.log(white)
         return FactorBlock.uniform(
-            FixFactor.name,
-            value,
-            variables,
-            jacobian,
-            self.fixes.number[fix],
-            loss=loss,
-            tolerance=OF_RECEIVERS,
-            signature=tenths,
+            FixFactor.name, value, variables, jacobian, self.fixes.number[fix], loss=loss, signature=tenths
         )
 
     def _process(self, at: Evaluation) -> list[FactorBlock]:

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
 BODY, BODY_SIGMA = 0.15, 0.1  # [m] half the width of a body; sigma of that limit, as share of the margin's
-C_TOLERANCE = np.array([0.02, 0.02, 0.005])
-OF_STEPS = {"x": np.array([0.5, 0.5, 0.03]), "c": C_TOLERANCE}  # nearly linear in translations
+C_TOLERANCE = np.array([0.01, 0.01, 0.002])
+OF_STEPS = {"x": np.array([0.5, 0.5, 0.02]), "c": C_TOLERANCE}  # nearly linear in translations
 OF_WALLS = {"x": np.array([0.15, 0.15, 0.02]), "c": C_TOLERANCE}
 LOOSE = 3.0  # scale of the walls' sigma in a rough search: tight walls keep a walk that starts 3° off in a wrong aisle
 
