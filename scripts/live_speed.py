@@ -32,7 +32,8 @@ OF_A_DAY = "24 h between walls, fix every 30 steps, lag 60 s"
 OF_SAMPLES = "from samples at 100 Hz, between walls, fix every 15 s, lag 60 s"
 PERIOD, FIRST_FIXES = 0.5, 5  # of a step [s]; number of fixes of which walkers of a crowd miss some
 HANDED_OUT = 100  # steps after which settled rows are taken away
-CROWD, CROWD_TIME = 200, 300.0  # walkers at once, and how long they walk [s]
+CROWD, CROWD_TIME, MINUTE = 20, 300.0, 60.0  # walkers at once; [s] how long they walk, of which the first is a row
+PARTS = "push", "pose", "review"
 SPUN = 2e-3  # [s] of CPU time, of a loop that does nothing: what the machine adds on the wall
 
 
@@ -92,16 +93,16 @@ def live_rows():
     busy = hour.took[:, [0, 2]].sum() / hour.nav.pose.time
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
     said = f"The walk from samples kept one core busy for {100 * busy:.1f} % of its time. OMP_NUM_THREADS: {threads}."
-    return f"{latency}\n\n{control}\n\n{memory}\n\n{crowd_row()}\n\n{said}"
+    return f"{latency}\n\n{control}\n\n{memory}\n\n{crowd_rows()}\n\n{said}"
 
 
-def crowd_row():
-    """Many walkers in turn, step by step: seconds of one core for a second of all their walks, and memory."""
+def crowd_rows():
+    """Many walkers in turn, step by step: cores that they keep busy in the first minute and after it, and memory."""
     steps, fixes = held_by_walls(int(CROWD_TIME / PERIOD), period=PERIOD)
     plan, before = FloorPlan.load(LOOP), resident()
     walkers = [(Navigator(plan, lag=LAG), said_events(steps, fixes[n % FIRST_FIXES :])) for n in range(CROWD)]
-    took = dict.fromkeys(("push", "pose", "review"), 0.0)
-    for _ in range(len(steps)):
+    took = np.zeros((2, 3))  # [s] in the first minute and after it, by push, pose and review
+    for n in range(len(steps)):
         for nav, events in walkers:
             moments = [time.process_time()]
             push_step(nav, events)
@@ -110,12 +111,14 @@ def crowd_row():
             moments.append(time.process_time())
             nav.review()
             moments.append(time.process_time())
-            for name, seconds in zip(took, np.diff(moments), strict=True):
-                took[name] += seconds
-    shares = [f"{seconds / CROWD_TIME:.2f}" for seconds in (*took.values(), sum(took.values()))]
-    header = ["walkers of steps and fixes, between walls", "walk [s]", *(f"{name}, cores" for name in (*took, "all"))]
-    each = (resident() - before) / CROWD
-    return table([*header, "MB each"], [[CROWD, f"{CROWD_TIME:.0f}", *shares, f"{each:.1f}"]])
+            took[int(n * PERIOD >= MINUTE)] += np.diff(moments)
+    each, rows = f"{(resident() - before) / CROWD:.1f}", []
+    spans = {"the first minute": MINUTE, "after it": CROWD_TIME - MINUTE}
+    for (when, seconds), busy in zip(spans.items(), took, strict=True):
+        rows.append([CROWD, when, *(f"{v / seconds:.2f}" for v in (*busy, busy.sum())), each])
+    header = ["walkers of steps and fixes, between walls", "when", *(f"{part}, cores" for part in PARTS)]
+    header += ["all, cores", "MB each"]
+    return table(header, rows)
 
 
 def push_step(nav, events):
