@@ -101,7 +101,7 @@ def crowd_rows():
     steps, fixes = held_by_walls(int(CROWD_TIME / PERIOD), period=PERIOD)
     plan, before = FloorPlan.load(LOOP), resident()
     walkers = [(Navigator(plan, lag=LAG), said_events(steps, fixes[n % FIRST_FIXES :])) for n in range(CROWD)]
-    took = np.zeros((2, 3))  # [s] in the first minute and after it, by push, pose and review
+    took = np.zeros((2, len(PARTS)))  # [s] in the first minute and after it
     for n in range(len(steps)):
         for nav, events in walkers:
             moments = [time.process_time()]

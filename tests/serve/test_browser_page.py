@@ -151,7 +151,7 @@ def check_layout(page, width, height):
 def test_on_a_phone_the_details_are_a_tap_away(browser, arcade):
     arcade.pose(issues=["gyroscope: silent for 4 s"])
     page = shown(browser, arcade, 390, 844)
-    arcade.pose(issues=["gyroscope: silent for 4 s"])  # again: after 5 s without a pose, that is what the page says
+    arcade.pose(issues=["gyroscope: silent for 4 s"])  # again: after 5 s without a pose the page says "no data"
     page.until("return /▲ gyroscope/.test(document.querySelector('.state').textContent)")
     assert page.run("return document.querySelector('.detail').hidden")
     page.run("document.querySelector('.walker').click()")
@@ -294,7 +294,8 @@ def test_the_ways_that_remain_are_faint_and_the_heading_is_not_shown(browser, ar
     weights = page.run("return [...page.walkers.values()][0].regions().map(f => f.properties.weight)")
     assert weights[1] < weights[0] < weights[2]
     assert not page.run("return document.querySelector('.cone').getAttribute('d')")
-    arcade.pose(state="initialising heading", modes=modes)  # again: after 5 s without a pose the page says that
+    # Again: after 5 s without a pose the page says "no data"
+    arcade.pose(state="initialising heading", modes=modes)
     page.until("return /initialising heading/.test(document.querySelector('.state').textContent)")
 
 

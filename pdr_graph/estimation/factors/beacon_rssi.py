@@ -19,16 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import (
-    EXACT,
-    PLANE,
-    TOLERANCE,
-    AnyArray,
-    FactorBlock,
-    Hypothesis,
-    Measurement,
-    Variables,
-)
+from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
 from pdr_graph.estimation.factors.beacon_list import (
     HEIGHT,
     LEVEL_SIGMA,
@@ -49,7 +40,6 @@ PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.
 BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
 RANGE = 60.0  # [m] from which no phone receives a beacon; at half of it the usual level is the weakest
 STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
-OF_LEVELS = TOLERANCE | {"x": np.array([0.5, 0.5, 0.15]), "b": np.array([0.5, 0.5, 1.0])}  # 0.1 σ, 1.5 m from a beacon
 ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
 
 # A wrong list
@@ -191,9 +181,7 @@ class BeaconRssiFactor(Measurement):
         variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(which), dtype=np.intp))]
         loss = RobustLoss(np.zeros(len(which), dtype=bool))
         number = self.number[which]
-        return FactorBlock.uniform(
-            self.name, value, variables, jacobian, number, loss=loss, tolerance=OF_LEVELS, curvature=curvature
-        )
+        return FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, curvature=curvature)
 
     def _priors(self, at: Evaluation) -> list[FactorBlock]:
         b, q = at.state["b"], at.state["q"]

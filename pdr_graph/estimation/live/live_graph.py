@@ -157,11 +157,7 @@ class LiveGraph(WindowGraph):
         """True if no pose has moved by as much as any factor tolerates since the last check."""
         if self._checked_poses is None or self._outdated or len(self._checked_poses) != len(self.window.pose):
             return False
-        return self._near(self._checked_poses)
-
-    def _near(self, poses: Array) -> bool:
-        """True if no pose differs from these ``(k + 1, 3)`` by as much as any factor tolerates."""
-        apart = np.abs(self.window.pose - poses)
+        apart = np.abs(self.window.pose - self._checked_poses)
         apart[:, 2] = np.abs(wrap_angle(apart[:, 2]))
         return bool((apart < UNMOVED).all())
 
@@ -268,10 +264,8 @@ class LiveGraph(WindowGraph):
         before = (self.isam.moved(self.isam.values), window.pose, dict(window.c)) if walled else None
         self.isam.update(add, remove, values, times)
         self._read()
-        if before is None or self._near(before[1]):
-            return True
         whole = at.chain.number[0] == window.keyframes[0]
-        if self.evaluate(everything=whole).cost > at.cost + OVERSHOT:
+        if before is not None and self.evaluate(everything=whole).cost > at.cost + OVERSHOT:
             (self.isam, window.pose, window.c), self._leaving = before, 0
             restart_nearby(self, self.isam.factors, ROUNDS)
         return True
