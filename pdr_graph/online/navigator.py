@@ -41,7 +41,7 @@ from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks
 from pdr_graph.online.interface import EVENTS, Event, Pose, Samples, Scan, trajectory_of_rows
 from pdr_graph.online.live_warnings import contradictions_of, warnings_of
 from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Steps, Trajectory
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Headings, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -123,7 +123,7 @@ class Navigator:
         self._graph = LiveSmoother(prior, np.inf if lag is None else lag, self.building, start_floor or "", executor)
         self._alone: FixesAlone | None = None
         self._display = Display()
-        self._place: Array | None = None  # the first position ``(2,)`` [m]
+        self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
         self._start_heading = start_heading, start_heading_sigma
         self._steps: list[Steps] = []  # since `finalized` was last called
@@ -156,7 +156,7 @@ class Navigator:
             if (steps := self._checks.in_order(event, self._window.steps.end)) is not None:
                 self._extend(steps)
         elif isinstance(event, Scan):
-            self._scan(event.heard)
+            self._scan(event)
         elif (data := self._checks.valid(kind_of(event).name, event)) is not None:
             self._fix(data) if isinstance(data, Fixes) else self._measure(data)
 
@@ -352,14 +352,19 @@ class Navigator:
         return np.where(np.abs(later - now) < np.abs(time - now), later, time)
 
     def _lie_in(self, frame: Frame) -> Frame:
-        """Set the frame of all results, and place the beacons in it."""
+        """Set the frame of all results, and place the beacons in it; plan or beacons tell the compass where it is."""
         self.frame = frame
-        if self._beacons is not None:
-            self._graph.graph.collectors.append(LevelCollector(frame.place(self._beacons)))
+        listed = None if self._beacons is None else frame.place(self._beacons)
+        if listed is not None:
+            self._graph.graph.collectors.append(LevelCollector(listed))
+        if self.building is not None:
+            self._locate(frame, self.building.floors[0].corners.mean(axis=0))
+        elif listed is not None and np.isfinite(listed.position).any():
+            self._locate(frame, np.nanmean(listed.position, axis=0))
         return frame
 
     def _locate(self, frame: Frame, place: Array) -> None:
-        """Store the first position, which the compass needs for the earth's magnetic field."""
+        """Store a position of the walk, which the compass needs for the earth's magnetic field."""
         self._place = place
         self._compass.locate(frame, place, self._epoch)
 
@@ -425,10 +430,10 @@ class Navigator:
         if isinstance(data, Fixes):
             self._alone = after_fixes(self._alone, data)
 
-    def _scan(self, received: Sightings) -> None:
+    def _scan(self, scan: Scan) -> None:
         """Pass the usable signals of a scan to the collectors."""
-        received = self._checks.heard(received)
-        self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))))
+        received = self._checks.heard(scan.heard)
+        self._graph.collect(self._until_soon(replace(received, time=self._on_clock(received.time))), scan.radio)
 
     def _until_soon(self, data: Any) -> Any:
         """The rows that are not later than AHEAD from now, once there are steps."""

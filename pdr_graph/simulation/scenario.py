@@ -291,6 +291,6 @@ def _access_points(
     floors = list(plans) or [""]
     places = random.uniform(low, high, (count, 2))
     return tuple(
-        Transmitter(f"02:00:00:00:{n // 256:02x}:{n % 256:02x}", place, floors[n % len(floors)], -40.0)
+        Transmitter(f"06:00:00:00:{n // 256:02x}:{n % 256:02x}", place, floors[n % len(floors)], -40.0)
         for n, place in enumerate(places)
     )

@@ -128,7 +128,7 @@ def test_live_every_received_level_is_in_the_graph(monkeypatch):
     for n in range(len(steps)):
         rows = (sightings.time > (steps.time[n - 1] if n else 0.0)) & (sightings.time <= steps.time[n])
         names = tuple(sightings.transmitter[m] for m in np.flatnonzero(rows))
-        live.collect(Sightings(sightings.time[rows], names, sightings.rssi[rows]))
+        live.collect(Sightings(sightings.time[rows], names, sightings.rssi[rows]), "bluetooth")
         live.extend(some(steps, n, n + 1))
         if n % 20 == 10:
             live.append(fixes_at([steps.time[n]], track.position[n + 1], 1.0))

@@ -42,7 +42,7 @@ def test_the_fixes_are_those_of_the_whole_recording(radio_map, resumed):
     expected = radio_map.fixes(Recording("two", 0.0, None, wifi=sightings))
     collector = ScanCollector(radio_map, reported.append)
     for now, part in chunks(sightings):
-        collector.collect(part)
+        collector.collect(part, "wifi")
         blocks += collector.due(now, None)
         if resumed:
             state, collector = collector.checkpoint(), ScanCollector(radio_map, reported.append)

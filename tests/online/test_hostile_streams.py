@@ -178,7 +178,7 @@ def test_the_names_of_transmitters_are_forgotten(monkeypatch):
     collector = scan_collector.ScanCollector(radio_map, lambda fixes: None)
     for n in range(50):
         names = (*(f"x{n}.{k}" for k in range(30)), "b")
-        collector.collect(Sightings(np.full(31, float(n)), names, np.full(31, -60.0)))
+        collector.collect(Sightings(np.full(31, float(n)), names, np.full(31, -60.0)), "wifi")
         list(collector.due(float(n), None))
     assert len(collector._names) <= 250
     received = [list(collector._names)[n] for n in collector._received[:, 1].astype(int)]
@@ -190,7 +190,7 @@ def test_a_scan_of_another_hour_takes_no_memory():
     radio_map = type("Map", (), {"transmitter": ("a",), "located": lambda self, scans: Fixes.none()})()
     collector = scan_collector.ScanCollector(radio_map, lambda fixes: None)
     names = tuple(f"x{n}" for n in range(100))
-    collector.collect(Sightings(np.append(np.zeros(99), 1e8), names, np.full(100, -60.0)))
+    collector.collect(Sightings(np.append(np.zeros(99), 1e8), names, np.full(100, -60.0)), "wifi")
     assert list(collector.due(1e8 + 10, None)) == []
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -33,14 +32,17 @@ class LevelCollector:
         self._window = np.empty((0, 3))  # the same of all advertisements in the window
         self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it
 
-    def collect(self, data: Any) -> bool:
-        """Store advertisements; True if any is of a surveyed beacon."""
-        if not isinstance(data, Sightings):
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Store advertisements; True if any is of a surveyed beacon.
+
+        Those of other radios are not: an access point may have the address of a beacon.
+        """
+        if radio != "bluetooth":
             return False
-        minors = data.minor or ("",) * len(data)
+        minors = received.minor or ("",) * len(received)
         rows = []
         for time, name, minor, rssi in zip(
-            data.time.tolist(), data.transmitter, minors, data.rssi.tolist(), strict=True
+            received.time.tolist(), received.transmitter, minors, received.rssi.tolist(), strict=True
         ):
             beacon = self._by_name.get(name.lower(), self._by_minor.get(minor) if minor else None)
             if beacon is not None and np.isfinite([time, rssi]).all():

@@ -32,7 +32,7 @@ from pdr_graph.estimation.live.window import ALL, WindowCheckpoint
 from pdr_graph.estimation.live.window_graph import WindowGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import pose_rotation, wrap_angle
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, Sightings
 
 RECENT = 150  # intervals that each update evaluates, chosen by hand
 FULL_CHECK = 25  # keyframes after which a relinearisation evaluates all intervals, chosen by hand
@@ -107,9 +107,9 @@ class LiveGraph(WindowGraph):
         """Time [s] by which measurements may lie outside the steps, by kind."""
         return self.log.overhangs
 
-    def collect(self, data: Any) -> bool:
-        """Pass raw data (advertisements, scans) to all collectors; True if one of them uses it."""
-        return any([collector.collect(data) for collector in self.collectors])
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Pass receptions of a radio to all collectors; True if one of them uses any."""
+        return any([collector.collect(received, radio) for collector in self.collectors])
 
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
         """Close the keyframes due after new steps and measurements.

@@ -33,7 +33,7 @@ from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
-from pdr_graph.types import Array, Estimate, Headings, Index, Steps
+from pdr_graph.types import Array, Estimate, Headings, Index, Sightings, Steps
 
 
 @dataclass(frozen=True)
@@ -116,9 +116,9 @@ class LiveSmoother(NewFixes):
             self._close()
             self._follow_modes()
 
-    def collect(self, data: Any) -> bool:
-        """Pass raw data (advertisements, scans) to the collectors; True if one of them uses it."""
-        return self.graph.collect(data)
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Pass receptions of a radio, "bluetooth" or "wifi", to the collectors; True if one of them uses any."""
+        return self.graph.collect(received, radio)
 
     def set_heading(self, number: int, time: float, heading: float, sigma: float) -> None:
         """Set or replace heading ``number`` (time [s], heading and sigma [rad]); an infinite sigma removes it."""

@@ -14,17 +14,17 @@ from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.measurements import appended, last_time, take
 from pdr_graph.storage import decode, encode
-from pdr_graph.types import INSTANT, Array, Index, Mask, Steps
+from pdr_graph.types import INSTANT, Array, Index, Mask, Sightings, Steps
 
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind
 
 
 class Collector(Protocol):
-    """Makes measurements from raw data that arrive piecemeal (advertisements, scans)."""
+    """Makes measurements from receptions that arrive piecemeal (advertisements, scans)."""
 
-    def collect(self, data: Any) -> bool:
-        """Store raw data; True if any of it is usable."""
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Store receptions of a radio, "bluetooth" or "wifi"; True if any of them is usable."""
         ...
 
     def due(self, until: float, walked: Callable[[Array], Array]) -> Iterable[Any]:

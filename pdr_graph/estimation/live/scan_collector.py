@@ -23,16 +23,14 @@ class ScanCollector:
         self._received = np.empty((0, 3))  # time [s], transmitter number, rssi [dBm]
         self._block = -np.inf  # the last block with a fix
 
-    def collect(self, data: Any) -> bool:
-        """Store the levels of all transmitters; True if there are any."""
-        if not isinstance(data, Sightings):
-            return False
-        names = [self._names.setdefault(name, len(self._names)) for name in data.transmitter]
-        rows = np.column_stack([data.time, names, data.rssi])
+    def collect(self, received: Sightings, radio: str) -> bool:
+        """Store the levels of all transmitters of either radio; True if there are any."""
+        names = [self._names.setdefault(name, len(self._names)) for name in received.transmitter]
+        rows = np.column_stack([received.time, names, received.rssi])
         self._received = np.concatenate([self._received, rows[np.isfinite(rows).all(axis=1)]])[-MOST_RECEPTIONS:]
         if len(self._names) > len(self._map.transmitter) + MOST_RECEPTIONS:
             self._forget_names()
-        return len(data) > 0
+        return len(received) > 0
 
     def due(self, until: float, walked: object) -> Iterator[Fixes]:
         """Yield, once, the fixes of the blocks of scans that are complete until ``until`` [s]."""

@@ -1,0 +1,70 @@
+"""A live walk that only the plan's beacons place, without any fix."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pdr_graph import FloorPlan, evaluate
+from pdr_graph.io.beacons import drawn_beacons
+from pdr_graph.online.interface import Samples, Scan, events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.types import Sightings
+
+ROOT = Path(__file__).resolve().parents[2]
+END = 30.0  # [s] of the walk
+
+
+@cache
+def mall():
+    """The plan of the mall, its beacons, the events of a walk's first 30 s, and its truth."""
+    plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
+    walk = simulate(replace(Scenario.load(ROOT / "scenarios" / "mall.toml"), seed=12))
+    recording = replace(walk.recording(), bluetooth=some(walk.bluetooth))
+    beacons = drawn_beacons([(area, "1") for area in plan.of_kind("beacon")], recording)
+    events = tuple(event for event in events_of(recording) if moment(event) < END)
+    return plan, beacons, events, walk.truth
+
+
+def some(heard):
+    """All receptions, with a minor number for each, as readers have them."""
+    return replace(heard, minor=("",) * len(heard))
+
+
+def moment(event):
+    return float((event.heard if isinstance(event, Scan) else event).time[-1])
+
+
+def navigated(events):
+    plan, beacons, _, _ = mall()
+    nav = Navigator(plan, beacons=beacons, epoch=1.7e9)
+    for event in events:
+        nav.push(event)
+    return nav
+
+
+def test_the_compass_tells_the_direction_without_a_fix():
+    """The georeferenced plan says where on earth it is; without a magnetometer the direction stays open, and said."""
+    _, _, events, truth = mall()
+    nav = navigated(events)
+    there = [float(np.interp(nav.pose.time, truth.time, axis)) for axis in truth.position.T]
+    assert np.hypot(nav.pose.x - there[0], nav.pose.y - there[1]) < 5.0
+    assert abs(nav.pose.heading) < 3 * np.sqrt(nav.pose.covariance[2, 2]) < 0.9
+    assert evaluate(nav.finish().trajectory, truth)["ce"]["p50"] < 3.0  # the batch has 1.4 m
+    blind = [event for event in events if not (isinstance(event, Samples) and event.sensor == "magnetometer")]
+    assert len(navigated(blind).pose.modes) > 6
+
+
+@pytest.mark.parametrize("radio", ["wifi", "bluetooth"])
+def test_access_points_with_the_addresses_of_beacons_are_no_beacons(radio):
+    """Their levels led the walk 60 m astray; as advertisements they count."""
+    _, beacons, events, _ = mall()
+    far_away = Sightings(np.full(3, 10.0), beacons.name[5:8], np.full(3, -50.0), ("",) * 3)
+    place = next(n for n, event in enumerate(events) if moment(event) > 10.0)
+    with_scan = [*events[:place], Scan(radio, far_away), *events[place:]]
+    same = np.array_equal(*(navigated(given).finish().trajectory.position for given in (with_scan, events)))
+    assert same == (radio == "wifi")
