@@ -28,7 +28,8 @@ from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats import read_route
 from pdr_graph.gait.compass import magnetic_headings
 from pdr_graph.gait.signals import gait_signals
-from pdr_graph.gait.steps import detect_steps, with_stair_lengths
+from pdr_graph.gait.stair_steps import with_stair_lengths
+from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Inputs

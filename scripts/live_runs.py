@@ -28,6 +28,7 @@ class LoggingNavigator(Navigator):
         self.chunks, self.headings, self.fixes = list[Steps](), list[tuple](), list[Fixes]()
         self.walked = 0.0  # by the certain steps [m]
         self._set, self._graph.set_heading = self._graph.set_heading, self._log_heading
+        self._append, self._graph.extend = self._graph.extend, self._log_steps
 
     def push(self, event):
         """Push an event; headings and fixes among them are logged."""
@@ -42,10 +43,10 @@ class LoggingNavigator(Navigator):
         self.headings.append((number, time, heading, sigma))
         self._set(number, time, heading, sigma)
 
-    def _extend(self, steps):
+    def _log_steps(self, steps, floor):
         self.chunks.append(steps)
         self.walked += float(steps.length.sum())
-        super()._extend(steps)
+        self._append(steps, floor)
 
     @property
     def provisional(self):

@@ -10,7 +10,7 @@ from pdr_graph.estimation.floors import floors_along
 from pdr_graph.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
 from pdr_graph.frames import enu
 from pdr_graph.gait.signals import gait_signals
-from pdr_graph.gait.steps import with_stair_lengths
+from pdr_graph.gait.stair_steps import with_stair_lengths
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.measurements import Levels
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory

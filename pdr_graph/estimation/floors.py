@@ -1,4 +1,4 @@
-"""The floor of each step by barometer and fixes: the most probable sequence of storeys; batch and live.
+"""The floor of each step by barometer and fixes: the most probable sequence of storeys.
 
 A hidden Markov model whose states are the floors and the landings between them, at quarters of a storey. The state
 changes only at climbs, by about the climb's height, so slow changes of the weather have no effect. Landings are states
@@ -6,22 +6,19 @@ so that the next climb continues from a stop half-way up the stairs. Unknown is 
 plan, about the same for all) or the scale of the plan's heights; the most probable of several values is used.
 
 The floor is the nearest one in height: on stairs it changes half-way, and a passed floor is the present one briefly.
-Live, the model runs over the last minutes every few seconds; these minutes start at a time without climbs, on the floor
-estimated for it.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Protocol
 
 import numpy as np
 
-from pdr_graph import storage
 from pdr_graph.geometry import row_times, viterbi
-from pdr_graph.inertial.barometer import CLIMB, DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs
+from pdr_graph.inertial.barometer import DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
 STOREY_HEIGHT, SPREAD = 3.5, 0.2  # [m], and sigma of its logarithm: flats 2.7, offices 3.3–4.2, shops 5
@@ -253,191 +250,3 @@ def _floors_and_landings(heights: Array) -> Array:
 def _nearest(heights: Array, at: Array) -> Index:
     """Index of the floor nearest to each height; the lower one in a tie."""
     return np.argmin(np.abs(at[:, None] - heights), axis=1)
-
-
-UPDATE_INTERVAL = 3.0  # [s] between estimates
-LONGEST, SHORTEST, MOST_CLIMBS = 200.0, 60.0, 3  # window: longest [s], length after a cut [s], most climbs
-TOO_LONG = 1.5  # multiple of the longest window at which it is cut even within a climb
-REMEMBERED = 90.0  # [s] of labels stored from before the window
-SILENT = 20.0  # [s] without barometer samples after which fixes are used alone
-LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] range of plausible pressures
-APART = 120.0  # [s] between a sample and the steps at which its time stamp is wrong
-MOST_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
-
-
-@dataclass(frozen=True)
-class FloorsCheckpoint:
-    """State of a `LiveFloors`; fields as its attributes."""
-
-    start: str
-    label: str
-    climbing: bool
-    begin: float
-    end: float
-    looked: float
-    time: Array
-    duration: Array
-    pressure: Array
-    open: Array
-    fix_time: Array
-    fix_label: tuple[str, ...]
-    row_time: Array
-    row_label: tuple[str, ...]
-    heard: bool
-
-
-class LiveFloors:
-    """The floors of a walk under way. building: see `floors_of`; start: label of the first floor, or ""."""
-
-    def __init__(self, building: FloorHeights | None = None, start: str = ""):
-        self.building, self.start = building, start
-        self.label = start
-        self.climbing = False
-        self.begin, self.end = np.nan, np.nan  # [s] start of the window, end of the certain steps
-        self.looked = -np.inf  # [s] time of the last estimate
-        self.time, self.duration = np.empty(0), np.empty(0)  # of the certain steps in the window [s]
-        self.pressure = np.empty((0, 2))  # means over CLIMB.grid: time [s] and pressure [hPa]
-        self.open = np.empty((0, 2))  # samples of the cell that is not complete
-        self.fix_time, self.fix_label = np.empty(0), np.empty(0, dtype=object)
-        self.row_time, self.row_label = np.empty(0), np.empty(0, dtype=object)
-        self.heard = False  # True if fixes with a floor came since the last estimate
-
-    def push(self, time: Array, values: Array) -> None:
-        """Append barometer samples at times ``(n,)`` [s], values ``(n, 1)`` [hPa]."""
-        rows = np.column_stack([time, values]).astype(float)
-        rows = rows[np.isfinite(rows).all(axis=1) & (rows[:, 1] > LOWEST) & (rows[:, 1] < HIGHEST)]
-        if np.isfinite(self.end):
-            rows = rows[np.abs(rows[:, 0] - self.end) < APART]
-        else:
-            self.pressure = self.pressure[-round(LONGEST / CLIMB.grid) :]
-        for sample in rows:
-            self._sample(sample)
-
-    def add_fixes(self, fixes: Fixes) -> None:
-        """Append fixes; only those with a floor label are used."""
-        labelled = np.array([bool(label) for label in fixes.floor], dtype=bool)
-        if labelled.any():
-            self.fix_time = np.append(self.fix_time, fixes.time[labelled])[-MOST_FIXES:]
-            self.fix_label = np.append(self.fix_label, np.array(fixes.floor, dtype=object)[labelled])[-MOST_FIXES:]
-            self.heard = True
-
-    def add_steps(self, steps: Steps) -> None:
-        """Append the next certain steps."""
-        if np.isnan(self.end):
-            self.begin = steps.start
-        self.time, self.duration = np.append(self.time, steps.time), np.append(self.duration, steps.duration)
-        self.end = steps.end
-
-    def advance(self, tail: Steps | None = None) -> None:
-        """Estimate the floors again after UPDATE_INTERVAL. tail: provisional steps."""
-        now = self.end if tail is None else tail.end
-        if not (now > self.begin and abs(now - self.looked) >= UPDATE_INTERVAL):
-            return
-        measured = self._is_measured(now)
-        named = self.building is None or bool(self.start) or len(self.fix_label) > 0
-        if named and (measured or self.heard) and now > self.begin:
-            self._estimate(now, tail, measured)
-        elif now - self.begin > LONGEST:
-            self._cut(now - SHORTEST)
-        self.looked = now
-
-    def labels(self, time: Array) -> tuple[str, ...]:
-        """Labels of the present estimate at times ``(n,)`` [s] within REMEMBERED of the window; "" where unknown."""
-        if not len(self.row_time):
-            return (self.label,) * len(time)
-        row = np.minimum(np.searchsorted(self.row_time, np.asarray(time) - 1e-6), len(self.row_time) - 1)
-        return tuple(self.row_label[row].tolist())
-
-    def checkpoint(self) -> FloorsCheckpoint:
-        """Return the state, from which estimates continue the same."""
-        state = storage.checkpoint(self, FloorsCheckpoint)
-        return replace(state, fix_label=tuple(self.fix_label), row_label=tuple(self.row_label))
-
-    def restore(self, checkpoint: FloorsCheckpoint) -> None:
-        """Set the state to a checkpoint with the same building."""
-        storage.restore(self, checkpoint)
-        self.fix_label = np.array(checkpoint.fix_label, dtype=object)
-        self.row_label = np.array(checkpoint.row_label, dtype=object)
-
-    def _is_measured(self, now: float) -> bool:
-        """True if the barometer covers the window; cuts the window where the barometer stops or starts."""
-        if not len(self.pressure):
-            return False
-        if now - self.pressure[-1, 0] > SILENT:
-            self._cut(self.end)
-            self.pressure, self.open, self.climbing = self.pressure[:0], self.open[:0], False
-            return False
-        first = float(self.pressure[0, 0])
-        if self.begin + SILENT < first <= self.end:
-            self._cut(first)
-        return first <= self.begin + SILENT
-
-    def _sample(self, sample: Array) -> None:
-        """Append one sample; complete cells become means."""
-        last = self.open[-1, 0] if len(self.open) else self.pressure[-1, 0] if len(self.pressure) else -np.inf
-        if sample[0] <= last:
-            return  # repeated sample, or clock reset
-        if len(self.open) and sample[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
-            self.pressure = np.concatenate([self.pressure, self.open.mean(axis=0)[None]])
-            self.pressure = self.pressure[-round(TOO_LONG * LONGEST / CLIMB.grid) :]
-            self.open = self.open[:0]
-        if len(self.open) < MOST_IN_CELL:
-            self.open = np.concatenate([self.open, sample[None]])
-
-    def _estimate(self, now: float, tail: Steps | None, measured: bool) -> None:
-        """Estimate the floors of the window, and cut it if it is too long."""
-        fixes = Fixes(
-            self.fix_time, np.zeros((len(self.fix_time), 2)), np.ones(len(self.fix_time)), tuple(self.fix_label)
-        )
-        barometer = Signal(self.pressure[:, 0], self.pressure[:, 1:]) if measured else None
-        steps = self._steps(tail)
-        floors = floors_along(steps, barometer, self.start, fixes, self.building)
-        self._remember(steps, floors, now)
-        last = floors.climbs.end[-1:]
-        self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - CLIMB.gust))
-        self.heard = False
-        if now - self.begin > LONGEST or len(floors.climbs) > MOST_CLIMBS:
-            level = _level_before(now - SHORTEST, floors.climbs)
-            if level > self.begin + CLIMB.level:
-                self._cut(level)
-            elif now - self.begin > TOO_LONG * LONGEST:
-                self._cut(now - SHORTEST)
-
-    def _steps(self, tail: Steps | None) -> Steps:
-        """The steps of the window with those of ``tail``: times and durations."""
-        time, duration, end = self.time, self.duration, self.end
-        if tail is not None and tail.end > end and (not len(tail) or tail.time[0] - tail.duration[0] >= end - 1e-6):
-            time, duration, end = np.append(time, tail.time), np.append(duration, tail.duration), tail.end
-        nothing, some = np.zeros(len(time)), np.ones(len(time))
-        return Steps(self.begin, end, time, duration, some, nothing, nothing, some, some)
-
-    def _remember(self, steps: Steps, floors: Floors, now: float) -> None:
-        """Store the labels of the window's rows."""
-        before = (self.row_time < self.begin) & (self.row_time > now - REMEMBERED)
-        self.row_time = np.concatenate([self.row_time[before], steps.time, [steps.end]])
-        self.row_label = np.append(self.row_label[before], np.array(floors.labels[1:], dtype=object))
-        self.label = floors.labels[-1]
-
-    def _cut(self, time: float) -> None:
-        """Let the window start at ``time`` [s], or at the end of the certain steps if that is earlier."""
-        time = min(time, self.end)
-        (self.start,) = self.labels(np.array([time]))
-        self.begin = time
-        later = self.time - self.duration >= time
-        self.time, self.duration = self.time[later], self.duration[later]
-        self.pressure = self.pressure[self.pressure[:, 0] >= time]
-        order = np.argsort(self.fix_time, kind="stable")
-        self.fix_time, self.fix_label = self.fix_time[order], self.fix_label[order]
-        first = int(np.searchsorted(self.fix_time, time))
-        if first and self.fix_label[first - 1] == self.start:  # a climb leads from it to the next, on another floor
-            first -= 1
-            self.fix_time[first] = time
-        self.fix_time, self.fix_label = self.fix_time[first:], self.fix_label[first:]
-
-
-def _level_before(time: float, climbs: Climbs) -> float:
-    """The last time [s] before ``time`` that is at least CLIMB.level away from any climb."""
-    for start, end in zip(climbs.start[::-1].tolist(), climbs.end[::-1].tolist(), strict=True):
-        if start - CLIMB.level < time < end + CLIMB.level:
-            time = start - CLIMB.level
-    return time

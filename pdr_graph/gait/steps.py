@@ -1,11 +1,9 @@
 """Pedestrian dead reckoning, start here: a recording becomes steps; steps of several parts become one walk.
 
-Gaps in a recording become rows of length 0. Steps on stairs are as long as the treads.
+Gaps in a recording become rows of length 0.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +12,6 @@ from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.barometer import STAIRS, Climbs
 from pdr_graph.types import Array, Recording, Steps
 
 SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps; chosen by hand
@@ -79,23 +76,3 @@ def _sigma_turn(gait: GaitSignals, walker: Walker, start: float) -> Array:
     usual = walker.sigma_turn if gait.attitude.angular_rate is not None else SIGMA_UNMEASURED_TURN
     variance = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
     return np.sqrt(usual**2 + np.diff(variance))
-
-
-BLONDEL = 0.63  # [m] two rises and one going: Blondel's rule
-SHORTEST_GOING, LONGEST_GOING = 0.22, 0.38  # [m] depths of treads that are built
-SIGMA_GOING = 0.1  # [m] of a step on stairs: landings are among them; chosen by hand
-
-
-def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Steps:
-    """Shorten the steps on stairs to the depth of a tread: 0.63 m less twice the rise of a step (Blondel's rule).
-
-    climbs, kinds: height changes and their kinds from `climb_kinds`. Stride models are fitted on level ground and
-    overestimate steps on stairs by half.
-    """
-    length, sigma = steps.length.copy(), steps.sigma_length.copy()
-    for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
-        on = (steps.time > start) & (steps.time - steps.duration < end) & ~steps.is_gap
-        if kind == STAIRS and on.any():
-            length[on] = np.clip(BLONDEL - 2 * abs(height) / np.count_nonzero(on), SHORTEST_GOING, LONGEST_GOING)
-            sigma[on] = SIGMA_GOING
-    return replace(steps, length=length, sigma_length=sigma)

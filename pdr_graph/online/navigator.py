@@ -18,20 +18,18 @@ from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors import kind_of
-from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG
 from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA
 from pdr_graph.estimation.factors.level_collector import LevelCollector
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.floors import FloorsCheckpoint, LiveFloors
-from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
+from pdr_graph.estimation.live.live_floors import FloorsCheckpoint, LiveFloors
 from pdr_graph.estimation.live.live_smoother import LiveSmoother, SmootherCheckpoint
 from pdr_graph.estimation.live.window import Window
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
-from pdr_graph.gait.step_chunks import concatenate_steps
+from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
@@ -41,7 +39,8 @@ from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks
 from pdr_graph.online.interface import EVENTS, Event, Pose, Samples, Scan, trajectory_of_rows
 from pdr_graph.online.live_warnings import contradictions_of, warnings_of
 from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, FixReport, Headings, Steps, Trajectory
+from pdr_graph.online.step_log import StepLog
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Headings, Steps, Trajectory
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap
@@ -126,7 +125,7 @@ class Navigator:
         self._place: Array | None = None  # known of the walk ``(2,)`` [m]
         self._epoch = epoch
         self._start_heading = start_heading, start_heading_sigma
-        self._steps: list[Steps] = []  # since `finalized` was last called
+        self._steps = StepLog()  # since `finalized` was last called
         self._beacons = beacons
         self._tail: Steps | None = None
         self._pose: Pose | None = None  # the current pose, if it was asked for since the last event
@@ -253,7 +252,7 @@ class Navigator:
 
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
-        self._steps = self._steps[-1:]
+        self._steps.forget()
         return trajectory_of_rows(self._graph.pop_finalized())
 
     def finish(self) -> Estimate:
@@ -267,7 +266,7 @@ class Navigator:
             return self._graph.final
         estimate = self._estimate()
         warnings = warnings_of(self._graph, self.building, estimate)
-        return replace(estimate, dead_reckoning=self._dead_reckoning(), warnings=warnings)
+        return replace(estimate, dead_reckoning=self._steps.dead_reckoning(estimate.fixes), warnings=warnings)
 
     def _estimate(self) -> Estimate:
         """The walk smoothed so far, without dead reckoning and warnings."""
@@ -286,20 +285,6 @@ class Navigator:
             contradictions=contradictions_of(smoother, self.building, rows, reports),
             placed=smoother.graph.finalized.anchored,
         )
-
-    def _dead_reckoning(self) -> Trajectory:
-        """Dead reckoning of the steps since `finalized` was last called, rigidly aligned with their fixes."""
-        if not self._steps:
-            return trajectory_of_rows([])
-        steps = concatenate_steps(self._steps)
-        begin = steps.start - LONGEST_OVERHANG
-        reports = [fix for fix in self._fix_reports() if fix.weight > 0 and fix.time >= begin]
-        place = np.array([(fix.x, fix.y) for fix in reports]).reshape(-1, 2)
-        time, sigma = np.array([fix.time for fix in reports]), np.array([fix.sigma for fix in reports])
-        return lay_dead_reckoning(steps, Fixes(time, place, sigma, ("",) * len(reports)))
-
-    def _fix_reports(self) -> tuple[FixReport, ...]:
-        return self._graph.reports().get("fixes", ()) if self._window.keyframes else ()
 
     @property
     def _window(self) -> Window:
@@ -342,7 +327,8 @@ class Navigator:
         nav._alone = checkpoint.alone
         if checkpoint.place is not None and nav.frame is not None:
             nav._locate(nav.frame, checkpoint.place.copy())
-        nav._tail = nav._gait.advance()[1]
+        tail = nav._gait.advance()[1]
+        nav._tail = None if tail is None else with_goings(tail, nav._floors.goings)
         return nav
 
     def _on_clock(self, time: Array) -> Array:
@@ -379,18 +365,21 @@ class Navigator:
             self._graph.set_heading(-1 - heading.stretch, heading.time, heading.heading, heading.sigma)
         if certain is not None:
             self._extend(certain)
+        self._tail = None if self._tail is None else with_goings(self._tail, self._floors.goings)
 
     def _extend(self, steps: Steps) -> None:
         if self._start_heading[0] is not None and not self._certain and (len(steps) or not self._window.keyframes):
             first = float(steps.time[0]) if len(steps) else steps.start
             start = Headings(*np.array([[first], [self._start_heading[0]], [self._start_heading[1]]]), source=(START,))
             self._graph.graph.append(start, np.array([-(2**31)]))
-        self._steps.append(steps)
         self._certain += int((~steps.is_gap).sum())
         self._gaps += int(steps.is_gap.sum())
         self._unknown |= dict.fromkeys(steps.unknown)
         self._floors.add_steps(steps)
-        self._floors.advance(self._tail)
+        if self._floors.advance(self._tail):
+            self._graph.set_goings(self._floors.goings)
+            self._steps.set_goings(self._floors.goings)
+        self._steps.append(steps := with_goings(steps, self._floors.goings))
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
     @property

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from test_floors import Plan, along, fixes, flights, in_order
 
-from pdr_graph.estimation.floors import LONGEST, FloorsCheckpoint, LiveFloors, floors_along
+from pdr_graph.estimation.floors import floors_along
+from pdr_graph.estimation.live.live_floors import LONGEST, FloorsCheckpoint, LiveFloors
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import Fixes, Steps
 

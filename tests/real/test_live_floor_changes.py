@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from pdr_graph import detect_steps, io
-from pdr_graph.estimation.floors import LiveFloors, floors_along
+from pdr_graph.estimation.floors import floors_along
+from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.types import Fixes

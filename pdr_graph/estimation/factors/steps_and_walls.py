@@ -44,7 +44,10 @@ class StepFactor(Measurement):
             whitened = at.step_residual.times(root)
             return [whitened.by_i, whitened.by_j, whitened.by_c]
 
-        return [FactorBlock.uniform(self.name, value, variables, jacobian, chain.number[1:], tolerance=OF_STEPS)]
+        number, lengths = chain.number[1:], 1e3 * (chain.delta[:, 0] + 2 * chain.delta[:, 1])  # by a millimetre
+        return [
+            FactorBlock.uniform(self.name, value, variables, jacobian, number, tolerance=OF_STEPS, signature=lengths)
+        ]
 
 
 @dataclass(frozen=True, eq=False)

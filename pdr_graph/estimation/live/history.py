@@ -10,8 +10,9 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, TableCheckpoint
 from pdr_graph.estimation.live.review import Findings, Question
 from pdr_graph.estimation.live.step_buffer import later_steps
+from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
-from pdr_graph.types import Steps
+from pdr_graph.types import Array, Steps
 
 SPAN = 120.0  # [s] of the walk in which sources are compared: twice the usual lag; chosen by hand
 
@@ -36,6 +37,10 @@ class History:
         self._chunks.append(steps)
         if steps.end - self._chunks[0].start > 3 * SPAN:
             self._forget(steps.end - 2 * SPAN)
+
+    def set_goings(self, goings: Array) -> None:
+        """Give the steps on stairs the length of the treads, see `with_goings`."""
+        self._chunks = [with_goings(steps, goings) for steps in self._chunks]
 
     def has_position(self, now: float) -> bool:
         """True if a measurement of the last SPAN seconds before ``now`` [s] determines a position."""

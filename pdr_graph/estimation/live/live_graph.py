@@ -107,6 +107,12 @@ class LiveGraph(WindowGraph):
         """Time [s] by which measurements may lie outside the steps, by kind."""
         return self.log.overhangs
 
+    def set_goings(self, goings: Array) -> None:
+        """Give the steps on stairs the length of the treads, see `StepBuffer`."""
+        if self.window.set_goings(goings):
+            self._current = self._checked_poses = None
+            self.log.version += 1
+
     def collect(self, received: Sightings, radio: str) -> bool:
         """Pass receptions of a radio to all collectors; True if one of them uses any."""
         return any([collector.collect(received, radio) for collector in self.collectors])

@@ -108,6 +108,11 @@ class LiveSmoother(NewFixes):
         if self._particles is not None and self._particles.process(busy):
             self._compare(self._particles)
 
+    def set_goings(self, goings: Array) -> None:
+        """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, see `goings_of`."""
+        self.history.set_goings(goings)
+        self.graph.set_goings(goings)
+
     def append(self, data: Any) -> None:
         """Append measurements of any type in `KINDS`; those from before the window are dropped and counted as late."""
         self.graph.append(data)
@@ -372,7 +377,7 @@ class LiveSmoother(NewFixes):
         before, self.findings = self.findings, review.findings
         if self.findings.texts != before.texts:
             self._assume(review)
-        graph.excess = review.excess
+        graph.excess = review.excess or graph.excess
 
     def _assume(self, review: Review) -> None:
         """Adopt the decisions of a review, and its walk where no plan holds ours and the decisions matter to it."""

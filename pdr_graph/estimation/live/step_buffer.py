@@ -19,11 +19,12 @@ from pdr_graph.estimation.factors.preintegration import (
     whole_pieces,
 )
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.types import INSTANT, Array, Index, Steps
 
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
-END, LENGTH, ROW, GAP = 0, 1, 6, 7  # columns of whole pieces
+END, LENGTH, VARIANCE, ROW, GAP = 0, 1, 3, 6, 7  # columns of whole pieces
 
 
 @dataclass
@@ -86,6 +87,24 @@ class StepBuffer:
             self.start = round(steps.start, DECIMALS)
         self.chunks.append(steps)
         self.whole = self.with_tail(steps)
+
+    def set_goings(self, goings: Array) -> float:
+        """Give the steps on stairs the length of the treads; returns when the first changed one ended [s], or infinity.
+
+        goings: ``(k, 3)``, see `goings_of`.
+        """
+        first, whole, chunks = np.inf, self.whole.copy(), list[Steps]()
+        for steps in self.chunks:
+            chunks.append(with_goings(steps, goings))
+            changed = np.flatnonzero(chunks[-1].length != steps.length)
+            ends = np.round(steps.time[changed], DECIMALS)
+            row = np.minimum(np.searchsorted(whole[:, END], ends - CLOSE), len(whole) - 1)
+            stored = np.abs(whole[row, END] - ends) < CLOSE
+            row, changed = row[stored], changed[stored]
+            whole[row, LENGTH], whole[row, VARIANCE] = chunks[-1].length[changed], chunks[-1].sigma_length[changed] ** 2
+            first = min(first, float(whole[row, END].min(initial=np.inf)))
+        self.chunks, self.whole = chunks, whole
+        return first
 
     def with_tail(self, tail: Steps | None) -> Array:
         """The whole pieces, followed by those of provisional steps."""

@@ -120,6 +120,16 @@ class Window:
         self.times.insert(at, time)
         self.pose = np.insert(self.pose, at, between, axis=0)
 
+    def set_goings(self, goings: Array) -> bool:
+        """Give the steps on stairs the length of the treads, see `StepBuffer`; True if any changed."""
+        first = self.steps.set_goings(goings)
+        for n, old in enumerate(self.intervals):
+            if old.end > first - CLOSE:
+                new = self._interval(old.i, old.j, old.begin, old.end, old.segment, old.label)
+                self.intervals[n] = replace(new, fields=old.fields)
+                self._chain = None
+        return first < np.inf
+
     def part(self, last: int) -> Part:
         """The last ``last`` intervals, as a chain for the factors."""
         count = min(last, len(self.intervals))

@@ -1,0 +1,78 @@
+"""Steps on stairs are as long as the treads on a walk under way, although a climb shows seconds after it began."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pdr_graph import detect_steps
+from pdr_graph.estimation.floors import floors_along
+from pdr_graph.gait.stair_steps import with_stair_lengths
+from pdr_graph.online.interface import Samples, events_of
+from pdr_graph.online.navigator import Navigator
+from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.simulate import simulate
+from pdr_graph.storage import decode, encode
+from pdr_graph.types import Fixes
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+
+
+@cache
+def climbing():
+    """A walk up the stairs and down in the lift: its recording, and the steps of the batch."""
+    recording = simulate(Scenario.load(SCENARIOS / "stairs.toml")).recording()
+    steps = detect_steps(recording)
+    floors = floors_along(steps, recording.barometer, "1", Fixes.none(), None)
+    return recording, steps, with_stair_lengths(steps, floors.climbs, floors.kinds)
+
+
+def lengths(trajectory):
+    return np.hypot(*np.diff(trajectory.position, axis=0).T)
+
+
+def walked(nav):
+    return float(lengths(nav.finish().dead_reckoning).sum())
+
+
+@pytest.mark.parametrize("lag", [None, 20.0])
+def test_live_steps_on_stairs_are_those_of_the_batch(lag):
+    recording, level, batch = climbing()
+    nav = Navigator(lag=lag)
+    for event in events_of(recording):
+        nav.push(event)
+    assert level.length.sum() - batch.length.sum() > 3.0
+    assert walked(nav) == pytest.approx(batch.length.sum(), abs=0.8)
+
+
+def test_while_climbing_the_next_steps_are_short_at_once():
+    """From some seconds after the first step on, until the top."""
+    recording, level, batch = climbing()
+    on = np.flatnonzero(batch.length != level.length)
+    nav, late = Navigator(), level.time[on[0]] + 9.0
+    assert level.time[on[-1]] > late + 2.0
+    for event in events_of(recording):
+        nav.push(event)
+        tail = nav._tail
+        if isinstance(event, Samples) and tail is not None and late < event.time[-1] < level.time[on[-1]]:
+            assert (tail.length[tail.time > late] < 0.4).all()
+
+
+def test_a_snapshot_on_the_stairs_goes_on_to_the_same_end():
+    recording, level, batch = climbing()
+    on = np.flatnonzero(batch.length != level.length)
+    whole, events = Navigator(), list(events_of(recording))
+    at = {float(level.time[on[0]]) + seconds for seconds in (3.0, 7.0, 10.0)}
+    others = []
+    for event in events:
+        for nav in (whole, *others):
+            nav.push(event)
+        if at and isinstance(event, Samples) and event.time[-1] > min(at):
+            at.remove(min(at))
+            snapshot = whole.snapshot()
+            others.append(Navigator.restored(decode(encode(snapshot), type(snapshot))))
+    ends = [nav.finish().trajectory.position for nav in (whole, *others)]
+    assert len(ends) == 4
+    for end in ends[1:]:
+        assert end == pytest.approx(ends[0], abs=1e-3)
