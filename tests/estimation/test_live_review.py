@@ -10,7 +10,9 @@ from test_one_engine import started, walking
 from walks import drawn_beside_beacons, drawn_with_a_receiver
 
 from pdr_graph import smooth
+from pdr_graph.estimation.factors.base import Hypothesis
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live import review
 from pdr_graph.estimation.live.history import SPAN
 from pdr_graph.estimation.live.review import Assumption, Excess, Findings, Question
 from pdr_graph.storage import decode, encode
@@ -122,12 +124,42 @@ def test_an_adopted_assumption_stays_without_evidence_and_goes_against_it():
     assert after.findings.texts == frozenset()
 
 
+@pytest.mark.parametrize("competed", [True, False])
+def test_what_competes_with_an_adopted_assumption_stays_possible(monkeypatch, competed):
+    """Either the list or the receiver is off: the list fits better by 1.3 nats, although the receiver was adopted.
+
+    If the list was not possible when the receiver was adopted, the older evidence is for the receiver alone.
+    """
+    steps, (fixes, levels), _, _ = swapped()
+    off = {
+        "list": Hypothesis((), 5.5, "beacons", "the list is off by about 31 m", "the list"),
+        "receiver": Hypothesis((), 5.5, "fixes", "the receiver is off", "the receiver"),
+    }
+
+    def explained(first):
+        costs = {"list": 0.0, "receiver": 1.3}
+        return [replace(first, assumed=(off[name],), burden=first.burden + cost) for name, cost in costs.items()]
+
+    monkeypatch.setattr(review, "explanations", explained)
+    rivals = ("the list is off by about # m",) * competed + ("the receiver is off",)
+    before = Findings((Assumption.of(off["receiver"]),), (), rivals)
+    found = Question(partial(WalkGraph, steps, fixes, levels=levels), before, {}, False).answer().findings
+    (contradiction,) = found.contradictions
+    if competed:
+        assert found.texts == {"the list is off by about 31 m"}
+        assert contradiction.amount == pytest.approx(1 / (1 + np.exp(-1.3)), abs=0.001)
+        assert set(found.rivals) == set(rivals)
+    else:
+        assert found.texts == {"the receiver is off"}
+        assert contradiction.amount > 0.99
+
+
 def test_a_review_is_encoded_without_loss():
     steps, data, *_ = swapped()
-    review = Question(partial(WalkGraph.of, steps, data), Findings(), {}, False).answer()
-    again = decode(encode(review), type(review))
-    assert again.findings == review.findings
-    assert np.array_equal(again.excess.covariance, review.excess.covariance)
+    answer = Question(partial(WalkGraph.of, steps, data), Findings(), {}, False).answer()
+    again = decode(encode(answer), type(answer))
+    assert again.findings == answer.findings
+    assert np.array_equal(again.excess.covariance, answer.excess.covariance)
 
 
 def test_the_past_that_is_compared_is_bounded():

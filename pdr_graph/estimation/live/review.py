@@ -4,13 +4,16 @@ A review solves the last minutes of the walk under each hypothesis (`explanation
 of the best (which beacons are where, how far off a receiver is); the others widen the covariance that is stated.
 
 A hypothesis holds for the whole walk. Its evidence may be older than the history, so one that was adopted is kept until
-evidence speaks against it.
+evidence speaks against it. Often that evidence says only that one of two sources is wrong: then it supports what
+competed with the adopted hypothesis as much, and that stays possible.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from pdr_graph.types import Array, Index
 LEAD = 1.0  # [nats] by which other assumptions must be better than those adopted; chosen by hand
 KEPT = 8.0  # [nats] the same per adopted assumption: its price, 5.5, and 2.5 of evidence that may be older
 PLAIN = 3.0  # [nats] by which a first assumption must be better than none: it is kept for long; chosen by hand
+LIKELY = 0.01  # probability from which an assumption remains possible; chosen by hand
 SPACING = 10.0  # [s] between the times at which the covariance of a review is computed
 
 
@@ -70,10 +74,17 @@ class Assumption:
 
 @dataclass(frozen=True)
 class Findings:
-    """What a review found. assumed: the adopted assumptions; contradictions: what sources probably get wrong."""
+    """What a review found.
+
+    assumed: the adopted assumptions; contradictions: what sources probably get wrong; rivals: the texts, without
+    numbers, of all assumptions that remain possible.
+    """
 
     assumed: tuple[Assumption, ...] = ()
     contradictions: tuple[Contradiction, ...] = ()
+    rivals: tuple[str, ...] = ()
+
+    added: ClassVar = ("rivals",)
 
     @property
     def texts(self) -> frozenset[str]:
@@ -92,7 +103,7 @@ class Review:
 
     findings, decisions: to adopt, of the best walk; time: ``(k,)`` of its keyframes [s], pose: ``(k, 3)``; begins:
     ``(s,)`` of its calibrations [s], c: ``(s, 3)``; excess: for the covariance that is stated, by the other walks that
-    remain, none under a plan.
+    remain, none under a plan; None if that of the review before holds.
     """
 
     findings: Findings
@@ -101,7 +112,7 @@ class Review:
     pose: Array
     begins: Array
     c: Array
-    excess: Excess
+    excess: Excess | None
 
     def poses(self, time: Array, pose: Array) -> Array:
         """Poses ``(n, 3)`` of the best walk at times ``(n,)`` [s].
@@ -140,11 +151,17 @@ class Question:
 
     def answer(self) -> Review:
         """The review."""
-        optima = self._optima()
+        optima, kept = self._optima()
         probability, best = probabilities(optima, paths(optima)), optima[0]
-        found = Findings(tuple(Assumption.of(h) for h in best.assumed), contradictions(optima, probability))
+        possible = [one for one, p in zip(optima, probability.tolist(), strict=True) if one is best or p > LIKELY]
+        rivals = tuple(sorted({_numberless(h.text) for one in possible for h in one.assumed}))
+        found = Findings(tuple(Assumption.of(h) for h in best.assumed), contradictions(optima, probability), rivals)
+        excess = Excess.none()
+        if best is kept:  # no source says more about it than before
+            found, excess = self.before, None
+        elif not self.walled:
+            excess = _excess(optima, probability / probability.sum())
         kinds, chain = self.before.kinds | found.kinds, best.at.chain
-        times = np.arange(chain.time[-1], chain.time[0], -SPACING)[::-1]
         decisions = {kind.name: kind.decisions() for kind in best.graph.measurements if kind.name in kinds}
         return Review(
             findings=found,
@@ -153,36 +170,45 @@ class Question:
             pose=best.state.poses,
             begins=chain.time[chain.segment_first],
             c=best.state.c,
-            excess=Excess.none() if self.walled else _excess(optima, probability / probability.sum(), times),
+            excess=excess,
         )
 
-    def _optima(self) -> list[Optimum]:
-        """The walks that remain; first the best, or that under the adopted assumptions if it is about as good."""
-        optima = explanations(solve_robust(self.graph()))
+    def _optima(self) -> tuple[list[Optimum], Optimum | None]:
+        """The walks that remain; first the best, or that under the adopted assumptions if it is about as good.
+
+        Also the latter, if no source suggests it any more.
+        """
+        plain = solve_robust(self.graph())
+        optima = explanations(plain)
         adopted = [n for n, one in enumerate(optima) if _texts(one) == self.before.texts]
-        if adopted and adopted[0] > 0:
-            one = optima[adopted[0]]
-            optima[adopted[0]] = replace(one, burden=one.burden - KEPT * len(one.assumed))
-        if not adopted and (kept := self._kept(optima)) is not None:
+        if adopted[:1] != [0]:
+            optima = [self._supported(one) for one in optima]
+        kept = self._kept(plain) if self.before.assumed and not adopted else None
+        if kept is not None:
             optima, adopted = [*optima, kept], [len(optima)]
         held = [LEAD if n in adopted else 0.0 if one.assumed else PLAIN for n, one in enumerate(optima)]
         lead = [one.surprise - h if _adoptable(one) else np.inf for one, h in zip(optima, held, strict=True)]
-        return [optima[n] for n in np.argsort(lead, kind="stable").tolist()]
+        return [optima[n] for n in np.argsort(lead, kind="stable").tolist()], kept
 
-    def _kept(self, optima: list[Optimum]) -> Optimum | None:
-        """The walk under the adopted assumptions, although no source suggests them any more; None without any.
+    def _supported(self, one: Optimum) -> Optimum:
+        """A walk with what older evidence says for its assumptions: the adopted ones, and what competed with them."""
+        known = bool(one.assumed) and all(_numberless(h.text) in self.before.rivals for h in one.assumed)
+        older = KEPT * min(len(one.assumed), len(self.before.assumed)) if known else 0.0
+        return replace(one, burden=one.burden - older)
 
-        Compared with the walk without assumptions; None if that is unlikely by itself.
-        """
-        plain = next((optimum for optimum in optima if not optimum.assumed), None)
-        if plain is None or not self.before.assumed:
-            return None
+    def _kept(self, plain: Optimum) -> Optimum:
+        """The walk under the adopted assumptions, although no source suggests them. plain: that without any."""
         decided = plain.graph.decided(self.decisions)
         optimum = optimize(decided, decided.start)
         assumed = tuple(assumption.hypothesis(optimum.graph) for assumption in self.before.assumed)
         information = optimum.solution.log_determinant - plain.solution.log_determinant
         burden = information + sum(hypothesis.price for hypothesis in assumed) - KEPT * len(assumed)
         return replace(optimum, assumed=assumed, burden=plain.burden + burden, unseen=plain.unseen)
+
+
+def _numberless(text: str) -> str:
+    """A text without its numbers: how far off a source is differs from one review to the next."""
+    return re.sub(r"\d+", "#", text)
 
 
 def _texts(optimum: Optimum) -> frozenset[str]:
@@ -195,11 +221,10 @@ def _adoptable(optimum: Optimum) -> bool:
     return all(kind.decisions() for kind in optimum.graph.measurements if kind.name in kinds)
 
 
-def _excess(optima: list[Optimum], weight: Array, time: Array) -> Excess:
-    """What the covariance of the first walk lacks to that of all, with weights, at times ``(n,)`` [s].
-
-    Negative parts of the difference are left out.
-    """
+def _excess(optima: list[Optimum], weight: Array) -> Excess:
+    """What the covariance of the first walk lacks to that of all, with weights; negative parts are left out."""
+    chain = optima[0].at.chain
+    time = np.arange(chain.time[-1], chain.time[0], -SPACING)[::-1]
     poses, solved = _keyframes(optima[0], time)
     total = np.zeros_like(solved)
     for share, optimum in zip(weight[1:].tolist(), optima[1:], strict=True):
