@@ -41,6 +41,8 @@ def with_goings(steps: Steps, goings: Array, alike: float = ALIKE) -> Steps:
 
     goings: ``(k, 3)``, see `goings_of`.
     """
+    if not len(goings):
+        return steps
     length, sigma = steps.length.copy(), steps.sigma_length.copy()
     for start, end, going in goings.tolist():
         on = _during(steps, start, end)

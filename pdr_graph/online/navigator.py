@@ -55,7 +55,7 @@ class NavigatorCheckpoint:
     """State of a `Navigator`, without the rows that `finalized` returned.
 
     taken, absurd: numbers of accepted and unusable fixes; early: of measurements; certain: of certain steps; gaps: of
-    gaps; unknown: notes of the steps; place: first position ``(2,)``; last_fixes: the last position of each receiver;
+    gaps; unknown: notes of the steps; place: a known position ``(2,)``; last_fixes: the last position of each receiver;
     unused: see `EventChecks`.
     """
 
@@ -376,10 +376,12 @@ class Navigator:
         self._gaps += int(steps.is_gap.sum())
         self._unknown |= dict.fromkeys(steps.unknown)
         self._floors.add_steps(steps)
-        if self._floors.advance(self._tail):
-            self._graph.set_goings(self._floors.goings)
-            self._steps.set_goings(self._floors.goings)
-        self._steps.append(steps := with_goings(steps, self._floors.goings))
+        anew, goings = self._floors.advance(self._tail), self._floors.goings
+        if anew and len(goings):
+            self._graph.set_goings(goings)
+            self._steps.set_goings(goings)
+        steps = with_goings(steps, goings)
+        self._steps.append(steps)
         self._graph.extend(steps, self._floors.labels(np.array([steps.end]))[0])
 
     @property

@@ -29,9 +29,9 @@ class StepLog:
         self._chunks = self._chunks[-1:]
 
     def set_goings(self, goings: Array) -> None:
-        """Give the steps on stairs the length of the treads, see `with_goings`."""
+        """Give the steps on stairs the length of the treads. goings: ``(k, 3)``, at least one, see `goings_of`."""
         for n in range(len(self._chunks) - 1, -1, -1):
-            if not len(goings) or self._chunks[n].end < goings[0, 0]:
+            if self._chunks[n].end < goings[0, 0]:
                 return
             self._chunks[n] = with_goings(self._chunks[n], goings)
 

@@ -24,15 +24,10 @@ def mall():
     """The plan of the mall, its beacons, the events of a walk's first 30 s, and its truth."""
     plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
     walk = simulate(replace(Scenario.load(ROOT / "scenarios" / "mall.toml"), seed=12))
-    recording = replace(walk.recording(), bluetooth=some(walk.bluetooth))
+    recording = replace(walk.recording(), bluetooth=walk.bluetooth)
     beacons = drawn_beacons([(area, "1") for area in plan.of_kind("beacon")], recording)
     events = tuple(event for event in events_of(recording) if moment(event) < END)
     return plan, beacons, events, walk.truth
-
-
-def some(heard):
-    """All receptions, with a minor number for each, as readers have them."""
-    return replace(heard, minor=("",) * len(heard))
 
 
 def moment(event):
@@ -63,7 +58,7 @@ def test_the_compass_tells_the_direction_without_a_fix():
 def test_access_points_with_the_addresses_of_beacons_are_no_beacons(radio):
     """Their levels led the walk 60 m astray; as advertisements they count."""
     _, beacons, events, _ = mall()
-    far_away = Sightings(np.full(3, 10.0), beacons.name[5:8], np.full(3, -50.0), ("",) * 3)
+    far_away = Sightings(np.full(3, 10.0), beacons.name[5:8], np.full(3, -50.0))
     place = next(n for n, event in enumerate(events) if moment(event) > 10.0)
     with_scan = [*events[:place], Scan(radio, far_away), *events[place:]]
     same = np.array_equal(*(navigated(given).finish().trajectory.position for given in (with_scan, events)))

@@ -28,12 +28,9 @@ def climbing():
     return recording, steps, with_stair_lengths(steps, floors.climbs, floors.kinds)
 
 
-def lengths(trajectory):
-    return np.hypot(*np.diff(trajectory.position, axis=0).T)
-
-
 def walked(nav):
-    return float(lengths(nav.finish().dead_reckoning).sum())
+    """Length of the dead reckoning. [m]"""
+    return float(np.hypot(*np.diff(nav.finish().dead_reckoning.position, axis=0).T).sum())
 
 
 @pytest.mark.parametrize("lag", [None, 20.0])
@@ -57,6 +54,19 @@ def test_while_climbing_the_next_steps_are_short_at_once():
         tail = nav._tail
         if isinstance(event, Samples) and tail is not None and late < event.time[-1] < level.time[on[-1]]:
             assert (tail.length[tail.time > late] < 0.4).all()
+
+
+def test_a_barometer_that_stops_on_the_stairs_does_not_shorten_the_rest_of_the_walk():
+    recording, level, batch = climbing()
+    on = np.flatnonzero(batch.length != level.length)
+    stop, nav = level.time[on[0]] + 9.0, Navigator(lag=None)
+    for event in events_of(recording):
+        if not (isinstance(event, Samples) and event.sensor == "barometer" and event.time[-1] > stop):
+            nav.push(event)
+    assert nav._floors.pressure.shape == (0, 2)  # it has noticed
+    usual = level.length[level.time > stop + 8.0].sum()
+    steps = nav._graph.graph.window.steps.steps
+    assert steps.length[steps.time > stop + 8.0].sum() == pytest.approx(usual, rel=0.03)
 
 
 def test_a_snapshot_on_the_stairs_goes_on_to_the_same_end():

@@ -18,6 +18,7 @@ from pdr_graph.inertial.barometer import CLIMB, Climbs
 from pdr_graph.types import Array, Fixes, Signal, Steps
 
 UPDATE_INTERVAL = 3.0  # [s] between estimates
+AHEAD = 2 * UPDATE_INTERVAL  # [s] for which a climb is assumed to go on: the next estimate may be late
 LONGEST, SHORTEST, MOST_CLIMBS = 200.0, 60.0, 3  # window: longest [s], length after a cut [s], most climbs
 TOO_LONG = 1.5  # multiple of the longest window at which it is cut even within a climb
 REMEMBERED = 90.0  # [s] of labels stored from before the window
@@ -54,7 +55,8 @@ class FloorsCheckpoint:
 class LiveFloors:
     """The floors of a walk under way. building: see `floors_of`; start: label of the first floor, or "".
 
-    goings: ``(k, 3)`` of the stairs in the window, see `goings_of`; those being climbed have no end.
+    goings: ``(k, 3)`` of the stairs in the window, see `goings_of`; a climb that may go on ends AHEAD after its last
+    sample.
     """
 
     def __init__(self, building: FloorHeights | None = None, start: str = ""):
@@ -135,7 +137,12 @@ class LiveFloors:
             return False
         if now - self.pressure[-1, 0] > SILENT:
             self._cut(self.end)
-            self.pressure, self.open, self.climbing = self.pressure[:0], self.open[:0], False
+            self.pressure, self.open, self.climbing, self.goings = (
+                self.pressure[:0],
+                self.open[:0],
+                False,
+                self.goings[:0],
+            )
             return False
         first = float(self.pressure[0, 0])
         if self.begin + SILENT < first <= self.end:
@@ -167,7 +174,7 @@ class LiveFloors:
         self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - CLIMB.gust))
         self.goings = goings_of(steps, floors.climbs, floors.kinds)
         if self.climbing:
-            self.goings[self.goings[:, 1] == last, 1] = np.inf
+            self.goings[self.goings[:, 1] == last, 1] = self.pressure[-1, 0] + AHEAD
         self.heard = False
         if now - self.begin > LONGEST or len(floors.climbs) > MOST_CLIMBS:
             level = _level_before(now - SHORTEST, floors.climbs)

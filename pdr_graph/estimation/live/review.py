@@ -156,11 +156,9 @@ class Question:
         possible = [one for one, p in zip(optima, probability.tolist(), strict=True) if one is best or p > LIKELY]
         rivals = tuple(sorted({_numberless(h.text) for one in possible for h in one.assumed}))
         found = Findings(tuple(Assumption.of(h) for h in best.assumed), contradictions(optima, probability), rivals)
-        excess = Excess.none()
+        excess = Excess.none() if self.walled else _excess(optima, probability / probability.sum())
         if best is kept:  # no source says more about it than before
-            found, excess = self.before, None
-        elif not self.walled:
-            excess = _excess(optima, probability / probability.sum())
+            found, excess = self.before, excess if self.walled else None
         kinds, chain = self.before.kinds | found.kinds, best.at.chain
         decisions = {kind.name: kind.decisions() for kind in best.graph.measurements if kind.name in kinds}
         return Review(
