@@ -23,6 +23,7 @@ MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched
 MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
+NAME_SIZE = 26  # [bytes] of a member's header before the lengths of its name and of what else it has
 ENTRY = 300  # bytes of a zip's directory for a file: twice what a file of an app has
 METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
 OTHER_METHODS = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}
@@ -112,7 +113,7 @@ class Source(OneLineRepr):
 
     def content(self, name: str) -> bytes:
         """A whole file. Raises InputError if all files together exceed the limit, whatever the archive states."""
-        data = self._read(name, self._left + 1)
+        data = self._inflated(name) or self._read(name, self._left + 1)
         self._left -= len(data)
         if self._left < 0:
             found = f"more than {self._limit // 10**6} MB of files"
@@ -174,6 +175,30 @@ class Source(OneLineRepr):
     def _read(self, name: str, size: int) -> bytes:
         with self.stream(name) as stream:
             return stream.read(size)
+
+    def _inflated(self, name: str) -> bytes | None:
+        """A whole member of an archive by ISA-L, three times as fast as by zlib.
+
+        None without ISA-L, and for whatever is not an undamaged member within the limit: `stream` says what it is.
+        """
+        member = self._zip.getinfo(self._entries[name]) if self._zip is not None else None
+        if member is None or member.compress_type != zipfile.ZIP_DEFLATED or not 0 < member.file_size <= self._left:
+            return None
+        try:
+            from isal import isal_zlib
+        except ImportError:
+            return None
+        with self.stream(name), self.path.open("rb") as file:  # opened as a stream, it has been checked
+            file.seek(member.header_offset + NAME_SIZE)
+            name_size, extra_size = (int.from_bytes(file.read(2), "little") for _ in range(2))
+            file.seek(name_size + extra_size, os.SEEK_CUR)
+            packed = file.read(member.compress_size)
+        inflater = isal_zlib.decompressobj(-zlib.MAX_WBITS)
+        try:
+            data = inflater.decompress(packed, member.file_size + 1)
+        except isal_zlib.error:  # pyright: ignore[reportGeneralTypeIssues] the stub has an instance
+            return None
+        return data if len(data) == member.file_size and isal_zlib.crc32(data) == member.CRC else None
 
 
 def _limit() -> int:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -52,7 +53,7 @@ class Signal(OneLineRepr):
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
+    @cached_property
     def rate(self) -> float:
         """Sampling rate from the median interval; gaps do not lower it. [Hz]"""
         return float(1 / np.median(np.diff(self.time))) if len(self) > 1 else 0.0
@@ -213,9 +214,8 @@ class Trajectory(OneLineRepr):
 
     def __post_init__(self) -> None:
         """Raise ValueError unless there is a position, a heading and a label for each time."""
-        rows = len(self.time)
+        rows, found = len(self.time), f"shapes {np.shape(self.position)} and {np.shape(self.heading)}"
         if np.shape(self.position) != (rows, 2) or np.shape(self.heading) != (rows,):
-            found = f"shapes {np.shape(self.position)} and {np.shape(self.heading)}"
             raise ValueError(f"Trajectory: found {found} at {rows} times, expected ({rows}, 2) and ({rows},)")
         fill_labels(self, "floor")
 

@@ -53,6 +53,7 @@ ROOMS = {
     "geopandas": {"lifelog"},
     "pandas": {"lifelog"},
     "pyarrow": {"io", "lifelog"},
+    "isal": {"source"},
     "numba": {"estimation"},
     "sqlite3": {"storage", "recovery", "online", "lifelog"},
     "starlette": {"serve"},

@@ -91,7 +91,9 @@ class TextRows(OneLineRepr):
         table = self._floats_by_numpy(columns) if table is None else table
         table = self._floats_by_cell(columns, cut_off_allowed) if table is None else table
         with np.errstate(invalid="ignore"):
-            table[~(np.abs(table) < MAXIMUM_NUMBER)] = np.nan
+            numbers = np.abs(table) < MAXIMUM_NUMBER
+        if not numbers.all():
+            table[~numbers] = np.nan
         return table
 
     def words(self, column: int) -> list[str]:
@@ -199,6 +201,8 @@ class Table(OneLineRepr):
             raise InputError(self.rows.where, "the header", found, f"a column {names[columns.index(None)]}")
         present = [n for n, column in enumerate(columns) if column is not None]
         values = self.rows.floats([column for column in columns if column is not None])
+        if len(present) == len(columns):
+            return values
         wide = np.full((len(values), len(columns)), np.nan)
         wide[:, present] = values
         return wide

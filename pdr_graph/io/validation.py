@@ -72,7 +72,8 @@ def build_recording(
     for sensor, table in tables.items():
         cleaned = _clean(path, sensor, table, notes)
         if len(cleaned):
-            signals[sensor] = Signal(cleaned[:, 0], cleaned[:, 1:])
+            # Copies, since columns of a table are slow to pass over
+            signals[sensor] = Signal(cleaned[:, 0].copy(), cleaned[:, 1:].copy())
     check_times(path, signals)
     check_one_unit(path, signals)
     signals = _units(path, signals, notes)
@@ -224,7 +225,7 @@ def _acceleration(path: str, signal: Signal, notes: list[str]) -> tuple[str, flo
 
 
 def _scaled(signal: Signal, factor: float) -> Signal:
-    return replace(signal, values=signal.values * factor)
+    return signal if factor == 1.0 else replace(signal, values=signal.values * factor)
 
 
 SLOWEST_RATE = 15.0  # [Hz] below which peaks of steps are missed

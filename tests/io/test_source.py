@@ -1,12 +1,14 @@
 """Files are untrusted: sizes in a zip directory are ignored, and no member is read or written outside the archive."""
 
 import os
+import random
 import stat
 import struct
 import tracemalloc
 import zipfile
 
 import pytest
+from mutations import mutated
 from recorders import in_folder, in_zip, phyphox, sample
 
 from pdr_graph import InputError, io, source
@@ -141,3 +143,28 @@ def test_more_lines_than_ten_hours_have_are_refused_before_they_are_split(tmp_pa
     assert len(io.load(path).accelerometer) > 900
     long = files["Accelerometer.csv"] + 1001 * "1\n"
     refused(in_zip(tmp_path / "rows.zip", files | {"Accelerometer.csv": long}), r"\d+ lines, expected at most 1000")
+
+
+def test_isal_unpacks_what_zlib_does_and_refuses_it_with_the_same_words(tmp_path, files, monkeypatch):
+    pytest.importorskip("isal")
+    unpack, by_isal = source.Source._inflated, []
+
+    def outcome(path):
+        try:
+            opened = source.Source(path)
+            return {name: opened.content(name) for name in opened.names}
+        except InputError as error:
+            return str(error)
+
+    def counted(opened, name):
+        by_isal.append(unpack(opened, name) is not None)
+        return unpack(opened, name)
+
+    path = tmp_path / "walk.zip"
+    for n in range(300):
+        path.write_bytes(mutated(files, random.Random(n)))
+        monkeypatch.setattr(source.Source, "_inflated", lambda *_: None)
+        expected = outcome(path)
+        monkeypatch.setattr(source.Source, "_inflated", counted)
+        assert outcome(path) == expected
+    assert 100 < sum(by_isal) < len(by_isal), "a control: some members are damaged, some are not"
