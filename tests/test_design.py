@@ -53,7 +53,7 @@ ROOMS = {
     "geopandas": {"lifelog"},
     "pandas": {"lifelog"},
     "pyarrow": {"io", "lifelog"},
-    "isal": {"source"},
+    "isal": {"source", "report"},
     "numba": {"estimation"},
     "sqlite3": {"storage", "recovery", "online", "lifelog"},
     "starlette": {"serve"},

@@ -11,7 +11,16 @@ from importlib.resources import files
 def packed_library() -> tuple[bytes, str]:
     """The library as base64 of its zlib stream, and the hash by which a content security policy allows it."""
     library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
-    return base64.b64encode(zlib.compress(library)), policy_hash(library)
+    return base64.b64encode(_compressed(library)), policy_hash(library)
+
+
+def _compressed(data: bytes) -> bytes:
+    """A zlib stream: where ISA-L is installed, in an eighth of the time and a tenth longer."""
+    try:
+        from isal import isal_zlib
+    except ImportError:
+        return zlib.compress(data)
+    return isal_zlib.compress(data, isal_zlib.ISAL_BEST_COMPRESSION)
 
 
 def policy_hash(script: bytes) -> str:
