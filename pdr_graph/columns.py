@@ -103,5 +103,5 @@ def select_rows(table: Table, which: int | slice | NDArray[np.bool_] | NDArray[n
         if isinstance(column, np.ndarray):
             selected[name] = column[index]
         elif isinstance(column, tuple) and column:
-            selected[name] = tuple(column[i] for i in index)
+            selected[name] = tuple(map(column.__getitem__, index.tolist()))
     return replace(table, **selected)

@@ -144,7 +144,7 @@ def resample(trajectory: Trajectory, rate: float) -> Trajectory:
     start, end = trajectory.time[0], trajectory.time[-1]
     time = np.append(start + np.arange(np.ceil((end - start) * rate)) / rate, end)
     after = np.searchsorted(trajectory.time, time)
-    floor = tuple(trajectory.floor[i] for i in np.minimum(after, len(trajectory) - 1))
+    floor = tuple(map(trajectory.floor.__getitem__, np.minimum(after, len(trajectory) - 1).tolist()))
 
     def between(values: Array) -> Array:
         flat = values.reshape(len(values), -1)
