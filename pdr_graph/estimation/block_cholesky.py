@@ -56,28 +56,36 @@ class Sum:
     """Sums of contributions to the same place."""
 
     def __init__(self, place: Index, count: int):
-        """place: of each contribution, any shape; count: of all places."""
-        self._size, column = place.size, place.ravel()
-        self._rows = count
+        """place: of each contribution, any shape; count: of all places. size: number of contributions."""
+        self.size, column = place.size, place.ravel()
+        self._count = self._rows = count
         self._places = None
         occurs = np.zeros(count, dtype=bool)
         occurs[column] = True
         if np.count_nonzero(occurs) < FEW_PLACES * count:  # sums to these alone
             self._places, column = np.flatnonzero(occurs), (np.cumsum(occurs) - 1)[column]
             self._rows = len(self._places)
-        matrix = coo_array((np.ones(self._size), (column, np.arange(self._size))), shape=(self._rows, self._size))
+        matrix = coo_array((np.ones(self.size), (column, np.arange(self.size))), shape=(self._rows, self.size))
         matrix.has_canonical_format = True  # or it would be sorted
         self._matrix = matrix.tocsr()
 
     def add(self, total: Array, contribution: Array) -> None:
         """Add all contributions to ``total (count, …)``: their first axes are those of ``place``."""
         trailing = total.shape[1:]
-        flat = contribution.reshape(self._size, int(np.prod(trailing)))
-        sums = (self._matrix @ flat).reshape(self._rows, *trailing)
+        sums = (self._matrix @ contribution.reshape(self.size, int(np.prod(trailing)))).reshape(self._rows, *trailing)
         if self._places is None:
             total += sums
         else:
             total[self._places] += sums
+
+    def of(self, contribution: Array) -> Array:
+        """The sums ``(count, k)`` of all contributions ``(n, k)``."""
+        sums = self._matrix @ contribution
+        if self._places is None:
+            return sums
+        total = np.zeros((self._count, contribution.shape[1]))
+        total[self._places] = sums
+        return total
 
 
 class Elimination:

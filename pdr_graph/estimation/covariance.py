@@ -40,26 +40,27 @@ def covariance_of_ends(at: Evaluation, solution: AnySolution, which: Index) -> t
 
     Also returns the covariances of c ``(s, 3, 3)``.
     """
-    R_0, i, first = pose_rotation(at.pose_i[:1, 2]), np.arange(len(at.chain.segment)), np.zeros(1, dtype=np.intp)
-    joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment))
+    R_0, first = pose_rotation(at.pose_i[:1, 2]), np.zeros(1, dtype=np.intp)
     covariance = np.empty((1 + len(which), 3, 3))
     covariance[:1] = R_0 @ solution.joint(("x", first)) @ R_0.transpose(0, 2, 1)
     for n in range(0, len(which), MOST_AT_ONCE):
         part = which[n : n + MOST_AT_ONCE]
-        covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint, at, part)
+        i, of_piece = np.unique(at.pieces.interval[part], return_inverse=True)
+        joint = solution.joint(("x", i), ("x", i + 1), ("c", at.chain.segment[i]))
+        covariance[1 + n : 1 + n + len(part)] = covariance_of_pieces(joint[of_piece], at, part)
     return covariance, solution.joint(("c", np.arange(len(at.state.c))))
 
 
 def covariance_of_pieces(joint: Array, at: Evaluation, which: Index) -> Array:
     """Covariance ``(n, 3, 3)`` of the poses at the ends of some pieces, in the output axes.
 
-    joint: covariance ``(k, 9, 9)`` of x_i, x_j and c of each interval.
+    joint: covariance ``(n, 9, 9)`` of x_i, x_j and c of the interval of each.
     """
     placed, interval = at.poses_of(which), at.pieces.interval[which]
     D = np.concatenate([placed.by_i, placed.by_j, placed.by_c], axis=2)
     R = pose_rotation(at.pose_i[interval, 2])
     spread = at.chain.bridge.spread[which]
-    return D @ joint[interval] @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
+    return D @ joint @ D.transpose(0, 2, 1) + R @ spread @ R.transpose(0, 2, 1)
 
 
 def eliminated(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesNet:

@@ -55,11 +55,15 @@ class NormalEquations:
 
     def assembled(self, at: Evaluation, curved: bool = True) -> LinearSystem:
         """The system at a state; curved: with the curvature of the residuals, for a step of the search."""
-        rows, right = np.zeros((3 * len(self.elimination.codes), 3)), np.zeros((self.elimination.count, 3))
-        squares, gradients = zip(*(_products(block, curved) for block in at.blocks), strict=True)
-        self._to_blocks.add(rows, np.concatenate(squares))
-        self._to_variables.add(right, -np.concatenate(gradients))
-        return LinearSystem(self, at, rows.reshape(-1, 3, 3), right, curved)
+        squares, gradients, end = np.empty((self._to_blocks.size, 3)), list[Array](), 0  # one kind after another
+        for block in at.blocks:
+            square, gradient = _products(block, curved)
+            end += len(square)
+            squares[end - len(square) : end] = square
+            gradients.append(-gradient)
+            del square  # as large as all that has been stored
+        blocks = self._to_blocks.of(squares).reshape(-1, 3, 3)
+        return LinearSystem(self, at, blocks, self._to_variables.of(np.concatenate(gradients)), curved)
 
     def _variables(self, block: FactorBlock) -> Index:
         """Numbers ``(n, v)`` of the variables of each factor."""
@@ -73,8 +77,8 @@ class LinearSystem:
     """
 
     def __init__(self, equations: NormalEquations, at: Evaluation, blocks: Array, right: Array, curved: bool):
-        self.equations, self.at, self._blocks, self._right = equations, at, blocks, right
-        self._curved = curved and any(block.curvature for block in at.blocks)
+        self.equations, self.state, self._blocks, self._right = equations, at.state, blocks, right
+        self._curved = at if curved and any(block.curvature for block in at.blocks) else None  # large: kept if needed
 
     @cached_property
     def solution(self) -> Solution:
@@ -82,14 +86,19 @@ class LinearSystem:
 
         That happens where variables hang on a gap of half an hour alone, which says next to nothing of them.
         """
-        if self._curved:
-            return self.equations.assembled(self.at, curved=False).solution
-        return Solution(self.at.state, self._rescued(0.0))
+        if self._curved is not None:
+            return self.equations.assembled(self._curved, curved=False).solution
+        return Solution(self.state, self._rescued(0.0))
+
+    @property
+    def settled(self) -> LinearSystem | Solution:
+        """The solution alone if it is known, which frees the matrix; else the system."""
+        return vars(self).get("solution", self)
 
     def step(self, damping: float = 0.0) -> dict[str, Array]:
         """A step of the search ``(n, 3)`` of the variables of each symbol; damping: Levenberg and Marquardt's."""
-        if damping or self._curved:
-            return Solution(self.at.state, self._rescued(damping)).moves
+        if damping or self._curved is not None:
+            return Solution(self.state, self._rescued(damping)).moves
         return self.solution.moves
 
     def _rescued(self, damping: float) -> Factorization:

@@ -11,7 +11,7 @@ from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
-from pdr_graph.estimation.normal_equations import AnySolution, ChangedSolution, LinearSystem
+from pdr_graph.estimation.normal_equations import AnySolution, LinearSystem
 from pdr_graph.estimation.path_modes import alternative_endings, fixes_determine_path, hypotheses
 from pdr_graph.types import Array, Index
 
@@ -45,7 +45,7 @@ class Optimum:
 
     graph: WalkGraph
     at: Evaluation
-    system: LinearSystem | ChangedSolution
+    system: LinearSystem | AnySolution
     iterations: int
     converged: bool
     unseen: float = np.inf
@@ -153,16 +153,18 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
         decrease = at.cost - candidate.cost
         if decrease < 0 and damping < MOST_DAMPING:
             damping = max(10 * damping, LEAST_DAMPING)
+            candidate.forget_blocks()
             continue
         last = decrease <= converged * (1 + at.cost)
         if decrease >= 0:
+            at.forget_blocks()
             at = candidate
         if last:
-            return Optimum(graph, at, system, iteration, converged=True)
+            return Optimum(graph, at, system.settled, iteration, converged=True)
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
         del system  # as large as the next
         system = equations.assembled(at)
-    return Optimum(graph, at, system, MOST_ITERATIONS, converged=False)
+    return Optimum(graph, at, system.settled, MOST_ITERATIONS, converged=False)
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:

@@ -42,8 +42,11 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     """The walk of a graph by its solutions."""
     optima, best = found.optima, found.optima[0]
 
-    # Every step, with its covariance
-    rows = poses_of_rows(best)
+    # Every step, with its covariance; dead reckoning before that, since covariances take most memory
+    rows, used = poses_of_rows(best), graph.positions
+    track = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors)
+    aligned = positions_of(track) if graph.unplaced else used.fixes[used.consistent]
+    dead_reckoning = lay_dead_reckoning(graph.steps, aligned)
     path = paths(optima)
     share = probabilities(optima, path)
     probability = (1.0 - found.elsewhere) * share
@@ -51,7 +54,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum()))
     fits = best.graph.walled == graph.walled
     of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(_covariance_of_rows(best, best.solution)))
-    trajectory = Trajectory(row_times(graph.steps), rows[:, :2], wrap_angle(rows[:, 2]), graph.floors, covariance)
+    trajectory = replace(track, covariance=covariance)
 
     # Calibration, reports, warnings
     calibration = calibration_of(graph, best.state.c, of_c)
@@ -60,11 +63,9 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
         for measurement in best.graph.measurements
         if (reports_of_kind := measurement.reports(best.at))
     }
-    used = graph.positions
-    aligned = positions_of(trajectory) if graph.unplaced else used.fixes[used.consistent]
     estimate = Estimate(
         trajectory=trajectory,
-        dead_reckoning=lay_dead_reckoning(graph.steps, aligned),
+        dead_reckoning=dead_reckoning,
         calibration=calibration,
         reports=reports,
         iterations=best.iterations,

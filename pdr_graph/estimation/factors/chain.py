@@ -124,6 +124,10 @@ class Evaluation:
         """All factors, kind by kind."""
         return [block for measurement in self.measurements for block in measurement.factors(self)]
 
+    def forget_blocks(self) -> None:
+        """Free the factors: their derivatives refer to this evaluation, and such circles would stay in memory."""
+        vars(self).pop("blocks", None)
+
     def blocks_of(self, name: str) -> list[FactorBlock]:
         """The factors of one kind."""
         return [block for block in self.blocks if block.name == name]

@@ -78,10 +78,11 @@ class Pieces:
             row_end=np.empty(0, dtype=np.intp),
         )
 
-    def parts(self) -> list[tuple[int, int]]:
-        """First interval, and the one after the last, of parts that are evaluated by themselves."""
+    def parts(self) -> list[tuple[int, int, slice]]:
+        """First interval, the one after the last, and the pieces of parts that are evaluated by themselves."""
         cuts = np.searchsorted(self.first, np.arange(MOST_AT_ONCE, len(self.length), MOST_AT_ONCE))
-        return list(pairwise(np.unique([0, *cuts, len(self.first)]).tolist()))
+        of_parts = pairwise(np.unique([0, *cuts, len(self.first)]).tolist())
+        return [(a, b, slice(self.first[a], self.last[b - 1] + 1)) for a, b in of_parts]
 
     @classmethod
     def none(cls, time: float) -> Pieces:
@@ -209,17 +210,17 @@ class Increments:
     delta: Array
     by_c: Array
 
-    @classmethod
-    def together(cls, parts: Sequence[Increments]) -> Increments:
-        """Concatenate the increments of intervals that follow one another."""
-        return cls(np.concatenate([part.delta for part in parts]), np.concatenate([part.by_c for part in parts]))
-
 
 def preintegrate(pieces: Pieces, c: Array) -> Increments:
     """Δ_k(c) of every piece. c: ``(k, 3)`` R_s, R_d, b of each interval."""
-    if len(pieces.length) > MOST_AT_ONCE:
-        return Increments.together([_preintegrated(pieces.between(a, b), c[a:b]) for a, b in pieces.parts()])
-    return _preintegrated(pieces, c)
+    count = len(pieces.length)
+    if count <= MOST_AT_ONCE:
+        return _preintegrated(pieces, c)
+    whole = Increments(np.empty((count, 3)), np.empty((count, 3, 3)))
+    for a, b, here in pieces.parts():
+        part = _preintegrated(pieces.between(a, b), c[a:b])
+        whole.delta[here], whole.by_c[here] = part.delta, part.by_c
+    return whole
 
 
 def _preintegrated(pieces: Pieces, c: Array) -> Increments:
@@ -277,10 +278,14 @@ def bridge(pieces: Pieces, increments: Increments) -> Bridge:
 
     with all sums over the pieces up to k, for any o that ends no earlier.
     """
-    if len(pieces.length) > MOST_AT_ONCE:
-        cut_at = [(a, b, slice(pieces.first[a], pieces.last[b - 1] + 1)) for a, b in pieces.parts()]
-        return Bridge.together([_bridge(pieces.between(a, b), increments.delta[here]) for a, b, here in cut_at])
-    return _bridge(pieces, increments.delta)
+    intervals, count = len(pieces.last), len(pieces.length)
+    if count <= MOST_AT_ONCE:
+        return _bridge(pieces, increments.delta)
+    whole = Bridge(*(np.empty((n, 3, 3)) for n in (intervals, count, count)))
+    for a, b, here in pieces.parts():
+        part = _bridge(pieces.between(a, b), increments.delta[here])
+        whole.root[a:b], whole.gain[here], whole.spread[here] = part.root, part.gain, part.spread
+    return whole
 
 
 def increment_covariance(pieces: Pieces, increments: Increments) -> Array:

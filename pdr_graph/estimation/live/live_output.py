@@ -169,7 +169,8 @@ class LiveOutput:
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
         )
         time = np.concatenate([interval.row_time for interval in window.intervals])
-        covariance = covariance_of_pieces(CovarianceBlocks(net).joint(keys), at, which) + graph.excess.at(time)
+        joint = CovarianceBlocks(net).joint(keys)[at.pieces.interval[which]]
+        covariance = covariance_of_pieces(joint, at, which) + graph.excess.at(time)
         labels = [interval.label for interval in window.intervals for _ in interval.row_time]
         parts = [first] * window.complete + [TrajectoryRows(time, at.ends[which], covariance, labels)]
         if self.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):
