@@ -77,7 +77,7 @@ class Findings:
     """What a review found.
 
     assumed: the adopted assumptions; contradictions: what sources probably get wrong; rivals: the texts, without
-    numbers, of all assumptions that remain possible.
+    how far off a source is, of all assumptions that remain possible.
     """
 
     assumed: tuple[Assumption, ...] = ()
@@ -154,7 +154,7 @@ class Question:
         optima, kept = self._optima()
         probability, best = probabilities(optima, paths(optima)), optima[0]
         possible = [one for one, p in zip(optima, probability.tolist(), strict=True) if one is best or p > LIKELY]
-        rivals = tuple(sorted({_numberless(h.text) for one in possible for h in one.assumed}))
+        rivals = tuple(sorted({_sizeless(h.text) for one in possible for h in one.assumed}))
         found = Findings(tuple(Assumption.of(h) for h in best.assumed), contradictions(optima, probability), rivals)
         excess = Excess.none() if self.walled else _excess(optima, probability / probability.sum())
         if best is kept:  # no source says more about it than before
@@ -190,7 +190,7 @@ class Question:
 
     def _supported(self, one: Optimum) -> Optimum:
         """A walk with what older evidence says for its assumptions: the adopted ones, and what competed with them."""
-        known = bool(one.assumed) and all(_numberless(h.text) in self.before.rivals for h in one.assumed)
+        known = bool(one.assumed) and all(_sizeless(h.text) in self.before.rivals for h in one.assumed)
         older = KEPT * min(len(one.assumed), len(self.before.assumed)) if known else 0.0
         return replace(one, burden=one.burden - older)
 
@@ -204,9 +204,9 @@ class Question:
         return replace(optimum, assumed=assumed, burden=plain.burden + burden, unseen=plain.unseen)
 
 
-def _numberless(text: str) -> str:
-    """A text without its numbers: how far off a source is differs from one review to the next."""
-    return re.sub(r"\d+", "#", text)
+def _sizeless(text: str) -> str:
+    """A text without how far off a source is, which differs from one review to the next; names keep their digits."""
+    return re.sub(r"(?<=about )\d+|\d+(?= times)", "#", text)
 
 
 def _texts(optimum: Optimum) -> frozenset[str]:
