@@ -91,7 +91,7 @@ class LinearSystem:
         return Solution(self.state, self._rescued(0.0))
 
     @property
-    def settled(self) -> LinearSystem | Solution:
+    def solved(self) -> LinearSystem | Solution:
         """The solution alone if it is known, which frees the matrix; else the system."""
         return vars(self).get("solution", self)
 

@@ -160,11 +160,11 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
             at.forget_blocks()
             at = candidate
         if last:
-            return Optimum(graph, at, system.settled, iteration, converged=True)
+            return Optimum(graph, at, system.solved, iteration, converged=True)
         damping = damping / 10 if damping > LEAST_DAMPING else 0.0
         del system  # as large as the next
         system = equations.assembled(at)
-    return Optimum(graph, at, system.settled, MOST_ITERATIONS, converged=False)
+    return Optimum(graph, at, system.solved, MOST_ITERATIONS, converged=False)
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:
