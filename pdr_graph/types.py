@@ -198,8 +198,7 @@ class Headings(OneLineRepr, row="heading"):
 class Trajectory(OneLineRepr):
     """A path over time: an estimate or ground truth.
 
-    time: ``(n,)`` [s]; position: ``(n, 2)`` [m].
-    heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
+    time: ``(n,)`` [s]; position: ``(n, 2)`` [m]; heading: ``(n,)`` [rad] counter-clockwise from +x, NaN where unknown.
     floor: the plan's label per row, empty where unknown; optional.
     covariance: ``(n, 3, 3)`` of (x, y, heading) in the output axes [m, m, rad], or None.
     epsg: the frame of a surveyed truth, as in ``Fixes``; None in the output frame.
@@ -214,8 +213,9 @@ class Trajectory(OneLineRepr):
 
     def __post_init__(self) -> None:
         """Raise ValueError unless there is a position, a heading and a label for each time."""
-        rows, found = len(self.time), f"shapes {np.shape(self.position)} and {np.shape(self.heading)}"
+        rows = len(self.time)
         if np.shape(self.position) != (rows, 2) or np.shape(self.heading) != (rows,):
+            found = f"shapes {np.shape(self.position)} and {np.shape(self.heading)}"
             raise ValueError(f"Trajectory: found {found} at {rows} times, expected ({rows}, 2) and ({rows},)")
         fill_labels(self, "floor")
 
