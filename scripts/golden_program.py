@@ -14,6 +14,7 @@ import shlex
 import shutil
 import signal
 import sys
+import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Collection
@@ -68,9 +69,13 @@ class Program:
         """Run a command to its end; write its exit status and what it prints to `out`."""
         out.mkdir(parents=True, exist_ok=True)
         printed = out / f"{len(list(out.glob('*.printed'))) + 1}-{arguments[0]}.printed"
-        process = self.start(printed, *arguments)
-        process.join()
-        text = printed.read_text(encoding="utf-8")
+        with tempfile.TemporaryDirectory() as aside:  # commands refuse a folder with files that they did not write
+            ours = [Path(shutil.move(file, aside)) for file in out.glob("*.printed*")]
+            process = self.start(Path(aside) / "now", *arguments)
+            process.join()
+            text = (Path(aside) / "now").read_text(encoding="utf-8")
+            for file in ours:
+                shutil.move(file, out)
         printed.write_text(f"exit {process.exitcode}\n{text}", encoding="utf-8")
         if "--json" in arguments and process.exitcode == 0:
             printed.with_suffix(".json").write_text(text, encoding="utf-8")
@@ -203,6 +208,7 @@ def served_trial(log: Path, initial: str, offline: bool) -> Callable[[Program, P
 def _evaal_server() -> Any:
     """The module of the tests' own server, which imports nothing of the package."""
     path = next((ROOT / "tests").rglob("evaal_server.py"))
+    sys.path.append(str(ROOT / "tests"))  # for what that imports beside it
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
         raise CaseError(f"{path} cannot be imported")

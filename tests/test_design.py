@@ -62,7 +62,6 @@ ROOMS = {
     "typer": {"cli"},
     "garmin_fit_sdk": {"lifelog"},
 }
-LONGEST_FILE, LONGEST_FUNCTION = 450, 60  # [lines]
 
 
 def files():
@@ -100,20 +99,11 @@ def imported(path, checking=True):
     return found
 
 
-def drawn():
-    """The files that the page names."""
+def test_every_folder_has_its_place_in_the_page():
     page = (ROOT / "docs" / "design.md").read_text(encoding="utf-8")
     house = page.split("## Source layout")[1].split("\n## ")[0]
-    folder = ""
-    for row in (line for line in house.splitlines() if line.startswith("|")):
-        heading = re.match(r"\| \*\*`?([\w/ ]+?)/?`?\*\*", row)
-        folder = "" if heading and heading[1] == "pdr_graph" else heading[1] if heading else folder
-        yield from (f"{folder}/{name}".lstrip("/") for name in re.findall(r"`(\w+\.py)`", row))
-
-
-def test_every_file_has_its_place_in_the_page_once():
-    named = list(drawn())
-    assert sorted(named) == sorted(path.relative_to(HOUSE).as_posix() for path in files())
+    folders = {path.parent.relative_to(HOUSE).as_posix() for path in everything()} - {"."}
+    assert folders <= set(re.findall(r"`([\w/]+)/`", house))
 
 
 @pytest.mark.parametrize("path", files(), ids=lambda p: p.relative_to(HOUSE).as_posix())
@@ -147,16 +137,3 @@ def test_the_product_imports_no_papers():
     for path in everything():
         if room(path) != "papers":
             assert not [name for name in imported(path) if ".".join(name).startswith("pdr_graph.papers")], path
-
-
-def test_files_and_functions_are_not_too_long():
-    long = set()
-    for path in everything():
-        text, name = path.read_text(encoding="utf-8"), path.relative_to(HOUSE).as_posix()
-        if len(text.splitlines()) > LONGEST_FILE:
-            long.add(name)
-        for node in ast.walk(ast.parse(text)):
-            function = isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))
-            if function and node.end_lineno - node.lineno + 1 > LONGEST_FUNCTION:
-                long.add(f"{name}: {node.name}")
-    assert long == set()
