@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, product
 
 import numpy as np
 
@@ -31,19 +30,16 @@ class NormalEquations:
         self._first = first_variables(at.state)
         count = sum(len(rows) for rows in at.state.arrays.values())
         self._bound = [self._variables(block) for block in at.blocks]
-        pairs = [bound[:, pair] for bound in self._bound for pair in combinations(range(bound.shape[1]), 2)]
-        self.elimination = Elimination(count, *np.concatenate([np.empty((0, 2), dtype=np.intp), *pairs]).T)
+        pairs = [(bound[:, a].ravel(), bound[:, b].ravel()) for bound in self._bound for a, b in [_pairs(bound)]]
+        self.elimination = Elimination(count, *(np.concatenate(side) for side in zip(*pairs, strict=True)))
         places = [self._rows(bound).ravel() for bound in self._bound]
         self._to_blocks = Sum(np.concatenate(places), 3 * len(self.elimination.codes))
         self._to_variables = Sum(np.concatenate([bound.ravel() for bound in self._bound]), count)
 
     def _rows(self, bound: Index) -> Index:
         """The rows of the blocks to which JᵀJ of each factor is added. bound: ``(n, v)`` its variables."""
-        (n, v), elimination = bound.shape, self.elimination
-        slots = np.empty((n, v, v), dtype=np.intp)
-        for a, b in product(range(v), repeat=2):
-            own = a == b
-            slots[:, a, b] = elimination.diagonal[bound[:, a]] if own else elimination.slots(bound[:, a], bound[:, b])
+        n, v = bound.shape
+        slots = self.elimination.slots(bound[:, :, None], bound[:, None, :])
         rows = 3 * slots[:, :, None] + np.arange(3)[:, None]  # a block is three rows of three numbers
         return rows.reshape(n, 3 * v, v)
 
@@ -197,6 +193,12 @@ def first_variables(state: State) -> dict[str, int]:
     """The number of the first variable of each symbol, in one numbering of all variables."""
     sizes = [len(rows) for rows in state.arrays.values()]
     return dict(zip(state.arrays, np.cumsum([0, *sizes[:-1]]).tolist(), strict=True))
+
+
+def _pairs(bound: Index) -> tuple[Index, Index]:
+    """Columns of all pairs of variables of a factor. bound: ``(n, v)``."""
+    first, second = np.triu_indices(bound.shape[1], 1)
+    return first, second
 
 
 def _products(block: FactorBlock, curved: bool) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
-from pdr_graph.estimation.normal_equations import AnySolution, LinearSystem
+from pdr_graph.estimation.normal_equations import AnySolution, LinearSystem, NormalEquations
 from pdr_graph.estimation.path_modes import alternative_endings, fixes_determine_path, hypotheses
 from pdr_graph.types import Array, Index
 
@@ -137,6 +138,55 @@ def paths(optima: list[Optimum]) -> Index:
     return np.argmax(near, axis=1)
 
 
+class Factors(Protocol):
+    """What a search needs of a graph: that of a whole walk, or of a window."""
+
+    walled: bool
+
+    def evaluate(self, state: State) -> Evaluation:
+        """All factors at one state."""
+        ...
+
+    def normal_equations(self, at: Evaluation) -> NormalEquations:
+        """The normal equations of the factors at ``at``."""
+        ...
+
+
+class Descent:
+    """The search for the optimum near a start, a step at a time; batch and live.
+
+    at: all factors at the present state; system: linearised there, or just before the last move when ``converged``;
+    iterations: steps so far, with those that were not taken. Raises RuntimeError if the cost is not finite.
+    """
+
+    def __init__(self, graph: Factors, start: State, converged: float = CONVERGED):
+        self.graph, self.at, self.iterations, self.converged = graph, graph.evaluate(start), 0, False
+        if not np.isfinite(self.at.cost):
+            bad = sorted({block.name for block in self.at.blocks if not np.isfinite(block.cost)})
+            raise RuntimeError(f"the cost is not finite, of the factors of {', '.join(bad)}")
+        self._least, self._damping, self._longest = converged, 0.0, LONGEST_MOVE if graph.walled else np.inf
+        self._equations = graph.normal_equations(self.at)
+        self.system = self._equations.assembled(self.at)
+
+    def step(self) -> None:
+        """Take a step that lowers the cost; one that would raise it is not taken, and the next is damped more."""
+        self.iterations += 1
+        candidate = self.graph.evaluate(self.at.state.retracted(self.system.step(self._damping), self._longest))
+        decrease = self.at.cost - candidate.cost
+        if not decrease >= 0 and self._damping < MOST_DAMPING:
+            self._damping = max(10 * self._damping, LEAST_DAMPING)
+            candidate.forget_blocks()
+            return
+        self.converged = not decrease > self._least * (1 + self.at.cost)
+        if decrease >= 0:
+            self.at.forget_blocks()
+            self.at = candidate
+        if not self.converged:
+            self._damping = self._damping / 10 if self._damping > LEAST_DAMPING else 0.0
+            del self.system  # as large as the next
+            self.system = self._equations.assembled(self.at)
+
+
 def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Optimum:
     """Optimise by Gauss–Newton, with Levenberg–Marquardt damping where a step would raise the cost.
 
@@ -145,26 +195,10 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
     The loop and its linear algebra are not GTSAM's: that passes a copy of all values to each Python callback (quadratic
     in the length of the walk), and takes a Python call for each factor of each iteration.
     """
-    at, damping, longest = graph.evaluate(start), 0.0, LONGEST_MOVE if graph.walled else np.inf
-    equations = graph.normal_equations(at)
-    system = equations.assembled(at)
-    for iteration in range(1, MOST_ITERATIONS + 1):
-        candidate = graph.evaluate(at.state.retracted(system.step(damping), longest))
-        decrease = at.cost - candidate.cost
-        if decrease < 0 and damping < MOST_DAMPING:
-            damping = max(10 * damping, LEAST_DAMPING)
-            candidate.forget_blocks()
-            continue
-        last = decrease <= converged * (1 + at.cost)
-        if decrease >= 0:
-            at.forget_blocks()
-            at = candidate
-        if last:
-            return Optimum(graph, at, system.solved, iteration, converged=True)
-        damping = damping / 10 if damping > LEAST_DAMPING else 0.0
-        del system  # as large as the next
-        system = equations.assembled(at)
-    return Optimum(graph, at, system.solved, MOST_ITERATIONS, converged=False)
+    search = Descent(graph, start, converged)
+    while not search.converged and search.iterations < MOST_ITERATIONS:
+        search.step()
+    return Optimum(graph, search.at, search.system.solved, search.iterations, search.converged)
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:

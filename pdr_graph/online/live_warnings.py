@@ -25,7 +25,7 @@ def contradictions_of(
 
     rows: the walk so far; reports: of its measurements.
     """
-    found, graph = smoother.findings.contradictions, smoother.graph
+    found, graph = smoother.ambiguity.findings.contradictions, smoother.graph
     if graph.has_position and not smoother.sure:
         return (*found, Contradiction(ROUTE, "other routes", float("nan"), "rad", UNSURE, "another fix"))
     if plan is None:

@@ -191,10 +191,10 @@ class Navigator:
         alone = self._alone
         if alone is not None and not (self._window.keyframes and alone.time < self._now + SENSORS_SILENT):
             return self._pose_by_fixes(alone)
-        if not self._window.keyframes or not (self.frame is None or self._graph.is_placed(self._now)):
+        if not self._window.keyframes or not (self.frame is None or self._graph.output.is_placed(self._now)):
             return None if alone is None else self._pose_by_fixes(alone)
-        ways = self._graph.mixture(self._tail)
-        belief = self._graph.expected(ways)
+        ways = self._graph.output.mixture(self._tail)
+        belief = self._graph.output.expected(ways)
         x, y, heading = belief.mean[:3].tolist()
         here = self._display.at(self._now, belief.mean[:2], heading, self._walked)
         modes = modes_of(ways)
@@ -220,16 +220,15 @@ class Navigator:
         """The walk smoothed so far, with the current pose; without the rows that `finalized` returned."""
         if not self._window.keyframes:
             return trajectory_of_rows([])
-        return trajectory_of_rows(
-            [*self._graph.pending_rows(), self._graph.rows(), self._graph.predicted_rows(self._tail)]
-        )
+        output = self._graph.output
+        return trajectory_of_rows([*output.pending_rows(), output.rows(), output.predicted_rows(self._tail)])
 
     @property
     def status(self) -> Status:
         """The present state."""
         graph, walking, pose = self._graph, bool(self._window.keyframes), self.pose
         directed = pose is not None and pose.covariance[2, 2] < DIRECTED**2
-        located = self._accepted > 0 or graph.modes.mixture is not None or graph.graph.finalized.anchored
+        located = self._accepted > 0 or graph.output.modes.mixture is not None or graph.graph.finalized.anchored
         return Status(
             state=state_of(walking, located, graph.sure or directed),
             sigma=pose.sigma if pose is not None and located else float("nan"),
@@ -241,8 +240,8 @@ class Navigator:
             fixes=self._accepted,
             late=graph.graph.too_late,
             early=self._early,
-            restarts=graph.restarts,
-            rebuilds=tuple(graph.graph.isam.rebuilds),
+            restarts=graph.ambiguity.restarts,
+            rebuilds=tuple(graph.graph.failures),
             judge=lambda: verdict(self._estimate()),
         )
 
@@ -253,7 +252,7 @@ class Navigator:
     def finalized(self) -> Trajectory:
         """Return the rows outside the lag window, which do not change any more; each row is returned once."""
         self._steps.forget()
-        return trajectory_of_rows(self._graph.pop_finalized())
+        return trajectory_of_rows(self._graph.output.pop_finalized())
 
     def finish(self) -> Estimate:
         """End the walk and return its estimate, without the rows that `finalized` returned."""
@@ -273,13 +272,13 @@ class Navigator:
         smoother, rows = self._graph, self.trajectory
         if not self._window.keyframes:
             return Estimate(rows, rows, None, {}, 0, float("nan"), True)
-        reports = smoother.reports()
+        reports = smoother.output.reports()
         return Estimate(
             trajectory=rows,
             dead_reckoning=rows,
-            calibration=smoother.calibration(),
+            calibration=smoother.output.calibration(),
             reports=reports,
-            iterations=smoother.graph.isam.updates,
+            iterations=smoother.graph.iterations,
             cost=smoother.graph.cost,
             converged=True,
             contradictions=contradictions_of(smoother, self.building, rows, reports),

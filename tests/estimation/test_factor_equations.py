@@ -10,17 +10,17 @@ import gtsam
 import numpy as np
 import pytest
 import shapely
-from gtsam.symbol_shorthand import X
-from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
+from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, square_walk, wandering_walk
 
 from pdr_graph.estimation.factors import losses, receivers
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, LoopClosureFactor
+from pdr_graph.estimation.factors.marginal import marginalized
 from pdr_graph.estimation.factors.start import CorridorUse, Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live.isam import Linear, TransactionalISAM
+from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu
@@ -547,34 +547,38 @@ def test_the_sigma_of_an_encounter_follows_the_path_loss():
 
 
 def test_the_marginal_is_the_schur_complement():
-    """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab: the dense information of the remaining variables of a linear graph."""
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.2, 0.2, 0.02]))
-    factors = {("start", 0): gtsam.PriorFactorPose2(X(0), gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1.0))}
-    isam, whole, values = TransactionalISAM(lag=20.0), gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for i in range(12):
-        new = gtsam.Values()
-        new.insert(X(i), gtsam.Pose2(7.0 * i, 0, 0))
-        values.insert(X(i), gtsam.Pose2(7.0 * i, 0, 0))
-        if i:
-            factors["way", i] = gtsam.BetweenFactorPose2(X(i - 1), X(i), gtsam.Pose2(7.0, 0, 0), noise)
-        for factor in factors.values():
-            whole.add(factor)
-        linear = {name: Linear(factor, tuple(factor.keys()), np.empty(0), 1.0, 0.0) for name, factor in factors.items()}
-        isam.update(linear, values=new, times={X(i): 5.0 * i})
-        factors = {}
-    left = [i for i in range(12) if X(i) in isam]
-    assert 0 < left[0] < 11
-    gone = [X(i) for i in range(left[0])]
-    alive = [X(left[0])]
-    linear = gtsam.GaussianFactorGraph()
-    for n in range(whole.size()):
-        if set(whole.at(n).keys()) <= {*gone, *alive}:
-            linear.push_back(whole.at(n).linearize(values))
-    ordering = gtsam.Ordering()
-    for key in (*gone, *alive):
-        ordering.push_back(key)
-    L, a = linear.hessian(ordering)[0], 3 * len(gone)
-    schur = L[a:, a:] - L[a:, :a] @ np.linalg.solve(L[:a, :a], L[:a, a:])
-    (past,) = isam.marginal
-    assert list(past.keys()) == alive
-    assert past.linearize(values).information() == pytest.approx(schur, rel=1e-9, abs=1e-6)
+    """Λ_bb − Λ_ba Λ_aa⁻¹ Λ_ab, and what is optimal with it is what was optimal with all."""
+    steps, fixes, _ = drawn_from_the_model(120, 0)
+    graph = WalkGraph(steps, fixes)
+    at = optimize(graph, graph.start).at
+    system = graph.normal_equations(at).assembled(at)
+    count, gone = (
+        sum(len(rows) for rows in at.state.arrays.values()),
+        7,
+    )  # the first keyframes; the rest follows in order
+    joint = np.linalg.inv(dense(system, count))
+    marginal, absorbed = marginalized(at, np.arange(count) < gone)
+    assert not absorbed, "priors of measurements; there are none"
+    assert set(zip(marginal.symbol, marginal.number.tolist(), strict=True)) == {("x", gone), ("c", 0)}
+    of_c = 3 * len(at.state.poses)
+    rows = [*range(3 * gone, 3 * gone + 3), *range(of_c, of_c + 3)]
+    information, first = np.zeros((count, 3, count, 3)), {"x": 0, "c": len(at.state.poses)}
+    for block in [*at.blocks, *marginal.factors(at)]:
+        J = np.zeros((len(block.residual), count, 3))
+        for (symbol, of_factor), derivative in zip(block.variables, block.weighted[1], strict=True):
+            J[np.arange(len(J)), first[symbol] + of_factor[block.row_of]] += derivative
+        J[np.abs(J[:, :gone]).sum(axis=(1, 2)) > 0] = 0.0
+        information += np.einsum("mia,mjb->iajb", J, J)
+    left = information.reshape(3 * count, -1)[3 * gone :, 3 * gone :]
+    assert np.linalg.inv(left) == pytest.approx(joint[3 * gone :, 3 * gone :], rel=1e-6, abs=1e-9)
+    assert marginal.root.shape[1] == len(rows)
+
+
+def dense(system, count):
+    """The matrix ``(3 n, 3 n)`` of a linear system."""
+    elimination, matrix = system.equations.elimination, np.zeros((count, 3, count, 3))
+    for code, block in zip(elimination.codes.tolist(), system._blocks, strict=True):
+        i, j = divmod(code, count + 1)
+        if max(i, j) < count:
+            matrix[i, :, j] = block
+    return matrix.reshape(3 * count, 3 * count)

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from test_live_smoother import walking as followed
-from walks import PERIOD, drawn_with_a_receiver, fixes_at, steps_of
+from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan
-from pdr_graph.estimation.live import live_graph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
@@ -43,7 +41,7 @@ def test_a_solution_of_the_batch_is_adopted_with_its_walls(off):
     """A solver without them would turn the walk to the measured direction: 11 m out of the corridor."""
     outside, solvers = 0.0, set()
     for live in walking(off, steps=80):
-        solvers.add(id(live.graph.isam))
+        solvers.add(live.ambiguity.next_batch)
         outside = max(outside, float(np.abs(live.graph.window.pose[:, 1]).max()) - HALF)
     assert len(solvers) > 3, "the batch has been adopted so often"
     assert live.sure
@@ -68,22 +66,7 @@ def test_a_fix_beyond_a_wall_leads_to_a_search_only_where_one_can_walk_there(bes
     steps, searches = 80, []
     *_, live = walking(0.0, steps, beside=beside)
     assert live.sure
-    live._trial.cancel()
-    monkeypatch.setattr(live, "_ask_batch_for_alternative", lambda: searches.append(1))
+    live.ambiguity.trial.cancel()
+    monkeypatch.setattr(live.ambiguity, "ask_batch_for_alternative", lambda: searches.append(1))
     live.append(fixes_at([PERIOD * steps], [[STRIDE * steps, 6.0]], 3.0))
     assert len(searches) == asked
-
-
-def test_a_solution_that_is_sought_again_has_the_priors_of_new_variables(monkeypatch):
-    """Without the prior of a receiver's error, or of a beacon that is met at that moment, nothing would hold these."""
-    steps, fixes, _ = drawn_with_a_receiver(120, 2)
-    hall = Building.around(FloorPlan("1", (Area("room", "", shapely.box(-200, -200, 200, 200)),), Frame()))
-    sought, again = [], live_graph.restart_nearby
-    monkeypatch.setattr(live_graph, "OVERSHOT", -np.inf)
-    monkeypatch.setattr(live_graph, "restart_nearby", lambda *args: (sought.append(1), again(*args)))
-    live = LiveSmoother(plan=hall)
-    for _ in followed(live, steps, fixes, size=4):
-        priors = [block for block in live.graph.evaluate(everything=True).blocks if block.prior]
-        assert {(block.name, n) for block in priors for n in block.number.tolist()} <= set(live.graph.isam.factors)
-    assert len(sought) > 10
-    assert len(priors) > 2

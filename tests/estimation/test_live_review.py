@@ -50,9 +50,9 @@ def test_a_swapped_pair_is_found_while_the_walk_goes_on():
     """Before its end the places of the two are exchanged, the contradiction names both, and the window is right."""
     _, _, truth, labels = swapped()
     live = plainly_followed(swapped)
-    assert [reason.source for reason in live.findings.contradictions] == ["beacons"]
-    assert all(label in live.findings.contradictions[0].text for label in labels)
-    (beacons,) = [kind for kind in live.graph.current()[1] if kind.name == "beacons"]
+    assert [reason.source for reason in live.ambiguity.findings.contradictions] == ["beacons"]
+    assert all(label in live.ambiguity.findings.contradictions[0].text for label in labels)
+    (beacons,) = [kind for kind in live.graph.factors.measurements if kind.name == "beacons"]
     moved = {
         label
         for label, at, listed in zip(beacons.listed.label, beacons.position, beacons.listed.position, strict=True)
@@ -66,8 +66,8 @@ def test_a_swapped_pair_is_found_while_the_walk_goes_on():
 def test_a_correct_list_stays_as_it_is():
     steps, fixes, levels, _ = drawn_beside_beacons(STEPS, 0, wrong=0.5)
     live = followed(steps, [fixes, levels])
-    assert live.findings.contradictions == ()
-    assert not any("list" in text for text in live.findings.texts)
+    assert live.ambiguity.findings.contradictions == ()
+    assert not any("list" in text for text in live.ambiguity.findings.texts)
 
 
 def with_a_receiver():
@@ -94,7 +94,7 @@ def test_idle_moments_and_checkpoints_change_nothing(walk):
     plain = plainly_followed(walk)
     rested, resumed = (followed(steps, data, between=between) for between in (idle, restored))
     for other, limit in ((rested, 0.0), (resumed, 0.6)):  # linearised elsewhere, at sigmas of 5 m
-        assert other.findings.texts == plain.findings.texts
+        assert other.ambiguity.findings.texts == plain.ambiguity.findings.texts
         assert np.abs(other.graph.window.pose - plain.graph.window.pose)[:, :2].max() <= limit
     assert np.array_equal(rested.graph.excess.covariance, plain.graph.excess.covariance)
 
@@ -107,7 +107,7 @@ def test_a_lone_receiver_has_the_batchs_region():
     stated, solved = live.graph.covariance(-1)[:2, :2], live.graph.solved_covariance(-1)[:2, :2]
     assert np.trace(stated) == pytest.approx(np.trace(batch), rel=0.25)
     assert np.trace(solved) < 0.7 * np.trace(batch)
-    assert np.trace(live.belief().covariance[:2, :2]) == pytest.approx(np.trace(stated), rel=0.3)
+    assert np.trace(live.output.belief().covariance[:2, :2]) == pytest.approx(np.trace(stated), rel=0.3)
 
 
 def test_an_adopted_assumption_stays_without_evidence_and_goes_against_it():
@@ -182,7 +182,9 @@ def test_the_past_that_is_compared_is_bounded():
     """There are no more than those of SPAN, and no older measurement."""
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
-    graph = live.history.question(live.graph.window.times[-1], live.graph.prior, Findings(), {}, False).graph()
+    graph = live.ambiguity.history.question(
+        live.graph.window.times[-1], live.graph.prior, Findings(), {}, False
+    ).graph()
     assert graph.steps.end - graph.steps.start < SPAN + 2
     assert graph.fixes.time.min() > graph.steps.start - 10
 
@@ -192,9 +194,9 @@ def test_decisions_name_rows_that_are_dropped_before_the_answer_is_used():
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
     before = Findings((Assumption(("fixes",), 5.5, "", "", ""),))
-    question = live.history.question(live.graph.window.times[-1], live.graph.prior, before, {}, False)
-    numbers = live.history.log.numbers("fixes").tolist()
-    live.history.log.forget(np.inf)
+    question = live.ambiguity.history.question(live.graph.window.times[-1], live.graph.prior, before, {}, False)
+    numbers = live.ambiguity.history.log.numbers("fixes").tolist()
+    live.ambiguity.history.log.forget(np.inf)
     assert numbers[0] > 0
     assert set(question.answer().decisions["fixes"]["number"].tolist()) <= set(numbers)
 

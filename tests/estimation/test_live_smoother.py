@@ -81,7 +81,7 @@ def rows_of(graph):
         track = graph.final.trajectory
         return TrajectoryRows(track.time, np.column_stack([track.position, track.heading]), track.covariance, [])
     past = graph.graph.finalized
-    return TrajectoryRows.joined([*past.final, *past.left, graph.rows(), graph.predicted_rows()])
+    return TrajectoryRows.joined([*past.final, *past.left, graph.output.rows(), graph.output.predicted_rows()])
 
 
 def apart(first, second):
@@ -114,7 +114,7 @@ def test_linear_case_is_kalman():
     graph = LiveSmoother(certain)
     for now in walking(graph, steps, fixes):
         if now == at[2] + 4:  # steps after the third fix, as the filter knows it
-            belief = graph.belief()
+            belief = graph.output.belief()
     graph.finish()
 
     def chain(until):
@@ -174,11 +174,11 @@ def test_fixes_from_before_the_window_are_counted_and_not_used():
     graph = LiveSmoother(lag=LAG)
     for now in walking(graph, steps, fixes):
         if now == 390:
-            before, cost = graph.graph.isam.values, graph.graph.cost
+            before, cost = graph.graph.window.pose, graph.graph.cost
             for time in (0.0, 50.0, steps.time[now - 1] - 1.2 * LAG - 5.0):
                 graph.append(fixes_at([time], [500.0, 500.0], 1.0))
             assert graph.graph.too_late == 3
-            assert graph.graph.isam.values is before
+            assert graph.graph.window.pose is before
             assert graph.graph.cost == cost
 
 
@@ -218,7 +218,7 @@ def test_finalised_rows_do_not_move():
     for now in walking(graph, steps, jumped):
         if steps.time[now - 1] > 140.0 and before is None:
             before = [rows.pose.copy() for rows in graph.graph.finalized.final]
-    assert graph.restarts
+    assert graph.ambiguity.restarts
     assert len(before) > 5
     for pose, rows in zip(before, graph.graph.finalized.final, strict=False):
         assert pose == pytest.approx(rows.pose)
@@ -229,13 +229,13 @@ def test_a_jump_of_all_fixes_restarts_the_walk():
     steps, fixes, truth = drawn_from_the_model(500, seed=1)
     jumped = replace(fixes, position=fixes.position + np.where(fixes.time > 150.0, 60.0, 0.0)[:, None])
     graph = walked(steps, jumped, LAG)
-    assert graph.restarts >= 1
+    assert graph.ambiguity.restarts >= 1
     assert graph.sure
     rows = rows_of(graph)
     late = rows.time > 230.0
     off = np.hypot(*(rows.pose[late, :2] - truth.position[: len(rows.time)][late] - 60.0).T)
     assert np.median(off) < 3.0
-    assert not any("outlier" in fix.reason for fix in graph.reports()["fixes"][-3:])
+    assert not any("outlier" in fix.reason for fix in graph.output.reports()["fixes"][-3:])
 
 
 SEEDS = 40
@@ -251,7 +251,7 @@ def normalised_errors(wrong=1.0, seeds=SEEDS):
             moment, row = 5 * random.integers(8, 18), random.integers(0, 91)
             for now in walking(graph, steps, fixes, size=5):
                 if now == moment:
-                    belief = graph.belief(until=steps.time[now - 1])
+                    belief = graph.output.belief(until=steps.time[now - 1])
                     causal.append(nees(belief.mean[:3], belief.covariance[:3, :3], truth, now))
             graph.finish()
             rows = rows_of(graph)
@@ -308,8 +308,8 @@ def test_memory_is_bounded():
         later = replace(steps, start=steps.start + shift, end=steps.end + shift, time=steps.time + shift)
         for now in walking(graph, later, replace(fixes, time=fixes.time + shift), size=5):
             if now % 50 == 0:
-                handed += sum(len(rows.time) for rows in graph.pop_finalized())
-                live, isam = graph.graph, graph.graph.isam
+                handed += sum(len(rows.time) for rows in graph.output.pop_finalized())
+                live = graph.graph
                 held = [live.window.keyframes, live.window.intervals, live.window.c, live.window.steps.chunks]
                 held += [
                     live.log.rows(Fixes),
@@ -317,14 +317,14 @@ def test_memory_is_bounded():
                     live.finalized.left,
                     live.finalized.reports,
                 ]
-                held += [isam.factors, isam.marginal, isam.rebuilds, isam._smoother.getFactors().keyVector()]
-                slots = isam._smoother.getFactors().size()
-                sizes.append([len(store) for store in held] + [slots, len(live.window.steps.whole)])
+                held += [live.marginals, live.failures, live._priors, live._others]
+                size = sum(marginal.root.size for marginal in live.marginals)
+                sizes.append([len(store) for store in held] + [size, len(live.window.steps.whole)])
     assert (np.max(sizes[20:], axis=0) <= 1.5 * np.max(sizes[4:12], axis=0) + 2).all()
     left = (
         sum(len(rows.time) for rows in graph.graph.finalized.left)
-        + len(graph.rows().time)
-        + len(graph.predicted_rows().time)
+        + len(graph.output.rows().time)
+        + len(graph.output.predicted_rows().time)
     )
     assert handed + left == 1 + 2000 + 1, "the start, and the present"
 
@@ -337,7 +337,7 @@ def test_every_step_has_one_row_in_order(lag):
     expected = np.append(steps.start, steps.time)
     for now in walking(graph, steps, fixes, size=7):
         if now % 2:
-            handed += graph.pop_finalized()
+            handed += graph.output.pop_finalized()
         times = np.concatenate([*(rows.time for rows in handed), rows_of(graph).time])
         if now < 250:
             assert times == pytest.approx(expected[: now + 1], abs=2e-6)
@@ -383,7 +383,7 @@ def test_standing_only(fixes):
     graph.extend(still)
     for n in range(fixes):
         graph.append(fixes_at([2.0 + n], np.array([5.0, 6.0]), 1.0))
-    belief = graph.belief()
+    belief = graph.output.belief()
     graph.finish()
     assert np.isfinite(rows_of(graph).pose).all()
     assert np.isfinite(belief.covariance).all()
@@ -428,7 +428,7 @@ def test_no_row_is_returned_before_the_position_is_certain():
     steps = wandering_walk(400, seed=3)
     graph = LiveSmoother(lag=LAG)
     for _ in walking(graph, steps, fixes_at([], np.empty((0, 2)))):
-        assert not graph.pop_finalized()
+        assert not graph.output.pop_finalized()
 
 
 @pytest.mark.parametrize("lag", [LAG, np.inf])
@@ -460,7 +460,7 @@ def test_a_restored_walk_continues_the_same():
         if now == 150:
             other = LiveSmoother(lag=LAG)
             other.restore(deepcopy(graph.checkpoint()))
-            there, here = graph.belief(), other.belief()
+            there, here = graph.output.belief(), other.output.belief()
             assert here.mean == pytest.approx(there.mean, abs=0.15), "a tenth of its uncertainty"
             assert here.covariance == pytest.approx(there.covariance, rel=0.1, abs=0.05)
             break
@@ -471,8 +471,8 @@ def test_a_restored_walk_continues_the_same():
         pass
     for smoother in (graph, other):
         smoother.finish()
-    n = len(graph.rows().time)
-    assert np.hypot(*(graph.rows().pose[-n:, :2] - other.rows().pose[-n:, :2]).T).max() < 0.05
+    n = len(graph.output.rows().time)
+    assert np.hypot(*(graph.output.rows().pose[-n:, :2] - other.output.rows().pose[-n:, :2]).T).max() < 0.05
 
 
 def test_many_fixes_at_one_moment_are_one_keyframe():

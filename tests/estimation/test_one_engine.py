@@ -13,7 +13,6 @@ from pdr_graph import smooth
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.live.nearby_optimum import restart_nearby
 from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
@@ -74,7 +73,6 @@ def on_a_plan_with_a_receiver(seed):
     return steps, [replace(fixes, source=("GNSS",) * len(fixes))], floor
 
 
-# whose factors change with each further fix, and are linearised again when they have by a tenth (`signature`)
 WITH_A_RECEIVER = [with_a_receiver, on_a_plan_with_a_receiver]
 WALKS = [plain, with_outliers, with_headings, with_a_receiver, with_beacons, on_a_plan, on_a_plan_with_a_receiver]
 
@@ -121,60 +119,46 @@ def test_a_finished_live_walk_equals_the_batch(drawn):
 
 
 def relinearized(live):
-    """Everything linearised again where it is until nothing moves; the association is as it was."""
+    """The search goes on until nothing moves; the association is as it was."""
     graph = live.graph
-    for _ in range(ROUNDS):
-        before, factors = graph.window.pose.copy(), graph.isam.factors
-        graph.isam = graph.isam.with_values(graph.isam.values)
-        restart_nearby(graph, factors, ROUNDS)
-        if np.abs(graph.window.pose - before).max() < 1e-7:
-            break
-    return graph.evaluate(everything=True)
+    graph.solve(ROUNDS)
+    return graph.at
 
 
 def optimum(at):
     """Gauss–Newton over the blocks of an evaluation, with a line search, to convergence."""
     for _ in range(ROUNDS):
         move = NormalEquations(at).assembled(at).step()
-        candidate = at.chain.evaluate(at.state.retracted(move), at.measurements)
+        candidate = at.chain.evaluate(at.state.retracted(move), at.measurements, at.priors)
         longest = np.inf
         while candidate.cost > at.cost and longest > 1e-6:
             longest = 0.5 * min(longest, 2.0)
-            candidate = at.chain.evaluate(at.state.retracted(move, longest), at.measurements)
+            candidate = at.chain.evaluate(at.state.retracted(move, longest), at.measurements, at.priors)
         if np.abs(candidate.state.poses[:, :2] - at.state.poses[:, :2]).max() < 1e-7:
             return candidate
         at = candidate
     return at
 
 
-@pytest.mark.parametrize("drawn", [walk for walk in WALKS if walk not in WITH_A_RECEIVER])
-def test_isam2_reaches_the_optimum_of_the_windows_factors(drawn):
-    """After full relinearisation it equals Gauss–Newton over the same blocks to 1 mm."""
+@pytest.mark.parametrize("drawn", WALKS)
+def test_the_window_reaches_the_optimum_of_its_factors(drawn):
+    """It equals Gauss–Newton over the same blocks to a centimetre: the search ends where the cost hardly falls."""
     steps, data, floor = drawn(0)
     live = walking(started(floor), steps, data)
     at = relinearized(live)
     best = optimum(at)
     assert best.cost == pytest.approx(at.cost, rel=1e-6, abs=1e-6)
-    assert np.abs(best.state.poses[:, :2] - at.state.poses[:, :2]).max() < 1e-3
-    assert wrap_angle(best.state.poses[:, 2] - at.state.poses[:, 2]) == pytest.approx(0, abs=1e-4)
-    assert best.state.c == pytest.approx(at.state.c, abs=1e-4)
+    assert np.abs(best.state.poses[:, :2] - at.state.poses[:, :2]).max() < 1e-2
+    assert wrap_angle(best.state.poses[:, 2] - at.state.poses[:, 2]) == pytest.approx(0, abs=1e-3)
+    assert best.state.c == pytest.approx(at.state.c, abs=1e-3)
 
 
-@pytest.mark.parametrize("drawn", WITH_A_RECEIVER)
-def test_isam2_is_near_the_optimum_when_each_fix_changes_the_sigmas(drawn):
-    """15 cm were seen, of fixes of 3 m; an accuracy that the batch has the last word on."""
-    steps, data, floor = drawn(0)
-    live = walking(started(floor), steps, data)
-    at = relinearized(live)
-    assert np.abs(optimum(at).state.poses[:, :2] - at.state.poses[:, :2]).max() < 0.3
-
-
-def test_without_relinearisation_the_optimum_is_missed():
-    """Control: iSAM2 after the last step is some millimetres off."""
-    steps, data, floor = with_outliers(0)
-    live = walking(started(floor), steps, data)
-    at = live.graph.evaluate(everything=True)
-    assert np.abs(optimum(at).state.poses[:, :2] - at.state.poses[:, :2]).max() > 1e-4
+def test_the_optimum_is_that_of_these_factors_alone():
+    """Control: with the sigmas of all fixes halved it lies elsewhere."""
+    steps, [fixes], floor = with_outliers(0)
+    at = relinearized(walking(started(floor), steps, [fixes]))
+    surer = relinearized(walking(started(floor), steps, [replace(fixes, sigma=fixes.sigma / 2)]))
+    assert np.abs(optimum(surer).state.poses[:, :2] - at.state.poses[:, :2]).max() > 0.05
 
 
 def test_the_windows_factors_are_those_of_the_batch():
@@ -185,7 +169,7 @@ def test_the_windows_factors_are_those_of_the_batch():
     refined = batch.refined(batch.evaluate(batch.start))
     again = refined.evaluate(refined.start)
     for name in ("fixes", "gnss_bias.begin"):
-        [one], [other] = (at.blocks_of(name)[:1] for at in (live.graph.evaluate(everything=True), again))
+        [one], [other] = (at.blocks_of(name)[:1] for at in (live.graph.at, again))
         assert len(one) == len(other)
         assert isinstance(one.loss, RobustLoss) == isinstance(other.loss, RobustLoss)
 

@@ -50,8 +50,8 @@ def along(graph, y):
 
 def trial(live, graph, y, decisions=None):
     """The trial of a path along an aisle, beside a graph."""
-    alternative, names = along(graph, y), set(live.graph.isam.factors)
-    return TrialQuestion(graph.copy(), names, lambda: (alternative, decisions or {}), SCHEDULE.rounds).answer()
+    alternative = along(graph, y)
+    return TrialQuestion(graph.copy(), lambda: (alternative, decisions or {}), SCHEDULE.rounds).answer()
 
 
 def test_the_other_aisle_costs_more(walking):
@@ -66,30 +66,29 @@ def test_a_path_that_has_left_the_window_is_no_alternative(walking):
     """Particles that are behind: in a rest, one keyframe is left."""
     path = along(walking.graph, OTHER)
     past = replace(path, time=path.time - path.time[-1] - 10.0)
-    names = set(walking.graph.isam.factors)
-    question = TrialQuestion(walking.graph.copy(), names, lambda: (past, {}), SCHEDULE.rounds)
+    question = TrialQuestion(walking.graph.copy(), lambda: (past, {}), SCHEDULE.rounds)
     assert not question.answer().accepted
 
 
 def test_out_of_the_shops_the_aisle_is_found(walking):
     """A walk through the shop beside the aisle, which takes all fixes for outliers, pays the shop's price."""
-    graph, names = walking.graph.copy(), set(walking.graph.isam.factors)
+    graph = walking.graph.copy()
     decided = walking.graph.decisions
     graph.decide({"fixes": decided["fixes"] | {"held": np.zeros(STEPS // EVERY, dtype=bool)}})
-    move_to(graph, along(graph, SHOP), names)
+    move_to(graph, along(graph, SHOP))
     assert np.abs(graph.window.pose[:, 1] - SHOP).max() < 0.1, "a control: it stays there"
     found = trial(walking, graph, RIGHT, decided)
     assert found.accepted
     graph.decide(found.decisions)
-    move_to(graph, found.path, names)
+    move_to(graph, found.path)
     assert np.abs(graph.window.pose[:, 1] - RIGHT).max() < 0.1
 
 
 def test_a_trial_leaves_the_walk_as_it_is(walking):
     graph = walking.graph
-    pose, values, factors, cost = graph.window.pose.copy(), graph.isam.values, dict(graph.isam.factors), graph.cost
+    pose, marginals, at, cost = graph.window.pose.copy(), list(graph.marginals), graph.at, graph.cost
     trial(walking, graph, OTHER)
     assert np.array_equal(graph.window.pose, pose)
-    assert graph.isam.values is values
-    assert graph.isam.factors == factors
+    assert graph.marginals == marginals
+    assert graph.at is at
     assert graph.cost == cost

@@ -119,6 +119,6 @@ def test_ranges_work_live():
             live.extend(Steps(begin, end, **columns))
             begin = end
         assert live.sure
-        rows = live.rows()
+        rows = live.output.rows()
         there = np.stack([np.interp(rows.time, batch.time, axis) for axis in batch.position.T], axis=1)
         assert np.median(np.hypot(*(there - rows.pose[:, :2]).T)) < near

@@ -65,19 +65,21 @@ def test_particles_near_the_graph_are_nowhere_else():
 def test_a_way_elsewhere_widens_the_stated_covariance_and_leaves_the_pose():
     """Half of the particles are 10 m to the left: the variance across grows by half of 10 m squared."""
     live = walked()
-    live._particles = None
-    before = live.expected(live.mixture())
+    live.output.particles = None
+    before = live.output.expected(live.output.mixture())
     there = before.mean + np.array([0.0, 10.0, 0.0, 0.0, 0.0, 0.0])
     ways = GaussianMixture(there[None], before.covariance[None], np.log([0.5]), np.zeros(1, dtype=np.intp))
-    live._particles = SimpleNamespace(elsewhere=ways, times=[live.graph.window.steps.end])
-    after = live.expected(live.mixture())
+    live.output.particles = SimpleNamespace(elsewhere=ways, times=[live.graph.window.steps.end])
+    after = live.output.expected(live.output.mixture())
     assert after.mean == pytest.approx(before.mean)
     assert after.covariance[1, 1] - before.covariance[1, 1] == pytest.approx(50.0, rel=0.01)
     assert after.covariance[0, 0] == pytest.approx(before.covariance[0, 0])
-    assert np.exp(live.mixture().log_weight) == pytest.approx([0.5, 0.5])
+    assert np.exp(live.output.mixture().log_weight) == pytest.approx([0.5, 0.5])
 
     live.append(fixes_at([live.graph.window.steps.end + 0.1], [[STRIDE * 60, Y]], 1.0))
-    assert len(live.mixture(until=live.graph.window.steps.end)) == 2, "a fix that is still to come decides nothing"
+    assert len(live.output.mixture(until=live.graph.window.steps.end)) == 2, (
+        "a fix that is still to come decides nothing"
+    )
 
 
 def test_particles_begin_where_the_graph_is():

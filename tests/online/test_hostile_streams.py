@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pdr_graph.estimation.factors import beacon_rssi
-from pdr_graph.estimation.live import live_smoother, scan_collector
+from pdr_graph.estimation.live import ambiguity, scan_collector
 from pdr_graph.estimation.live.measurement_log import WAITING
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.gait.step_stream import StepStream
@@ -119,7 +119,7 @@ def test_fixes_without_steps_are_not_hoarded():
     """But for those that the first steps need."""
     nav = pushed(Fixes(np.array([float(t)]), np.zeros((1, 2)) + t % 3, np.ones(1)) for t in range(WAITING + 500))
     assert len(nav._graph.graph.log.rows(Fixes)) == WAITING
-    assert len(nav._graph.history.log.rows(Fixes)) == WAITING
+    assert len(nav._graph.ambiguity.history.log.rows(Fixes)) == WAITING
     assert nav.status.fixes == WAITING + 500
 
 
@@ -141,7 +141,7 @@ def test_a_barometer_alone_is_not_hoarded():
 
 def test_a_walk_whose_direction_stays_open_leaves_the_window(monkeypatch):
     """One fix and nothing else: the direction is never known, and the window would hold all of the walk."""
-    monkeypatch.setattr(live_smoother, "SCHEDULE", replace(SCHEDULE, longest_open=60.0))
+    monkeypatch.setattr(ambiguity, "SCHEDULE", replace(SCHEDULE, longest_open=60.0))
     steps, fixes = held_by_walls(600, period=0.5)
     nav, most = Navigator(lag=20.0), 0
     for event in said_events(steps, fixes[:1]):
@@ -166,7 +166,7 @@ def test_ten_thousand_beacons_in_every_scan_are_as_few_as_can_be_used():
         nav.push(event)
         if isinstance(event, Steps) and round(event.end) % 4 == 0:
             nav.push(Scan("bluetooth", Sightings(np.full(count, event.end), names, random.uniform(-95, -60, count))))
-    _, measurements = nav._graph.graph.current()
+    measurements = nav._graph.graph.factors.measurements
     [beacons] = [kind for kind in measurements if kind.name == "beacons"]
     assert 0 < len(beacons.position) <= beacon_rssi.MOST_BEACONS
     assert np.unique(beacons.listed.time, return_counts=True)[1].max() <= beacon_rssi.STRONGEST

@@ -236,6 +236,20 @@ class FactorBlock:
     def __len__(self) -> int:
         return len(self.number)
 
+    def only(self, which: Index) -> FactorBlock:
+        """The factors with these indices, ascending."""
+        rows = np.flatnonzero(np.isin(self.row_of, which))
+        native = self.native
+        return replace(
+            self,
+            residual=self.residual[rows],
+            row_of=np.searchsorted(which, self.row_of[rows]),
+            variables=tuple((symbol, of_factor[which]) for symbol, of_factor in self.variables),
+            jacobian=lambda: [by[rows] for by in self.jacobian()],
+            number=self.number[which],
+            native=None if native is None else lambda n: native(int(which[n])),
+        )
+
     def point(self, state: State) -> Array:
         """The variables ``(n, 3 v)`` of each factor."""
         return np.hstack([state[symbol][rows] for symbol, rows in self.variables])

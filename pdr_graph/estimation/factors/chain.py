@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +13,7 @@ from pdr_graph.estimation.factors.preintegration import Bridge, Increments, Piec
 from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
 from pdr_graph.types import INSTANT, Array, Complex, Index
 
-if TYPE_CHECKING:
-    import gtsam
+Priors = frozenset[tuple[str, int]]  # names of blocks, and numbers of the factors in them
 
 
 @dataclass(frozen=True)
@@ -89,11 +87,13 @@ class Chain:
         inside = inside & (self.ends | (time <= self.time[-1] + 2 * INSTANT))
         return np.where(inside, nearest(self.time, time), -1)
 
-    def evaluate(self, state: State, measurements: Sequence[Measurement] = ()) -> Evaluation:
-        """All factors at one state."""
+    def evaluate(
+        self, state: State, measurements: Sequence[Measurement] = (), priors: Priors | None = None
+    ) -> Evaluation:
+        """All factors at one state. priors: see `Evaluation`."""
         increments = preintegrate(self.pieces, state.c[self.segment])
         residual = step_residuals(state.poses[:-1], state.poses[1:], increments, self.pieces)
-        return Evaluation(self, state, tuple(measurements), increments, residual)
+        return Evaluation(self, state, tuple(measurements), increments, residual, priors)
 
 
 @dataclass(frozen=True)
@@ -101,6 +101,8 @@ class Evaluation:
     """The walk and its factors at one state.
 
     increments: of the pieces, at c; step_residual: of each interval, in metres and radians; see `step_residuals`.
+    priors: those of variables that measurements add which hold, None for all of them: a window has those of variables
+    that were new in it.
     """
 
     chain: Chain
@@ -108,6 +110,7 @@ class Evaluation:
     measurements: tuple[Measurement, ...]
     increments: Increments
     step_residual: Linearized
+    priors: Priors | None = None
 
     @property
     def pieces(self) -> Pieces:
@@ -122,7 +125,14 @@ class Evaluation:
     @cached_property
     def blocks(self) -> list[FactorBlock]:
         """All factors, kind by kind."""
-        return [block for measurement in self.measurements for block in measurement.factors(self)]
+        blocks = [block for measurement in self.measurements for block in measurement.factors(self)]
+        if self.priors is None:
+            return blocks
+        return [block.only(self._holding(block, self.priors)) if block.prior else block for block in blocks]
+
+    @staticmethod
+    def _holding(block: FactorBlock, priors: Priors) -> Index:
+        return np.flatnonzero([(block.name, number) in priors for number in block.number.tolist()])
 
     def forget_blocks(self) -> None:
         """Free the factors: their derivatives refer to this evaluation, and such circles would stay in memory."""
@@ -190,28 +200,3 @@ def step_residuals(pose_i: Array, pose_j: Array, increments: Increments, pieces:
     by_i = np.tile(-np.eye(3), (len(r), 1, 1))
     by_i[:, 0, 2], by_i[:, 1, 2] = way_y, -way_x
     return Linearized(r, by_i, pose_rotation(turn), -increments.by_c[pieces.last])
-
-
-def metis_ordering(linear: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
-    """METIS' ordering of a linear graph; variables that no factor binds to others come first, or it would crash."""
-    import gtsam
-
-    keys = [linear.at(n).keys() for n in range(linear.size())]
-    binding, bound = gtsam.GaussianFactorGraph(), set[int]()
-    for n, of_factor in enumerate(keys):
-        if len(of_factor) > 1:
-            binding.push_back(linear.at(n))
-            bound.update(of_factor)
-    alone = {key for of_factor in keys for key in of_factor} - bound
-    return _with_metis(sorted(alone), binding) if alone else gtsam.Ordering.MetisGaussianFactorGraph(linear)
-
-
-def _with_metis(first: list[int], binding: gtsam.GaussianFactorGraph) -> gtsam.Ordering:
-    """The variables ``first``, then METIS' ordering of a graph without them."""
-    import gtsam
-
-    ordering = gtsam.Ordering()
-    rest = gtsam.Ordering.MetisGaussianFactorGraph(binding) if binding.size() else gtsam.Ordering()
-    for key in [*first, *(rest.at(n) for n in range(rest.size()))]:
-        ordering.push_back(key)
-    return ordering

@@ -1,60 +1,93 @@
-"""The factor graph of a walk under way: the factors of a window, and the marginal of finalised variables.
+"""The factor graph of a walk under way: the batch's factors over a window, and the marginal of what has left it.
 
-The incremental solver receives the factors linearised at the estimate, and again when a variable has moved.
+Measurements are the same objects as the batch's, made from the rows in the window, and the search is the batch's
+(`Descent`), a few steps at a time. A keyframe that leaves the window is marginalised (`MarginalFactor`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 
-from pdr_graph.estimation.factors.base import insert
-from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.start import Prior, StartFactor
-from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
+from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
+from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.marginal import MarginalFactor, marginalized
+from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
+from pdr_graph.estimation.factors.steps_and_walls import StepFactor
+from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
-from pdr_graph.estimation.live.isam import IsamCheckpoint, Linear, Name, TransactionalISAM
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
+    Collector,
     Decisions,
+    MeasurementLog,
     TableCheckpoint,
+    merged_decisions,
+    same_decisions,
 )
-from pdr_graph.estimation.live.nearby_optimum import restart_nearby
 from pdr_graph.estimation.live.review import Excess
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.live.window import ALL, WindowCheckpoint
-from pdr_graph.estimation.live.window_graph import WindowGraph
-from pdr_graph.floor.building import Building
-from pdr_graph.geometry import pose_rotation, wrap_angle
+from pdr_graph.estimation.live.window import Part, Window, WindowCheckpoint
+from pdr_graph.estimation.normal_equations import NormalEquations, Solution
+from pdr_graph.estimation.optimizer import Descent
+from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.geometry import pose_rotation
+from pdr_graph.measurements import take
 from pdr_graph.types import Array, Index, Sightings
 
-RECENT = 150  # intervals that each update evaluates, chosen by hand
-FULL_CHECK = 25  # keyframes after which a relinearisation evaluates all intervals, chosen by hand
-OVERSHOT, ROUNDS = 10.0, 5  # [nats] by which a solution between walls may cost more than what it was linearised at,
-# until it is sought again by damped steps; most of these steps. Both are chosen by hand
-UNMOVED = np.array([0.05, 0.05, 0.005])  # [m, m, rad] a move below the tolerance of every factor
+MOST_FAILURES = 100  # reasons that are kept
+
+
+@dataclass(frozen=True, eq=False)
+class WindowFactors:
+    """All factors of a window, as `optimizer.Factors`.
+
+    priors: those of variables that measurements add which hold, see `Evaluation`; start: the present estimate.
+    """
+
+    chain: Chain
+    measurements: tuple[Measurement, ...]
+    priors: Priors
+    walled: bool
+    start: State
+    known: list[NormalEquations]
+
+    def evaluate(self, state: State) -> Evaluation:
+        """All factors at one state."""
+        return self.chain.evaluate(state, self.measurements, self.priors)
+
+    def normal_equations(self, at: Evaluation) -> NormalEquations:
+        """The normal equations of the factors at ``at``; those of the last window if it has the same blocks."""
+        if not (self.known and self.known[0].fits(at)):
+            self.known[:] = [NormalEquations(at)]
+        return self.known[0]
 
 
 @dataclass(frozen=True)
 class LiveGraphCheckpoint:
     """State of a `LiveGraph`.
 
-    brought: names and numbers of the priors of variables that measurements add, while these variables are alive.
+    symbols, numbers, values: of the variables that measurements add, with their estimates.
     """
 
     window: WindowCheckpoint
     past: FinalizedCheckpoint
-    isam: IsamCheckpoint
+    marginals: list[MarginalFactor]
+    symbols: list[str]
+    numbers: Index
+    values: Array
+    priors: list[tuple[str, int]]
+    leaving_after: float
+    failures: list[str]
+    iterations: int
     tables: list[TableCheckpoint]
     collectors: list[dict[str, Array]]
     decisions: Decisions
-    brought: list[tuple[str, int]]
     c_mean: Array
     c_covariance: Array
     begins: int
@@ -65,26 +98,44 @@ class LiveGraphCheckpoint:
     too_late: int
 
 
-class LiveGraph(WindowGraph):
-    """The factors of a walk under way, and the solver that they go to; arguments as of `WindowGraph`.
+class LiveGraph:
+    """The factors of a walk under way, and the search for their optimum.
 
-    too_late: number of measurements from before the window; excess: what the stated covariance has beside the solver's.
+    prior, plan: as of ``WalkGraph``; lag: keyframes older than this leave the window [s]; floor: label of the first
+    floor.
+    leaving_after: the lag in force, infinite until the walk is placed [s]; marginals: of variables that have left;
+    c_prior: mean and covariance of the first calibration in the window; decisions: about measurements, by kind, never
+    changed in place, since copies and open questions have them too; too_late: number of measurements from before the
+    window; excess: what the stated covariance has beside that of the factors; failures: why the search began anew.
     """
 
     def __init__(self, prior: Prior | None = None, lag: float = np.inf, plan: Building | None = None, floor: str = ""):
-        super().__init__(prior, lag, plan, floor)
-        self.finalized = FinalizedTrajectory()
-        self.too_late, self.excess = 0, Excess.none()
-        self._arrivals = list[float]()
-        self._leaving = 0  # keyframes still in the window that the solver has marginalised or is about to
-        self._checked_poses: Array | None = None  # where the factors were last checked for relinearisation
+        self.prior, self.lag = prior or Prior(), lag
+        if plan is not None and len(plan.labels) == 1:
+            floor = plan.labels[0]
+        self.window, self.log = Window(self.prior, plan, floor), MeasurementLog()
+        self.finalized, self.collectors = FinalizedTrajectory(), list[Collector]()
+        self.leaving_after, self.marginals = lag, list[MarginalFactor]()
+        self.c_prior = np.array(self.prior.mean), self.prior.covariance
+        self.decisions: Decisions = {}
+        self.too_late, self.excess, self.failures, self.iterations = 0, Excess.none(), list[str](), 0
+        self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
+        self._arrivals = list[float]()  # times of measurements that the steps have not reached
+        self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
+        self._priors: Priors = frozenset()  # of these variables, those that hold
+        self._factors: WindowFactors | None = None
+        self._outdated, self._version = False, 0  # True if rows or intervals are newer than `_factors`
+        self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
+        self._equations = list[NormalEquations]()
+        self._search: Descent | None = None
+
+    # Steps and measurements in
 
     def begin(self) -> None:
         """Set the first keyframe, at the start of the steps."""
         self.window.begin()
         self.finalized.edge = self.window.times[0], self.finalized.edge[1]
         self.log.forget(self.window.times[0] - max(self.overhangs.values(), default=0.0))
-        self.update()
 
     def append(self, data: Any, number: Index | None = None) -> None:
         """Append measurements; those from before the window are dropped and counted as late."""
@@ -110,7 +161,7 @@ class LiveGraph(WindowGraph):
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads, see `StepBuffer`."""
         if self.window.set_goings(goings):
-            self._current = self._checked_poses = None
+            self._factors = None
             self.log.version += 1
 
     def collect(self, received: Sightings, radio: str) -> bool:
@@ -118,7 +169,7 @@ class LiveGraph(WindowGraph):
         return any([collector.collect(received, radio) for collector in self.collectors])
 
     def close_keyframes(self, at_end: bool = False) -> tuple[list[Interval], bool]:
-        """Close the keyframes due after new steps and measurements.
+        """Close the keyframes due after new steps and measurements; those older than the lag leave.
 
         Returns the new intervals, and True if the steps have reached the time of new measurements.
         """
@@ -130,13 +181,11 @@ class LiveGraph(WindowGraph):
         reached = [time for time in self._arrivals if time <= covered + CLOSE or at_end]
         ends = window.steps.keyframe_ends(window.times[-1], reached + [covered] * at_end)
         if ends:
-            # Before the update marginalises them; the last interval links its calibration to the next
-            self._leaving = int(np.searchsorted(window.times[:-2], ends[-1] - self.isam.lag))
-            self.finalize_leaving()
+            # The last interval links its calibration to the next
+            self._leave(int(np.searchsorted(window.times[:-2], ends[-1] - self.leaving_after)))
         new = window.cut(ends)
-        within = [time for time in reached if window.times[0] <= time <= window.times[-1]]
-        for time in within:
-            if not window.has_keyframe(time):
+        for time in reached:
+            if window.times[0] <= time <= window.times[-1] and not window.has_keyframe(time):
                 window.split(time)
         if reached:
             self._arrivals = [time for time in self._arrivals if not (time <= covered + CLOSE or at_end)]
@@ -144,161 +193,205 @@ class LiveGraph(WindowGraph):
         self.log.version += bool(reached)
         return new, bool(reached)
 
-    def update(self, everything: bool = False) -> None:
-        """Update the solver with new factors, and with those that must be relinearised."""
-        self.finalize_leaving()
-        at = self.evaluate(everything)
-        values, times = self._new_variables(at)
-        self._update(at, self._changes(at), values, times)
+    # Factors
 
-    def relinearize(self) -> bool:
-        """Relinearise factors whose variables have moved; False if there were none."""
-        if self._unmoved():
-            return False
-        self.finalize_leaving()
-        at = self.evaluate(everything=self.window.count % FULL_CHECK == 0)
-        return self._update(at, self._changes(at))
+    @property
+    def has_position(self) -> bool:
+        """True if a measurement in the window determines a position."""
+        times = self.log.position_times()
+        return bool(len(times)) and bool(self.window.times) and float(times.min()) <= self.window.times[-1] + CLOSE
 
-    def _unmoved(self) -> bool:
-        """True if no pose has moved by as much as any factor tolerates since the last check."""
-        if self._checked_poses is None or self._outdated or len(self._checked_poses) != len(self.window.pose):
-            return False
-        apart = np.abs(self.window.pose - self._checked_poses)
-        apart[:, 2] = np.abs(wrap_angle(apart[:, 2]))
-        return bool((apart < UNMOVED).all())
+    @property
+    def factors(self) -> WindowFactors:
+        """All factors of the window, with its present estimate."""
+        if self._factors is None or self._outdated or self._version != self.log.version:
+            self._factors, self._outdated, self._version = self._built(), False, self.log.version
+        return self._factors
+
+    def _built(self) -> WindowFactors:
+        part = self.window.part()
+        measurements = [StepFactor(), *self._measured(part), *self._priors_of(part), *self._on_plan(part)]
+        state = part.state(measurements, self._others)
+        self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
+        of_kinds = tuple(measurements)
+        self._priors |= self._new_priors(part.chain, state, of_kinds)
+        walled = self.window.located_plan is not None
+        return WindowFactors(part.chain, (*of_kinds, *self.marginals), self._priors, walled, state, self._equations)
+
+    def _measured(self, part: Part) -> list[Measurement]:
+        window, chain = self.window, part.chain
+        state = self.log.version, chain.time[0] if part.first else -np.inf, window.finished
+        if self._measured_at != state:
+            end, measurements = np.inf if window.finished else window.times[-1], list[Measurement]()
+            if window.steps.chunks:
+                measurements = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
+            self._measured_at, self._measurements = state, measurements
+        return [measurement.bind(chain) for measurement in self._measurements]
+
+    def _priors_of(self, part: Part) -> list[Measurement]:
+        """Priors of calibration and first pose, while these are in the window."""
+        row = {number: n for n, number in enumerate(part.segments.tolist())}
+        begins = {row[self._begins]: self.c_prior} if self._begins in row else {}
+        keyframe, hold = self._hold
+        held = [hold] if part.chain.number[0] == keyframe else []
+        return [CalibrationFactor(begins, self.prior.change), *held]
+
+    def _on_plan(self, part: Part) -> list[Measurement]:
+        """Factors of walls and corridors, if the plan is used."""
+        walls, use, plan = part.walls(), self.prior.corridors, self.window.located_plan
+        evidence: list[Measurement] = [] if walls is None else [walls]
+        if plan is not None and (use.turns or use.directions) and part.intervals:
+            labels = [interval.label for interval in part.intervals for _ in interval.fields]
+            at = part.chain.evaluate(part.state())
+            evidence.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
+        return evidence
+
+    def _new_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> Priors:
+        """The priors of variables that are new.
+
+        The first node of a receiver's error in a window has one too, but what it had before is in the marginal.
+        """
+        new = {
+            symbol: np.array([number not in self._others.get(symbol, {}) for number in state.number(symbol).tolist()])
+            for symbol in state.arrays
+            if symbol not in (POSE, CALIBRATION)
+        }
+        if not any(added.any() for added in new.values()):
+            return frozenset()
+        found = set[tuple[str, int]]()
+        for block in chain.evaluate(state, measurements).blocks:
+            if block.prior:
+                added = np.any([new[symbol][rows] for symbol, rows in block.variables], axis=0)
+                found |= {(block.name, number) for number in block.number[added].tolist()}
+        self._store(state)
+        return frozenset(found)
+
+    # The search
+
+    @property
+    def search(self) -> Descent:
+        """The search for the optimum of the present factors, at the present estimate."""
+        factors = self.factors
+        if self._search is None or self._search.graph is not factors:
+            try:
+                self._search = Descent(factors, factors.start)
+            except RuntimeError as error:
+                self._fail(error)
+                self._search = Descent(self.factors, self.factors.start)
+        return self._search
+
+    def solve(self, steps: int = 1) -> bool:
+        """Take so many steps of the search; False if it had reached the optimum before."""
+        search, moved = self.search, False
+        for _ in range(steps):
+            if search.converged:
+                break
+            try:
+                search.step()
+            except (RuntimeError, np.linalg.LinAlgError) as error:
+                self._fail(error)
+                search = self.search
+            self.iterations, moved = self.iterations + 1, True
+        if moved:
+            self.window.read(search.at.state)
+            self._store(search.at.state)
+        return moved
+
+    def _store(self, state: State) -> None:
+        """Copy the estimates of the variables that measurements add."""
+        self._others = {
+            symbol: dict(zip(state.number(symbol).tolist(), rows, strict=True))
+            for symbol, rows in state.arrays.items()
+            if symbol not in (POSE, CALIBRATION)
+        }
+
+    def _fail(self, error: Exception) -> None:
+        """Begin anew without the marginal, after factors that cannot be solved; measurements in it are left out."""
+        self.failures = [*self.failures, str(error).splitlines()[0][:100]][-MOST_FAILURES:]
+        self.restart(self.leaving_after)
+
+    def moved(self) -> None:
+        """Search from the window's poses, which were set by others."""
+        self._search = self._factors = None
+
+    def restart(self, lag: float) -> None:
+        """Forget what has left the window; keyframes leave after ``lag`` [s] from now on."""
+        self.leaving_after, self.marginals, self._others, self._priors = lag, [], {}, frozenset()
+        self._begins, pose = self.window.segments[0], self.window.pose[0].copy()
+        hold = StartFactor.heading(float(pose[2])) if self.has_position else StartFactor.fixed(pose)
+        self._hold = self.window.keyframes[0], hold
+        self.log.version += 1  # the decisions may have changed
+        self.moved()
 
     def associate_walls(self, pieces: int) -> float:
         """Associate the last ``pieces`` with walls; returns the price of the regions they lead through."""
-        self._checked_poses = None
-        price = self.window.associate_walls(pieces)
-        if self._current is not None and not self._outdated:
-            part, measurements = self._current
-            walls = part.walls()
-            self._current = part, [walls if isinstance(kind, WallFactor) and walls else kind for kind in measurements]
+        price, changed = self.window.associate_walls(pieces)
+        if changed:
+            self.moved()
         return price
 
-    def rebuild(self, lag: float) -> None:
-        """Put all factors of the window into a new solver, without the marginal."""
-        rebuilds, self.isam = self.isam.rebuilds, TransactionalISAM(lag)
-        self.isam.rebuilds, self._begins = rebuilds, self.window.segments[0]
-        pose = self.window.pose[0].copy()
-        hold = StartFactor.heading(float(pose[2])) if self.has_position else StartFactor.fixed(pose)
-        self._hold, self._current = (self.window.keyframes[0], hold), None
-        self.log.version += 1  # the decisions may have changed
-        self.update(everything=True)
+    @property
+    def at(self) -> Evaluation:
+        """The window's factors at the estimate."""
+        return self.search.at
 
-    def restart_solver(self, isam: TransactionalISAM, again: Collection[Name]) -> None:
-        """Start ``isam``, a solver with variables at other values, and use it from now on; it gets missing variables.
+    @property
+    def solution(self) -> Solution:
+        """The linear system of the window, solved."""
+        return self.search.system.solution
 
-        again: names of the priors to add again, of variables that measurements add.
-        """
-        self.isam = isam
-        isam.start(self._all_factors(again))
-        self._read()
+    @property
+    def total_cost(self) -> float:
+        """Cost of the window and of the marginal, to compare estimates."""
+        return self.at.cost
 
-    def place(self, isam: TransactionalISAM) -> None:
-        """Use this solver, which need not have started, and move the window to its values."""
-        self.isam = isam
-        self.window.read(isam.values)
+    @property
+    def cost(self) -> float:
+        """Half the sum of squared, robustly weighted residuals of the window."""
+        return self.at.cost - sum(block.cost for block in self.at.blocks_of(MarginalFactor.name))
 
-    def outside(self, factors: Mapping[Name, Linear]) -> dict[Name, Linear]:
-        """Those of some factors that no evaluation of the window has, since the solver is about to forget a variable.
+    def covariance(self, n: int) -> Array:
+        """Stated covariance ``(3, 3)`` of the n-th keyframe of the window, in the output axes."""
+        return self.solved_covariance(n) + self.excess.at(np.array([self.window.times[n]]))[0]
 
-        A solver that replaces theirs must absorb them, or their information is lost.
-        """
-        at = self.evaluate(everything=True)
-        inside, listed = set(at.state.keys("x").tolist()), {(b.name, n) for b in at.blocks for n in b.number.tolist()}
-        return {
-            name: factor
-            for name, factor in factors.items()
-            if name not in listed and not (factor.poses and inside.issuperset(factor.poses))
-        }
+    def solved_covariance(self, n: int) -> Array:
+        """Covariance ``(3, 3)`` of the n-th keyframe by the factors, in the output axes."""
+        row = n % len(self.window.keyframes)
+        R = pose_rotation(self.at.state.poses[[row], 2])[0]
+        return R @ self.solution.joint((POSE, np.array([row])))[0] @ R.T
 
-    def linearized(self, again: Collection[Name]) -> gtsam.GaussianFactorGraph:
-        """The factors and the marginal at the estimate, for a solver that has not started; again: see above."""
-        self.isam.factors = self._all_factors(again)
-        return self.isam.linearized()
+    def calibration_covariance(self) -> Array:
+        """Covariances ``(s, 3, 3)`` of the calibrations in the window."""
+        return self.solution.joint((CALIBRATION, np.arange(len(self.at.state.c))))
 
-    def _all_factors(self, again: Collection[Name]) -> dict[Name, Linear]:
-        """All factors for a solver that has not started; it gets missing variables."""
-        at = self.evaluate(everything=True)
-        obsolete = set(self.isam.obsolete(at.blocks, at.state))
-        remaining = {name: factor for name, factor in self.isam.factors.items() if name not in obsolete}
-        factors = remaining | self._changes(at, again=again)
-        self.isam.insert(*self._new_variables(at))  # after the priors of new variables were found to be missing
-        return factors
+    def end_covariance(self) -> Array:
+        """Covariance ``(6, 6)`` of the last pose, in its axes, and its calibration."""
+        state = self.at.state
+        last, c = np.array([len(state.poses) - 1]), np.array([len(state.c) - 1])
+        if self.window.intervals:
+            return self.solution.joint((POSE, last), (CALIBRATION, c))[0]
+        joint = np.zeros((6, 6))  # nothing binds the pose of a window without steps to a calibration
+        joint[:3, :3], joint[3:, 3:] = self.solution.joint((POSE, last))[0], self.solution.joint((CALIBRATION, c))[0]
+        return joint
 
-    def _changes(self, at: Evaluation, again: Collection[Name] = ()) -> dict[Name, Linear]:
-        """New and relinearised factors of the evaluation ``at``."""
-        self._checked_poses = self.window.pose.copy()
-        blocks = (self.isam.changes(block, at.state, again) for block in at.blocks)
-        return {name: factor for block in blocks for name, factor in block.items()}
+    # Keyframes out
 
-    def _new_variables(self, at: Evaluation) -> tuple[gtsam.Values, dict[int, float]]:
-        """Variables that the solver does not have yet, and the time [s] until which each variable is needed."""
-        values, times, now = gtsam.Values(), dict[int, float](), self.window.times[-1]
-        needed = {"x": at.chain.time, "c": self.window.segment_ends(at.state.number("c"))}
-        needed |= {
-            variables.symbol: variables.needed for m in at.measurements for variables in m.variables(at.state.poses)
-        }
-        for symbol, until in needed.items():
-            keys = at.state.keys(symbol).tolist()
-            for key, vector, time in zip(keys, at.state[symbol], until.tolist(), strict=True):
-                new = key not in self.isam
-                if new:
-                    insert(values, symbol, key, vector)
-                if new or symbol != "x":
-                    times[key] = min(time, now) if time > -np.inf else now
-        return values, times
-
-    def _update(
-        self,
-        at: Evaluation,
-        add: Mapping[Name, Linear],
-        values: gtsam.Values | None = None,
-        times: dict[int, float] | None = None,
-    ) -> bool:
-        """Update the solver and copy its estimate to the window; False if nothing has changed.
-
-        at: the present estimate; add: factors linearised there; values, times: of new variables. A solution that costs
-        much more than ``at`` has crossed walls that held nothing before: it is sought again from there.
-        """
-        remove = self.isam.obsolete(at.blocks, at.state)
-        if not (add or remove or values is not None):
-            return False
-        window, walled = self.window, self.window.located_plan is not None
-        before = (self.isam.moved(self.isam.values), window.pose, dict(window.c)) if walled else None
-        self.isam.update(add, remove, values, times)
-        self._read()
-        whole = at.chain.number[0] == window.keyframes[0]
-        if before is not None and self.evaluate(everything=whole).cost > at.cost + OVERSHOT:
-            (self.isam, window.pose, window.c), self._leaving = before, 0
-            restart_nearby(self, self.isam.factors, ROUNDS)
-        return True
-
-    def _read(self) -> None:
-        """Copy the estimate of the solver to the window."""
-        self._leaving = next((n for n, number in enumerate(self.window.keyframes) if X(number) in self.isam), 0)
-        self.window.read(self.isam.values, self._leaving)
-
-    def finalize_leaving(self) -> None:
-        """Finalise the keyframes that leave the window: move their rows and reports to `finalized`."""
-        count, window = self._leaving, self.window
+    def _leave(self, count: int) -> None:
+        """Marginalise the first ``count`` keyframes; their rows and reports are finalised."""
         if not count:
             return
-        self._leaving, until = 0, window.times[count]
-        current, late = self._current, self._outdated and min(self._arrivals, default=until) < until
-        if current is not None and len(current[0].intervals) == len(window.intervals) and not late:
-            at = self._evaluate(current)
+        window, until = self.window, self.window.times[count]
+        if self._factors is None or min(self._arrivals, default=until) < until:
+            self._outdated = True  # a late measurement is of the past
         else:
-            at = self.evaluate(everything=True)
+            self._outdated, self._version = False, self.log.version
+        at, edge = self.at, self.covariance(count)
         self._report_until(until, at)
         start = window.pose[0].copy() if window.complete else None
         self.finalized.take(window.intervals[:count], at, start)
         window.forget(count)
         if start is not None and self.has_position:
-            self.finalized.begin(start, window.pose[0], self.covariance(0))
-        self._current = None
+            self.finalized.begin(start, window.pose[0], edge)
         if not self.finalized.anchored:
             self.finalized.hinge = window.pose[0].copy()
         self.log.forget(until)
@@ -306,7 +399,21 @@ class LiveGraph(WindowGraph):
             collector.forget(until)
         self._arrivals = [time for time in self._arrivals if time >= until]
         if window.times[0] > self.finalized.edge[0] + COVARIANCE_INTERVAL:
-            self.finalized.finalize(window.times[0], self.covariance(0))
+            self.finalized.finalize(window.times[0], edge)
+        self._marginalize(at)
+
+    def _marginalize(self, at: Evaluation) -> None:
+        """Replace the factors of variables that are no longer in the window by their marginal. at: with them."""
+        part = self.window.part()
+        state = part.state([*self._measured(part)], self._others)
+        names = [(symbol, number) for symbol in at.state.arrays for number in at.state.number(symbol).tolist()]
+        present = {(symbol, number) for symbol in state.arrays for number in state.number(symbol).tolist()}
+        leaving = np.array([name not in present for name in names])
+        marginal, absorbed = marginalized(at, leaving)
+        self.marginals = [*(kept for kept in self.marginals if not _binds(kept, present)), *filter(None, [marginal])]
+        self._priors -= absorbed
+        self._others = {s: {n: v for n, v in of.items() if (s, n) in present} for s, of in self._others.items()}
+        self._factors = self._search = None
 
     def _report_until(self, until: float, at: Evaluation) -> None:
         """Store the reports of instances from before ``until`` [s]."""
@@ -319,38 +426,70 @@ class LiveGraph(WindowGraph):
                 reports = zip(numbers[early].tolist(), measurement.reports(at, early), strict=True)
                 self.finalized.reports.setdefault(measurement.name, {}).update(reports)
 
-    def covariance(self, n: int) -> Array:
-        """Stated covariance ``(3, 3)`` of the n-th keyframe of the window, in the output axes."""
-        return self.solved_covariance(n) + self.excess.at(np.array([self.window.times[n]]))[0]
+    # Decisions, and the batch of the window
 
-    def solved_covariance(self, n: int) -> Array:
-        """Covariance ``(3, 3)`` of the n-th keyframe by the solver, in the output axes."""
-        R = pose_rotation(self.window.pose[[n], 2])[0]
-        return R @ self.isam.covariance([X(self.window.keyframes[n])]) @ R.T
+    def store_decisions(self, measurements: Sequence[Measurement]) -> bool:
+        """Store the decisions about measurements; True if any has changed."""
+        changed = False
+        for measurement in measurements:
+            if decided := measurement.decisions():
+                stored = self.decisions.get(measurement.name, {})
+                merged = merged_decisions(stored, decided)
+                changed |= not same_decisions(stored, merged)
+                self.decisions = self.decisions | {measurement.name: merged}
+        return changed
+
+    def decide(self, decisions: Decisions) -> None:
+        """Replace the decisions about measurements."""
+        self.decisions = decisions
+        self.log.version += 1
+
+    def batch_graph(self, decided: bool = True, c: Array | None = None, but: str = "") -> Callable[[], WalkGraph]:
+        """A function that builds the batch's graph of the present window, at any later time and in any thread.
+
+        decided: with the decisions about whole kinds (relocated beacons).
+        c: mean ``(3,)`` of the calibration, by default that of `c_prior`; but: source of fixes and headings left out.
+        """
+        window, steps = self.window, self.window.steps.steps
+        raw = [data for collector in self.collectors for data in collector.complete(steps)]
+        data = [rows for rows in self.log.until(window.covered) if type(rows) not in map(type, raw)]
+        data = [take(d, np.flatnonzero(np.array(d.source) != but)) if but and hasattr(d, "source") else d for d in data]
+        prior = Prior(**{**vars(self.prior), "mean": tuple((self.c_prior[0] if c is None else c).tolist())})
+        plan, labels = window.located_plan, None if window.located_plan is None else window.row_labels()
+        of_kinds = {name: rows for name, rows in self.decisions.items() if decided and "number" not in rows}
+
+        def build() -> WalkGraph:
+            return WalkGraph.of(steps, [*data, *raw], floor=plan, floors=labels, prior=prior).decided(of_kinds)
+
+        return build
 
     def copy(self) -> LiveGraph:
-        """An independent graph of the same window, without rows and reports; its solver has no factors yet."""
+        """An independent graph of the same window, without rows and reports."""
         other = copy(self)
         other.window, other.log = self.window.copy(), self.log.copy()
-        other.isam = self.isam.with_values(self.isam.values)
-        other.isam.absorb(self.outside(self.isam.factors))
         other.finalized, other.collectors, other._arrivals = FinalizedTrajectory(), [], list(self._arrivals)
-        other._current = other._last = other._checked_poses = None
+        other.marginals, other._equations, other._factors, other._search = list(self.marginals), [], None, None
         return other
 
     def checkpoint(self) -> LiveGraphCheckpoint:
         """Return the state, from which the walk continues bit by bit the same."""
-        self.finalize_leaving()
-        brought = [name for name, factor in self.isam.factors.items() if not factor.poses]
+        self._factors = self._search = None  # as of one that is restored
+        others = [(symbol, number, value) for symbol, of in self._others.items() for number, value in of.items()]
         keyframe, hold = self._hold
         return LiveGraphCheckpoint(
             window=self.window.checkpoint(),
             past=self.finalized.checkpoint(),
-            isam=self.isam.checkpoint(self.outside(self.isam.factors)),
+            marginals=list(self.marginals),
+            symbols=[symbol for symbol, _, _ in others],
+            numbers=np.array([number for _, number, _ in others], dtype=np.intp),
+            values=np.array([value for _, _, value in others]).reshape(-1, 3),
+            priors=sorted(self._priors),
+            leaving_after=self.leaving_after,
+            failures=list(self.failures),
+            iterations=self.iterations,
             tables=self.log.checkpoint(),
             collectors=[collector.checkpoint() for collector in self.collectors],
             decisions=self.decisions,
-            brought=brought,
             c_mean=self.c_prior[0],
             c_covariance=self.c_prior[1],
             begins=self._begins,
@@ -372,8 +511,17 @@ class LiveGraph(WindowGraph):
         for collector, stored in zip(self.collectors, checkpoint.collectors, strict=True):
             collector.restore(stored)
         self.window.restore(checkpoint.window)
-        isam = TransactionalISAM.restored(checkpoint.isam)
-        if self.window.keyframes:
-            self.place(isam)
-            self.window.associate_walls(ALL)
-            self.restart_solver(isam, [(name, number) for name, number in checkpoint.brought])
+        self.marginals, self.leaving_after = list(checkpoint.marginals), checkpoint.leaving_after
+        self.failures, self.iterations = list(checkpoint.failures), checkpoint.iterations
+        self._priors = frozenset((name, number) for name, number in checkpoint.priors)
+        self._others = {symbol: {} for symbol in checkpoint.symbols}
+        for symbol, number, value in zip(
+            checkpoint.symbols, checkpoint.numbers.tolist(), checkpoint.values, strict=True
+        ):
+            self._others[symbol][number] = value
+        self.moved()
+
+
+def _binds(marginal: MarginalFactor, present: set[tuple[str, int]]) -> bool:
+    """True if a marginal has a variable that is not among ``present``."""
+    return not present.issuperset(zip(marginal.symbol, marginal.number.tolist(), strict=True))

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.covariance import CovarianceBlocks, covariance_of_pieces, eliminated
-from pdr_graph.estimation.factors.chain import metis_ordering
+from pdr_graph.estimation.covariance import covariance_of_ends
+from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import TrajectoryRows
@@ -26,30 +24,30 @@ from pdr_graph.estimation.live.prediction import (
     single_mode,
 )
 from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
-from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.measurements import take
-from pdr_graph.types import Array, Calibration, Estimate, Fixes, Headings, Steps
+from pdr_graph.types import Array, Calibration, Fixes, Headings, Steps
 
 LEAST_PROBABILITY = 0.1  # of the graph's way, however few particles are there; chosen by hand
 
 
 class LiveOutput:
-    """Results of a walk under way; base class of `LiveSmoother`."""
+    """Results of a walk under way.
 
-    finished: bool
-    _final: Estimate | None
-    _particles: ParallelParticleFilter | None
+    sure: position and direction of the walk are certain; modes: those that remain until then; particles: beside a
+    certain walk on a plan.
+    """
 
     def __init__(self, graph: LiveGraph) -> None:
         self.graph, self.modes, self.sure = graph, Modes(), False
-        self._last: tuple[gtsam.Values, GaussianMixture] | None = None
+        self.particles: ParallelParticleFilter | None = None
+        self._last: tuple[Evaluation, GaussianMixture] | None = None
 
     def is_placed(self, until: float) -> bool:
         """True if a measurement up to ``until`` [s] has told a position; else the start defines the frame."""
         graph = self.graph
         placed = graph.finalized.anchored or self.modes.mixture is not None or graph.has_position
-        return placed or bool(self._fixes_between(-np.inf, until))
+        return placed or bool(self.fixes_between(-np.inf, until))
 
     def mixture(self, tail: Steps | None = None, until: float | None = None) -> GaussianMixture:
         """The ways that remain at ``until`` [s], by default now: predicted through the steps and fixes since.
@@ -63,7 +61,7 @@ class LiveOutput:
             base, at = self.keyframe_belief(), window.times[-1]
         end = float(whole[-1, END]) if len(whole) else at
         end = end if until is None else min(end, until)
-        fixes = self._fixes_between(at, end)
+        fixes = self.fixes_between(at, end)
         if fixes and modes.mixture is None and not self.graph.has_position:
             base, at, fixes = in_any_direction(base, fixes[0]), fixes[0].time, fixes[1:]
         ways = predict(base, whole, window.steps.start, at, end, fixes)
@@ -77,11 +75,11 @@ class LiveOutput:
 
     def _with_others(self, ways: GaussianMixture, whole: Array, end: float) -> GaussianMixture:
         """The way of the graph at ``end`` [s], first, and those of particles elsewhere, until the next fix."""
-        particles, start = self._particles, self.graph.window.steps.start
+        particles, start = self.particles, self.graph.window.steps.start
         if particles is None or particles.elsewhere is None:
             return ways
         begin = particles.times[-1]
-        if begin < start or self._fixes_between(begin, end):  # the steps since have left the window, or a fix decides
+        if begin < start or self.fixes_between(begin, end):  # the steps since have left the window, or a fix decides
             return ways
         others = predict(particles.elsewhere, whole, start, begin, end, [])
         own = max(1.0 - float(np.exp(others.log_weight).sum()), LEAST_PROBABILITY)
@@ -123,19 +121,19 @@ class LiveOutput:
     def keyframe_belief(self) -> GaussianMixture:
         """State of the last keyframe and its calibration, on the most probable way."""
         graph, window = self.graph, self.graph.window
-        if self._last is None or self._last[0] is not graph.isam.values:
-            pose, keys = window.pose[-1], [X(window.keyframes[-1]), C(window.segment)]
-            covariance = in_output_axes(graph.isam.covariance(keys), float(pose[2]))
-            self._last = graph.isam.values, single_mode(np.append(pose, window.c[window.segment]), covariance)
+        if self._last is None or self._last[0] is not graph.at:
+            pose = window.pose[-1]
+            covariance = in_output_axes(graph.end_covariance(), float(pose[2]))
+            self._last = graph.at, single_mode(np.append(pose, window.c[window.segment]), covariance)
         return self._last[1]
 
-    def _fixes_between(self, begin: float, end: float) -> list[Position]:
+    def fixes_between(self, begin: float, end: float) -> list[Position]:
         """The fixes after ``begin`` until ``end`` [s], which have no keyframe yet."""
         rows = self.graph.log.rows(Fixes)
         if rows is None or not ((rows.time > begin + CLOSE) & (rows.time <= end)).any():
             return []
         factor = next(
-            (measurement for measurement in self.graph.current()[1] if isinstance(measurement, FixFactor)), None
+            (measurement for measurement in self.graph.factors.measurements if isinstance(measurement, FixFactor)), None
         )
         positions = []
         for n in np.flatnonzero((rows.time > begin + CLOSE) & (rows.time <= end)).tolist():
@@ -160,20 +158,15 @@ class LiveOutput:
         first = TrajectoryRows(np.array(window.times[:1]), window.pose[:1], graph.covariance(0)[None], [window.floor])
         if not window.intervals:
             return first
-        part = window.part(ALL)
-        at = part.chain.evaluate(part.state(graph.isam.values, ()))
-        linear = graph.isam.linearized()
-        net = eliminated(linear, metis_ordering(linear))
-        keys = [(X(interval.i), X(interval.j), C(interval.segment)) for interval in window.intervals]
+        at = graph.at
         which = np.concatenate(
             [n + interval.row_piece for n, interval in zip(at.pieces.first, window.intervals, strict=True)]
         )
         time = np.concatenate([interval.row_time for interval in window.intervals])
-        joint = CovarianceBlocks(net).joint(keys)[at.pieces.interval[which]]
-        covariance = covariance_of_pieces(joint, at, which) + graph.excess.at(time)
+        covariance = covariance_of_ends(at, graph.solution, which)[0][1:] + graph.excess.at(time)
         labels = [interval.label for interval in window.intervals for _ in interval.row_time]
         parts = [first] * window.complete + [TrajectoryRows(time, at.ends[which], covariance, labels)]
-        if self.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):
+        if window.finished and not (len(time) and time[-1] > window.times[-1] - CLOSE):
             end = graph.covariance(-1)[None]
             parts.append(TrajectoryRows(np.array(window.times[-1:]), window.pose[-1:], end, [window.floor]))
         return TrajectoryRows.joined(parts)
@@ -192,7 +185,7 @@ class LiveOutput:
 
     def reports(self) -> dict[str, tuple[Any, ...]]:
         """Reports by kind: of the window, and of finalised measurements since `pop_finalized` was last called."""
-        at, past = self.graph.evaluate(everything=True), self.graph.finalized.reports
+        at, past = self.graph.at, self.graph.finalized.reports
         result = {
             name: tuple(reports.values()) for name, reports in past.items()
         }  # of kinds that left the window whole
@@ -215,16 +208,11 @@ class LiveOutput:
         if not window.intervals:
             return None
         value = np.array([window.c[segment] for segment in segments])
-        covariance = np.array([self.graph.isam.covariance([C(segment)]) for segment in segments])
+        covariance = self.graph.calibration_covariance()
         start = np.array(
             [min(interval.begin for interval in window.intervals if interval.segment == s) for s in segments]
         )
         return Calibration(start, value, covariance, prior_sigma(self.graph.prior, np.array(segments)))
-
-    @property
-    def final(self) -> Estimate | None:
-        """The batch's estimate of the whole walk if it ended with all of it in the window, else None."""
-        return self._final
 
     def pop_finalized(self) -> list[TrajectoryRows]:
         """Return and remove the finalised rows."""

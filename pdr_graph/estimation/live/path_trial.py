@@ -6,17 +6,13 @@ window moves only if the alternative costs less.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.live.isam import Name
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.measurement_log import Decisions
-from pdr_graph.estimation.live.nearby_optimum import optimize_nearby
 from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL, Window
@@ -41,12 +37,11 @@ class Trial:
 class TrialQuestion:
     """A comparison that is due.
 
-    graph: a copy of the walk's, which `answer` changes; names: of all its factors; alternative: the path, and decisions
-    about measurements on it; rounds: most relinearisations.
+    graph: a copy of the walk's, which `answer` changes; alternative: the path, and decisions about measurements on it;
+    rounds: most steps of the search.
     """
 
     graph: LiveGraph
-    names: Collection[Name]
     alternative: Callable[[], tuple[AlternativePath, Decisions]]
     rounds: int
 
@@ -63,31 +58,27 @@ class TrialQuestion:
     def _optimized(self) -> float:
         """The cost of the path at its optimum, with the price of the regions that it leads through."""
         price = self.graph.associate_walls(ALL)
-        return optimize_nearby(self.graph, self.names, self.rounds) + price
+        self.graph.solve(self.rounds)
+        return self.graph.total_cost + price
 
 
-def move_to(graph: LiveGraph, path: AlternativePath, names: Collection[Name]) -> None:
-    """Move the window to a path and restart the solver there; names: of all factors, see `LiveGraph.restart_solver`."""
+def move_to(graph: LiveGraph, path: AlternativePath) -> None:
+    """Move the window to a path, with the walls there."""
     place_on(graph, path)
     graph.associate_walls(ALL)  # or the walls of the path that is left would pull at the first solution
-    graph.restart_solver(graph.isam, names)
+    graph.solve()
 
 
 def place_on(graph: LiveGraph, path: AlternativePath) -> None:
     """Move the window to a path, without a solution there; keyframes after its end are dead-reckoned."""
-    window, outside = graph.window, graph.outside(graph.isam.factors)
+    window = graph.window
     within = path.within(window.times)
     window.pose[within] = path.poses(np.array(window.times)[within])
     window.dead_reckon(int(within[-1]), path.state[-1, 3:])
-    values = gtsam.Values(graph.isam.values)
-    for number, pose in zip(window.keyframes, window.pose, strict=True):
-        values.update(X(number), gtsam.Pose2(*pose))
     for interval in window.intervals:
         if interval.begin >= path.time[0] - CLOSE:
             window.c[interval.segment] = path.calibration(interval.end)
-            values.update(C(interval.segment), window.c[interval.segment])
-    graph.place(graph.isam.with_values(values))
-    graph.isam.absorb(outside)
+    graph.moved()
 
 
 def _path_of(window: Window) -> AlternativePath:

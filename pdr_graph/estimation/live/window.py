@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import C, X
 
-from pdr_graph.estimation.factors.base import Measurement, State, extract
+from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.preintegration import Bridge, Pieces, preintegrate
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT
-from pdr_graph.estimation.live.isam import POSE_CHARACTER, SYMBOL_BITS
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.distance_field import DistanceField
@@ -24,14 +21,15 @@ from pdr_graph.geometry import rotation, wrap_angle
 from pdr_graph.types import Array, Index
 
 ALL = 10**9  # more pieces or intervals than any window has
-CACHED = 300  # intervals whose chain is kept from one keyframe to the next; twice those that an update evaluates
+Others = Mapping[str, Mapping[int, Array]]  # estimates ``(3,)`` of further variables, by symbol and number
 
 
 @dataclass(frozen=True)
 class WindowCheckpoint:
-    """State of a `Window` without its poses, which the incremental solver stores.
+    """State of a `Window`.
 
-    calibrations: ``(s, 4)`` number and value of each segment; segments, labels: segment and floor of each interval.
+    pose: ``(k, 3)``; calibrations: ``(s, 4)`` number and value of each segment; segments, labels: segment and floor of
+    each interval.
     """
 
     floor: str
@@ -41,6 +39,7 @@ class WindowCheckpoint:
     steps: StepCheckpoint
     keyframes: list[int]
     times: list[float]
+    pose: Array
     segments: list[int]
     labels: list[str]
     calibrations: Array
@@ -92,7 +91,7 @@ class Window:
             self.times.append(new[-1].end)
             self.intervals.append(new[-1])
         if self._chain is not None and new:
-            self._chain = _extended(self._chain.after(max(0, len(self._chain.segment) - CACHED)), new)
+            self._chain = _extended(self._chain, new)
         return new
 
     def has_keyframe(self, time: float) -> bool:
@@ -130,59 +129,54 @@ class Window:
                 self._chain = None
         return first < np.inf
 
-    def part(self, last: int) -> Part:
+    def part(self, last: int = ALL) -> Part:
         """The last ``last`` intervals, as a chain for the factors."""
-        count = min(last, len(self.intervals))
-        first = len(self.intervals) - count
-        if self._chain is None or len(self._chain.segment) < count:
-            at = Chain.keyframe_alone(self.times[first], self.keyframes[first], self.segment)
-            self._chain = _extended(at, self.intervals[first:])
-        return Part(self, self.intervals[first:], self._chain.after(len(self._chain.segment) - count))
+        first = max(0, len(self.intervals) - last)
+        if self._chain is None:
+            at = Chain.keyframe_alone(self.times[0], self.keyframes[0], self.segment)
+            self._chain = _extended(at, self.intervals)
+        return Part(self, self.intervals[first:], self._chain.after(first))
 
     @property
     def located_plan(self) -> Building | None:
         """The plan if it has the present floor, else None."""
         return self.plan if self.plan is not None and self.floor in self.plan.labels else None
 
-    def associate_walls(self, pieces: int) -> float:
-        """Associate the last ``pieces`` with the walls along the estimate; returns the price of their regions."""
+    def associate_walls(self, pieces: int) -> tuple[float, bool]:
+        """Associate the last ``pieces`` with the walls along the estimate.
+
+        Returns the price of their regions, and True if any piece has other walls than before.
+        """
         if self.located_plan is None or not self.intervals:
-            return 0.0
+            return 0.0, False
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
         last = self.part(1 + int(np.searchsorted(count, min(pieces, count[-1]))))
         labels = [interval.label for interval in last.intervals for _ in interval.fields]
         walls = WallFactor.about(
             FloorSequence.of(self.located_plan, labels), self.prior.wall_margin, self.prior.wall_sigma
         )
-        walls = walls.associated(last.chain.evaluate(last.state(gtsam.Values(), ())))
+        walls = walls.associated(last.chain.evaluate(last.state()))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
+        changed = False
         for interval, first in zip(last.intervals, last.chain.pieces.first.tolist(), strict=True):
-            interval.fields = named[first : first + len(interval.fields)]
-        return walls.price
+            before, interval.fields = interval.fields, named[first : first + len(interval.fields)]
+            changed |= any(a is not b for a, b in zip(before, interval.fields, strict=True))
+        return walls.price, changed
 
     def dead_reckon(self, after: int, c: Array) -> None:
         """Dead-reckon the keyframes after the n-th, ``after``, with calibration ``c (3,)``."""
         for n in range(after + 1, len(self.times)):
             self.pose[n] = self._pose_after(self.pose[n - 1], self.intervals[n - 1], c)
 
-    def read(self, values: gtsam.Values, first: int = 0) -> None:
-        """Copy calibrations and the poses from the ``first``-th keyframe on from ``values``."""
-        self.pose, poses, numbers = self.pose.copy(), extract(values, "x"), np.array(self.keyframes[first:])
-        if len(poses) > len(numbers):  # the solver still has keyframes that have left the window
-            keys = [key for key in values.keys() if key >> SYMBOL_BITS == POSE_CHARACTER]
-            poses = poses[np.isin(keys, [X(n) for n in numbers])]
-        self.pose[first + np.argsort(numbers)] = poses
-        self.c |= {segment: values.atVector(C(segment)) for segment in self.c if values.exists(C(segment))}
+    def read(self, state: State) -> None:
+        """Copy poses and calibrations from a state of all keyframes."""
+        self.pose = state.poses.copy()
+        self.c |= dict(zip(state.number(CALIBRATION).tolist(), state.c, strict=True))
 
     @property
     def segments(self) -> list[int]:
         """Numbers of the calibration segments in the window, ascending."""
         return sorted({interval.segment for interval in self.intervals} or {self.segment})
-
-    def segment_ends(self, numbers: Index) -> Array:
-        """The end of the last interval of each calibration ``(s,)``. [s]"""
-        ends = {interval.segment: interval.end for interval in self.intervals}
-        return np.array([ends.get(segment, self.times[-1]) for segment in numbers.tolist()])
 
     def row_labels(self) -> list[str]:
         """The floor's label of each trajectory row of the stored steps: start, steps, end."""
@@ -209,7 +203,7 @@ class Window:
         return other
 
     def checkpoint(self) -> WindowCheckpoint:
-        """Return the state without the poses."""
+        """Return the state."""
         return WindowCheckpoint(
             floor=self.floor,
             segment=self.segment,
@@ -218,13 +212,14 @@ class Window:
             steps=self.steps.checkpoint(),
             keyframes=list(self.keyframes),
             times=list(self.times),
+            pose=self.pose.copy(),
             segments=[interval.segment for interval in self.intervals],
             labels=[interval.label for interval in self.intervals],
             calibrations=np.array([[segment, *value] for segment, value in self.c.items()]).reshape(-1, 4),
         )
 
     def restore(self, checkpoint: WindowCheckpoint) -> None:
-        """Set the state to a checkpoint of a window with the same prior and plan; `read` must add the poses."""
+        """Set the state to a checkpoint of a window with the same prior and plan."""
         self.floor, self.steps = checkpoint.floor, StepBuffer.restored(checkpoint.steps)
         self.segment, self.in_segment, self.count = checkpoint.segment, checkpoint.in_segment, checkpoint.count
         self.keyframes, self.times = list(checkpoint.keyframes), list(checkpoint.times)
@@ -232,7 +227,7 @@ class Window:
         spans = zip(self.keyframes, self.keyframes[1:], self.times, self.times[1:], strict=False)
         rows = zip(spans, checkpoint.segments, checkpoint.labels, strict=True)
         self.intervals = [self._interval(*span, segment, label) for span, segment, label in rows]
-        self.pose = np.zeros((len(self.keyframes), 3))
+        self.pose = checkpoint.pose.reshape(-1, 3).copy()
 
     def _interval(self, i: int, j: int, begin: float, end: float, segment: int, label: str) -> Interval:
         return self.steps.interval(i, j, begin, end, segment, np.array(self.prior.mean), label)
@@ -285,22 +280,22 @@ class Part:
         """Numbers ``(s,)`` of the calibration segments."""
         return self.chain.segment_number
 
-    def state(self, values: gtsam.Values, measurements: Iterable[Measurement]) -> State:
-        """Poses and calibrations of the window; other variables from ``values`` if there, else initial."""
+    def state(self, measurements: Iterable[Measurement] = (), others: Others | None = None) -> State:
+        """Poses and calibrations of the window, and the variables that measurements add.
+
+        others: present estimates of these; without one, a variable is at its initial value.
+        """
         c = np.array([self.window.c[segment] for segment in self.segments.tolist()])
-        arrays = {"x": self.window.pose[self.first :], "c": c}
-        numbers = {"x": self.chain.number, "c": self.segments}
-        state = State(arrays, numbers)
+        arrays, numbers = {POSE: self.window.pose[self.first :], CALIBRATION: c}, dict[str, Index]()
+        numbers |= {POSE: self.chain.number, CALIBRATION: self.segments}
+        others = others or {}
         for measurement in measurements:
-            for new in measurement.variables(state.poses):
-                state = State({**state.arrays, new.symbol: new.initial}, {**state.numbers, new.symbol: new.number})
-                keys = state.keys(new.symbol).tolist()
-                alive = [n for n, key in enumerate(keys) if values.exists(key)]
-                if alive:
-                    current = new.initial.copy()
-                    current[alive] = [values.atVector(keys[n]) for n in alive]
-                    state = state.replaced(**{new.symbol: current})
-        return state
+            for new in measurement.variables(arrays[POSE]):
+                values = others.get(new.symbol, {})
+                rows = zip(new.number.tolist(), new.initial, strict=True)
+                arrays[new.symbol] = np.array([values.get(n, initial) for n, initial in rows]).reshape(-1, 3)
+                numbers[new.symbol] = new.number
+        return State(arrays, numbers)
 
     def walls(self) -> WallFactor | None:
         """The walls that its pieces are associated with; None without a plan."""

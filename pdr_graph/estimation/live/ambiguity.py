@@ -1,0 +1,473 @@
+"""What a walk under way leaves open, and the questions about it that are computed beside the walk.
+
+There are four questions: where and in which direction the walk began (the batch of the window), whether another path
+costs less (on a copy of the window), what the sources get wrong (over the recent past), and where on the plan a walk
+without any position is. Each answer is used at a fixed later time of the walk: no push waits for it, and the walk is
+the same however it was computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_graph.estimation.factors.base import poses_at
+from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.receivers import sourced
+from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
+from pdr_graph.estimation.live.deferred import Deferred
+from pdr_graph.estimation.live.history import History, HistoryCheckpoint
+from pdr_graph.estimation.live.live_graph import LiveGraph
+from pdr_graph.estimation.live.live_output import LiveOutput
+from pdr_graph.estimation.live.measurement_log import Decisions
+from pdr_graph.estimation.live.modes import ModesCheckpoint
+from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
+from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
+from pdr_graph.estimation.live.plan_search import Places, PlacesQuestion
+from pdr_graph.estimation.live.prediction import beyond_gate, predict
+from pdr_graph.estimation.live.review import Excess, Findings, Review
+from pdr_graph.estimation.live.schedule import SCHEDULE
+from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
+from pdr_graph.estimation.live.window import ALL
+from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
+from pdr_graph.types import Array, Fixes, Headings, Index, Mask
+
+DOUBTED, DOUBTED_BEHIND_WALL = 3.0, 1.0  # [σ] of a fix from the walk, beyond which the batch is asked; chosen by hand
+
+
+@dataclass(frozen=True)
+class AmbiguityCheckpoint:
+    """State of a `LiveAmbiguity`; fields as its attributes, and the answers of its questions with their times [s]."""
+
+    sure: bool
+    solved: bool
+    restarting: bool
+    carried: bool
+    modes: ModesCheckpoint | None
+    next_batch: float
+    next_search: float
+    next_comparison: float
+    asked: dict[str, Index]
+    solution: BatchSolution | None
+    batch_due: float
+    trial: Trial | None
+    trial_due: float
+    places: Places | None
+    search_due: float
+    review: Review | None
+    review_due: float
+    history: HistoryCheckpoint
+    findings: Findings
+    excess: Excess
+    restarts: int
+    batch_reviewed: bool
+    tried: int
+    accepted: int
+
+
+class LiveAmbiguity:
+    """What is open about a walk, and the search for other answers.
+
+    graph: of the walk, which answers change; output: has the modes that remain, and whether the walk is certain.
+    solved: the batch has solved it; batch_reviewed: it has done so once more since the walk is certain; restarts: how
+    often measurements contradicted the estimate; alternatives_tried, alternatives_accepted: numbers of other paths;
+    next_batch, next_search, next_comparison: times [s] before which a question is not asked again; findings: what the
+    sources get wrong; history: the recent past in which they are compared.
+    """
+
+    def __init__(self, graph: LiveGraph, output: LiveOutput, executor: Executor | None = None):
+        self.graph, self.output = graph, output
+        self.batch, self.trial = Deferred[BatchSolution](executor), Deferred[Trial](executor)
+        self.sources, self.place = Deferred[Review](executor), Deferred[Places](executor)
+        self.questions = self.batch, self.trial, self.sources, self.place
+        self.next_batch = self.next_search = self.next_comparison = -np.inf
+        self.solved, self.batch_reviewed = False, False
+        self._restarting = self._carried = False  # the past is dropped at the next solution; but for its calibration
+        self._asked = dict[str, Index]()  # numbers of the measurements that the batch was asked about, by kind
+        self.restarts, self.alternatives_tried, self.alternatives_accepted = 0, 0, 0
+        self.history, self.findings = History(), Findings()
+        graph.log.longer = self.history.log
+
+    def work(self) -> None:
+        """Answer the open questions now."""
+        for question in self.questions:
+            question.work()
+
+    def cancel(self) -> None:
+        """Drop all questions but that about the sources."""
+        for question in (self.batch, self.trial, self.place):
+            question.cancel()
+
+    # Start and direction: the batch of the window
+
+    def solve_by_batch(self) -> bool:
+        """Adopt a solution of the batch that is due, and ask for one while the direction is open.
+
+        Returns True if a solution was adopted.
+        """
+        graph, window, now = self.graph, self.graph.window, self.graph.window.times[-1]
+        solution = self.batch.collect(now)
+        if solution is not None:
+            self.adopt_batch(solution)
+        sure = self.output.sure
+        if not sure and window.duration > SCHEDULE.longest_open and np.isinf(graph.leaving_after):
+            graph.restart(graph.lag)  # keyframes leave the window although the direction is open
+        if not sure and self.batch.idle and graph.has_position and self._batch_due(now):
+            if not (self.solved or graph.finalized.anchored) and np.isfinite(graph.leaving_after):
+                graph.restart(np.inf)  # no keyframe leaves the window before the batch has placed the walk
+            self.batch.ask(self.batch_question(), now + SCHEDULE.batch_time)
+            self._asked = graph.log.all_numbers(now)
+            self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
+        return solution is not None
+
+    def _batch_due(self, now: float) -> bool:
+        """True if the batch has not solved the walk for a while, or not with the latest fix or heading."""
+        numbers = self.graph.log.all_numbers(now)
+        kinds = [kind for kind in ("fixes", "headings") if kind in numbers]
+        return now >= self.next_batch or any(
+            not np.isin(numbers[kind], self._asked.get(kind, ())).all() for kind in kinds
+        )
+
+    def batch_question(self) -> BatchQuestion:
+        """The batch of the window."""
+        graph = self.graph
+        c = self._first_calibration(self._carried)[0] if self._restarting else None
+        return BatchQuestion(graph.batch_graph(c=c), graph.log.all_numbers(graph.window.covered))
+
+    def adopt_batch(self, solution: BatchSolution) -> None:
+        """Restart from a solution of the batch."""
+        graph, window, output = self.graph, self.graph.window, self.output
+        if self._restarting:
+            graph.c_prior, self._restarting = self._first_calibration(self._carried), False
+        graph.decisions = graph.decisions | solution.decisions
+        times = np.array(window.times)
+        window.pose = solution.poses(times)
+        window.dead_reckon(int(np.searchsorted(times, solution.time[-1] + CLOSE)) - 1, solution.c[-1])
+        for interval in window.intervals:
+            window.c[interval.segment] = solution.calibration(interval.end)
+        long = window.duration > SCHEDULE.longest_ambiguous
+        output.sure, self.solved = solution.sure or (long and len(graph.log.position_times()) > 2), True
+        output.modes.adopt(None if output.sure else solution)
+        if not graph.finalized.anchored:
+            graph.finalized.move(window.pose[0].copy())
+        graph.finalized.anchored |= output.sure
+        self.next_comparison = -np.inf if output.sure else self.next_comparison
+        graph.moved()
+        graph.associate_walls(ALL)  # or a search without walls would move the walk off the solution
+        graph.restart(graph.lag if output.sure or window.duration > SCHEDULE.longest_open else np.inf)
+        graph.solve(SCHEDULE.rounds)
+
+    def restart(self, carried: bool = True) -> None:
+        """Solve the window anew, since measurements contradict the walk; the information from before it is dropped.
+
+        carried: but for the calibration.
+        """
+        self.restarts += 1
+        self._restarting, self._carried = True, carried
+        self.output.sure = self.solved = False
+        self.batch.cancel()
+        self.trial.cancel()
+        self.next_batch = -np.inf
+
+    def _first_calibration(self, carried: bool) -> tuple[Array, Array]:
+        """Mean ``(3,)`` and covariance ``(3, 3)`` of the window's first calibration; carried: by the walk so far."""
+        graph = self.graph
+        if not carried:
+            return np.array(graph.prior.mean), graph.prior.covariance
+        first, change = graph.window.segments[0], np.diag(np.square(graph.prior.change))
+        return graph.window.c[first], graph.calibration_covariance()[0] + change
+
+    # Fixes that the walk does not expect
+
+    def unexpected_fixes(self) -> Index:
+        """Numbers of the fixes since the last keyframe that are beyond the gate of the predicted position.
+
+        The errors of a receiver's fixes are common: its jumps are for `GnssBias`.
+        """
+        window, fixes, numbers = self.graph.window, self.graph.log.rows(Fixes), self.graph.log.numbers("fixes")
+        if not self.output.sure or fixes is None or numbers is None:
+            return np.empty(0, dtype=np.intp)
+        new = (fixes.time > window.times[-1] + CLOSE) & (fixes.time <= window.steps.end) & ~sourced(fixes)
+        return numbers[[n for n in np.flatnonzero(new).tolist() if self._is_beyond_gate(fixes[n])]]
+
+    def _is_beyond_gate(self, fix: Fixes) -> bool:
+        """True if a fix after the last keyframe is beyond the gate of the position predicted from there."""
+        steps, begin = self.graph.window.steps, self.graph.window.times[-1]
+        way = predict(self.output.keyframe_belief(), steps.whole, steps.start, begin, float(fix.time[0]), ())
+        return beyond_gate(way, fix.position[0], float(fix.sigma[0]))
+
+    def contradicted(self, unexpected: Index) -> bool:
+        """True if measurements contradict earlier decisions; stores the new decisions.
+
+        unexpected: numbers of fixes that become outliers, before they draw the walk across walls.
+        """
+        measurements, decisions = self.graph.factors.measurements, self.graph.decisions
+        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in measurements])
+        fixes = [kind.rejected(unexpected) for kind in measurements if isinstance(kind, FixFactor)]
+        if self.graph.store_decisions([*measurements, *fixes]) and len(unexpected):
+            self.graph.log.version += 1
+        return contradicted
+
+    def reclassify(self) -> None:
+        """Lower the weight of measurements far from the walk; restore it for those that are near again."""
+        graph = self.graph
+        at = graph.at
+        reclassified = [measurement.reclassified(at) for measurement in at.measurements]
+        if graph.store_decisions(reclassified):
+            graph.log.version += 1
+            graph.solve()
+        diverged = any(measurement.diverged for measurement in reclassified)
+        if diverged and graph.window.times[-1] >= self.next_batch:
+            self.restart()
+
+    def doubt_new_fixes(self) -> None:
+        """Ask the batch for another path if a new fix is far from the present one, or behind a wall."""
+        graph, window = self.graph, self.graph.window
+        now, fixes, numbers = window.times[-1], graph.log.rows(Fixes), graph.log.numbers("fixes")
+        if not self.output.sure or fixes is None or numbers is None or not self.trial.idle or now < self.next_batch:
+            return
+        within = (fixes.time >= window.times[0]) & (fixes.time <= now + CLOSE)
+        new = np.flatnonzero(within & ~np.isin(numbers, self._asked.get("fixes", ())))
+        self._asked = graph.log.all_numbers(now)
+        if len(new) and self._is_elsewhere(fixes[new]).any():
+            self.ask_batch_for_alternative()
+            self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
+
+    def _is_elsewhere(self, fixes: Fixes) -> Mask:
+        """``(f,)`` True for fixes that the present path passes at over DOUBTED sigmas, or in an area beyond a wall.
+
+        A fix where nobody can walk counts as the nearest place where one can: in a corridor, most fixes are beyond its
+        walls, and no other path leads there.
+        """
+        window = self.graph.window
+        there = poses_at(fixes.time, np.array(window.times), window.pose)[:, :2]
+        sigmas = np.hypot(*(fixes.position - there).T) / fixes.sigma
+        elsewhere, plan = sigmas > DOUBTED, window.located_plan
+        if plan is not None:
+            floor = plan[window.floor]
+            begin, end = (np.array([floor.nearest_walkable(p) for p in places]) for places in (there, fixes.position))
+            elsewhere |= (sigmas > DOUBTED_BEHIND_WALL) & floor.crosses_wall(begin, end)
+        return elsewhere
+
+    # Other paths: by particles between the walls, or by the batch once more
+
+    def follow(self, new: list[Interval]) -> None:
+        """Pass new intervals to the particle filter, which starts at the estimate as soon as that is certain.
+
+        After a gap as long as the lag, new intervals may have left the window already: it starts again.
+        """
+        window, output = self.graph.window, self.output
+        plan = window.located_plan if output.sure else None
+        if plan is None or any(interval.j not in window.keyframes for interval in new):
+            output.particles = None
+        if output.particles is not None:
+            for interval in new:
+                output.particles.enqueue(interval, self._measurements_at(interval.j))
+            output.particles.forget(window.times[0])
+        elif plan is not None:
+            begin, belief = window.times[-1], output.keyframe_belief()
+            output.particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
+
+    def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
+        """Fixes and headings at the keyframe with this number, for the particles."""
+        factors = self.graph.factors
+        return measurements_at(factors.measurements, int(np.flatnonzero(factors.chain.number == keyframe)[0]))
+
+    def move_particles(self, busy: bool) -> None:
+        """Let the particles do a little; compare them with the path when they reach a keyframe."""
+        particles = self.output.particles
+        if particles is not None and particles.process(busy):
+            self._compare(particles)
+
+    def _compare(self, particles: ParallelParticleFilter) -> None:
+        """Try the path of most particles where it differs, once that of the batch; restart if the cost is too high."""
+        window = self.graph.window
+        at = int(np.searchsorted(window.times, particles.times[-1] - CLOSE))
+        alternative = particles.alternative_path(window.pose[min(at, len(window.times) - 1), :2])
+        if alternative is not None and self.trial.idle:
+            self._try(lambda: (alternative, {}), SCHEDULE.rounds)
+        elif self._review_due():
+            self.batch_reviewed = True
+            self.ask_batch_for_alternative()
+        elif self._cost_check_due() and self._cost_too_high():
+            self.restart(carried=False)
+
+    def _review_due(self) -> bool:
+        """True if the batch should solve the walk once more, before any of it leaves the window."""
+        window = self.graph.window
+        long = window.times[-1] - window.times[0] > SCHEDULE.review_after
+        return not self.batch_reviewed and self.trial.idle and self.graph.has_position and window.complete and long
+
+    def _cost_check_due(self) -> bool:
+        window = self.graph.window
+        return window.count % SCHEDULE.cost_interval == 0 and window.times[-1] >= self.next_batch
+
+    def _cost_too_high(self) -> bool:
+        """True if the cost is too high for a correct path, and there are fixes to find another."""
+        fixes = len(self.graph.log.position_times())
+        return fixes > 1 and self.graph.cost > SCHEDULE.cost_limit(len(self.graph.window.keyframes), fixes)
+
+    def ask_batch_for_alternative(self) -> None:
+        """Try the path that the batch finds."""
+        self._try(self.batch_question().alternative, SCHEDULE.batch_rounds)
+
+    def _try(self, alternative: Callable[[], tuple[AlternativePath, Decisions]], rounds: int) -> None:
+        """Compare an alternative with the present path on a copy, and adopt the better one later."""
+        if not self.graph.window.intervals:
+            return  # a single keyframe has no other path: the lag is shorter than the time between fixes
+        question = TrialQuestion(self.graph.copy(), alternative, rounds)
+        self.trial.ask(question, self.graph.window.times[-1] + SCHEDULE.batch_time)
+
+    def adopt_alternative(self) -> None:
+        """Move the window to an alternative that was accepted."""
+        graph = self.graph
+        trial = self.trial.collect(graph.window.times[-1])
+        if trial is None:
+            return
+        self.alternatives_tried += 1
+        if trial.accepted and len(trial.path.within(graph.window.times)):
+            self.alternatives_accepted += 1
+            graph.decide(graph.decisions | trial.decisions)
+            move_to(graph, trial.path)
+
+    # The modes that remain, and the place on a plan
+
+    def follow_modes(self) -> None:
+        """Advance the modes that remain while the direction is open; the first fix begins them."""
+        graph, modes = self.graph, self.output.modes
+        steps = graph.window.steps
+        if self.output.sure:
+            return
+        if modes.mixture is None:
+            first = self.output.fixes_between(-np.inf, steps.end)
+            if not first or graph.finalized.anchored:
+                return
+            modes.begin(self.output.keyframe_belief(), first[0], steps.start)
+        modes.advance(steps, self.output.fixes_between(modes.time, steps.end))
+        headings, numbers = graph.log.rows(Headings), graph.log.numbers("headings")
+        if headings is not None and numbers is not None:
+            modes.point(steps, headings, numbers)
+
+    def search_plan(self) -> None:
+        """Seek a walk without any position on the whole plan; a place that is certain becomes a fix."""
+        graph, window, modes = self.graph, self.graph.window, self.output.modes
+        now, walked = window.times[-1], window.times[-1] - window.times[0]
+        if graph.has_position or graph.finalized.anchored or window.located_plan is None:
+            self.place.cancel()
+            return
+        if walked > SCHEDULE.longest_search:
+            if not np.isfinite(graph.leaving_after):
+                graph.restart(graph.lag)
+            return
+        places = self.place.collect(now)
+        if places is not None and places.sure:
+            graph.append(places.fix)
+            graph.append(places.heading)
+            return
+        if places is not None:
+            modes.mixture, modes.time = places.ways, places.time
+        if np.isfinite(graph.leaving_after):
+            graph.restart(np.inf)  # no keyframe leaves the window before the walk is placed
+        if self.place.idle and walked > SCHEDULE.search_after and now >= self.next_search:
+            self.place.ask(PlacesQuestion(graph.batch_graph()), now + SCHEDULE.search_time)
+            self.next_search = now + SCHEDULE.search_delay(walked)
+
+    # What the sources get wrong
+
+    def compare_sources(self, waiting: float, before: Findings | None = None) -> None:
+        """At intervals, compare the sources over the recent past, and adopt the result ``waiting`` [s] later.
+
+        That is the most probable of what they get wrong; what else remains possible widens the stated covariance.
+        before: assumptions that are kept unless others are clearly better; by default the present ones.
+        """
+        now = self.graph.window.times[-1]
+        if self.sources.idle and now >= self.next_comparison and self.history.has_position(now):
+            self.next_comparison = now + SCHEDULE.comparison_delay(now - self.graph.window.times[0])
+            walled = self.graph.window.located_plan is not None
+            known = self.findings if before is None else before
+            question = self.history.question(now, self.graph.prior, known, self.graph.decisions, walled)
+            self.sources.ask(question, now + waiting)
+        review = self.sources.collect(now)
+        if review is not None:
+            self._adopt_review(review)
+
+    def _adopt_review(self, review: Review) -> None:
+        """Adopt what sources get wrong, and the covariance of what remains possible."""
+        before, self.findings = self.findings, review.findings
+        if self.findings.texts != before.texts:
+            self._assume(review)
+        self.graph.excess = review.excess or self.graph.excess
+
+    def _assume(self, review: Review) -> None:
+        """Adopt the decisions of a review, and its walk where no plan holds ours and the decisions matter to it."""
+        graph, window = self.graph, self.graph.window
+        before = graph.decisions
+        adopted = review.decisions
+        graph.decide(before | adopted)
+        if window.located_plan is not None or not self.output.sure or _were_rejected(before, adopted):
+            graph.solve()
+            return
+        self.trial.cancel()
+        graph.c_prior = self._first_calibration(carried=True)
+        window.pose = review.poses(np.array(window.times), window.pose)
+        for interval in window.intervals:
+            window.c[interval.segment] = review.calibration(interval.end)
+        graph.restart(graph.lag)
+        graph.solve(SCHEDULE.rounds)
+
+    def checkpoint(self) -> AmbiguityCheckpoint:
+        """Return the state."""
+        return AmbiguityCheckpoint(
+            sure=self.output.sure,
+            solved=self.solved,
+            restarting=self._restarting,
+            carried=self._carried,
+            modes=self.output.modes.checkpoint(),
+            next_batch=self.next_batch,
+            next_search=self.next_search,
+            next_comparison=self.next_comparison,
+            asked=self._asked,
+            solution=self.batch.work(),
+            batch_due=self.batch.due,
+            trial=self.trial.work(),
+            trial_due=self.trial.due,
+            places=self.place.work(),
+            search_due=self.place.due,
+            review=self.sources.work(),
+            review_due=self.sources.due,
+            history=self.history.checkpoint(),
+            findings=self.findings,
+            excess=self.graph.excess,
+            restarts=self.restarts,
+            batch_reviewed=self.batch_reviewed,
+            tried=self.alternatives_tried,
+            accepted=self.alternatives_accepted,
+        )
+
+    def restore(self, checkpoint: AmbiguityCheckpoint) -> None:
+        """Set the state to a checkpoint."""
+        self.output.sure, self.solved = checkpoint.sure, checkpoint.solved
+        self._restarting, self._carried = checkpoint.restarting, checkpoint.carried
+        self.output.modes.restore(checkpoint.modes)
+        self.next_batch, self.next_search = checkpoint.next_batch, checkpoint.next_search
+        self.next_comparison, self._asked = checkpoint.next_comparison, checkpoint.asked
+        self.batch.restore(checkpoint.solution, checkpoint.batch_due)
+        self.trial.restore(checkpoint.trial, checkpoint.trial_due)
+        self.place.restore(checkpoint.places, checkpoint.search_due)
+        self.sources.restore(checkpoint.review, checkpoint.review_due)
+        self.history.restore(checkpoint.history)
+        self.findings, self.graph.excess = checkpoint.findings, checkpoint.excess
+        self.restarts, self.batch_reviewed = checkpoint.restarts, checkpoint.batch_reviewed
+        self.alternatives_tried, self.alternatives_accepted = checkpoint.tried, checkpoint.accepted
+
+
+def _were_rejected(before: Decisions, adopted: Decisions) -> bool:
+    """True if the adopted decisions are about fixes alone, and those now wrong had no weight before either."""
+    if set(adopted) != {FixFactor.name} or FixFactor.name not in before:
+        return False
+    old, new = before[FixFactor.name], adopted[FixFactor.name]
+    rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
+    return bool(np.isin(new["number"][new["wrong"].astype(bool)], rejected).all())
