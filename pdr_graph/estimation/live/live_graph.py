@@ -128,6 +128,7 @@ class LiveGraph:
         self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
         self._equations = list[NormalEquations]()
         self._search: Descent | None = None
+        self._left: Evaluation | None = None  # with keyframes that have left, whose marginal is due
 
     # Steps and measurements in
 
@@ -212,6 +213,8 @@ class LiveGraph:
         part = self.window.part()
         measurements = [StepFactor(), *self._measured(part), *self._priors_of(part), *self._on_plan(part)]
         state = part.state(measurements, self._others)
+        if self._left is not None:
+            self._marginalize(self._left, state)
         self.marginals = [left for marginal in self.marginals if (left := marginal.among(state))]
         of_kinds = tuple(measurements)
         self._priors |= self._new_priors(part.chain, state, of_kinds)
@@ -270,19 +273,25 @@ class LiveGraph:
 
     @property
     def search(self) -> Descent:
-        """The search for the optimum of the present factors, at the present estimate."""
-        factors = self.factors
-        if self._search is None or self._search.graph is not factors:
-            try:
-                self._search = Descent(factors, factors.start)
-            except RuntimeError as error:
-                self._fail(error)
-                self._search = Descent(self.factors, self.factors.start)
+        """The search for the optimum; measurements since it began are for the next `solve`."""
+        search = self._search
+        if search is None or len(search.at.state.poses) != len(self.window.keyframes):
+            return self._begun()
+        return search
+
+    def _begun(self) -> Descent:
+        """Begin the search with the present factors, at the present estimate."""
+        try:
+            self._search = Descent(self.factors, self.factors.start)
+        except RuntimeError as error:
+            self._fail(error)
+            self._search = Descent(self.factors, self.factors.start)
         return self._search
 
     def solve(self, steps: int = 1) -> bool:
-        """Take so many steps of the search; False if it had reached the optimum before."""
-        search, moved = self.search, False
+        """Take so many steps of the search, with all measurements; False if it had reached the optimum before."""
+        same = self._search is not None and self._search.graph is self.factors
+        search, moved = self.search if same else self._begun(), False
         for _ in range(steps):
             if search.converged:
                 break
@@ -316,7 +325,8 @@ class LiveGraph:
 
     def restart(self, lag: float) -> None:
         """Forget what has left the window; keyframes leave after ``lag`` [s] from now on."""
-        self.leaving_after, self.marginals, self._others, self._priors = lag, [], {}, frozenset()
+        self.leaving_after, self.marginals, self._left = lag, [], None
+        self._others, self._priors = {}, frozenset()
         self._begins, pose = self.window.segments[0], self.window.pose[0].copy()
         hold = StartFactor.heading(float(pose[2])) if self.has_position else StartFactor.fixed(pose)
         self._hold = self.window.keyframes[0], hold
@@ -381,13 +391,12 @@ class LiveGraph:
         if not count:
             return
         window, until = self.window, self.window.times[count]
-        if self._factors is None or min(self._arrivals, default=until) < until:
-            self._outdated = True  # a late measurement is of the past
-        else:
-            self._outdated, self._version = False, self.log.version
-        at, edge = self.at, self.covariance(count)
+        if min(self._arrivals, default=until) < until:
+            self._search = None  # a late measurement is of the past
+        at, start = self.at, window.pose[0].copy() if window.complete else None
+        due = until > self.finalized.edge[0] + COVARIANCE_INTERVAL
+        edge = self.covariance(count) if due or start is not None else np.eye(3)
         self._report_until(until, at)
-        start = window.pose[0].copy() if window.complete else None
         self.finalized.take(window.intervals[:count], at, start)
         window.forget(count)
         if start is not None and self.has_position:
@@ -398,22 +407,17 @@ class LiveGraph:
         for collector in self.collectors:
             collector.forget(until)
         self._arrivals = [time for time in self._arrivals if time >= until]
-        if window.times[0] > self.finalized.edge[0] + COVARIANCE_INTERVAL:
+        if due:
             self.finalized.finalize(window.times[0], edge)
-        self._marginalize(at)
+        self._left, self._factors, self._search = at, None, None
 
-    def _marginalize(self, at: Evaluation) -> None:
-        """Replace the factors of variables that are no longer in the window by their marginal. at: with them."""
-        part = self.window.part()
-        state = part.state([*self._measured(part)], self._others)
+    def _marginalize(self, at: Evaluation, state: State) -> None:
+        """Replace the factors of variables that ``state`` does not have any more by their marginal. at: with them."""
         names = [(symbol, number) for symbol in at.state.arrays for number in at.state.number(symbol).tolist()]
         present = {(symbol, number) for symbol in state.arrays for number in state.number(symbol).tolist()}
-        leaving = np.array([name not in present for name in names])
-        marginal, absorbed = marginalized(at, leaving)
+        marginal, absorbed = marginalized(at, np.array([name not in present for name in names]))
         self.marginals = [*(kept for kept in self.marginals if not _binds(kept, present)), *filter(None, [marginal])]
-        self._priors -= absorbed
-        self._others = {s: {n: v for n, v in of.items() if (s, n) in present} for s, of in self._others.items()}
-        self._factors = self._search = None
+        self._priors, self._left = self._priors - absorbed, None
 
     def _report_until(self, until: float, at: Evaluation) -> None:
         """Store the reports of instances from before ``until`` [s]."""
@@ -473,6 +477,8 @@ class LiveGraph:
 
     def checkpoint(self) -> LiveGraphCheckpoint:
         """Return the state, from which the walk continues bit by bit the same."""
+        if self._left is not None:
+            self._built()
         self._factors = self._search = None  # as of one that is restored
         others = [(symbol, number, value) for symbol, of in self._others.items() for number, value in of.items()]
         keyframe, hold = self._hold
