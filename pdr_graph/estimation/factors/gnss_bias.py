@@ -27,6 +27,7 @@ from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Hypo
 from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.receivers import ALONG, alike, by_source, drift
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array, Complex, Index, Steps
 
@@ -82,8 +83,8 @@ class GnssBias(Measurement):
     symbol_throughout: ClassVar[str] = "o"
 
     @classmethod
-    def of(cls, fixes: FixFactor, steps: Steps) -> GnssBias:
-        """The biases of the receivers whose fixes are marked as biased."""
+    def of(cls, fixes: FixFactor, steps: Steps, prior: Prior | None = None, number: Index | None = None) -> GnssBias:
+        """The biases of the receivers whose fixes are marked as biased; made from the kind of the fixes."""
         sources = by_source(fixes.fixes, fixes.biased)
         offset, white = _sigmas(fixes, sources, steps)
         parts = [_nodes(fixes.fixes.time[rows], offset[rows], steps, fixes.fixes.source[rows[0]]) for rows in sources]

@@ -16,8 +16,8 @@ from gtsam.symbol_shorthand import X
 
 from pdr_graph.estimation.factors.base import insert
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.start import Prior, StartFactor
-from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.factors.protocols import Itemized
+from pdr_graph.estimation.factors.start import Prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.isam import IsamCheckpoint, Linear, Name, TransactionalISAM
 from pdr_graph.estimation.live.measurement_log import (
@@ -174,7 +174,7 @@ class LiveGraph(WindowGraph):
         if self._current is not None and not self._outdated:
             part, measurements = self._current
             walls = part.walls()
-            self._current = part, [walls if isinstance(kind, WallFactor) and walls else kind for kind in measurements]
+            self._current = part, [walls if walls and kind.name == walls.name else kind for kind in measurements]
         return price
 
     def rebuild(self, lag: float) -> None:
@@ -182,7 +182,7 @@ class LiveGraph(WindowGraph):
         rebuilds, self.isam = self.isam.rebuilds, TransactionalISAM(lag)
         self.isam.rebuilds, self._begins = rebuilds, self.window.segments[0]
         pose = self.window.pose[0].copy()
-        hold = StartFactor.heading(float(pose[2])) if self.has_position else StartFactor.fixed(pose)
+        hold = first_heading_prior(float(pose[2])) if self.has_position else first_pose_prior(pose)
         self._hold, self._current = (self.window.keyframes[0], hold), None
         self.log.version += 1  # the decisions may have changed
         self.update(everything=True)
@@ -311,7 +311,7 @@ class LiveGraph(WindowGraph):
     def _report_until(self, until: float, at: Evaluation) -> None:
         """Store the reports of instances from before ``until`` [s]."""
         for measurement in at.measurements:
-            if measurement.instances is None:
+            if not isinstance(measurement, Itemized):
                 continue
             numbers, times = measurement.instances
             early = np.flatnonzero(times < until)
@@ -366,7 +366,7 @@ class LiveGraph(WindowGraph):
         self.log.restore(checkpoint.tables)
         self.decisions, self.too_late = checkpoint.decisions, checkpoint.too_late
         self.c_prior, self._begins = (checkpoint.c_mean, checkpoint.c_covariance), checkpoint.begins
-        self._hold = checkpoint.hold_keyframe, StartFactor(checkpoint.hold_pose, checkpoint.hold_sigmas)
+        self._hold = checkpoint.hold_keyframe, first_pose_prior(checkpoint.hold_pose, checkpoint.hold_sigmas)
         self._arrivals = list(checkpoint.arrivals)
         self.finalized.restore(checkpoint.past)
         for collector, stored in zip(self.collectors, checkpoint.collectors, strict=True):

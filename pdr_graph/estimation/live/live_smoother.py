@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from gtsam.symbol_shorthand import C
 
-from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors import made_from
+from pdr_graph.estimation.factors.protocols import Gated
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
@@ -33,7 +34,7 @@ from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
-from pdr_graph.types import Array, Estimate, Headings, Index, Sightings, Steps
+from pdr_graph.types import Array, Estimate, Fixes, Headings, Index, Sightings, Steps
 
 
 @dataclass(frozen=True)
@@ -220,9 +221,11 @@ class LiveSmoother(NewFixes):
         """
         _, measurements = self.graph.current()
         decisions = self.graph.decisions
-        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in measurements])
-        fixes = [kind.rejected(unexpected) for kind in measurements if isinstance(kind, FixFactor)]
-        if self.graph.store_decisions([*measurements, *fixes]) and len(unexpected):
+        gated = [kind for kind in measurements if isinstance(kind, Gated)]
+        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in gated])
+        fixes = made_from(Fixes, measurements)
+        rejected = [] if fixes is None else [fixes.rejected(unexpected)]
+        if self.graph.store_decisions([*measurements, *rejected]) and len(unexpected):
             self.graph.log.version += 1
         return contradicted
 
@@ -339,11 +342,12 @@ class LiveSmoother(NewFixes):
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
         graph = self.graph
         at = graph.evaluate()
-        reclassified = [measurement.reclassified(at) for measurement in at.measurements]
+        kinds = at.measurements
+        reclassified = [kind.reclassified(at) if isinstance(kind, Gated) else kind for kind in kinds]
         if graph.store_decisions(reclassified):
             graph.log.version += 1
             graph.update()
-        diverged = any(measurement.diverged for measurement in reclassified)
+        diverged = any(kind.diverged for kind in reclassified if isinstance(kind, Gated))
         if diverged and graph.window.times[-1] >= self.next_batch:
             self._restart()
 

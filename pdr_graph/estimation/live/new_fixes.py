@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdr_graph.estimation.factors import kind_of_type
 from pdr_graph.estimation.factors.base import poses_at
-from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.receivers import sourced
 from pdr_graph.estimation.live.alternative_paths import AlternativePaths
 from pdr_graph.estimation.live.measurement_log import Decisions
@@ -23,7 +23,7 @@ class NewFixes(AlternativePaths):
     def _unexpected_fixes(self) -> Index:
         """Numbers of the fixes since the last keyframe that are beyond the gate of the predicted position.
 
-        The errors of a receiver's fixes are common: its jumps are for `GnssBias`.
+        The errors of a receiver's fixes are common: its jumps are a bias.
         """
         window, fixes, numbers = self.graph.window, self.graph.log.rows(Fixes), self.graph.log.numbers("fixes")
         if not self.sure or fixes is None or numbers is None:
@@ -69,8 +69,9 @@ class NewFixes(AlternativePaths):
 
 def were_rejected(before: Decisions, adopted: Decisions) -> bool:
     """True if the adopted decisions are about fixes alone, and those now wrong had no weight before either."""
-    if set(adopted) != {FixFactor.name} or FixFactor.name not in before:
+    name = kind_of_type(Fixes).name
+    if set(adopted) != {name} or name not in before:
         return False
-    old, new = before[FixFactor.name], adopted[FixFactor.name]
+    old, new = before[name], adopted[name]
     rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
     return bool(np.isin(new["number"][new["wrong"].astype(bool)], rejected).all())

@@ -13,9 +13,10 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import Measurement
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.corridor import CorridorFactor
-from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
-from pdr_graph.estimation.factors.steps_and_walls import StepFactor
+from pdr_graph.estimation.factors.corridor import corridors_on_plan
+from pdr_graph.estimation.factors.protocols import decisions_of
+from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_pose_prior
+from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.isam import TransactionalISAM
 from pdr_graph.estimation.live.measurement_log import (
@@ -51,7 +52,7 @@ class WindowGraph:
         self.isam, self.collectors = TransactionalISAM(lag), list[Collector]()
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
-        self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
+        self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._current: tuple[Part, list[Measurement]] | None = None
         self._outdated, self._version = False, 0  # True if rows or intervals are newer than `_current`
         self._measurements, self._measured_at = list[Measurement](), (-1, 0.0, False)  # not bound to a chain
@@ -104,7 +105,7 @@ class WindowGraph:
                 measurements = self.log.measurements(window.steps.steps, self.prior, chain.time[0], end, self.decisions)
             self._measured_at, self._measurements = state, measurements
         measured = [measurement.bind(chain) for measurement in self._measurements]
-        return part, [StepFactor(), *measured, *self._priors(part), *self._on_plan(part)]
+        return part, [steps_between_keyframes(), *measured, *self._priors(part), *self._on_plan(part)]
 
     def _priors(self, part: Part) -> list[Measurement]:
         """Priors of calibration and first pose, while these are in the window."""
@@ -112,23 +113,24 @@ class WindowGraph:
         begins = {row[self._begins]: self.c_prior} if self._begins in row else {}
         keyframe, hold = self._hold
         held = [hold] if part.chain.number[0] == keyframe else []
-        return [CalibrationFactor(begins, self.prior.change), *held]
+        return [calibration_prior(begins, self.prior.change), *held]
 
     def _on_plan(self, part: Part) -> list[Measurement]:
         """Factors of walls and corridors, if the plan is used."""
-        walls, use, plan = part.walls(), self.prior.corridors, self.window.located_plan
+        walls, plan = part.walls(), self.window.located_plan
         evidence: list[Measurement] = [] if walls is None else [walls]
-        if plan is not None and (use.turns or use.directions) and part.intervals:
+        if plan is not None and self.prior.corridors.any and part.intervals:
             labels = [interval.label for interval in part.intervals for _ in interval.fields]
             at = part.chain.evaluate(part.state(self.isam.values, ()))
-            evidence.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
+            corridors = corridors_on_plan(FloorSequence.of(plan, labels), self.prior)
+            evidence += [kind.associated(at) for kind in corridors]
         return evidence
 
     def store_decisions(self, measurements: Sequence[Measurement]) -> bool:
         """Store the decisions about measurements; True if any has changed."""
         changed = False
         for measurement in measurements:
-            if decided := measurement.decisions():
+            if decided := decisions_of(measurement):
                 stored = self.decisions.get(measurement.name, {})
                 merged = merged_decisions(stored, decided)
                 changed |= not same_decisions(stored, merged)
