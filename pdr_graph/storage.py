@@ -175,7 +175,7 @@ def _typed(kind: Any, value: Any) -> Any:
         raise TypeError(f"a field of type {kind} cannot be stored")
     if not isinstance(value, np.ndarray):
         raise ValueError(f"Expected `array of numbers`, got `{type(value).__name__}`")
-    (declared,) = (Any,) if kind is np.ndarray else get_args(get_args(kind)[1])
+    declared: Any = Any if kind is np.ndarray else get_args(get_args(kind)[1])[0]
     if declared is not Any and value.dtype != np.dtype(declared):
         raise ValueError(f"Expected `array of {np.dtype(declared)}`, got `array of {value.dtype}`")
     return value

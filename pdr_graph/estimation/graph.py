@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import made_from, measurements_of_walk
+from pdr_graph.estimation.factors import kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
 from pdr_graph.estimation.factors.chain import Chain, Evaluation
 from pdr_graph.estimation.factors.corridor import corridors_on_plan
@@ -24,6 +24,7 @@ from pdr_graph.estimation.factors.protocols import (
     Directions,
     Initialized,
     Listed,
+    Locating,
     Multimodal,
     OnPlan,
     Positions,
@@ -82,7 +83,8 @@ class WalkGraph:
         _check(steps, fixes, headings, floor, prior)
         self.steps, self.floor, self.prior = steps, floor, prior or Prior()
         self.fixes = Fixes.none() if fixes is None else fixes
-        tables = [table for table in (levels, closures, *measurements) if table is not None and len(table)]
+        tables = [table for table in (levels, closures, *measurements) if table is not None]
+        tables = [table for table in tables if kind_of(table) and len(table)]  # raises for types without a kind
         self.data = [self.fixes, headings or Headings.none(), *tables]
 
         # Keyframes at measurements and gaps, and the calibration segments
@@ -141,7 +143,8 @@ class WalkGraph:
 
     def _start_prior(self, heading: float) -> Measurement:
         """Prior of the first pose; heading: of the initial walk [rad]."""
-        if self.positions.used.any():
+        located = [kind for kind in self._measurements if kind.determines_position and not isinstance(kind, Locating)]
+        if self.positions.used.any() or any(kind is not self.positions for kind in located):
             return first_heading_prior(heading)
         size = None if self.floor_sequence is None else self.floor_sequence.size
         return start_prior(heading, size, len(self.headings.headings) > 0)

@@ -274,6 +274,8 @@ class FixFactor(Measurement):
 
     def decisions(self) -> dict[str, AnyArray]:
         """The masks of outliers, of fixes with a factor, and of the consistent chain; factors of sigmas."""
+        if not len(self):
+            return {}
         masks = {"outlier": self.outlier, "held": self.held, "consistent": self.consistent}
         every = np.ones(len(self))
         numbers = {"number": self.number, "widened": self.widened * every, "wrong": (self.wrong * every) > 0}

@@ -172,6 +172,8 @@ class Listed(Structural):
 class Positions(Protocol):
     """The fixes of a walk with the classification of each, ``f`` of them."""
 
+    def __len__(self) -> int: ...
+
     @property
     def name(self) -> str:
         """Name of the kind."""
