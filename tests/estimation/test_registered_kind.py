@@ -3,7 +3,10 @@
 import json
 import os
 import signal
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
 from typing import ClassVar
 
 import numpy as np
@@ -260,6 +263,23 @@ def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path
     assert isinstance(stored, Anchorline)
     assert np.array_equal(stored.offset, lines.offset)
     assert error(outing.trajectory, truth) < 0.4
+
+
+def test_the_example_of_the_page_is_the_kind_above():
+    """Run as it is printed in CONTRIBUTING.md: the walk is the same, and no report is needed."""
+    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = page.split("## A factor")[1].split("```python\n")[1].split("```")[0]
+    steps, fixes, _, lines = drawn(5, 40)
+    here = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines]))
+    del KINDS[Anchorline]
+    module = ModuleType("example_of_the_page")
+    sys.modules[module.__name__] = module
+    exec(compile(code, "CONTRIBUTING.md", "exec"), vars(module))
+    theirs = module.Anchorline(**vars(lines))
+    there = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[theirs]))
+    del KINDS[module.Anchorline], sys.modules[module.__name__]
+    pdr.register(Anchorline, AnchorlineFactor)
+    assert there.trajectory.position == pytest.approx(here.trajectory.position, abs=1e-9)
 
 
 def test_what_cannot_be_registered_is_refused():
