@@ -247,7 +247,8 @@ def test_report_and_summary_list_the_lines(recorded, tmp_path):
     assert summary["reports"]["anchor_lines"][0]["time"] == pytest.approx(lines.time[0] + walk.clock_origin)
 
 
-def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path):
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path, workers):
     """What reads the lines of a recording is the caller's; the store has them from then on."""
     folder, truth, lines = recorded
 
@@ -255,7 +256,7 @@ def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path
         return replace(observe(path, options), measurements=(lines,))
 
     add(tmp_path / "log", [folder / "walk.txt"], RecordingOptions(fixes=folder / "fixes.csv"))
-    assert build(tmp_path / "log", observe=with_lines).failures == ()
+    assert build(tmp_path / "log", workers=workers, observe=with_lines).failures == ()
     with Store(tmp_path / "log") as log:
         [entry], [(person, date)] = log.entries(), log.days()
         [stored] = read_observation(log.folder / "observations" / entry.observation).measurements

@@ -72,6 +72,11 @@ def _definitions(*classes: type) -> list[tuple[str, str]]:
     return [(each.__module__, each.__qualname__) for each in classes]
 
 
+def kinds_of_others() -> list[tuple[type, tuple[Any, ...]]]:
+    """The types of data that are registered from outside the package, with their kinds: for another process."""
+    return [(data, kinds) for data, kinds in KINDS.items() if not data.__module__.startswith("pdr_graph.")]
+
+
 register(Fixes, FixFactor, GnssBias)
 register(Headings, HeadingFactor)
 register(Levels, BeaconRssiFactor)
