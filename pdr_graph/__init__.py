@@ -11,6 +11,7 @@ read       load  read_fixes  read_trajectory  FloorPlan  Building  Walker  Frame
 walk       detect_steps  magnetic_headings  dead_reckon  floors_of
 estimate   WalkGraph  Prior  smooth  kalman_filter  kalman_smoother  verdict
 live       Navigator  Journal  Event  Samples  Sensor  Scan  Pose  Mode  Status  events_of
+extend     register  Measurement  FactorBlock
 look       plot  evaluate
 simulate   Scenario  simulate
 data       Recording  Signal  Sightings  Fixes  Headings  Steps  Trajectory  Calibration  Estimate  InputError

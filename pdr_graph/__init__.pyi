@@ -4,6 +4,9 @@ from .contradiction import Contradiction as Contradiction
 from .contradiction import Verdict as Verdict
 from .errors import InputError as InputError
 from .estimation.consistency import verdict as verdict
+from .estimation.factors import register as register
+from .estimation.factors.base import FactorBlock as FactorBlock
+from .estimation.factors.base import Measurement as Measurement
 from .estimation.factors.start import Prior as Prior
 from .estimation.floors import floors_of as floors_of
 from .estimation.graph import WalkGraph as WalkGraph

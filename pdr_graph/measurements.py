@@ -1,19 +1,34 @@
-"""Tables of measurements for the graph, beside the steps: one frozen data type per kind, rows sorted by time."""
+"""Tables of measurements for the graph, beside the steps: one frozen data type per kind, rows sorted by time.
+
+A data type is a frozen dataclass with ``time``, ``(n,)`` or ``(n, 2)`` for pairs [s]. Arrays and tuples of n values are
+columns with a value per row. A type may state, as class variables:
+
+limits: least and largest value of a column; a live walk leaves out rows beyond them, and rows that are not finite.
+most: rows that a live walk uses in a quarter of a second.
+tables, reference: names of the fields that rows refer to (label, position of anchors), and the column that refers to
+    them.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.types import Array, Index
+from pdr_graph.types import FARTHEST, FINEST, Array, Index, Limits
 
 Data = TypeVar("Data", bound=Any)
-FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
+
+
+class Measured(Protocol):
+    """A table of measurements. time: of each row [s]."""
+
+    @property
+    def time(self) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -33,6 +48,12 @@ class Levels(OneLineRepr, row="level"):
 
     tables: ClassVar[tuple[str, ...]] = ("label", "position", "sigma")
     reference: ClassVar[str] = "beacon"
+    limits: ClassVar[Limits] = {
+        "rssi": (-200.0, 200.0),
+        "position": (-FARTHEST, FARTHEST),
+        "sigma": (FINEST, FARTHEST),
+    }
+    most: ClassVar[None] = None  # as many as there are beacons
 
     def __len__(self) -> int:
         return len(self.time)
@@ -49,6 +70,9 @@ class Closures(OneLineRepr, row="closure"):
     time: Array
     sigma: Array
     walk: Index
+
+    limits: ClassVar[Limits] = {"sigma": (FINEST, FARTHEST)}
+    most: ClassVar[int] = 2
 
     @classmethod
     def of(cls, rows: Sequence[tuple[float, float, float]], walks: Sequence[tuple[int, int]] = ()) -> Closures:
@@ -90,6 +114,13 @@ class Ranges(OneLineRepr, row="range"):
 
     tables: ClassVar[tuple[str, ...]] = ("label", "position", "position_sigma")
     reference: ClassVar[str] = "anchor"
+    limits: ClassVar[Limits] = {
+        "range": (0.0, FARTHEST),
+        "sigma": (FINEST, FARTHEST),
+        "position": (-FARTHEST, FARTHEST),
+        "position_sigma": (FINEST, FARTHEST),
+    }
+    most: ClassVar[int] = 10
 
     def __post_init__(self) -> None:
         """Raise ValueError on what would make an estimate NaN or silently wrong."""
@@ -123,7 +154,7 @@ class RangeReport:
 def take(data: Data, which: Index) -> Data:
     """The rows `which` of a measurement table."""
     selected = {}
-    for name in _row_fields(data):
+    for name in row_columns(data):
         column = getattr(data, name)
         selected[name] = column[which] if isinstance(column, np.ndarray) else tuple(column[i] for i in which.tolist())
     return replace(data, **selected)
@@ -131,7 +162,7 @@ def take(data: Data, which: Index) -> Data:
 
 def appended(data: Data, more: Data) -> Data:
     """The rows of `data` and then of `more`, of the same type; tables that rows refer to are taken from `more`."""
-    return replace(more, **{name: _stacked([getattr(data, name), getattr(more, name)]) for name in _row_fields(data)})
+    return replace(more, **{name: _stacked([getattr(data, name), getattr(more, name)]) for name in row_columns(data)})
 
 
 def with_offset(data: Data, seconds: float) -> Data:
@@ -148,7 +179,7 @@ def concatenate(parts: Sequence[Data]) -> Data:
     first = parts[0]
     if len(parts) == 1:
         return first
-    joined = {name: _stacked([getattr(part, name) for part in parts]) for name in _row_fields(first)}
+    joined = {name: _stacked([getattr(part, name) for part in parts]) for name in row_columns(first)}
     tables = getattr(type(first), "tables", ())
     if tables:
         named: dict[tuple[str, int], tuple[Data, int]] = {}
@@ -177,7 +208,7 @@ def last_time(data: Any) -> Array:
     return data.time if data.time.ndim == 1 else data.time.max(axis=1)
 
 
-def _row_fields(data: Any) -> list[str]:
+def row_columns(data: Any) -> list[str]:
     """The names of the columns with one value per row; other fields are tables that rows refer to."""
     tables = getattr(type(data), "tables", ())
     columns = [(field.name, getattr(data, field.name)) for field in fields(data) if field.name not in tables]

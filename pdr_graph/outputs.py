@@ -40,6 +40,7 @@ PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its 
 REPORT = "report.html"
 KNOWN_AT_ONCE = "live, known at once"  # name of the track of current poses in reports
 REPORTED = ("fixes", "beacons", "headings")  # kinds that every summary has, even without measurements
+NAMED = (*REPORTED, "ranges")  # kinds whose reports have a key of the summary; those of others are under "reports"
 
 
 @dataclass(frozen=True)
@@ -227,9 +228,7 @@ def summarize(inputs: Inputs, result: Result) -> dict[str, Any]:
         "floors": [label for label, before in zip(track.floor, ("", *track.floor), strict=False) if label != before],
         "climbs": _climbs(result.floors, walk.clock_origin),
         "calibration": _calibration(estimate, walk.clock_origin),
-        **{
-            kind: _reports(estimate.reports.get(kind, ()), walk.clock_origin) for kind in (*REPORTED, *estimate.reports)
-        },
+        **_reports_by_kind(estimate, walk.clock_origin),
         "scores": scores_of(inputs, estimate),
         "wall_crossings": crossings,
         **_finite({"probability": round(estimate.probability, 3)}),
@@ -306,6 +305,14 @@ def _error(track: Trajectory, truth: Trajectory | None) -> dict[str, float | Non
     values = np.percentile(circular_error(pairs.where(pairs.same_floor)), [50, 75, 95]).round(3).tolist()
     share = coverage(track, truth)
     return dict(zip(("p50", "p75", "p95"), values, strict=True)) | {"in_90": None if share is None else round(share, 3)}
+
+
+def _reports_by_kind(estimate: Estimate, clock_origin: float) -> dict[str, Any]:
+    """The reports of NAMED kinds by name; under "reports" those of other kinds, if there are any."""
+    listed = {kind: _reports(estimate.reports.get(kind, ()), clock_origin) for kind in (*REPORTED, *estimate.reports)}
+    others = {kind: rows for kind, rows in listed.items() if kind not in NAMED}
+    named = {kind: rows for kind, rows in listed.items() if kind in NAMED}
+    return named | ({"reports": others} if others else {})
 
 
 def _reports(reports: tuple[Any, ...], clock_origin: float) -> list[dict[str, Any]]:
@@ -394,4 +401,5 @@ def _length(estimate: Estimate) -> float:
 
 
 def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in values.items()}
+    plain = {k: v.tolist() if isinstance(v, np.ndarray | np.generic) else v for k, v in values.items()}
+    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in plain.items()}

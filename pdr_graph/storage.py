@@ -170,12 +170,12 @@ def _array(code: int, data: memoryview) -> Any:
 
 
 def _typed(kind: Any, value: Any) -> Any:
-    """The value of a field whose type msgspec does not know: an array of the declared dtype."""
-    if get_origin(kind) is not np.ndarray:
+    """The value of a field whose type msgspec does not know: an array of the declared dtype, if one is declared."""
+    if kind is not np.ndarray and get_origin(kind) is not np.ndarray:
         raise TypeError(f"a field of type {kind} cannot be stored")
     if not isinstance(value, np.ndarray):
         raise ValueError(f"Expected `array of numbers`, got `{type(value).__name__}`")
-    (declared,) = get_args(get_args(kind)[1])
+    declared: Any = Any if kind is np.ndarray else get_args(get_args(kind)[1])[0]
     if declared is not Any and value.dtype != np.dtype(declared):
         raise ValueError(f"Expected `array of {np.dtype(declared)}`, got `array of {value.dtype}`")
     return value

@@ -29,6 +29,9 @@ Index = NDArray[np.intp]
 Complex = NDArray[np.complex128]  # vectors in the plane: x + iy
 LARGEST_HEADING = 4 * np.pi  # [rad]: headings may be unwrapped; a larger number is in degrees
 INSTANT = 1e-6  # [s]: times closer than this are the same instant
+FARTHEST = 1e8  # [m] largest coordinate and sigma of a usable position: eastings with their zone have up to 6e7
+FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller ones overflow
+Limits = dict[str, tuple[float, float]]  # least and largest value of a column, by its name
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
 
@@ -118,6 +121,9 @@ class Fixes(OneLineRepr, row="fix"):
     epsg: int | None = None
     source: tuple[str, ...] = ()
 
+    limits: ClassVar[Limits] = {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)}
+    most: ClassVar[int] = 2
+
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""
         check_finite(self, "time", "position", "sigma")
@@ -165,7 +171,10 @@ class Headings(OneLineRepr, row="heading"):
     heading: Array
     sigma: Array
     source: tuple[str, ...] = ()
+
     added: ClassVar = ("source",)  # bytes of earlier versions have none
+    limits: ClassVar[Limits] = {"heading": (-LARGEST_HEADING, LARGEST_HEADING), "sigma": (FINEST, 1e3)}
+    most: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         """Raise ValueError on values that would make an estimate NaN or silently wrong."""

@@ -28,7 +28,7 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, DOUBTED, FIRM, LoopClosureFactor
 from pdr_graph.estimation.factors.losses import GEMAN_MCCLURE_WIDTH, HUBER_WIDTH
-from pdr_graph.estimation.factors.start import CorridorUse, StartFactor
+from pdr_graph.estimation.factors.start import CorridorUse, first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
@@ -604,7 +604,7 @@ def first_heading():
     around.legend(loc="upper left")
     around.set(ylim=(-45, 62))
     angles = np.linspace(-np.pi, np.pi, 200)
-    hold = StartFactor.heading(0.0)
+    hold = first_heading_prior(0.0)
     law.plot(np.degrees(angles), [cost_at(hold, angle) for angle in angles], color=BLUE, label="the hold, 104°")
     known = Headings(np.zeros(1), np.zeros(1), np.radians([20.0]))
     known = HeadingFactor(known, np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))

@@ -24,6 +24,8 @@ Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
 contradictions=, routes=, placed=)
 Event
+FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, tolerance=, \
+signature=, prior=, curvature=, native=)
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
@@ -31,6 +33,7 @@ Headings(time, heading, sigma, source=)
 InputError(source, place, found, expected)
 Journal(path, database, make, restored, every, loss=)
 LONLAT
+Measurement()
 Mode(probability, x, y, heading, covariance)
 Navigator(floor=, *, lag=, walker=, frame=, prior=, beacons=, radio_map=, start_floor=, start_heading=, \
 start_heading_sigma=, epoch=, executor=)
@@ -64,6 +67,7 @@ magnetic_headings(recording, frame, near)
 plot(estimate, floor=, truth=, title=)
 read_fixes(path, recording, frame=, notes=)
 read_trajectory(path, recording=)
+register(data_type, kinds)
 simulate(scenario)
 smooth(graph)
 verdict(estimate)

@@ -137,3 +137,25 @@ def test_the_product_imports_no_papers():
     for path in everything():
         if room(path) != "papers":
             assert not [name for name in imported(path) if ".".join(name).startswith("pdr_graph.papers")], path
+
+
+NAMES_KINDS = {"particle_filter"}  # modules beside the factors that still name kinds
+
+
+def test_no_factor_class_is_named_outside_the_factors():
+    """The rest asks what a kind can do, or which kind a type of data became: so a kind of others is like ours."""
+    factors = HOUSE / "estimation" / "factors"
+    classes = [node for path in factors.glob("*.py") for node in ast.parse(path.read_text()).body]
+    kinds = {
+        node.name
+        for node in classes
+        if isinstance(node, ast.ClassDef) and "Measurement" in [ast.unparse(base) for base in node.bases]
+    }
+    assert len(kinds) > 8
+    elsewhere = [path for path in everything() if factors not in path.parents and path.stem not in NAMES_KINDS]
+    naming = {
+        path.stem: found
+        for path in elsewhere
+        if (found := kinds & set(re.findall(r"\w+", path.read_text(encoding="utf-8"))))
+    }
+    assert naming == {}

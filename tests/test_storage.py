@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
 from pdr_graph.measurements import Ranges
-from pdr_graph.online.interface import EVENTS, Samples, Scan
+from pdr_graph.online.interface import Samples, Scan, event_types
 from pdr_graph.storage import ARRAY, FORMAT, decode, encode
 from pdr_graph.types import Array, Fixes, Sightings, Steps, Trajectory
 
@@ -71,7 +71,7 @@ def events(draw):
 
 @given(events())
 def test_events_come_back_bit_by_bit(event):
-    assert same(decode(encode(event), *EVENTS), event)
+    assert same(decode(encode(event), *event_types()), event)
 
 
 @dataclass(frozen=True)
@@ -118,21 +118,21 @@ def test_what_would_not_come_back_is_refused():
 
 def test_whole_numbers_come_back_as_their_field_has_them():
     event = Steps(0, 1, np.empty(0), *(np.empty(0) for _ in range(6)), final_turn=np.float64(0.5))
-    assert same(decode(encode(event), *EVENTS), replace(event, start=0.0, end=1.0, final_turn=0.5))
+    assert same(decode(encode(event), *event_types()), replace(event, start=0.0, end=1.0, final_turn=0.5))
 
 
 def test_slices_come_back_whole():
     values = np.arange(12.0).reshape(4, 3)
     event = Samples("gyroscope", values[::2, 0], values.T[:, ::2].T)
-    assert same(decode(encode(event), *EVENTS), event)
+    assert same(decode(encode(event), *event_types()), event)
 
 
 @given(st.binary(max_size=200))
 def test_random_bytes_are_refused(blob):
     with pytest.raises(ValueError, match="bytes"):
-        decode(blob, *EVENTS)
+        decode(blob, *event_types())
     with pytest.raises(ValueError, match="bytes"):
-        decode(sealed(blob), *EVENTS, Anything)
+        decode(sealed(blob), *event_types(), Anything)
 
 
 @given(st.data())
@@ -147,7 +147,7 @@ def test_damaged_events_are_refused(data):
     else:
         blob += blob[at:]
     with pytest.raises(ValueError, match="bytes"):
-        decode(bytes(blob), *EVENTS)
+        decode(bytes(blob), *event_types())
 
 
 @given(st.data())
@@ -158,7 +158,7 @@ def test_forged_events_are_refused_or_events(data):
         payload[data.draw(st.integers(0, len(payload) - 1))] = data.draw(st.integers(0, 255))
     blob = sealed(bytes(payload))
     with suppress(ValueError):
-        assert encode(decode(blob, *EVENTS)) == blob
+        assert encode(decode(blob, *event_types())) == blob
 
 
 def sealed(payload, version=FORMAT):
@@ -182,7 +182,7 @@ def samples(time, values=None):
 
 def test_a_forgery_can_be_right():
     """A control: so that what follows is refused for what is wrong with it."""
-    event = decode(samples(array("<f8", 1, tail=bytes(8))), *EVENTS)
+    event = decode(samples(array("<f8", 1, tail=bytes(8))), *event_types())
     assert same(event, Samples("a", np.zeros(1), np.empty((0, 3))))
 
 
@@ -228,7 +228,7 @@ def test_a_forgery_can_be_right():
 def test_forged_events_are_refused_without_the_memory_they_ask_for(blob):
     tracemalloc.start()
     with pytest.raises(ValueError, match="bytes") as refusal:
-        decode(blob, *EVENTS, Anything)
+        decode(blob, *event_types(), Anything)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 20 * len(blob) + 200_000
@@ -239,7 +239,7 @@ def test_forged_events_are_refused_without_the_memory_they_ask_for(blob):
 def test_only_what_was_asked_for_is_read():
     steps = Trajectory(np.zeros(1), np.zeros((1, 2)), np.zeros(1), ("",))
     with pytest.raises(ValueError, match="Trajectory"):
-        decode(encode(steps), *EVENTS)
+        decode(encode(steps), *event_types())
     assert same(decode(encode(steps), Trajectory), steps)
 
 

@@ -7,12 +7,12 @@ them when the walk is solved, and `Estimate.contradictions` holds them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
 from pdr_graph.contradiction import DOUBTFUL, FAILED, Contradiction, Verdict
 from pdr_graph.errors import count, percent
+from pdr_graph.estimation.factors import locating_kinds
 from pdr_graph.estimation.factors.fixes import LOUD_BEACON
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.gps_track import REPEATED
@@ -36,7 +36,6 @@ CROSSED, LOST = 0.05, 0.5  # share of rows through walls of a doubtful and of a 
 FEWEST_CROSSINGS = 3  # rows: a corner that is cut is no contradiction
 TRUSTED = 0.5  # weight above which a fix is accepted
 FEWEST_TRANSMITTERS = 3  # determine positions
-NO_TRANSMITTERS = ("fixes", "headings")  # kinds of reports; all other kinds have beacons or anchors
 ROUTE = "route"  # source of a contradiction that only leaves open where the walk went
 STEPS = "steps and the rest"  # what contradicts fixes without another source of positions
 CHECK_FIXES = "the fixes, their sigmas and their clock; the list of beacons"
@@ -117,8 +116,9 @@ def _rejected_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 
 
 def _other_source(estimate: Estimate) -> str:
-    """What determines the walk beside its fixes: the beacons, the ranges, else the steps."""
-    return next((kind for kind in estimate.reports if kind not in NO_TRANSMITTERS and estimate.reports[kind]), STEPS)
+    """What determines the walk beside its fixes: the beacons, the ranges, another kind that does, else the steps."""
+    locating = locating_kinds()
+    return next((kind for kind in estimate.reports if kind in locating and estimate.reports[kind]), STEPS)
 
 
 def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
@@ -217,11 +217,8 @@ def _stride_sigma(fixes: Sequence[FixReport]) -> float:
 
 
 def _transmitters(estimate: Estimate) -> Iterator[str]:
-    """Names of the beacons and anchors that measured positions."""
-    for kind, reports in estimate.reports.items():
-        if kind not in NO_TRANSMITTERS:
-            yield from (_name(report) for report in reports if not getattr(report, "misplaced", False))
-
-
-def _name(report: Any) -> str:
-    return str(getattr(report, "anchor", None) or report.label)
+    """Names of the beacons and anchors that measured positions; of measurements without one, that of their kind."""
+    for kind in locating_kinds():
+        for report in estimate.reports.get(kind, ()):
+            if not getattr(report, "misplaced", False):
+                yield str(getattr(report, "anchor", "") or getattr(report, "label", "") or kind)

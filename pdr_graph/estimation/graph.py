@@ -15,16 +15,26 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import measurements_of
+from pdr_graph.estimation.factors import kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
 from pdr_graph.estimation.factors.chain import Chain, Evaluation
-from pdr_graph.estimation.factors.corridor import CorridorFactor
-from pdr_graph.estimation.factors.fixes import FixFactor
-from pdr_graph.estimation.factors.gnss_bias import GnssBias
-from pdr_graph.estimation.factors.heading_prior import HeadingFactor
+from pdr_graph.estimation.factors.corridor import corridors_on_plan
 from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
-from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
-from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
+from pdr_graph.estimation.factors.protocols import (
+    Directions,
+    Initialized,
+    Listed,
+    Locating,
+    Multimodal,
+    OnPlan,
+    Positions,
+    Refined,
+    Remembered,
+    Restarted,
+    Staged,
+)
+from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, start_prior
+from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
 from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
@@ -38,7 +48,6 @@ if TYPE_CHECKING:
 
 STEPS_PER_SEGMENT = 100
 MOST_EQUATIONS = 3  # places of blocks that are kept
-FIX_KINDS = (FixFactor.name, GnssBias.name)
 Kind = TypeVar("Kind", bound=Measurement)
 
 
@@ -48,7 +57,7 @@ class WalkGraph:
     steps: of the front end; fixes: in the frame of ``floor`` (or any metric frame without one); headings: walking
     directions in that frame; floor: plan or building whose walls are factors, optional; floors: the floor's label for
     each row of the trajectory ``(n + 2,)``, expected for a building of several floors; levels: of beacons; closures:
-    moments at one place; measurements: data of any other kind (`Ranges`);
+    moments at one place; measurements: data of any other registered type (`Ranges`);
     prior: see ``Prior``; others: start [s] and prior of each further walk in the same steps, in order of time.
 
     chain: keyframes and steps; measurements: its factors, kind by kind; start: where the search starts;
@@ -74,12 +83,12 @@ class WalkGraph:
         _check(steps, fixes, headings, floor, prior)
         self.steps, self.floor, self.prior = steps, floor, prior or Prior()
         self.fixes = Fixes.none() if fixes is None else fixes
-        tables = [table for table in (levels, closures, *measurements) if table is not None and len(table)]
+        tables = [table for table in (levels, closures, *measurements) if table is not None]
+        tables = [table for table in tables if kind_of(table) and len(table)]  # raises for types without a kind
         self.data = [self.fixes, headings or Headings.none(), *tables]
 
         # Keyframes at measurements and gaps, and the calibration segments
-        kinds = [kind for table in self.data for kind in measurements_of(table, steps, self.prior)]
-        kinds = _with_rough_fixes(kinds, steps, self.prior)
+        kinds = measurements_of_walk(self.data, steps, self.prior)
         lost = steps.is_gap
         gaps = [steps.time[lost] - steps.duration[lost], steps.time[lost]]
         pieces = cut(steps, np.concatenate([*(kind.keyframe_times() for kind in kinds), *gaps]))
@@ -99,9 +108,9 @@ class WalkGraph:
         # All factors; without walls if the walk has no position, or is off the plan
         self.floor_sequence = None if floor is None else FloorSequence.of(floor, self._floor_of_pieces)
         prior_of_segment = {s: (np.array(prior.mean), prior.covariance) for s, prior in begins.items()}
-        hold = _hold(self.positions, self.headings, self.floor_sequence, float(initial.poses[0, 2]))
-        kinds = [StepFactor(), *(kind.initialized(initial.poses) for kind in kinds)]
-        self._measurements = (*kinds, CalibrationFactor(prior_of_segment, self.prior.change), hold)
+        kinds = [kind.initialized(initial.poses) if isinstance(kind, Initialized) else kind for kind in kinds]
+        priors = calibration_prior(prior_of_segment, self.prior.change), self._start_prior(float(initial.poses[0, 2]))
+        self._measurements = (steps_between_keyframes(), *kinds, *priors)
         self.start = initial_state(initial.poses, initial.c, self._measurements)
         self.walled = False
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
@@ -129,17 +138,23 @@ class WalkGraph:
 
     def _use_plan(self, floor_sequence: FloorSequence) -> None:
         self.floor_sequence, self.walled, self._associated = floor_sequence, True, False
-        self._measurements += (WallFactor.about(floor_sequence, self.prior.wall_margin, self.prior.wall_sigma),)
-        use = self.prior.corridors
-        if use.turns or use.directions:
-            self._measurements += (CorridorFactor.about(floor_sequence, use),)
+        walls, corridors = walls_on_plan(floor_sequence, self.prior), corridors_on_plan(floor_sequence, self.prior)
+        self._measurements += (walls, *corridors)
+
+    def _start_prior(self, heading: float) -> Measurement:
+        """Prior of the first pose; heading: of the initial walk [rad]."""
+        located = [kind for kind in self._measurements if kind.determines_position and not isinstance(kind, Locating)]
+        if self.positions.used.any() or any(kind is not self.positions for kind in located):
+            return first_heading_prior(heading)
+        size = None if self.floor_sequence is None else self.floor_sequence.size
+        return start_prior(heading, size, len(self.headings.headings) > 0)
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:
         """All measurement kinds; those on the plan are associated along the start unless they already are."""
         if not self._associated:
             at = self.chain.evaluate(self.start)
-            self._measurements = tuple(measurement.associated(at) for measurement in self._measurements)
+            self._measurements = tuple(_associated(kind, at) for kind in self._measurements)
             self._associated = True
         return self._measurements
 
@@ -148,23 +163,19 @@ class WalkGraph:
         return next((measurement for measurement in self._measurements if isinstance(measurement, kind)), None)
 
     @property
-    def positions(self) -> FixFactor:
+    def positions(self) -> Positions:
         """The fixes, with the classification of each."""
-        factor = self.find(FixFactor)
-        assert factor is not None, "every graph has one"
-        return factor
+        return made_from(Fixes, self._measurements)
 
     @property
-    def headings(self) -> HeadingFactor:
+    def headings(self) -> Directions:
         """The headings."""
-        factor = self.find(HeadingFactor)
-        assert factor is not None, "every graph has one"
-        return factor
+        return made_from(Headings, self._measurements)
 
     @property
-    def walls(self) -> WallFactor | None:
-        """The walls along the walk; None if no plan is used."""
-        return next((measurement for measurement in self.measurements if isinstance(measurement, WallFactor)), None)
+    def walls(self) -> Any:
+        """The walls along the walk, the first kind on the plan; None if no plan is used."""
+        return next((kind for kind in self.measurements if kind.on_plan), None)
 
     @property
     def unplaced(self) -> bool:
@@ -224,12 +235,12 @@ class WalkGraph:
     def associated_at(self, start: State, stray: Array | float = STRAY, alike: float = 1.0) -> WalkGraph:
         """Start the search at ``start`` and associate rooms and corridors along it.
 
-        stray, alike: error of ``start``, see `Measurement.associated`.
+        stray, alike: error of ``start``, see `OnPlan.associated`.
         """
         measurements = self._restarted(start)
         if self.walled:
             at = self.chain.evaluate(start)
-            measurements = tuple(measurement.associated(at, stray, alike) for measurement in measurements)
+            measurements = tuple(_associated(kind, at, stray, alike) for kind in measurements)
         return self._replaced(_measurements=measurements, start=start, _associated=True)
 
     def without_plan(self) -> WalkGraph:
@@ -239,27 +250,28 @@ class WalkGraph:
 
     def staged(self, stage: Stage) -> WalkGraph:
         """All factors in their version for a stage of the search."""
-        return self._replaced(_measurements=tuple(measurement.staged(stage) for measurement in self.measurements))
+        kinds = (kind.staged(stage) if isinstance(kind, Staged) else kind for kind in self.measurements)
+        return self._replaced(_measurements=tuple(kinds))
 
     def alternatives(self) -> list[WalkGraph]:
         """Versions from whose optima the search must also start; empty if one start is enough."""
         graphs = []
         for n, measurement in enumerate(self.measurements):
             before, after = self.measurements[:n], self.measurements[n + 1 :]
-            for version in measurement.alternatives():
+            for version in measurement.alternatives() if isinstance(measurement, Multimodal) else ():
                 graphs.append(self._replaced(_measurements=(*before, version, *after)))
         return graphs
 
     def refined(self, at: Evaluation) -> WalkGraph:
         """The second pass from an optimum: less weight for outliers, common errors. ``self`` if nothing changes."""
-        refined = tuple(measurement.refined(at) for measurement in self.measurements)
+        refined = tuple(kind.refined(at) if isinstance(kind, Refined) else kind for kind in self.measurements)
         if all(new is old for new, old in zip(refined, self.measurements, strict=True)):
             return self
         return self._with_variables(tuple(measurement.bind(self.chain) for measurement in refined))
 
     def corrected(self, at: Evaluation) -> WalkGraph | None:
         """Drop listed positions that the optimum ``at`` contradicts; None if there are none."""
-        corrected = [measurement.corrected(at) for measurement in self.measurements]
+        corrected = [kind.corrected(at) if isinstance(kind, Listed) else None for kind in self.measurements]
         if not any(corrected):
             return None
         merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
@@ -277,7 +289,8 @@ class WalkGraph:
     def decided(self, decisions: Mapping[str, Mapping[str, AnyArray]]) -> WalkGraph:
         """Apply earlier decisions about measurements, by kind (relocated beacons)."""
         kinds = [
-            kind.continued(decisions[kind.name]) if kind.name in decisions else kind for kind in self._measurements
+            kind.continued(decisions[kind.name]) if kind.name in decisions and isinstance(kind, Remembered) else kind
+            for kind in self._measurements
         ]
         return self._with_variables(tuple(kinds)) if decisions else self
 
@@ -290,10 +303,12 @@ class WalkGraph:
 
     def same_association(self, other: WalkGraph) -> bool:
         """True if both graphs have the same rooms and corridors."""
-        return all(a.same_association(b) for a, b in zip(self.measurements, other.measurements, strict=True))
+        pairs = zip(self.measurements, other.measurements, strict=True)
+        return all(a.same_association(b) for a, b in pairs if isinstance(a, OnPlan))
 
     def _restarted(self, start: State) -> tuple[Measurement, ...]:
-        return tuple(measurement.restarted(start.poses) for measurement in self._measurements)
+        kinds = self._measurements
+        return tuple(kind.restarted(start.poses) if isinstance(kind, Restarted) else kind for kind in kinds)
 
     def _with_variables(self, measurements: tuple[Measurement, ...]) -> WalkGraph:
         """Replace the measurements; variables that they add are at their initial values."""
@@ -315,27 +330,9 @@ def segments(pieces: Pieces, steps: Steps) -> Index:
     return np.unique(segment + gaps, return_inverse=True)[1]
 
 
-def _with_rough_fixes(kinds: list[Measurement], steps: Steps, prior: Prior) -> list[Measurement]:
-    """Add approximate positions from other measurements if no fix can be used."""
-    fixed = any(isinstance(kind, FixFactor) and kind.used.any() for kind in kinds)
-    rough = next((rough for kind in kinds if len(rough := kind.rough_fixes())), None)
-    if fixed or rough is None:
-        return kinds
-    return [
-        FixFactor.of(rough, steps, prior, approximate=True),
-        *(kind for kind in kinds if kind.name not in FIX_KINDS),
-    ]
-
-
-def _hold(
-    positions: FixFactor, headings: HeadingFactor, floor_sequence: FloorSequence | None, heading: float
-) -> StartFactor:
-    """Prior of the first pose."""
-    if positions.used.any():
-        return StartFactor.heading(heading)
-    return StartFactor.frame(
-        heading, None if floor_sequence is None else floor_sequence.size, len(headings.headings) > 0
-    )
+def _associated(kind: Measurement, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Measurement:
+    """The kind with its instances associated along the walk ``at``; stray, alike: see `OnPlan.associated`."""
+    return kind.associated(at, stray, alike) if isinstance(kind, OnPlan) else kind
 
 
 def _segment_at(pieces: Pieces, segment: Index, time: float) -> int:

@@ -2,7 +2,7 @@
 
 A source may err beyond what it states: two beacons of a list are swapped, a receiver is several times worse than it
 says. No robust loss helps where its measurements agree with one another. So each kind of measurement proposes
-assumptions about itself (`Measurement.hypotheses`), combinations of them are solved, and each is weighed by Laplace's
+assumptions about itself (`Doubted.hypotheses`), combinations of them are solved, and each is weighed by Laplace's
 approximation of its evidence (MacKay, *Information Theory, Inference, and Learning Algorithms*, Ch. 28),
 
     −log p(z | H) − log p(H) = cost + log |R| + price,      RᵀR the information matrix at the optimum
@@ -20,6 +20,7 @@ from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import percent
 from pdr_graph.estimation.changed_prior import with_changed_prior
 from pdr_graph.estimation.factors.base import Hypothesis, State
+from pdr_graph.estimation.factors.protocols import Doubted, Listed
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, continued, optimize, solutions, solve_robust
 from pdr_graph.estimation.wrong_plan import solutions_on_plan
@@ -71,16 +72,19 @@ def explanations(first: Optimum) -> list[Optimum]:
 def _alternatives(old: Optimum, name: str, first: Optimum) -> list[Optimum]:
     """The walk under each assumption about a kind that is promising along ``old``, or along the walk by the others."""
     kind = next(kind for kind in old.graph.measurements if kind.name == name)
+    if not isinstance(kind, Doubted):
+        return []
     fixes = old.graph.positions
     placed = fixes.used.any() and not fixes.approximate
     proposals = [
         (hypothesis, old.state) for hypothesis in kind.hypotheses(old.at) if placed or not hypothesis.place_lost
     ]
-    if placed and (kind.has_list or any(hypothesis.apart for hypothesis, _ in proposals)):
+    if placed and (isinstance(kind, Listed) or any(hypothesis.apart for hypothesis, _ in proposals)):
         others = optimize(without := old.graph.without(kind), without.start).at
         proposals += [(new, others.state) for new in kind.hypotheses(others) if proposals]
         by = np.mean(others.state.poses[:, :2] - old.state.poses[:, :2], axis=0)
-        proposals += [(new, others.state) for new in [kind.displaced(by)] if new is not None]
+        displaced = kind.displaced(by) if isinstance(kind, Listed) else None
+        proposals += [(new, others.state) for new in [displaced] if new is not None]
     best = dict[str, Optimum]()
     for hypothesis, start in proposals:
         new = _assuming(old, hypothesis, start, first)

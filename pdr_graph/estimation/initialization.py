@@ -18,10 +18,10 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from pdr_graph.estimation.factors.chain import Chain
-from pdr_graph.estimation.factors.fixes import FixFactor
-from pdr_graph.estimation.factors.heading_prior import HeadingFactor, of_start
+from pdr_graph.estimation.factors.heading_prior import of_start
 from pdr_graph.estimation.factors.losses import huber_weight
 from pdr_graph.estimation.factors.preintegration import DECIMALS
+from pdr_graph.estimation.factors.protocols import Directions, Positions
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
 from pdr_graph.measurements import take
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
@@ -114,7 +114,7 @@ def _solve(
     return x[0::2], x[1::2]
 
 
-def sigma_direction(chain: Chain, fixes: FixFactor) -> float:
+def sigma_direction(chain: Chain, fixes: Positions) -> float:
     """Sigma [rad] of the direction of the whole walk by its consistent fixes; infinite with fewer than two.
 
     It is the error of fixes and track over their spread: that of the track, or of the fixes if it is smaller. A nearly
@@ -173,7 +173,7 @@ class InitialWalk:
 
 
 def initial_walk(
-    chain: Chain, fixes: FixFactor, headings: HeadingFactor, steps: Steps, c: Array, sigma_stride: float
+    chain: Chain, fixes: Positions, headings: Directions, steps: Steps, c: Array, sigma_stride: float
 ) -> InitialWalk:
     """Dead reckoning aligned with the fixes, or with the headings if they determine the direction better.
 
@@ -194,13 +194,13 @@ def initial_walk(
     return replace(start.rotated(turn, pivot(start.poses, fixes)), sigma_direction=sigma)
 
 
-def pivot(poses: Array, fixes: FixFactor) -> Array:
+def pivot(poses: Array, fixes: Positions) -> Array:
     """The point ``(2,)`` [m] about which a start may be rotated without leaving the fixes."""
     held = fixes.keyframe[fixes.consistent] if fixes.used.any() else [0]
     return poses[held, :2].mean(axis=0)
 
 
-def _on_fixes(chain: Chain, fixes: FixFactor, steps: Steps, c: Array, sigma_stride: float) -> InitialWalk:
+def _on_fixes(chain: Chain, fixes: Positions, steps: Steps, c: Array, sigma_stride: float) -> InitialWalk:
     (track, heading), used = chain.track, fixes.consistent
     at, sigma = fixes.keyframe[used], fixes.independent_sigma[used]
     fix = as_complex(fixes.fixes.position[used])
@@ -228,7 +228,7 @@ def _gaps(chain: Chain, steps: Steps) -> tuple[Array, Array]:
     return gap, turn
 
 
-def reach(chain: Chain, fixes: FixFactor, steps: Steps) -> tuple[Array, Array]:
+def reach(chain: Chain, fixes: Positions, steps: Steps) -> tuple[Array, Array]:
     """South-west and north-east corners ``(2,)`` [m] of the area that the walk can have reached."""
     place, at = fixes.fixes.position[fixes.used], np.append(chain.pieces.first, len(chain.pieces.length))
     walked = np.append(0.0, np.cumsum(chain.pieces.length))[at]

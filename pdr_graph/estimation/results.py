@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.errors import percent
+from pdr_graph.estimation.factors import locating_kinds
 from pdr_graph.estimation.factors.fixes import DUPLICATE, FROZEN, LOUD_BEACON, OUTSIDE
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
@@ -22,7 +23,6 @@ MANY = 0.1  # share of rejected fixes at which a user is warned
 STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
 CROSSED_ANYWAY = 0.01  # share of rows, beside one, through walls on right routes: at most 1 of 15 to 222 real rows
-LOCATING = ("beacons", "ranges")  # kinds of measurement that determine a position, beside fixes
 POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
@@ -178,13 +178,13 @@ def _rejected(fixes: Sequence[FixReport]) -> int:
 
 
 def is_located(estimate: Estimate) -> bool:
-    """True if anything determined the position: fixes, beacons, ranges, or the plan."""
+    """True if anything determined the position: fixes, beacons, ranges, another kind that does, or the plan."""
     return is_measured(estimate) or bool(estimate.routes)
 
 
 def is_measured(estimate: Estimate) -> bool:
     """True if any measurement determined the position, not the plan alone."""
-    locating = (used_fixes(estimate.fixes), *(estimate.reports.get(kind) for kind in LOCATING))
+    locating = (used_fixes(estimate.fixes), *(estimate.reports.get(kind) for kind in locating_kinds()))
     return estimate.placed or any(locating)
 
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors import kind_of
+from pdr_graph.estimation.factors import kind_of, locating_kinds
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
 from pdr_graph.estimation.optimizer import solve_robust
-from pdr_graph.estimation.results import LOCATING, REJECTED, used_fixes
+from pdr_graph.estimation.results import REJECTED, used_fixes
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, row_times, wrap_angle
@@ -76,7 +76,7 @@ def _tables(graph: WalkGraph, estimate: Estimate) -> Iterator[tuple[str, Any, li
         yield name or FIXES, graph.fixes[which], list(used_fixes(of_source))
     for table in graph.data:
         kind = kind_of(table).name
-        if kind in LOCATING:
+        if kind in locating_kinds():
             yield kind, table, list(estimate.reports.get(kind, ()))
 
 
@@ -126,8 +126,8 @@ def _reason(rejected: list[Any]) -> str:
     if names:
         more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
         return f"{', '.join(names[:NAMED])}{more} not where listed"
-    worst = max(rejected, key=lambda report: np.nan_to_num(abs(report.residual)))
-    return f"the worst {worst.reason}"
+    worst = max(rejected, key=lambda report: np.nan_to_num(abs(getattr(report, "residual", 0.0))))
+    return f"the worst {getattr(worst, 'reason', 'has no stated reason')}"
 
 
 def _plan(graph: WalkGraph, estimate: Estimate) -> Iterator[PositionSource]:

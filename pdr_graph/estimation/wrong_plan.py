@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.estimation.factors.base import Hypothesis
-from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import (
     DROPPED,
@@ -73,8 +72,8 @@ def _measurements_by_walls(optimum: Optimum) -> float:
     It grows with the corridors walked through, and what right walls add to the cost grows with it: a walk errs anew
     between two corridors. J: whitened derivatives; Σ: covariance of the walk between the walls.
     """
-    total = 0.0
-    for block in optimum.at.blocks_of(WallFactor.name):
+    total, walls = 0.0, optimum.graph.walls
+    for block in [] if walls is None else optimum.at.blocks_of(walls.name):
         J = np.hstack(block.weighted[1])[:, None]
         of_rows = [(symbol, rows[block.row_of]) for symbol, rows in block.variables]
         total += float(np.sum((J @ optimum.solution.joint(*of_rows)) * J))
@@ -98,8 +97,7 @@ def _single_position(graph: WalkGraph) -> bool:
 def _displaced(graph: WalkGraph, free: Optimum) -> list[Optimum]:
     """Walks between the walls that start some metres from the only fix: it is misplaced, or the plan by as much."""
     positions = free.graph.positions
-    wider = [np.hypot(sigma, MISPLACED) for sigma in (positions.sigma, positions.independent_sigma)]
-    wide = free.graph.assuming((replace(positions, sigma=wider[0], independent_sigma=wider[1]),))
+    wide = free.graph.assuming((positions.misplaced(MISPLACED),))
     price, found = DISPLACED + float(np.log(2)), list[Optimum]()
     for walk in corrected_solutions(graph, optimize(wide, free.state)):
         fix = int(np.argmax(positions.used))

@@ -13,9 +13,8 @@ from pdr_graph.io import delimited, geolife, gpx, ipin21, tum
 from pdr_graph.io.delimited import MISSING, Table
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
 from pdr_graph.io.validation import iso_time
-from pdr_graph.measurements import FINEST
 from pdr_graph.source import Source
-from pdr_graph.types import LONLAT, Array, Fixes, Mask, Recording, Trajectory
+from pdr_graph.types import FARTHEST, FINEST, LONLAT, Array, Fixes, Mask, Recording, Trajectory
 
 
 def read_fixes(
@@ -117,9 +116,6 @@ def _covariance(numbers: dict[str, Array]) -> Array:
 
 
 ALIASES = {"timestamp": "time", "yaw": "heading"}  # names in the PDR Benchmark's tools: ours
-
-
-FARTHEST = 1e8  # [m] from the origin of a metric frame: eastings with the number of their zone have up to 6e7
 
 
 def read_table(

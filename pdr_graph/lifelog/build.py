@@ -27,7 +27,7 @@ from pdr_graph.lifelog.day_rows import DayRows, Rows, profile_of, profile_row, r
 from pdr_graph.lifelog.facts import ESTIMATED, Correction, forgotten_times
 from pdr_graph.lifelog.local_time import checked_zone, zone_named
 from pdr_graph.lifelog.observation import ObservationResult, ObservationTask, Observe, observe_all
-from pdr_graph.lifelog.remote_tasks import Work
+from pdr_graph.lifelog.remote_tasks import Work, knowing_kinds
 from pdr_graph.lifelog.store import ZONE, Entry, Store, StoredDay
 from pdr_graph.lifelog.unfinished import unfinished_lines
 from pdr_graph.lifelog.workers import ITEM_LIMIT, CrashedItem, Fleet, LostItem, fleet, pack
@@ -219,8 +219,8 @@ def build(
         if zone is not None:
             log.put_setting(ZONE, checked_zone(zone))
         observe_work, reconstruct_work = (
-            partial(observe_all, observe=observe),
-            partial(reconstruct_days, reconstruct=reconstruct),
+            knowing_kinds(partial(observe_all, observe=observe)),
+            knowing_kinds(partial(reconstruct_days, reconstruct=reconstruct)),
         )
         unobserved = _observe(log, crew, observe_work, _outdated_observations(log), progress)
         days = recordings_by_day(log)

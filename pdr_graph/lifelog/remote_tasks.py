@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from time import sleep
 from typing import Any
 
@@ -16,6 +18,22 @@ POLL_PERIOD = 0.05  # [s] between looks at the tasks; chosen by hand
 Tasks = Sequence[tuple[Any, ...]]
 Work = Callable[[tuple[Any, ...]], Iterator[Any]]
 Look = Callable[[], None]  # called while waiting; raises FleetLostError
+
+
+def knowing_kinds(work: Work) -> Work:
+    """The work, for a process that has yet to learn the kinds of measurements that this one has registered."""
+    factors: Any = sys.modules.get("pdr_graph.estimation.factors")  # not loaded: nothing was registered
+    kinds = factors.kinds_of_others() if factors else []
+    return partial(_with_kinds, kinds, work) if kinds else work
+
+
+def _with_kinds(kinds: Sequence[tuple[type, tuple[Any, ...]]], work: Work, task: tuple[Any, ...]) -> Iterator[Any]:
+    """Register kinds of measurements, and do the work."""
+    from pdr_graph.estimation.factors import register
+
+    for data_type, of_type in kinds:
+        register(data_type, *of_type)
+    return work(task)
 
 
 def collected(work: Work, number: int, task: tuple[Any, ...], time_limit: float) -> tuple[int, list[Any]]:

@@ -14,24 +14,11 @@ import numpy as np
 
 from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
-from pdr_graph.measurements import FINEST, Closures, Levels, Ranges, last_time, take
+from pdr_graph.measurements import Levels, last_time, row_columns, take
 from pdr_graph.sensor_names import unknown_sensor
-from pdr_graph.types import INSTANT, LARGEST_HEADING, SENSORS, Array, Fixes, Headings, Mask, Sightings, Steps
+from pdr_graph.types import INSTANT, SENSORS, Array, Fixes, Limits, Mask, Sightings, Steps
 
-FARTHEST = 1e8  # [m] largest coordinate and sigma of a usable fix
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
-Limits = dict[str, tuple[float, float]]
-ROWS: dict[type, Limits] = {  # least and largest value of each column [m, rad, dBm]
-    Fixes: {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)},
-    Headings: {"heading": (-LARGEST_HEADING, LARGEST_HEADING), "sigma": (FINEST, 1e3)},
-    Levels: {"rssi": (-200.0, 200.0)},
-    Closures: {"sigma": (FINEST, FARTHEST)},
-    Ranges: {"range": (0.0, FARTHEST), "sigma": (FINEST, FARTHEST)},
-}
-TABLES: dict[type, Limits] = {  # the same of the beacons or anchors that rows refer to; a position may be unknown
-    Levels: {"position": (-FARTHEST, FARTHEST), "sigma": (FINEST, FARTHEST)},
-    Ranges: {"position": (-FARTHEST, FARTHEST), "position_sigma": (FINEST, FARTHEST)},
-}
 STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no gaps
     "length": (-100.0, 100.0),
     "turn": (-100.0, 100.0),
@@ -40,8 +27,8 @@ STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no
     "sigma_turn": (1e-6, 1e3),
 }
 SPAN = 0.25  # [s] in which at most so many rows are used: a walker moves by 0.3 m
-MOST: dict[type, int] = {Fixes: 2, Headings: 1, Closures: 2, Ranges: 10}
-MOST_MOMENTS = 4  # of ranges in SPAN: each moment is a keyframe; those to several anchors may have the same
+MOST = 10  # rows in SPAN of a type of data that does not state it
+MOST_MOMENTS = 4  # of a type of data in SPAN: each moment is a keyframe; ranges to several anchors may have the same
 UNUSABLE, OUT_OF_ORDER = "could not be used", "came out of order"
 INERTIAL = ("accelerometer", "gyroscope", "linear_acceleration")
 FINER = {  # unit of a clock: least and largest interval of inertial samples in it, at 10 to 1000 Hz
@@ -49,6 +36,7 @@ FINER = {  # unit of a clock: least and largest interval of inertial samples in 
     "microseconds": (1e3, 1e5),
     "nanoseconds": (1e6, 1e8),
 }
+LARGEST = float(np.finfo(float).max)
 TOO_OFTEN = f"came more often than {{}} in {SPAN:g} s and were left out"
 
 
@@ -75,10 +63,19 @@ class EventChecks:
             self.unused[sensor, f"samples seem to have times in {unit}: seconds are expected"] += len(stamps)
 
     def valid(self, name: str, data: Any) -> Any:
-        """The rows of a table of measurements whose values are possible; None if there are none."""
+        """The rows of a table of measurements whose values are possible; None if there are none.
+
+        Values are within the limits of the type of data, and finite. A listed position may be unknown.
+        """
+        limits: Limits = getattr(data, "limits", {})
+        tables = {column: bounds for column, bounds in limits.items() if column in getattr(data, "tables", ())}
+        arrays = [name for name in row_columns(data) if isinstance(getattr(data, name), np.ndarray)]
+        numbers = [name for name in arrays if getattr(data, name).dtype.kind == "f"]
+        finite: Limits = dict.fromkeys(numbers, (-LARGEST, LARGEST))
         soon = np.abs(data.time) < SENSOR_VALIDATION.latest
-        within = _within(data, ROWS[type(data)]) & (soon if soon.ndim == 1 else soon.all(axis=1))
-        for column, (least, most) in TABLES.get(type(data), {}).items():
+        rows = {column: bounds for column, bounds in (finite | limits).items() if column not in tables}
+        within = _within(data, rows) & (soon if soon.ndim == 1 else soon.all(axis=1))
+        for column, (least, most) in tables.items():
             listed = getattr(data, column)
             unknown = np.isnan(listed) if column == "position" else False
             within &= bool(((listed >= least) & (listed <= most) | unknown).all())
@@ -93,7 +90,7 @@ class EventChecks:
 
         used: the rows of this type so far, in order of time, None without any.
         """
-        most = MOST.get(type(data))
+        most = getattr(data, "most", MOST)
         if most is None or not len(data):
             return data
         span = np.floor(last_time(data) / SPAN)
@@ -103,13 +100,13 @@ class EventChecks:
         earlier = np.empty(0) if used is None else last_time(used)  # sorted
         place += np.searchsorted(earlier, (span + 1) * SPAN) - np.searchsorted(earlier, span * SPAN)
         within = place < most
-        if isinstance(data, Ranges):
+        if most > MOST_MOMENTS:
             within &= _at_few_moments(last_time(data), earlier)
         return self._counted(name, data, within, TOO_OFTEN.format(most))
 
     def heard(self, received: Sightings) -> Sightings:
         """The receptions whose times and levels are possible."""
-        least, most = ROWS[Levels]["rssi"]
+        least, most = Levels.limits["rssi"]
         within = (np.abs(received.time) < SENSOR_VALIDATION.latest) & (received.rssi >= least) & (received.rssi <= most)
         return received if within.all() else some_of(received, self._note("scans", within, UNUSABLE))
 
@@ -171,8 +168,7 @@ def _within(data: Any, limits: Limits) -> Mask:
     within = np.ones(len(data), dtype=bool)
     for name, (least, most) in limits.items():
         column: Array = getattr(data, name)
-        possible = (column >= least) & (column <= most)
-        within &= possible if possible.ndim == 1 else possible.all(axis=1)
+        within &= ((column >= least) & (column <= most)).all(axis=tuple(range(1, column.ndim)))
     return within
 
 

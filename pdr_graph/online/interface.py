@@ -19,9 +19,9 @@ from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import horizontal_sigma, protection_level, wrap_angle
-from pdr_graph.measurements import Closures, Levels, Ranges, last_time, take
+from pdr_graph.measurements import Measured, last_time, take
 from pdr_graph.sensor_names import Sensor
-from pdr_graph.types import Array, Estimate, Fixes, Headings, Recording, Sightings, Steps, Trajectory
+from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
 
 PACKET = 0.1  # [s] of samples that a phone delivers at once
 NO_DATA = "no data received"  # issue of a missing sensor
@@ -74,10 +74,14 @@ class Scan(OneLineRepr):
         return [repr(self.radio), *self.heard._summary()]
 
 
-Event: TypeAlias = Samples | Scan | Steps | Fixes | Headings | Levels | Closures | Ranges
+Event: TypeAlias = Samples | Scan | Steps | Measured
 """What `Navigator.push` takes: samples of a sensor, a scan of a radio, steps of another front end, or a table of
-measurements."""
-EVENTS = (Samples, Scan, Steps, *KINDS)
+measurements of a registered type."""
+
+
+def event_types() -> tuple[type, ...]:
+    """The types of events; measurements of all types that are registered by now."""
+    return (Samples, Scan, Steps, *KINDS)
 
 
 def events_of(recording: Recording, packet: float = PACKET) -> Iterator[Event]:

@@ -23,7 +23,7 @@ import numpy as np
 
 from pdr_graph import storage
 from pdr_graph.errors import InputError, count, expect
-from pdr_graph.online.interface import EVENTS, Event, Journaled, Pose, Status
+from pdr_graph.online.interface import Event, Journaled, Pose, Status, event_types
 from pdr_graph.online.journal_rows import LAST, PUT, Setting, damaged_rows, last_row, setting_row, whole_rows
 from pdr_graph.recovery import checked
 from pdr_graph.storage import Kind, decode, encode, encode_and_decode
@@ -147,7 +147,7 @@ class Journal(Generic[Navigator]):
         After an exception the event is not in the journal and the navigator has its former state. Raises OSError if the
         disk is full or fails, TypeError if the event is malformed, or any error of the navigator.
         """
-        expect("Journal.push, event", event, *EVENTS, instead="events_of(recording)")
+        expect("Journal.push, event", event, *event_types(), instead="events_of(recording)")
         blob, event = encode_and_decode(event)
         self._execute(PUT["event"], self.count + 1, blob)
         try:
@@ -211,7 +211,7 @@ class Journal(Generic[Navigator]):
         self._parts = [number for (number,) in self._execute("SELECT number FROM trajectory ORDER BY number")]
         self._finalized: dict[int, bytes] = {}  # encoded rows that are not in the file yet, by number of events
         while (blob := self._blob_of(self.count + 1)) is not None:
-            event = read(self._path, f"event {self.count + 1}", blob, *EVENTS)
+            event = read(self._path, f"event {self.count + 1}", blob, *event_types())
             try:
                 self.navigator.push(event)
             except Exception:  # the process ended before `push` could delete this event, which was not acknowledged

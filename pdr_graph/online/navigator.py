@@ -36,7 +36,7 @@ from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.measurements import last_time, take
 from pdr_graph.online.display import Display, modes_of
 from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks
-from pdr_graph.online.interface import EVENTS, Event, Pose, Samples, Scan, trajectory_of_rows
+from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, trajectory_of_rows
 from pdr_graph.online.live_warnings import contradictions_of, warnings_of
 from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
 from pdr_graph.online.step_log import StepLog
@@ -146,7 +146,7 @@ class Navigator:
 
     def push(self, event: Event) -> None:
         """Process an event; events must come in the order of arrival. Raises ValueError for an unknown sensor."""
-        expect("Navigator.push, event", event, *EVENTS, instead="events_of(recording)")
+        expect("Navigator.push, event", event, *event_types(), instead="events_of(recording)")
         self._pose = None
         if isinstance(event, Samples):
             self._checks.check_samples(event.sensor, event.time)

@@ -17,9 +17,9 @@ from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, LoopClosureFactor
-from pdr_graph.estimation.factors.marginal import marginalized
 from pdr_graph.estimation.factors.start import CorridorUse, Prior
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.live.marginal import marginalized
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan

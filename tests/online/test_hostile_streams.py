@@ -15,7 +15,7 @@ from pdr_graph.estimation.live import ambiguity, scan_collector
 from pdr_graph.estimation.live.measurement_log import WAITING
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.gait.step_stream import StepStream
-from pdr_graph.online.event_checks import MOST, SPAN
+from pdr_graph.online.event_checks import SPAN
 from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.storage import decode, encode
@@ -110,7 +110,7 @@ def test_fixes_at_100_hz_are_thinned():
     place = np.tile(fixes.position[:1], (len(time), 1)) + np.random.default_rng(0).normal(0, 3, (len(time), 2))
     many = Fixes(time, place, np.full(len(time), 3.0))
     nav = pushed([many[:300], *said_events(steps, many[300:])])
-    assert nav.status.fixes <= MOST[Fixes] * len(time) * 0.01 / SPAN + 1
+    assert nav.status.fixes <= Fixes.most * len(time) * 0.01 / SPAN + 1
     assert nav.status.keyframes < 100
     assert said(nav, "fixes: ", "came more often than")
 

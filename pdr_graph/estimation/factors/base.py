@@ -2,11 +2,12 @@
 
 A `Measurement` is all instances of one kind on one walk: the times at which it needs keyframes, the variables it adds,
 its residuals with derivatives and weights, and its reports. Batch smoother, live smoother, filter, GTSAM export,
-reports and journal loop over a list of them and name none.
+reports and journal loop over a list of them and name none. They ask what else a kind does by `protocols`.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -18,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
-from pdr_graph.types import Array, Fixes, Index
+from pdr_graph.types import Array, Index
 
 if TYPE_CHECKING:
     import gtsam
@@ -340,14 +340,19 @@ class Hypothesis:
     prior: str = ""
 
 
-class Measurement:
-    """A measurement kind: all its instances on one walk. Subclasses are frozen; these methods suit simple kinds."""
+class Measurement(ABC):
+    """A measurement kind: all its instances on one walk. Subclasses are frozen.
+
+    name: in reports, decisions and blocks; determines_position: True if it measures absolute positions; overhang: time
+    [s] by which an instance may lie before or after the steps; on_plan: True if it uses the floor plan.
+    A kind that is made from data has ``of(data, steps, prior, number)`` too, see `register`. What else a kind may do is
+    in `factors.protocols`.
+    """
 
     name: ClassVar[str] = ""
-    on_plan: ClassVar[bool] = False  # True if it uses the floor plan
-    determines_position: ClassVar[bool] = False  # True if it measures absolute positions
-    has_list: ClassVar[bool] = False  # True if its positions come from a list, see `displaced`
-    overhang: ClassVar[float] = 0.0  # [s] by which it may lie before or after the steps
+    determines_position: ClassVar[bool] = False
+    overhang: ClassVar[float] = 0.0
+    on_plan: ClassVar[bool] = False
 
     def keyframe_times(self) -> Array:
         """Times [s] at which keyframes are needed ``(t,)``."""
@@ -361,92 +366,14 @@ class Measurement:
         """The variables it adds, with initial values. poses: ``(k + 1, 3)`` of the initial walk."""
         return ()
 
+    @abstractmethod
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """All factors at one state; the first block is that of the instances."""
-        return ()
-
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
-        """Associate instances with rooms or corridors along the walk ``at``.
-
-        stray: sigma of that walk, everywhere or at the end of each piece ``(m,)`` [m]; alike: number of pieces in a row
-        with the same error.
-        """
-        return self
-
-    def same_association(self, other: Measurement) -> bool:
-        """True if ``other``, a version of the same kind, has the same rooms or corridors."""
-        return True
-
-    def initialized(self, poses: Array) -> Self:
-        """Initialise unknown variables from the initial poses ``(k + 1, 3)`` (positions of unlisted beacons)."""
-        return self
-
-    def restarted(self, poses: Array) -> Self:
-        """Adapt to a search that starts at other poses ``(k + 1, 3)``."""
-        return self
-
-    def staged(self, stage: Stage) -> Self:
-        """The version for a stage of the search (tighter, looser)."""
-        return self
-
-    def alternatives(self) -> Sequence[Self]:
-        """Versions from whose optima the search must also start, if one local optimum hides another."""
-        return ()
-
-    def refined(self, at: Evaluation) -> Measurement:
-        """The second pass, once a first optimum is known: outliers lose weight, common errors are modelled."""
-        return self
-
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
-        """Assumptions under which the instances might fit better than at ``at``, the most promising first."""
-        return ()
-
-    def displaced(self, by: Array) -> Hypothesis | None:
-        """The assumption that all listed positions are displaced by ``by (2,)`` [m]; None for kinds without a list."""
-        return None
-
-    def corrected(self, at: Evaluation) -> Self | None:
-        """The measurement without listed positions that the optimum ``at`` contradicts; None if there are none."""
-        return None
-
-    def rough_fixes(self) -> Fixes:
-        """Positions to start from where the walk has no other fix."""
-        return Fixes.none()
-
-    def reclassified(self, at: Evaluation) -> Self:
-        """Live: lower the weight of instances far from the walk, and restore it for those that are near again."""
-        return self
-
-    @property
-    def instances(self) -> tuple[Index, Array] | None:
-        """Numbers and times ``(n,)`` [s] of the instances with a report each; None if reports are summaries."""
-        return None
-
-    @property
-    def diverged(self) -> bool:
-        """True if its last instances agree with one another and all lie far from the walk: the estimate diverged."""
-        return False
-
-    def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
-        """True if instances that were used before are now inconsistent with the others."""
-        return False
-
-    def decisions(self) -> dict[str, AnyArray]:
-        """Decisions about its instances, for `continued`."""
-        return {}
-
-    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
-        """Apply earlier decisions to the instances that are still there."""
-        return self
+        ...
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[Any, ...]:
-        """Residual, weight and reason of each instance, or of the instances ``which``."""
+        """Reports, each a dataclass: residual, weight and reason of each instance, or of the instances ``which``."""
         return ()
-
-    @property
-    def price(self) -> float:
-        """Cost of the association in addition to the residuals, in units of half a squared sigma."""
-        return 0.0
 
 
 def initial_state(poses: Array, c: Array, measurements: Iterable[Measurement]) -> State:

@@ -72,7 +72,6 @@ class BeaconRssiFactor(Measurement):
 
     name: ClassVar[str] = "beacons"
     determines_position: ClassVar[bool] = True
-    has_list: ClassVar[bool] = True
 
     @classmethod
     def of(cls, levels: Levels, steps: Steps, prior: Prior, number: Index | None = None) -> BeaconRssiFactor:

@@ -16,7 +16,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Measurement
 from pdr_graph.estimation.factors.heading_prior import heading_block
-from pdr_graph.estimation.factors.start import CorridorUse
+from pdr_graph.estimation.factors.start import CorridorUse, Prior
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.corridor_runs import Run, straight_runs, turns_between
@@ -103,11 +103,6 @@ class CorridorFactor(Measurement):
     name: ClassVar[str] = "corridors"
     on_plan: ClassVar[bool] = True
 
-    @classmethod
-    def about(cls, floor_sequence: FloorSequence, use: CorridorUse) -> CorridorFactor:
-        """The corridors of the floors that a walk is on, associated with none of its runs yet."""
-        return cls(floor_sequence, use, Turns.together([]), np.empty(0, dtype=np.intp), Headings.none())
-
     def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
         """Match the turns and straight runs of the walk ``at``.
 
@@ -127,6 +122,15 @@ class CorridorFactor(Measurement):
         rows = keyframe.astype(np.intp)
         headings = Headings(at.chain.time[rows], direction, sigma)
         return replace(self, turns=Turns.together(turns), keyframe=rows, direction=headings)
+
+    def same_association(self, other: Measurement) -> bool:
+        """True: runs and turns follow the rooms of the walls."""
+        return True
+
+    @property
+    def price(self) -> float:
+        """0: a walk pays for its rooms alone."""
+        return 0.0
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """Factors of the directions of runs, and of the heading changes and places of turns."""
@@ -219,3 +223,11 @@ def _turn(track: _Track, network: Network, before: Run, after: Run, turn: Turn) 
 
 def _bearing(way: Array) -> float:
     return float(np.arctan2(way[1], way[0]))
+
+
+def corridors_on_plan(floor_sequence: FloorSequence, prior: Prior) -> list[CorridorFactor]:
+    """The corridors of the floors of a walk, before their association with its runs; empty if the prior uses none."""
+    if not prior.corridors.any:
+        return []
+    no_turns, nowhere = Turns.together([]), np.empty(0, dtype=np.intp)
+    return [CorridorFactor(floor_sequence, prior.corridors, no_turns, nowhere, Headings.none())]

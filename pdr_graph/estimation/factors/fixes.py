@@ -205,6 +205,11 @@ class FixFactor(Measurement):
         of_receiver = sourced(self.fixes)
         return replace(self, outlier=outlier, held=held, biased=held & of_receiver & (self.flat == 0))
 
+    def misplaced(self, sigma: float) -> Self:
+        """The same fixes with an error of ``sigma`` [m] per axis in addition to theirs."""
+        wider = {name: np.hypot(getattr(self, name), sigma) for name in ("sigma", "independent_sigma")}
+        return replace(self, **wider)
+
     def rejected(self, number: Index) -> Self:
         """Mark the fixes with these numbers as outliers."""
         return self.classified(self.outlier | np.isin(self.number, number), self.held)
@@ -269,6 +274,8 @@ class FixFactor(Measurement):
 
     def decisions(self) -> dict[str, AnyArray]:
         """The masks of outliers, of fixes with a factor, and of the consistent chain; factors of sigmas."""
+        if not len(self):
+            return {}
         masks = {"outlier": self.outlier, "held": self.held, "consistent": self.consistent}
         every = np.ones(len(self))
         numbers = {"number": self.number, "widened": self.widened * every, "wrong": (self.wrong * every) > 0}

@@ -27,6 +27,7 @@ from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Hypo
 from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.receivers import ALONG, alike, by_source, drift
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array, Complex, Index, Steps
 
@@ -82,14 +83,14 @@ class GnssBias(Measurement):
     symbol_throughout: ClassVar[str] = "o"
 
     @classmethod
-    def of(cls, fixes: FixFactor, steps: Steps) -> GnssBias:
-        """The biases of the receivers whose fixes are marked as biased."""
+    def of(cls, fixes: FixFactor, steps: Steps, prior: Prior | None = None, number: Index | None = None) -> GnssBias:
+        """The biases of the receivers whose fixes are marked as biased; made from the kind of the fixes."""
         sources = by_source(fixes.fixes, fixes.biased)
         offset, white = _sigmas(fixes, sources, steps)
         parts = [_nodes(fixes.fixes.time[rows], offset[rows], steps, fixes.fixes.source[rows[0]]) for rows in sources]
         none = ((np.empty(0, np.intp), np.empty(0), np.empty(0, np.intp), np.empty(0), np.empty(0), np.empty(0)),)
-        node, share, number, sigma, keep, elapsed = ([*column] for column in zip(*(parts or none), strict=True))
-        first = np.cumsum([0] + [len(n) for n in number[:-1]])
+        node, share, numbers, sigma, keep, elapsed = ([*column] for column in zip(*(parts or none), strict=True))
+        first = np.cumsum([0] + [len(n) for n in numbers[:-1]])
         joined = np.concatenate(sources) if sources else np.empty(0, np.intp)
         return cls(
             fixes=fixes,
@@ -99,11 +100,11 @@ class GnssBias(Measurement):
             white=white[joined],
             node=np.concatenate([n + f for n, f in zip(node, first, strict=True)]),
             share=np.concatenate(share),
-            node_number=np.concatenate(number),
+            node_number=np.concatenate(numbers),
             sigma=np.concatenate(sigma),
             keep=np.concatenate(keep),
             elapsed=np.concatenate(elapsed),
-            receiver=np.repeat(np.arange(len(number)), [len(n) for n in number]),
+            receiver=np.repeat(np.arange(len(numbers)), [len(n) for n in numbers]),
             receiver_number=np.array([_number(fixes.fixes.source[rows[0]]) for rows in sources], dtype=np.intp),
             usual=np.array([np.median(offset[rows]) for rows in sources]),
         )

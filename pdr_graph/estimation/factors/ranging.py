@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from scipy.special import erfcx
 
-from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Variables
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.losses import HUBER_WIDTH, Loss, RobustLoss, huber_weight
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
@@ -162,7 +162,11 @@ class RangeFactor(Measurement):
         """Model detours in the second pass."""
         return self if self.detours else replace(self, detours=True)
 
-    def continued(self, decisions: Mapping[str, Array]) -> Self:
+    def decisions(self) -> dict[str, AnyArray]:
+        """None: a detour is weighed anew at every state."""
+        return {}
+
+    def continued(self, decisions: Mapping[str, AnyArray]) -> Self:
         """Model detours at once, since a live walk starts near its optimum."""
         return replace(self, detours=True)
 

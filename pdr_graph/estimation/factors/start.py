@@ -28,6 +28,11 @@ class CorridorUse:
     turns: bool = False
     directions: bool = False
 
+    @property
+    def any(self) -> bool:
+        """True if any is used."""
+        return self.turns or self.directions
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -147,26 +152,6 @@ class StartFactor(Measurement):
 
     name: ClassVar[str] = "start"
 
-    @classmethod
-    def heading(cls, heading: float) -> StartFactor:
-        """A loose prior of the first heading [rad]: fixes determine the position."""
-        return cls(np.array([0.0, 0.0, heading]), np.array([np.inf, np.inf, ANY_HEADING]))
-
-    @classmethod
-    def fixed(cls, pose: Array) -> StartFactor:
-        """A pose ``(3,)`` that defines the frame."""
-        return cls(pose, np.full(3, FRAME_SIGMA))
-
-    @classmethod
-    def frame(cls, heading: float, plan_size: float | None, known_heading: bool) -> StartFactor:
-        """The start at (0, 0) of a walk without fixes: it defines the frame, or is anywhere on a plan of this size [m].
-
-        known_heading: a compass measures the direction.
-        """
-        place = FRAME_SIGMA if plan_size is None else plan_size
-        turn = FRAME_SIGMA if plan_size is None and not known_heading else ANY_HEADING
-        return cls(np.array([0.0, 0.0, heading]), np.array([place, place, turn]))
-
     def restarted(self, poses: Array) -> Self:
         """Centre the prior on the heading of the new start."""
         return replace(self, pose=np.append(self.pose[:2], poses[0, 2]))
@@ -194,3 +179,30 @@ class StartFactor(Measurement):
         # GTSAM's prior of a whole pose uses the logarithm, in which the cost of a position depends on the heading error
         number, exported = at.state.number("x")[first], None if held.all() else native
         return [FactorBlock.uniform(self.name, (root @ off)[None], [("x", first)], jacobian, number, native=exported)]
+
+
+def calibration_prior(
+    begins: Mapping[int, tuple[Array, Array]], change: tuple[float, float, float]
+) -> CalibrationFactor:
+    """Prior and slow change of the calibration; arguments as of `CalibrationFactor`."""
+    return CalibrationFactor(begins, change)
+
+
+def first_heading_prior(heading: float) -> StartFactor:
+    """A loose prior of the first heading [rad]: fixes determine the position."""
+    return StartFactor(np.array([0.0, 0.0, heading]), np.array([np.inf, np.inf, ANY_HEADING]))
+
+
+def first_pose_prior(pose: Array, sigmas: Array | None = None) -> StartFactor:
+    """A prior of the first pose ``(3,)``, which defines the frame unless its sigmas ``(3,)`` [m, m, rad] are stated."""
+    return StartFactor(pose, np.full(3, FRAME_SIGMA) if sigmas is None else sigmas)
+
+
+def start_prior(heading: float, plan_size: float | None, known_heading: bool) -> StartFactor:
+    """The start at (0, 0) of a walk without fixes: it defines the frame, or is anywhere on a plan of this size [m].
+
+    known_heading: a compass measures the direction.
+    """
+    place = FRAME_SIGMA if plan_size is None else plan_size
+    turn = FRAME_SIGMA if plan_size is None and not known_heading else ANY_HEADING
+    return StartFactor(np.array([0.0, 0.0, heading]), np.array([place, place, turn]))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
+from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import NOWHERE, STRAY
 from pdr_graph.floor.distance_field import DistanceField
@@ -69,13 +70,8 @@ class WallFactor(Measurement):
     name: ClassVar[str] = "walls"
     on_plan: ClassVar[bool] = True
 
-    @classmethod
-    def about(cls, floor_sequence: FloorSequence, margin: float, sigma: float) -> WallFactor:
-        """The walls of the floors of a walk, before their association with its pieces."""
-        return cls(floor_sequence, (), np.full(len(floor_sequence.level), NOWHERE), 0.0, margin, sigma)
-
     def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
-        """Associate each piece with the walls of its region along the walk ``at``; stray, alike: see the base class."""
+        """Associate each piece with the walls of its region along the walk ``at``; stray, alike: see `OnPlan`."""
         if self.floor_sequence is None:
             return self
         fields, field_of, price = self.floor_sequence.walls_along(at.ends[:, :2], at.pieces.length > 0, stray, alike)
@@ -151,3 +147,19 @@ class WallFactor(Measurement):
     def price(self) -> float:
         """Price of the regions that the walk leads through."""
         return self.region_price
+
+
+def steps_between_keyframes() -> StepFactor:
+    """The steps of a walk, one factor for each interval of its chain."""
+    return StepFactor()
+
+
+def walls_on_plan(floor_sequence: FloorSequence, prior: Prior) -> WallFactor:
+    """The walls of the floors of a walk, before their association with its pieces."""
+    nowhere = np.full(len(floor_sequence.level), NOWHERE)
+    return WallFactor(floor_sequence, (), nowhere, 0.0, prior.wall_margin, prior.wall_sigma)
+
+
+def walls_of_fields(fields: Sequence[DistanceField], field_of: Index, prior: Prior) -> WallFactor:
+    """The walls with which the pieces of a walk are associated; field_of: ``(m,)`` field of each piece, −1 none."""
+    return WallFactor(None, tuple(fields), field_of, 0.0, prior.wall_margin, prior.wall_sigma)

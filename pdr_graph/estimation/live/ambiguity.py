@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.estimation.factors import kind_of_type, made_from
 from pdr_graph.estimation.factors.base import poses_at
-from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.protocols import Gated
 from pdr_graph.estimation.factors.receivers import sourced
 from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
@@ -185,7 +186,7 @@ class LiveAmbiguity:
     def unexpected_fixes(self) -> Index:
         """Numbers of the fixes since the last keyframe that are beyond the gate of the predicted position.
 
-        The errors of a receiver's fixes are common: its jumps are for `GnssBias`.
+        The errors of a receiver's fixes are common: its jumps are a bias.
         """
         window, fixes, numbers = self.graph.window, self.graph.log.rows(Fixes), self.graph.log.numbers("fixes")
         if not self.output.sure or fixes is None or numbers is None:
@@ -205,9 +206,11 @@ class LiveAmbiguity:
         unexpected: numbers of fixes that become outliers, before they draw the walk across walls.
         """
         measurements, decisions = self.graph.factors.measurements, self.graph.decisions
-        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in measurements])
-        fixes = [kind.rejected(unexpected) for kind in measurements if isinstance(kind, FixFactor)]
-        if self.graph.store_decisions([*measurements, *fixes]) and len(unexpected):
+        gated = [kind for kind in measurements if isinstance(kind, Gated)]
+        contradicted = any([kind.contradicts(decisions.get(kind.name, {})) for kind in gated])
+        fixes = made_from(Fixes, measurements)
+        rejected = [] if fixes is None else [fixes.rejected(unexpected)]
+        if self.graph.store_decisions([*measurements, *rejected]) and len(unexpected):
             self.graph.log.version += 1
         return contradicted
 
@@ -215,11 +218,12 @@ class LiveAmbiguity:
         """Lower the weight of measurements far from the walk; restore it for those that are near again."""
         graph = self.graph
         at = graph.at
-        reclassified = [measurement.reclassified(at) for measurement in at.measurements]
+        kinds = at.measurements
+        reclassified = [kind.reclassified(at) if isinstance(kind, Gated) else kind for kind in kinds]
         if graph.store_decisions(reclassified):
             graph.log.version += 1
             graph.solve()
-        diverged = any(measurement.diverged for measurement in reclassified)
+        diverged = any(kind.diverged for kind in reclassified if isinstance(kind, Gated))
         if diverged and graph.window.times[-1] >= self.next_batch:
             self.restart()
 
@@ -466,8 +470,9 @@ class LiveAmbiguity:
 
 def _were_rejected(before: Decisions, adopted: Decisions) -> bool:
     """True if the adopted decisions are about fixes alone, and those now wrong had no weight before either."""
-    if set(adopted) != {FixFactor.name} or FixFactor.name not in before:
+    name = kind_of_type(Fixes).name
+    if set(adopted) != {name} or name not in before:
         return False
-    old, new = before[FixFactor.name], adopted[FixFactor.name]
+    old, new = before[name], adopted[name]
     rejected = old["number"][~old["held"].astype(bool) | old["outlier"].astype(bool)]
     return bool(np.isin(new["number"][new["wrong"].astype(bool)], rejected).all())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.estimation.factors.base import poses_at
+from pdr_graph.estimation.factors.protocols import decisions_of
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS, sigma_direction
 from pdr_graph.estimation.kalman import HOPELESS, GaussianMixture
@@ -103,7 +104,7 @@ class BatchQuestion:
         return solution.path, solution.decisions
 
     def _decisions(self, graph: WalkGraph) -> Decisions:
-        found = {measurement.name: measurement.decisions() for measurement in graph.measurements}
+        found = {kind.name: decisions_of(kind) for kind in graph.measurements}
         return {name: numbered(rows, self.numbers.get(name)) for name, rows in found.items() if rows}
 
 

@@ -15,12 +15,13 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
-from pdr_graph.estimation.factors.corridor import CorridorFactor
-from pdr_graph.estimation.factors.marginal import MarginalFactor, marginalized
-from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
-from pdr_graph.estimation.factors.steps_and_walls import StepFactor
+from pdr_graph.estimation.factors.corridor import corridors_on_plan
+from pdr_graph.estimation.factors.protocols import Itemized, decisions_of
+from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
+from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
+from pdr_graph.estimation.live.marginal import MarginalFactor, marginalized
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
     Collector,
@@ -119,7 +120,7 @@ class LiveGraph:
         self.c_prior = np.array(self.prior.mean), self.prior.covariance
         self.decisions: Decisions = {}
         self.too_late, self.excess, self.failures, self.iterations = 0, Excess.none(), list[str](), 0
-        self._begins, self._hold = 0, (0, StartFactor.fixed(np.zeros(3)))
+        self._begins, self._hold = 0, (0, first_pose_prior(np.zeros(3)))
         self._arrivals = list[float]()  # times of measurements that the steps have not reached
         self._others: dict[str, dict[int, Array]] = {}  # estimates of the variables that measurements add
         self._priors: Priors = frozenset()  # of these variables, those that hold
@@ -211,7 +212,7 @@ class LiveGraph:
 
     def _built(self) -> WindowFactors:
         part = self.window.part()
-        measurements = [StepFactor(), *self._measured(part), *self._priors_of(part), *self._on_plan(part)]
+        measurements = [steps_between_keyframes(), *self._measured(part), *self._priors_of(part), *self._on_plan(part)]
         state = part.state(measurements, self._others)
         if self._left is not None:
             self._marginalize(self._left, state)
@@ -237,16 +238,17 @@ class LiveGraph:
         begins = {row[self._begins]: self.c_prior} if self._begins in row else {}
         keyframe, hold = self._hold
         held = [hold] if part.chain.number[0] == keyframe else []
-        return [CalibrationFactor(begins, self.prior.change), *held]
+        return [calibration_prior(begins, self.prior.change), *held]
 
     def _on_plan(self, part: Part) -> list[Measurement]:
         """Factors of walls and corridors, if the plan is used."""
-        walls, use, plan = part.walls(), self.prior.corridors, self.window.located_plan
+        walls, plan = part.walls(), self.window.located_plan
         evidence: list[Measurement] = [] if walls is None else [walls]
-        if plan is not None and (use.turns or use.directions) and part.intervals:
+        if plan is not None and self.prior.corridors.any and part.intervals:
             labels = [interval.label for interval in part.intervals for _ in interval.fields]
             at = part.chain.evaluate(part.state())
-            evidence.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
+            corridors = corridors_on_plan(FloorSequence.of(plan, labels), self.prior)
+            evidence += [kind.associated(at) for kind in corridors]
         return evidence
 
     def _new_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> Priors:
@@ -328,7 +330,7 @@ class LiveGraph:
         self.leaving_after, self.marginals, self._left = lag, [], None
         self._others, self._priors = {}, frozenset()
         self._begins, pose = self.window.segments[0], self.window.pose[0].copy()
-        hold = StartFactor.heading(float(pose[2])) if self.has_position else StartFactor.fixed(pose)
+        hold = first_heading_prior(float(pose[2])) if self.has_position else first_pose_prior(pose)
         self._hold = self.window.keyframes[0], hold
         self.log.version += 1  # the decisions may have changed
         self.moved()
@@ -422,7 +424,7 @@ class LiveGraph:
     def _report_until(self, until: float, at: Evaluation) -> None:
         """Store the reports of instances from before ``until`` [s]."""
         for measurement in at.measurements:
-            if measurement.instances is None:
+            if not isinstance(measurement, Itemized):
                 continue
             numbers, times = measurement.instances
             early = np.flatnonzero(times < until)
@@ -436,7 +438,7 @@ class LiveGraph:
         """Store the decisions about measurements; True if any has changed."""
         changed = False
         for measurement in measurements:
-            if decided := measurement.decisions():
+            if decided := decisions_of(measurement):
                 stored = self.decisions.get(measurement.name, {})
                 merged = merged_decisions(stored, decided)
                 changed |= not same_decisions(stored, merged)
@@ -511,7 +513,7 @@ class LiveGraph:
         self.log.restore(checkpoint.tables)
         self.decisions, self.too_late = checkpoint.decisions, checkpoint.too_late
         self.c_prior, self._begins = (checkpoint.c_mean, checkpoint.c_covariance), checkpoint.begins
-        self._hold = checkpoint.hold_keyframe, StartFactor(checkpoint.hold_pose, checkpoint.hold_sigmas)
+        self._hold = checkpoint.hold_keyframe, first_pose_prior(checkpoint.hold_pose, checkpoint.hold_sigmas)
         self._arrivals = list(checkpoint.arrivals)
         self.finalized.restore(checkpoint.past)
         for collector, stored in zip(self.collectors, checkpoint.collectors, strict=True):

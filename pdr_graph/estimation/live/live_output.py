@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.estimation.covariance import covariance_of_ends
+from pdr_graph.estimation.factors import made_from
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.protocols import Itemized
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.estimation.live.live_graph import LiveGraph
@@ -132,9 +133,7 @@ class LiveOutput:
         rows = self.graph.log.rows(Fixes)
         if rows is None or not ((rows.time > begin + CLOSE) & (rows.time <= end)).any():
             return []
-        factor = next(
-            (measurement for measurement in self.graph.factors.measurements if isinstance(measurement, FixFactor)), None
-        )
+        factor = made_from(Fixes, self.graph.factors.measurements)
         positions = []
         for n in np.flatnonzero((rows.time > begin + CLOSE) & (rows.time <= end)).tolist():
             share = 1.0
@@ -191,7 +190,7 @@ class LiveOutput:
         }  # of kinds that left the window whole
         for measurement in at.measurements:
             reports = measurement.reports(at)
-            if measurement.instances is not None:
+            if isinstance(measurement, Itemized):
                 reports = tuple(
                     {
                         **past.get(measurement.name, {}),

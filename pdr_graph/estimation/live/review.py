@@ -19,6 +19,7 @@ import numpy as np
 
 from pdr_graph.contradiction import Contradiction
 from pdr_graph.estimation.factors.base import Hypothesis, poses_at
+from pdr_graph.estimation.factors.protocols import decisions_of
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, explanations
 from pdr_graph.estimation.live.measurement_log import Decisions, numbered
@@ -160,7 +161,7 @@ class Question:
         if best is kept:  # no source says more about it than before
             found, excess = self.before, excess if self.walled else None
         kinds, chain = self.before.kinds | found.kinds, best.at.chain
-        decisions = {kind.name: kind.decisions() for kind in best.graph.measurements if kind.name in kinds}
+        decisions = {kind.name: decisions_of(kind) for kind in best.graph.measurements if kind.name in kinds}
         return Review(
             findings=found,
             decisions={name: numbered(rows, self.numbers.get(name)) for name, rows in decisions.items()},
@@ -216,7 +217,7 @@ def _texts(optimum: Optimum) -> frozenset[str]:
 def _adoptable(optimum: Optimum) -> bool:
     """True if a window can adopt all assumptions: their kinds have decisions."""
     kinds = {kind.name for hypothesis in optimum.assumed for kind in hypothesis.measurements}
-    return all(kind.decisions() for kind in optimum.graph.measurements if kind.name in kinds)
+    return all(decisions_of(kind) for kind in optimum.graph.measurements if kind.name in kinds)
 
 
 def _excess(optima: list[Optimum], weight: Array) -> Excess:

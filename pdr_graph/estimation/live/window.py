@@ -12,7 +12,7 @@ from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, St
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.preintegration import Bridge, Pieces, preintegrate
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.factors.steps_and_walls import walls_of_fields, walls_on_plan
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint
 from pdr_graph.floor.building import Building, FloorSequence
@@ -152,9 +152,7 @@ class Window:
         count = np.cumsum([len(interval.fields) for interval in reversed(self.intervals)])
         last = self.part(1 + int(np.searchsorted(count, min(pieces, count[-1]))))
         labels = [interval.label for interval in last.intervals for _ in interval.fields]
-        walls = WallFactor.about(
-            FloorSequence.of(self.located_plan, labels), self.prior.wall_margin, self.prior.wall_sigma
-        )
+        walls = walls_on_plan(FloorSequence.of(self.located_plan, labels), self.prior)
         walls = walls.associated(last.chain.evaluate(last.state()))
         named = [walls.fields[n] if n >= 0 else None for n in walls.field_of.tolist()]
         changed = False
@@ -297,7 +295,7 @@ class Part:
                 numbers[new.symbol] = new.number
         return State(arrays, numbers)
 
-    def walls(self) -> WallFactor | None:
+    def walls(self) -> Measurement | None:
         """The walls that its pieces are associated with; None without a plan."""
         if self.window.plan is None:
             return None
@@ -305,6 +303,5 @@ class Part:
         field_of = [
             number.setdefault(field, len(number) - 1) for interval in self.intervals for field in interval.fields
         ]
-        fields = tuple(field for field in number if field is not None)
-        prior = self.window.prior
-        return WallFactor(None, fields, np.array(field_of, dtype=np.intp), 0.0, prior.wall_margin, prior.wall_sigma)
+        fields = [field for field in number if field is not None]
+        return walls_of_fields(fields, np.array(field_of, dtype=np.intp), self.window.prior)

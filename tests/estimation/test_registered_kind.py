@@ -1,0 +1,323 @@
+"""A kind of measurement that is defined here, and registered by one call, runs through every part of the package."""
+
+import json
+import os
+import signal
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import simulated
+from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
+from walks import drawn_from_the_model
+
+import pdr_graph as pdr
+from pdr_graph import io, outputs
+from pdr_graph.estimation.factors import KINDS
+from pdr_graph.geometry import interpolate
+from pdr_graph.inputs import read
+from pdr_graph.io.tables import read_trajectory
+from pdr_graph.lifelog.build import build
+from pdr_graph.lifelog.ingest import add
+from pdr_graph.lifelog.observation import observe, read_observation
+from pdr_graph.lifelog.store import RecordingOptions, Store
+from pdr_graph.pipeline import estimate
+from pdr_graph.pipeline import observe as evidence_of
+from pdr_graph.progress import Stages
+from pdr_graph.walk_options import Options
+
+SIGMA = 0.2  # [m]
+EVERY = 3.0  # [s] between two lines
+
+
+@dataclass(frozen=True)
+class Anchorline:
+    """Distances from lines: n·p = offset [m], normal ``(n, 2)``, sigma ``(n,)`` [m]."""
+
+    time: np.ndarray
+    offset: np.ndarray
+    normal: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class LineReport:
+    time: float
+    residual: float
+    weight: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorlineFactor(pdr.Measurement):
+    """r = (n·p − offset) / σ."""
+
+    lines: Anchorline
+    number: np.ndarray
+    keyframe: np.ndarray
+    name: ClassVar[str] = "anchor_lines"
+    determines_position: ClassVar[bool] = True
+
+    @classmethod
+    def of(cls, lines, steps, prior, number):
+        return cls(lines, number, np.full(len(number), -1))
+
+    def keyframe_times(self):
+        return self.lines.time
+
+    def bind(self, chain):
+        return replace(self, keyframe=chain.keyframe(self.lines.time))
+
+    def factors(self, at):
+        which = np.flatnonzero(self.keyframe >= 0)
+        keyframe, normal, sigma = self.keyframe[which], self.lines.normal[which], self.lines.sigma[which]
+        x, y, heading = at.state.poses[keyframe].T
+        residual = (normal[:, 0] * x + normal[:, 1] * y - self.lines.offset[which]) / sigma
+
+        def jacobian():
+            cos, sin = np.cos(heading), np.sin(heading)
+            ahead = normal[:, 0] * cos + normal[:, 1] * sin
+            left = normal[:, 1] * cos - normal[:, 0] * sin
+            return [np.stack([ahead, left, 0 * ahead], axis=1)[:, None] / sigma[:, None, None]]
+
+        return [pdr.FactorBlock.uniform(self.name, residual[:, None], [("x", keyframe)], jacobian, self.number[which])]
+
+    def reports(self, at, which=None):
+        [block] = at.blocks_of(self.name)
+        off, time = block.residual * self.lines.sigma[self.keyframe >= 0], self.lines.time[self.keyframe >= 0]
+        return tuple(LineReport(float(t), float(r), 1.0, "on the line") for t, r in zip(time, off, strict=True))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def registered():
+    """The one call."""
+    pdr.register(Anchorline, AnchorlineFactor)
+    yield
+    del KINDS[Anchorline]
+
+
+def lines_along(truth, seed=0):
+    """A line every three seconds, across x and across y in turn, where the truth is to 0.2 m."""
+    time = np.arange(truth.time[0] + 1.0, truth.time[-1] - 1.0, EVERY)
+    normal = np.eye(2)[np.arange(len(time)) % 2]
+    along = np.sum(interpolate(time, truth.time, truth.position) * normal, axis=1)
+    noise = np.random.default_rng(seed).normal(0, SIGMA, len(time))
+    return Anchorline(time, along + noise, normal, np.full(len(time), SIGMA))
+
+
+def drawn(seed=0, n=100):
+    """Steps, fixes, truth and lines of a walk drawn from the model."""
+    steps, fixes, truth = drawn_from_the_model(n, seed)
+    return replace(steps, end=float(steps.time[-1])), fixes, truth, lines_along(truth, seed)
+
+
+def error(track, truth):
+    """Median distance of a trajectory from the truth [m]."""
+    return np.median(np.hypot(*(interpolate(truth.time, track.time, track.position) - truth.position).T))
+
+
+def median_sigma(track):
+    """Median standard deviation of the position per axis [m]."""
+    return np.median(np.sqrt(np.trace(track.covariance[:, :2, :2], axis1=1, axis2=2) / 2))
+
+
+def test_smooth_follows_the_lines_and_is_surer_with_them():
+    """Fixes of 1.5 m alone are worse by far; each line is reported with its distance from the walk."""
+    steps, fixes, truth, lines = drawn()
+    alone = pdr.smooth(pdr.WalkGraph(steps, fixes))
+    along = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines]))
+    assert error(along.trajectory, truth) < 0.5 * error(alone.trajectory, truth)
+    assert median_sigma(along.trajectory) < 0.5 * median_sigma(alone.trajectory)
+    reports = along.reports["anchor_lines"]
+    assert [report.time for report in reports] == lines.time.tolist()
+    assert np.median(np.abs([report.residual for report in reports])) < 2 * SIGMA
+
+
+def test_lines_alone_place_a_walk():
+    """They measure x and y in turn, so that no fix is needed; none lies near the walk's start at (0, 0)."""
+    steps, _, truth, lines = drawn(4)
+    estimate = pdr.smooth(pdr.WalkGraph(steps, measurements=[lines]))
+    assert error(estimate.trajectory, truth) < 0.5
+    assert not np.isnan(estimate.probability)
+
+
+def test_derivatives_and_gtsams_error_are_those_of_ours():
+    steps, fixes, _, lines = drawn(1, 30)
+    graph = pdr.WalkGraph(steps, fixes, measurements=[lines])
+    for seed in range(2):
+        state = random_state(graph, np.random.default_rng(seed))
+        assert "anchor_lines" in assert_derivatives(graph, state)
+        assert_gtsam_agrees(graph, state)
+
+
+def events(steps, fixes, lines):
+    """The steps one by one, each followed by the fixes and lines of its time."""
+    begin, done = steps.start, -np.inf
+    for k, end in enumerate(steps.time.tolist()):
+        columns = {name: v[k : k + 1] for name, v in vars(steps).items() if isinstance(v, np.ndarray)}
+        yield pdr.Steps(begin, end, **columns)
+        new, begin = (lines.time > done) & (lines.time <= end), end
+        if new.any():
+            yield Anchorline(*(column[new] for column in vars(lines).values()))
+        if ((fixes.time > done) & (fixes.time <= end)).any():
+            yield fixes[(fixes.time > done) & (fixes.time <= end)]
+        done = end
+
+
+def test_a_live_walk_with_an_endless_lag_is_that_of_the_batch():
+    steps, fixes, truth, lines = drawn(2)
+    batch = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines])).trajectory
+    nav = pdr.Navigator(lag=None)
+    for event in events(steps, fixes, lines):
+        nav.push(event)
+    live = nav.trajectory
+    apart = np.hypot(*(interpolate(live.time, batch.time, batch.position) - live.position).T)
+    assert np.median(apart) < 0.02, "0.5 m without the lines"
+    assert len(nav.finish().reports["anchor_lines"]) == len(lines.time)
+    assert error(live, truth) < 0.5
+
+
+def test_rows_that_are_not_finite_are_counted_and_left_out():
+    """No limits are stated for the columns of this type."""
+    steps, fixes, _, lines = drawn(2, 40)
+    nav = pdr.Navigator(lag=None)
+    damaged = replace(lines, offset=np.where(np.arange(len(lines.time)) == 1, np.nan, lines.offset))
+    for event in events(steps, fixes, damaged):
+        nav.push(event)
+    assert "anchor_lines: 1 could not be used" in nav.status.issues
+    assert np.isfinite(nav.trajectory.position).all()
+    assert len(nav.finish().reports["anchor_lines"]) == len(lines.time) - 1
+
+
+def journal_of(path):
+    return pdr.Journal.open(path, pdr.Navigator, lambda state: pdr.Navigator.restored(state), every=37)
+
+
+def test_a_killed_process_loses_no_line(tmp_path):
+    """The journal of a process that was killed goes on with the walk of one that was not, bit by bit."""
+    arriving = list(events(*(drawn(3)[n] for n in (0, 1, 3))))
+    half = len(arriving) // 2
+    if not (child := os.fork()):
+        try:
+            journal = journal_of(tmp_path / "killed")
+            for event in arriving[:half]:
+                journal.push(event)
+        finally:
+            os.kill(os.getpid(), signal.SIGKILL)
+    assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
+    tracks = []
+    for name, begin in (("killed", half), ("whole", 0)):
+        with journal_of(tmp_path / name) as journal:
+            assert journal.count == begin
+            for event in arriving[begin:]:
+                journal.push(event)
+            tracks.append(journal.trajectory)
+    assert np.array_equal(tracks[0].position, tracks[1].position)
+    assert np.array_equal(tracks[0].covariance, tracks[1].covariance)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A simulated recording with two fixes 2 m off; its truth and lines along it."""
+    folder = tmp_path_factory.mktemp("lines")
+    simulated.indoor_location(folder, np.array([(40.0, 30.0), (65.0, 30.0), (65.0, 42.0), (40.0, 42.0)]), seed=4)
+    walk = io.load(folder / "walk.txt")
+    truth = read_trajectory(folder / "truth.csv", walk)
+    rows = [(t, *(p + 2.0), 3.0) for t, p in zip(truth.time[[20, -20]], truth.position[[20, -20]], strict=True)]
+    lines = [",".join(f"{value:.3f}" for value in (row[0] + walk.clock_origin, *row[1:])) for row in rows]
+    (folder / "fixes.csv").write_text("\n".join(["time,x,y,sigma", *lines]) + "\n")
+    return folder, truth, lines_along(truth)
+
+
+def test_report_and_summary_list_the_lines(recorded, tmp_path):
+    folder, truth, lines = recorded
+    options = Options(fixes=folder / "fixes.csv")
+    walk = replace(io.load(folder / "walk.txt"), measurements=(lines,))
+    inputs = read(folder / "walk.txt", options, walk=walk)
+    result = estimate(evidence_of(inputs, options))
+    assert error(result.estimate.trajectory, truth) < 0.4
+    assert outputs.write(tmp_path, inputs, result, options, Stages()) == ()
+    assert "Anchor lines" in (tmp_path / "report.html").read_text()
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert len(summary["reports"]["anchor_lines"]) == len(lines.time)
+    assert summary["reports"]["anchor_lines"][0]["time"] == pytest.approx(lines.time[0] + walk.clock_origin)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_lifelog_stores_the_lines_and_builds_days_with_them(recorded, tmp_path, workers):
+    """What reads the lines of a recording is the caller's; the store has them from then on."""
+    folder, truth, lines = recorded
+
+    def with_lines(path, options):
+        return replace(observe(path, options), measurements=(lines,))
+
+    add(tmp_path / "log", [folder / "walk.txt"], RecordingOptions(fixes=folder / "fixes.csv"))
+    assert build(tmp_path / "log", workers=workers, observe=with_lines).failures == ()
+    with Store(tmp_path / "log") as log:
+        [entry], [(person, date)] = log.entries(), log.days()
+        [stored] = read_observation(log.folder / "observations" / entry.observation).measurements
+        [outing] = log.day(person, date).outings
+    assert isinstance(stored, Anchorline)
+    assert np.array_equal(stored.offset, lines.offset)
+    assert error(outing.trajectory, truth) < 0.4
+
+
+def test_the_example_of_the_page_is_the_kind_above():
+    """Run as it is printed in CONTRIBUTING.md: the walk is the same, and no report is needed."""
+    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    code = page.split("## A factor")[1].split("```python\n")[1].split("```")[0]
+    steps, fixes, _, lines = drawn(5, 40)
+    here = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[lines]))
+    del KINDS[Anchorline]
+    module = ModuleType("example_of_the_page")
+    sys.modules[module.__name__] = module
+    exec(compile(code, "CONTRIBUTING.md", "exec"), vars(module))
+    theirs = module.Anchorline(**vars(lines))
+    there = pdr.smooth(pdr.WalkGraph(steps, fixes, measurements=[theirs]))
+    del KINDS[module.Anchorline], sys.modules[module.__name__]
+    pdr.register(Anchorline, AnchorlineFactor)
+    assert there.trajectory.position == pytest.approx(here.trajectory.position, abs=1e-9)
+
+
+def test_what_cannot_be_registered_is_refused():
+    @dataclass
+    class Changing:
+        time: np.ndarray
+
+    @dataclass(frozen=True)
+    class Timeless:
+        place: np.ndarray
+
+    @dataclass(frozen=True)
+    class Ranges:
+        time: np.ndarray
+
+    class Nameless(AnchorlineFactor):
+        name = ""
+
+    class Taken(AnchorlineFactor):
+        name = "walls"
+
+    for data, kind, reason in (
+        (Changing, AnchorlineFactor, "frozen=True"),
+        (Timeless, AnchorlineFactor, "expected a frozen dataclass with time"),
+        (Anchorline, Anchorline, "expected subclasses of Measurement"),
+        (Anchorline, Nameless, "without a name"),
+    ):
+        with pytest.raises(TypeError, match=reason):
+            pdr.register(data, kind)
+    for data, kind, reason in (
+        (Ranges, AnchorlineFactor, "another type of this name is registered"),
+        (pdr.Fixes, AnchorlineFactor, "another type of this name is registered"),
+        (Anchorline, Taken, "is registered"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            pdr.register(data, kind)
+    with pytest.raises(TypeError, match="found Timeless, expected one of"):
+        pdr.WalkGraph(drawn(0, 20)[0], measurements=[Timeless(np.zeros((1, 2)))])
+    pdr.register(Anchorline, AnchorlineFactor)  # again, as in a notebook
+    assert list(KINDS).count(Anchorline) == 1
