@@ -25,7 +25,7 @@ from pdr_graph.types import Array, Index, Mask
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation, Priors
 
-DETERMINED = 1e-9  # share of the largest eigenvalue of RᵀR below which a direction is not determined
+ROUNDING, TINY = 1e-13, 1e-30  # share of the information of a number that rounding errors leave; least information
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +83,16 @@ def _row(at: Evaluation, symbol: str, number: int) -> int:
 
 def _schur_complement(information: Array, gradient: Array, a: int) -> tuple[Array, Array]:
     """R ``(m, n − a)`` and d ``(m,)`` of the last variables of a dense system, without its first ``a`` numbers."""
-    scale = np.maximum(np.diag(information)[:a], 1e-12)
-    factor = cho_factor(information[:a, :a] + 1e-12 * np.diag(scale))
+    scale = np.sqrt(np.maximum(np.diag(information), TINY))  # of numbers in metres and radians, near and after a gap
+    information, gradient = information / np.outer(scale, scale), gradient / scale
+    factor = cho_factor(information[:a, :a] + ROUNDING * np.eye(a))
     across = cho_solve(factor, np.column_stack([information[:a, a:], gradient[:a]]))
     schur = information[a:, a:] - information[:a, a:].T @ across[:, :-1]
     value, vector = np.linalg.eigh((schur + schur.T) / 2)
-    kept = value > DETERMINED * max(float(value[-1]), 1e-12)
+    kept = value > ROUNDING
     root = np.sqrt(value[kept])[:, None] * vector[:, kept].T
-    return root, (vector[:, kept].T @ (gradient[a:] - information[:a, a:].T @ across[:, -1])) / np.sqrt(value[kept])
+    offset = (vector[:, kept].T @ (gradient[a:] - information[:a, a:].T @ across[:, -1])) / np.sqrt(value[kept])
+    return root * scale[a:], offset
 
 
 def marginalized(at: Evaluation, leaving: Mask) -> tuple[MarginalFactor | None, Priors]:
