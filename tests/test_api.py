@@ -22,7 +22,7 @@ Building(floors)
 Calibration(start, value, covariance, prior_sigma)
 Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
-contradictions=, routes=, placed=)
+contradictions=, routes=, placed=, graph=)
 Event
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
