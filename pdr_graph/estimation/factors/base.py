@@ -8,7 +8,7 @@ reports and journal loop over a list of them and name none.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from itertools import pairwise
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss
 from pdr_graph.floor.cells import STRAY
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
+from pdr_graph.measurements import take
 from pdr_graph.types import Array, Fixes, Index
 
 if TYPE_CHECKING:
@@ -366,6 +367,21 @@ class Measurement:
     def initialized(self, poses: Array) -> Self:
         """Initialise unknown variables from the initial poses ``(k + 1, 3)`` (positions of unlisted beacons)."""
         return self
+
+    def repeated(self, which: Index, keyframe: Index) -> Self:
+        """The instances ``which (n,)``, any of them several times, bound to other keyframes ``(n,)``.
+
+        By default for kinds with a ``keyframe`` of each instance: all columns and tables with as many rows.
+        """
+        bound: Index = vars(self)["keyframe"]
+        columns = {each.name: vars(self)[each.name] for each in fields(self)}  # type: ignore[arg-type]
+        changed: dict[str, Any] = {}
+        for name, column in columns.items():
+            if isinstance(column, np.ndarray) and len(column) == len(bound):
+                changed[name] = column[which]
+            elif hasattr(column, "time") and len(column) == len(bound):
+                changed[name] = take(column, which)
+        return replace(self, **(changed | {"keyframe": keyframe}))  # type: ignore[type-var]
 
     def restarted(self, poses: Array) -> Self:
         """Adapt to a search that starts at other poses ``(k + 1, 3)``."""

@@ -66,7 +66,7 @@ class AlternativePaths(LiveOutput):
             self._particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
 
     def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
-        """Fixes and headings at the keyframe with this number, for the particles."""
+        """The measurements at the keyframe with this number, for the particles."""
         part, measurements = self.graph.current()
         return measurements_at(measurements, int(np.flatnonzero(part.chain.number == keyframe)[0]))
 
