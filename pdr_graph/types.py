@@ -428,6 +428,8 @@ class Estimate(OneLineRepr):
     one first, empty if nothing but the fixes determines it.
     warnings: what a user must know before trusting the result; contradictions: between its sources, see `verdict`;
     placed: the place of a live walk was certain before the first report.
+    graph: the `WalkGraph` that was smoothed, with all decisions about its measurements, at its optimum; None of other
+    methods, and where the estimate was copied or pickled.
     """
 
     trajectory: Trajectory
@@ -442,6 +444,11 @@ class Estimate(OneLineRepr):
     contradictions: tuple[Contradiction, ...] = ()
     routes: tuple[tuple[float, Trajectory], ...] = ()
     placed: bool = False
+    graph: Any = field(default=None, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All fields but the graph, which is as large as the walk: who made the estimate has it."""
+        return {name: value for name, value in vars(self).items() if name != "graph"}
 
     @property
     def fixes(self) -> tuple[FixReport, ...]:

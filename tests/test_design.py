@@ -139,9 +139,6 @@ def test_the_product_imports_no_papers():
             assert not [name for name in imported(path) if ".".join(name).startswith("pdr_graph.papers")], path
 
 
-NAMES_KINDS = {"particle_filter"}  # modules beside the factors that still name kinds
-
-
 def test_no_factor_class_is_named_outside_the_factors():
     """The rest asks what a kind can do, or which kind a type of data became: so a kind of others is like ours."""
     factors = HOUSE / "estimation" / "factors"
@@ -152,7 +149,7 @@ def test_no_factor_class_is_named_outside_the_factors():
         if isinstance(node, ast.ClassDef) and "Measurement" in [ast.unparse(base) for base in node.bases]
     }
     assert len(kinds) > 8
-    elsewhere = [path for path in everything() if factors not in path.parents and path.stem not in NAMES_KINDS]
+    elsewhere = [path for path in everything() if factors not in path.parents]
     naming = {
         path.stem: found
         for path in elsewhere

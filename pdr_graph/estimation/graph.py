@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
@@ -61,7 +61,8 @@ class WalkGraph:
     prior: see ``Prior``; others: start [s] and prior of each further walk in the same steps, in order of time.
 
     chain: keyframes and steps; measurements: its factors, kind by kind; start: where the search starts;
-    sigma_direction: how well fixes and headings determine the walk's direction [rad]; walled: walls are used.
+    sigma_direction: how well fixes and headings determine the walk's direction [rad]; walled: walls are used;
+    optimum: of the graph of an estimate, None of others.
 
     Raises TypeError for arguments of other types, ValueError if fixes are not in metres or ``floors`` is missing.
     """
@@ -112,7 +113,7 @@ class WalkGraph:
         priors = calibration_prior(prior_of_segment, self.prior.change), self._start_prior(float(initial.poses[0, 2]))
         self._measurements = (steps_between_keyframes(), *kinds, *priors)
         self.start = initial_state(initial.poses, initial.c, self._measurements)
-        self.walled = False
+        self.walled, self.optimum = False, cast("State | None", None)
         self._equations = list[NormalEquations]()  # shared by all versions of this graph
         if self.unplaced and self.floor_sequence is not None:
             self._use_plan(self.floor_sequence)
@@ -217,6 +218,12 @@ class WalkGraph:
         """The start of the search as ``gtsam.Values``: x0… of Pose2, c0… of (R_s, R_d, b), and the rest."""
         return self.start.to_values()
 
+    def optimal_values(self) -> gtsam.Values:
+        """The optimum as ``gtsam.Values``, with the keys of `to_gtsam`. Raises ValueError unless an estimate has it."""
+        if self.optimum is None:
+            raise ValueError("WalkGraph.optimal_values: found a graph to be smoothed, expected smooth(graph).graph")
+        return self.optimum.to_values()
+
     def to_gtsam(self) -> gtsam.NonlinearFactorGraph:
         """The whole graph for GTSAM's own optimisers, with a guarded ``CustomFactor`` where GTSAM has no factor."""
         from pdr_graph.estimation.factors.gtsam_export import to_gtsam
@@ -226,6 +233,10 @@ class WalkGraph:
     def error(self, values: gtsam.Values) -> float:
         """The cost at ``values``: half the sum of squared, robustly weighted residuals, as GTSAM counts it."""
         return self.evaluate(self.start.updated(values)).cost
+
+    def smoothed(self, optimum: State) -> WalkGraph:
+        """The graph of an estimate: at its optimum, without what only the search needs."""
+        return self._replaced(_measurements=self.measurements, start=optimum, optimum=optimum, _equations=[])
 
     def rotated(self, angle: float) -> WalkGraph:
         """Start the search with the walk rotated by ``angle`` [rad] about its fixes."""

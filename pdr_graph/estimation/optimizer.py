@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
+from pdr_graph.estimation.factors.base import POSE, Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import AMBIGUOUS
@@ -19,6 +19,8 @@ from pdr_graph.types import Array, Index
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
 CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an iteration is the last
+EXACTLY = 1e-8  # the same for the walk that is returned, if it converges slowly
+AT_OPTIMUM = 5e-3  # [m] of any pose from the optimum, from which the walk that is returned is searched on
 ROUGHLY = 1e-2  # the same where only the association with rooms and corridors is needed
 ALIKE = 30.0  # steps in a row with the same position error, between fixes
 LONGEST_MOVE = 2.0  # [m] of any pose in one iteration with walls, whose gradients are valid only nearby
@@ -206,6 +208,28 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
     while not search.converged and search.iterations < MOST_ITERATIONS:
         search.step()
     return Optimum(graph, search.at, search.system.solved, search.iterations, search.converged)
+
+
+def fully_optimized(optimum: Optimum) -> Optimum:
+    """The optimum, searched on if it is farther than AT_OPTIMUM by its last step and the next: a geometric series.
+
+    The curvature of levels makes the search converge slowly, so that a small decrease can be far from the optimum.
+    """
+    last = _longest(optimum.solution.unchanged.moves)
+    if last <= AT_OPTIMUM:
+        return optimum
+    following = _longest(optimum.graph.normal_equations(optimum.at).assembled(optimum.at).step())
+    if following <= AT_OPTIMUM * max(1 - following / last, 0.0):
+        return optimum
+    further = optimize(optimum.graph, optimum.state, EXACTLY)
+    iterations = optimum.iterations + further.iterations
+    converged = optimum.converged or further.converged
+    return replace(optimum, at=further.at, system=further.system, iterations=iterations, converged=converged)
+
+
+def _longest(moves: Mapping[str, Array]) -> float:
+    """The longest move of any pose along an axis [m]."""
+    return float(np.abs(moves[POSE][:, :2]).max())
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:

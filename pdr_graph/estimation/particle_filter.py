@@ -5,28 +5,26 @@ As in Woodman & Harle (2008), *Pedestrian localisation for indoor environments*,
 2003). Fixes may be outliers, and walls may be wrong.
 
 Walls are local constraints: an optimisation that starts in a wrong aisle ends in that aisle. A `ParticleFilter` has
-thousands of particles, weighted by walls, fixes and compass; the ancestors of the survivors are the possible paths.
+thousands of particles, weighted by walls and the measurements of all kinds; the ancestors of the survivors are the
+possible paths.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import Measurement
-from pdr_graph.estimation.factors.fixes import FixFactor
-from pdr_graph.estimation.factors.heading_prior import HeadingFactor
-from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
+from pdr_graph.estimation.factors.likelihood import LimitsSteps, PoseCosts, pose_costs
 from pdr_graph.estimation.factors.preintegration import Pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, WalkGraph
 from pdr_graph.estimation.particle_motion import RARE, Walls, changed_floor, stepped, stood
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import wrap_angle
-from pdr_graph.types import Array, Index, Mask
+from pdr_graph.types import Array, Index
 
 PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles per occupied bin of position [m] and direction [rad]
 AMONG = 8000  # particles at most for which PER_BIN holds; it scales with the largest number of particles
@@ -36,28 +34,10 @@ WIDE = np.array([1.5, 1.5, 2.0])  # scale of the prior's sigmas, so that rare ca
 CALM = np.array([0.7, 0.7, 1.0])  # scale of the sigmas of length, sway and turn, which include common errors
 LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
 
-LEAST_SIGMA = 1.0  # [m] of a fix: particles are no denser
 LEAST_SIGMA_DIRECTION = 0.1  # [rad] at the start
-FAR, SOUGHT, LOST_PRICE = 4.0, 5, 4.0  # [σ] of a fix from all particles; one in so many moves there; its log-odds
-OUTLIER_PRICE = 8.0  # largest log-odds of an outlier
+SOUGHT, LOST_PRICE = 5, 4.0  # one in so many particles moves to a place that is sought; its log-odds
 
-
-@dataclass(frozen=True)
-class KeyframeMeasurements:
-    """The measurements at a keyframe.
-
-    position: of fixes ``(f, 2)`` [m]; sigma: ``(f,)`` per axis [m]; outlier: ``(f,)``;
-    heading, sigma_heading: ``(h,)`` walking directions [rad].
-    """
-
-    position: Array = field(default_factory=lambda: np.empty((0, 2)))
-    sigma: Array = field(default_factory=lambda: np.empty(0))
-    outlier: Mask = field(default_factory=lambda: np.empty(0, dtype=bool))
-    heading: Array = field(default_factory=lambda: np.empty(0))
-    sigma_heading: Array = field(default_factory=lambda: np.empty(0))
-
-
-NOTHING = KeyframeMeasurements()
+KeyframeMeasurements = Sequence[PoseCosts]  # the measurements at a keyframe, kind by kind
 
 
 @dataclass(frozen=True)
@@ -106,7 +86,7 @@ class ParticleFilter:
         heading: float,
         sigma_heading: float,
         way: complex = 0j,
-        measured: KeyframeMeasurements = NOTHING,
+        measured: KeyframeMeasurements = (),
     ) -> None:
         """Start at the first keyframe, with particles whose steps lead to ``place``.
 
@@ -125,7 +105,7 @@ class ParticleFilter:
         self.begin_at(np.concatenate([start, [heading + turned], c]))
         self.weight = _likelihood(measured, self.state)
 
-    def begin_anywhere(self, floor: FloorPlan, measured: KeyframeMeasurements = NOTHING) -> None:
+    def begin_anywhere(self, floor: FloorPlan, measured: KeyframeMeasurements = ()) -> None:
         """Start at the first keyframe all over a floor, in all directions. measured: at the keyframe."""
         n, random = self.most, self.random
         c = _calibrated(random.multivariate_normal(np.zeros(3), self.prior.covariance, n).T, self.prior)
@@ -144,7 +124,7 @@ class ParticleFilter:
         pieces: Pieces,
         fields: Sequence[DistanceField],
         ways: Mapping[int, Sequence[DistanceField]] | None = None,
-        measured: KeyframeMeasurements = NOTHING,
+        measured: KeyframeMeasurements = (),
     ) -> None:
         """Move to the next keyframe, through an interval of ``pieces``.
 
@@ -180,14 +160,14 @@ class ParticleFilter:
             self._tiles[id(floor)] = floor.no_tiles()
         return self._tiles[id(floor)]
 
-    def close(self, measured: KeyframeMeasurements = NOTHING) -> None:
-        """Close a keyframe: weight by fixes and compass, resample."""
+    def close(self, measured: KeyframeMeasurements = ()) -> None:
+        """Close a keyframe: weight by the measurements there, resample."""
         state, random = self.state, self.random
         state[3:] += np.sqrt(self._steps / STEPS_PER_SEGMENT) * self._change * random.standard_normal(state[3:].shape)
         np.maximum(state[3], LEAST_STRIDE, out=state[3])
-        far = _far_fix(measured, state)
-        if far is not None:
-            self._seek(measured, far)
+        for kind in measured:
+            if (sought := kind.place_sought(state)) is not None:
+                self._seek(*sought)
         weight = self.weight + _likelihood(measured, self.state)
         largest = weight.max()
         share = np.exp(weight - largest)
@@ -218,12 +198,12 @@ class ParticleFilter:
         """Drop the first ``count`` stored keyframes."""
         del self._states[:count], self._origins[:count]
 
-    def _seek(self, measured: KeyframeMeasurements, f: int) -> None:
-        """Move one in SOUGHT particles to fix ``f`` at a price; later fixes decide whether they survive."""
+    def _seek(self, position: Array, sigma: float) -> None:
+        """Move one in SOUGHT particles to a place [m] at a price; later measurements decide whether they survive."""
         state, weight, n = self.state.copy(), self.weight.copy(), self.state.shape[1]
         put = np.arange(0, n, SOUGHT)
-        place = self.random.standard_normal((2, len(put))) * max(measured.sigma[f], LEAST_SIGMA)
-        state[:2, put] = measured.position[f][:, None] + place
+        place = self.random.standard_normal((2, len(put))) * sigma
+        state[:2, put] = position[:, None] + place
         state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
         weight[put] = np.logaddexp.reduce(weight) - np.log(n) - LOST_PRICE
         self.state, self.weight = state, weight
@@ -239,25 +219,10 @@ class ParticleFilter:
 def _likelihood(measured: KeyframeMeasurements, state: Array) -> Array:
     """Log-likelihood ``(n,)`` of the measurements; an outlier costs OUTLIER_PRICE at most."""
     total = np.zeros(state.shape[1])
-    for position, sigma in zip(measured.position, measured.sigma, strict=True):
-        total -= np.minimum(_squares(state, position) / (2 * max(sigma, LEAST_SIGMA) ** 2), OUTLIER_PRICE)
-    for heading, sigma in zip(measured.heading, measured.sigma_heading, strict=True):
-        apart = wrap_angle(heading - state[2]) / sigma
-        total -= np.minimum(0.5 * apart**2, OUTLIER_PRICE)
+    for kind in measured:
+        for cost in kind.costs(state):
+            total -= cost
     return total
-
-
-def _squares(state: Array, place: Array) -> Array:
-    """Squared distances ``(n,)`` [m²] from a place."""
-    return np.square(state[0] - place[0]) + np.square(state[1] - place[1])
-
-
-def _far_fix(measured: KeyframeMeasurements, state: Array) -> int | None:
-    """Index of the fix farthest from all particles if beyond FAR: an outlier, or all particles are wrong; else None."""
-    fixes = np.flatnonzero(~measured.outlier)
-    distance = [np.sqrt(_squares(state, measured.position[f]).min()) for f in fixes]
-    apart = np.divide(distance, measured.sigma[fixes])
-    return int(fixes[np.argmax(apart)]) if np.max(apart, initial=0.0) > FAR else None
 
 
 def _resampled(weight: Array, n: int, random: np.random.Generator) -> Index:
@@ -295,7 +260,7 @@ FEWEST, MOST = 1000, 8000  # particles
 
 
 def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
-    """The possible paths by plan, fixes and headings.
+    """The possible paths by plan and measurements.
 
     graph: with walls, and at least one used fix. times: multiple of the usual number of particles.
     """
@@ -330,16 +295,12 @@ def advance_through(particles: ParticleFilter, graph: WalkGraph, begin: int) -> 
 
 
 def _pieces(graph: WalkGraph, interval: int) -> Pieces:
-    """The pieces of an interval; a gap with a loop closure is a pause.
-
-    If the walker did walk on during such a gap, the start that is aligned with the fixes leads to the optimum.
-    """
+    """The pieces of an interval; where a kind says that the walker stood, they err no more."""
     pieces = graph.pieces.only(interval)
-    closures = graph.find(LoopClosureFactor)
-    bound = np.flatnonzero((closures.keyframe == (interval, interval + 1)).all(axis=1)) if closures else []
-    if closures is None or not len(bound):
+    limits = [kind.standing_variance(interval) for kind in graph.measurements if isinstance(kind, LimitsSteps)]
+    stood = min(limits, default=np.inf)
+    if not np.isfinite(stood):
         return pieces
-    stood = closures.closures.sigma[bound].min() ** 2
     return replace(pieces, variance=np.minimum(pieces.variance, [stood, stood, np.inf]))
 
 
@@ -359,16 +320,5 @@ def _begin(particles: ParticleFilter, graph: WalkGraph) -> None:
 
 
 def measurements_at(measurements: Sequence[Measurement], keyframe: int) -> KeyframeMeasurements:
-    """The fixes and headings at a keyframe."""
-    collected = KeyframeMeasurements()
-    for measurement in measurements:
-        if isinstance(measurement, FixFactor):
-            here = measurement.used & (measurement.keyframe == keyframe)
-            position, sigma = measurement.fixes.position[here], measurement.independent_sigma[here]
-            collected = replace(collected, position=position, sigma=sigma, outlier=measurement.outlier[here])
-        elif isinstance(measurement, HeadingFactor):
-            here = measurement.keyframe == keyframe
-            collected = replace(
-                collected, heading=measurement.headings.heading[here], sigma_heading=measurement.headings.sigma[here]
-            )
-    return collected
+    """The measurements of all kinds at a keyframe."""
+    return pose_costs(measurements, keyframe)

@@ -14,7 +14,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
 from pdr_graph.estimation.normal_equations import AnySolution, mixture
-from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, paths, probabilities
+from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, fully_optimized, paths, probabilities
 from pdr_graph.estimation.results import (
     LEAST_REPORTED,
     calibration_of,
@@ -40,7 +40,8 @@ def smooth(graph: WalkGraph) -> Estimate:
 
 def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     """The walk of a graph by its solutions."""
-    optima, best = found.optima, found.optima[0]
+    optima = [fully_optimized(found.optima[0]), *found.optima[1:]]
+    best = optima[0]
 
     # Every step, with its covariance; dead reckoning before that, since covariances take most memory
     rows, used = poses_of_rows(best), graph.positions
@@ -77,6 +78,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
             *contradictions(optima, share),
         ),
         routes=_routes(trajectory, optima, path, probability) if graph.unplaced or path.any() else (),
+        graph=best.graph.smoothed(best.state),
     )
     stated = stated_probability(estimate, graph.floor, fits=fits)
     warned = (

@@ -8,9 +8,11 @@ import shapely
 from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
+from pdr_graph.estimation.factors.fixes import FixCosts
+from pdr_graph.estimation.factors.heading_prior import HeadingCosts
 from pdr_graph.estimation.factors.preintegration import intervals, whole_pieces
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.particle_filter import KeyframeMeasurements, ParticleFilter, particle_filter
+from pdr_graph.estimation.particle_filter import ParticleFilter, measurements_at, particle_filter
 from pdr_graph.estimation.particle_motion import COMPILED
 from pdr_graph.estimation.path_modes import dominant_modes
 from pdr_graph.floor.cells import Area
@@ -48,14 +50,14 @@ def row(length, seconds, sigma_length, sigma_turn, turn=0.0):
 
 def at(x, y=1.0, sigma=0.5):
     """A fix."""
-    return KeyframeMeasurements(np.array([[x, y]]), np.array([sigma]), np.zeros(1, dtype=bool))
+    return (FixCosts(np.array([[x, y]]), np.array([sigma]), np.zeros(1, dtype=bool)),)
 
 
 def on(cloud, floor, intervals, seen=None):
     """Straight on, so many intervals."""
     pieces = straight()
     for _ in range(intervals):
-        cloud.advance(pieces, [floor.distance] * len(pieces.length), measured=seen or KeyframeMeasurements())
+        cloud.advance(pieces, [floor.distance] * len(pieces.length), measured=seen or ())
 
 
 def test_interval_by_interval_equals_the_whole_walk():
@@ -66,16 +68,11 @@ def test_interval_by_interval_equals_the_whole_walk():
     graph = WalkGraph(steps, fixes, headings=there, floor=floor)
     at_once = particle_filter(graph)
 
-    pieces, headings, fixes = graph.pieces, graph.headings, graph.positions
-    heading, place = headings.headings, fixes.fixes.position
+    pieces, place = graph.pieces, graph.positions.fixes.position
     turn, time = 2 * (pieces.to_end - pieces.to_middle)
 
     def seen(keyframe):
-        fix, compass = fixes.keyframe == keyframe, headings.keyframe == keyframe
-        sigma = fixes.independent_sigma[fix]
-        return KeyframeMeasurements(
-            place[fix], sigma, np.zeros(len(sigma), bool), heading.heading[compass], heading.sigma[compass]
-        )
+        return measurements_at(graph.measurements, keyframe)
 
     cloud = ParticleFilter(graph.prior, 0, fewest=1000, most=8000)
     cloud.begin(place[0], 0.5, graph.start.poses[0, 2], graph.sigma_direction, measured=seen(0))
@@ -116,10 +113,10 @@ FAULTS = {
     "a fix 1 km off": lambda cloud, floor: on(cloud, floor, 1, at(1000.0, 1000.0)),
     "fixes 1 km off that agree": lambda cloud, floor: on(cloud, floor, 6, at(1000.0, 1000.0)),
     "a compass that is sure of nonsense": lambda cloud, floor: on(
-        cloud, floor, 3, KeyframeMeasurements(heading=np.full(100, 2.0), sigma_heading=np.full(100, 1e-9))
+        cloud, floor, 3, (HeadingCosts(np.full(100, 2.0), np.full(100, 1e-9)),)
     ),
     "a crowd of fixes in another place": lambda cloud, floor: on(
-        cloud, floor, 3, KeyframeMeasurements(np.full((300, 2), 60.0), np.full(300, 1e-3), np.ones(300, dtype=bool))
+        cloud, floor, 3, (FixCosts(np.full((300, 2), 60.0), np.full(300, 1e-3), np.ones(300, dtype=bool)),)
     ),
     "ten minutes of standing": lambda cloud, floor: [
         cloud.advance(row(0.0, 1.0, 0.0, 0.02), [floor.distance]) for _ in range(600)

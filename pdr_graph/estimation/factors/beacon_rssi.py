@@ -29,7 +29,7 @@ from pdr_graph.estimation.factors.beacon_list import (
 )
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.measurements import Levels
+from pdr_graph.measurements import Levels, take
 from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps
 
 if TYPE_CHECKING:
@@ -107,6 +107,10 @@ class BeaconRssiFactor(Measurement):
     def bind(self, chain: Chain) -> Self:
         """Bind every level to its keyframe."""
         return replace(self, keyframe=chain.keyframe(self.listed.time))
+
+    def repeated(self, which: Index, keyframe: Index) -> Self:
+        """The levels ``which (n,)``, bound to other keyframes ``(n,)``; of the same beacons."""
+        return replace(self, listed=take(self.listed, which), number=self.number[which], keyframe=keyframe)
 
     def decisions(self) -> dict[str, AnyArray]:
         """Positions and priors of the beacons."""

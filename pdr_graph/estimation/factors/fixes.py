@@ -8,13 +8,14 @@ reach of the one before.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement
+from pdr_graph.estimation.factors.likelihood import LEAST_SIGMA, OUTLIER_PRICE
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
@@ -43,6 +44,7 @@ DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, b
 WRONG_FIX = 6.0  # [nats] price of a wrong fix: one in a hundred, that lies anywhere within about 5 sigma
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
 SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
+FAR = 4.0  # [σ] of a fix from all particles, from which some of them are moved there
 RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
@@ -154,11 +156,19 @@ class FixFactor(Measurement):
 
             pose_key = int(at.state.keys("x", self.keyframe[which])[n])
             noise = loss.noise(n, gtsam.noiseModel.Isotropic.Sigma(2, sigma[n]))
+            assert noise is not None, "GTSAM has the losses of fixes"
             return gtsam.PoseTranslationPrior2D(pose_key, position[n], noise)
 
         value = (pose[:, :2] - position) / sigma[:, None]
         variables = [("x", self.keyframe[which])]
         return FactorBlock.uniform(name, value, variables, jacobian, self.number[which], loss=loss, native=native)
+
+    def pose_costs(self, keyframe: int) -> FixCosts | None:
+        """The used fixes at a keyframe, as if independent; not the rough fixes of another kind, which weighs itself."""
+        here = self.used & (self.keyframe == keyframe)
+        if self.approximate or not here.any():
+            return None
+        return FixCosts(self.fixes.position[here], self.independent_sigma[here], self.outlier[here])
 
     def distance(self, at: Evaluation) -> Array:
         """Distance ``(f,)`` [m] of each fix from the walk at its time."""
@@ -346,6 +356,35 @@ class FixFactor(Measurement):
             time, sigma = float(self.fixes.time[n]), float(self.fixes.sigma[n])
             reports.append(FixReport(time, x, y, sigma, float(distance[n]), float(weight[n]), reason))
         return tuple(reports)
+
+
+@dataclass(frozen=True)
+class FixCosts:
+    """Costs of poses by fixes. position: ``(f, 2)`` [m]; sigma: ``(f,)`` per axis [m]; outlier: ``(f,)``."""
+
+    position: Array
+    sigma: Array
+    outlier: Mask
+
+    def costs(self, state: Array) -> Iterable[Array]:
+        """Half the squared distance in sigmas from each fix."""
+        for position, sigma in zip(self.position, self.sigma, strict=True):
+            yield np.minimum(_squares(state, position) / (2 * max(sigma, LEAST_SIGMA) ** 2), OUTLIER_PRICE)
+
+    def place_sought(self, state: Array) -> tuple[Array, float] | None:
+        """The fix farthest from all states if beyond FAR: an outlier, or all states are wrong."""
+        fixes = np.flatnonzero(~self.outlier)
+        distance = [np.sqrt(_squares(state, self.position[f]).min()) for f in fixes]
+        apart = np.divide(distance, self.sigma[fixes])
+        if np.max(apart, initial=0.0) <= FAR:
+            return None
+        farthest = int(fixes[np.argmax(apart)])
+        return self.position[farthest], max(self.sigma[farthest], LEAST_SIGMA)
+
+
+def _squares(state: Array, place: Array) -> Array:
+    """Squared distances ``(n,)`` [m²] from a place."""
+    return np.square(state[0] - place[0]) + np.square(state[1] - place[1])
 
 
 def fix_reason(sigmas: float, weight: float, outlier: bool, origin: str = "the walk") -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement
+from pdr_graph.estimation.factors.likelihood import OUTLIER_PRICE
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
@@ -86,6 +87,11 @@ class HeadingFactor(Measurement):
         sigma = np.where(started & self.wrong_start, ANY_HEADING, headings.sigma)
         return self.keyframe[which], replace(headings, heading=heading, sigma=sigma), self.number[which]
 
+    def pose_costs(self, keyframe: int) -> HeadingCosts | None:
+        """The headings at a keyframe."""
+        here = self.keyframe == keyframe
+        return HeadingCosts(self.headings.heading[here], self.headings.sigma[here]) if here.any() else None
+
     def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
         """All compass headings are off by a large angle, by iron; the start heading is wrong.
 
@@ -130,6 +136,23 @@ class HeadingFactor(Measurement):
         which = np.arange(len(reached)) if which is None else which
         heading = at.state.poses[self.keyframe[reached[which]], 2]
         return heading_reports(take(self.headings, reached[which]), heading, block.weight[which])
+
+
+@dataclass(frozen=True)
+class HeadingCosts:
+    """Costs of poses by walking directions. heading, sigma: ``(h,)`` [rad]."""
+
+    heading: Array
+    sigma: Array
+
+    def costs(self, state: Array) -> Iterable[Array]:
+        """Half the squared difference in sigmas from each heading."""
+        for heading, sigma in zip(self.heading, self.sigma, strict=True):
+            apart = wrap_angle(heading - state[2]) / sigma
+            yield np.minimum(0.5 * apart**2, OUTLIER_PRICE)
+
+    def place_sought(self, state: Array) -> None:
+        """Headings determine no place."""
 
 
 def of_start(headings: Headings) -> Mask:

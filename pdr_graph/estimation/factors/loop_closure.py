@@ -79,3 +79,11 @@ class LoopClosureFactor(Measurement):
         value = (j - i)[:, :2] / sigma[:, None]
         variables = [("x", keyframe[:, 0]), ("x", keyframe[:, 1])]
         return [FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], loss=loss)]
+
+    def standing_variance(self, interval: int) -> float:
+        """Variance of a closure of both ends of an interval [m²]: a pause.
+
+        If the walker did walk on during such a gap, the start that is aligned with the fixes leads to the optimum.
+        """
+        bound = np.flatnonzero((self.keyframe == (interval, interval + 1)).all(axis=1))
+        return float(self.closures.sigma[bound].min()) ** 2 if len(bound) else np.inf

@@ -47,9 +47,12 @@ class Loss:
         """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
         return 0.5 * deviation**2
 
-    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-        """GTSAM's noise model of factor ``n`` with this loss; noise: its Gaussian model."""
-        return noise
+    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base | None:
+        """GTSAM's noise model of factor ``n`` with this loss, None if GTSAM has none; noise: its Gaussian model.
+
+        The export puts a loss that GTSAM does not have into the residual.
+        """
+        return noise if type(self) is Loss else None
 
 
 GAUSSIAN = Loss()

@@ -4,9 +4,10 @@ A range is the distance to an anchor plus the anchor's bias, noise, and sometime
 signal takes a longer path, so these errors are positive. The noise is a mixture (Jourdan, Dardari, Win, "Position error
 bound for UWB localization in dense cluttered environments", IEEE T-AES 44(2), 2008, Sec. III),
 
-    z = d + b + ε,      p(ε) = (1 − NLOS) N(ε; 0, σ) + NLOS · (N(0, σ) + Exp(DETOUR))
+    z = d + b + ε,      p(ε) = (1 − NLOS) N(ε; 0, σ) + NLOS · exp(1 − √(1 + (ε / DETOUR)²)) / (MASS DETOUR)
 
 whose negative logarithm is the loss: a range too long by many sigmas has almost no weight, one too short has Huber's.
+Their detours are exponential; ours are so far off, and level at 0, so that the expected range is the most probable.
 Position and bias of each anchor are variables (x, y, b) with the survey as prior, so that a walk can correct them.
 """
 
@@ -18,7 +19,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
-from scipy.special import erfcx
 
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.losses import HUBER_WIDTH, Loss, RobustLoss, huber_weight
@@ -28,14 +28,12 @@ from pdr_graph.measurements import RangeReport, Ranges, take
 from pdr_graph.types import Array, Fixes, Index, Steps
 
 if TYPE_CHECKING:
-    import gtsam
-
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 NLOS = 0.2  # prior share of ranges without line of sight
 DETOUR = 3.0  # [m] mean length of a detour
+MASS = 1.636  # integral of exp(1 − √(1 + x²)) from 0 on
 BIAS_SIGMA = 0.15  # [m] of an anchor's bias: antenna delays, calibrated or not
-FAR = 8.0  # [σ] beyond which the exponential part of the density is used alone, since the exact form overflows
 NEAR = 0.1  # [m] softens the distance at the anchor itself, where it has no gradient
 BIN, FEWEST = 5.0, 3  # [s] of ranges, and least number of anchors in it, for a rough position
 DETOUR_WEIGHT = 0.5  # weight below which a range is reported as one without line of sight
@@ -51,32 +49,25 @@ class LongErrors(Loss):
     scale: Array
 
     def weight(self, deviation: Array) -> Array:
-        """Huber's weight for short ranges; else the probability of line of sight."""
-        excess = -deviation
-        line, detour = self._likelihoods(np.maximum(excess, 0.0))
-        return np.where(excess < 0, huber_weight(deviation), line / (line + detour))
+        """Huber's weight for short ranges; else the slope of the cost by the deviation, mostly by line of sight."""
+        sight, detour, stretch = self._log_likelihoods(deviation)
+        share = np.exp(sight - np.logaddexp(sight, detour))
+        long = share + (1 - share) / (self.scale**2 * stretch)
+        return np.where(deviation > 0, huber_weight(deviation), long)
 
     def cost(self, deviation: Array) -> Array:
         """Negative log-likelihood, 0 at the expected range; Huber's loss for short ranges."""
-        excess = -deviation
-        line, detour = self._likelihoods(np.maximum(excess, 0.0))
-        at_zero = sum(self._likelihoods(np.zeros(len(excess))))
-        long = np.log(at_zero) - np.log(line + detour)
-        short = np.where(-excess > HUBER_WIDTH, HUBER_WIDTH * (-excess - HUBER_WIDTH / 2), excess**2 / 2)
-        return np.where(excess < 0, short, long)
+        sight, detour, _ = self._log_likelihoods(deviation)
+        sight_at_zero, detour_at_zero, _ = self._log_likelihoods(np.zeros(len(deviation)))
+        long = np.logaddexp(sight_at_zero, detour_at_zero) - np.logaddexp(sight, detour)
+        short = np.where(deviation > HUBER_WIDTH, HUBER_WIDTH * (deviation - HUBER_WIDTH / 2), deviation**2 / 2)
+        return np.where(deviation > 0, short, long)
 
-    def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
-        """GTSAM's noise model with Huber's loss, since GTSAM has no asymmetric loss."""
-        return RobustLoss(np.zeros(len(self.scale), dtype=bool)).noise(n, noise)
-
-    def _likelihoods(self, excess: Array) -> tuple[Array, Array]:
-        """Likelihoods of errors ``(n,)`` [σ] with line of sight, and with a detour (exponentially modified normal)."""
-        gauss = np.exp(-0.5 * excess**2)
-        near = np.minimum(excess, FAR)
-        modified = np.exp(-0.5 * near**2) * erfcx((1 / self.scale - near) / np.sqrt(2)) / (2 * self.scale)
-        far = (1 / self.scale) * np.exp(np.minimum(0.5 / self.scale**2 - excess / self.scale, 0.0))
-        detour = np.where(excess > FAR, far, np.sqrt(2 * np.pi) * modified)
-        return (1 - NLOS) * gauss, NLOS * detour
+    def _log_likelihoods(self, deviation: Array) -> tuple[Array, Array, Array]:
+        """Log-likelihoods of deviations ``(n,)`` [σ] with line of sight and with a detour, and √(1 + (s / scale)²)."""
+        stretch = np.sqrt(1 + (deviation / self.scale) ** 2)
+        detour = np.log(NLOS * np.sqrt(2 * np.pi) / (MASS * self.scale)) + 1 - stretch
+        return np.log(1 - NLOS) - 0.5 * deviation**2, detour, stretch
 
 
 @dataclass(frozen=True, eq=False)

@@ -276,7 +276,7 @@ class LiveAmbiguity:
             output.particles = ParallelParticleFilter(plan, self.graph.prior, belief, begin, window.floor)
 
     def _measurements_at(self, keyframe: int) -> KeyframeMeasurements:
-        """Fixes and headings at the keyframe with this number, for the particles."""
+        """The measurements at the keyframe with this number, for the particles."""
         factors = self.graph.factors
         return measurements_at(factors.measurements, int(np.flatnonzero(factors.chain.number == keyframe)[0]))
 

@@ -1,0 +1,147 @@
+"""The exported graph of an estimate: GTSAM's own optimisers stay at the optimum."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from derivatives import linear_graph, perturbed
+from test_ranging import ranged
+from walks import drawn_from_the_model
+
+import pdr_graph as pdr
+from pdr_graph.estimation.factors.base import extract
+from pdr_graph.estimation.factors.beacon_rssi import levels_along
+from pdr_graph.estimation.factors.losses import Loss
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.floor.cells import BEACON
+from pdr_graph.io.beacons import drawn_beacons
+
+STAYS = 0.02  # [m]
+OPTIMISERS = {
+    "Gauss-Newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
+    "Levenberg-Marquardt": (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams),
+    "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
+}
+
+
+def farthest(estimate, start=None):
+    """Largest distance [m] between the optima of GTSAM's optimisers, from ``start``, and the estimate's."""
+    graph, moves = estimate.graph, []
+    exported, optimum = graph.to_gtsam(), graph.optimal_values()
+    for optimizer, params_type in OPTIMISERS.values():
+        params = params_type()
+        params.setRelativeErrorTol(1e-9)
+        theirs = optimizer(exported, start or optimum, params).optimize()
+        apart = extract(theirs, "x")[:, :2] - extract(optimum, "x")[:, :2]
+        moves.append(float(np.hypot(*apart.T).max()))
+    return max(moves)
+
+
+def simulated(name, **changes):
+    """A scenario's simulation and the steps of its recording."""
+    made = pdr.simulate(replace(pdr.Scenario.load(name), **changes))
+    return made, pdr.detect_steps(made.recording(), pdr.Walker(height=made.walker.height))
+
+
+@pytest.mark.parametrize("with_plan", [False, True])
+def test_the_demo_with_its_outliers(with_plan):
+    """From the optimum; without walls, which are local, from the caller's start as well.
+
+    The caller's own graph has another optimum, more than a metre away.
+    """
+    made, steps = simulated("arcade")
+    [plan] = made.scenario.plans.values()
+    graph = WalkGraph(steps, made.user_fixes, floor=plan if with_plan else None)
+    estimate = pdr.smooth(graph)
+    assert any("outlier" in fix.reason for fix in estimate.fixes)
+    assert farthest(estimate) < STAYS
+    if not with_plan:
+        assert farthest(estimate, graph.initial_values()) < STAYS
+    before = graph.to_gtsam()
+    apart = extract(gtsam.LevenbergMarquardtOptimizer(before, graph.initial_values()).optimize(), "x")
+    assert np.hypot(*(apart - extract(estimate.graph.optimal_values(), "x"))[:, :2].T).max() > 1.0
+
+
+@pytest.mark.parametrize("with_fixes", [False, True])
+def test_ranges_with_detours(with_fixes):
+    steps, fixes, truth = drawn_from_the_model(120, 2)
+    ranges, detour = ranged(truth, 2)
+    estimate = pdr.smooth(WalkGraph(steps, fixes if with_fixes else None, measurements=[ranges]))
+    assert detour.any()
+    assert farthest(estimate) < STAYS
+
+
+def test_beacons_one_of_which_was_moved():
+    """In the mall, without any fix."""
+    made, steps = simulated("mall", seed=2)
+    [plan] = made.scenario.plans.values()
+    listed = drawn_beacons([(area, "") for area in plan.of_kind(BEACON)], made.recording(), 1.0)
+    levels = levels_along(made.bluetooth, listed, steps)
+    estimate = pdr.smooth(WalkGraph(steps, floor=plan, levels=levels))
+    assert estimate.beacons
+    assert farthest(estimate) < STAYS
+
+
+def test_cost_and_gradient_are_ours_under_the_loss_of_ranges():
+    """At the optimum and anywhere near it; the Hessians differ, since GTSAM has the loss in the residual."""
+    steps, _, truth = drawn_from_the_model(60, 3)
+    estimate = pdr.smooth(WalkGraph(steps, measurements=[ranged(truth, 3)[0]]))
+    graph, random = estimate.graph, np.random.default_rng(0)
+    for state in (
+        graph.start,
+        perturbed(graph.start, "x", 4, 0, random.normal()),
+        graph.start.rotated(0.1, np.ones(2)),
+    ):
+        at, exported, values = graph.evaluate(state), graph.to_gtsam(), state.to_values()
+        assert at.cost == pytest.approx(exported.error(values))
+        ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
+        for key in state.keys("x").tolist():
+            assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
+
+
+class Cubic(Loss):
+    """A loss that GTSAM does not have, of a factor with two rows: ρ = |s|³ / 3, w = |s|."""
+
+    def weight(self, deviation):
+        return np.abs(deviation)
+
+    def cost(self, deviation):
+        return np.abs(deviation) ** 3 / 3
+
+
+def test_a_loss_of_several_rows_that_gtsam_does_not_have(monkeypatch):
+    """The norm of a position's two residuals has that loss."""
+    from pdr_graph.estimation.factors import fixes as fixes_module
+
+    steps, fixes, _ = drawn_from_the_model(40, 1)
+    graph = WalkGraph(steps, fixes)
+    monkeypatch.setattr(fixes_module, "RobustLoss", lambda *args, **more: Cubic())
+    made = fixes_module.FactorBlock.uniform
+    alone = classmethod(lambda cls, *args, native=None, **more: made(*args, **more))
+    monkeypatch.setattr(fixes_module.FactorBlock, "uniform", alone)
+    state = perturbed(graph.start, "x", 3, 1, 2.0)
+    at, exported, values = graph.evaluate(state), graph.to_gtsam(), state.to_values()
+    assert at.cost == pytest.approx(exported.error(values))
+    ours, theirs = linear_graph(at).gradientAtZero(), exported.linearize(values).gradientAtZero()
+    for key in state.keys("x").tolist():
+        assert ours.at(key) == pytest.approx(theirs.at(key), rel=1e-6, abs=1e-6)
+
+
+def test_only_an_estimate_has_an_optimum():
+    steps, fixes, _ = drawn_from_the_model(30, 0)
+    graph = WalkGraph(steps, fixes)
+    with pytest.raises(ValueError, match="expected smooth"):
+        graph.optimal_values()
+
+
+def test_copies_and_pickles_of_an_estimate_are_without_its_graph():
+    """Workers return estimates; everything else is there."""
+    steps, fixes, _ = drawn_from_the_model(30, 0)
+    estimate = pdr.smooth(WalkGraph(steps, fixes))
+    for other in (copy.copy(estimate), pickle.loads(pickle.dumps(estimate))):
+        assert other.graph is None
+        assert other.cost == estimate.cost
+    assert replace(estimate, cost=1.0).graph is estimate.graph
