@@ -22,7 +22,7 @@ import numpy as np
 
 from pdr_graph.estimation.block_cholesky import INDETERMINATE_TEXT
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.normal_equations import RESCUING, AnySolution
+from pdr_graph.estimation.normal_equations import RESCUING, Solution
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MOST_AT_ONCE = 2000  # pieces whose matrices fit into a processor's cache
 
 
-def covariance_of_ends(at: Evaluation, solution: AnySolution, which: Index) -> tuple[Array, Array]:
+def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tuple[Array, Array]:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a

@@ -25,6 +25,7 @@ from pdr_graph.types import Array, Fixes, Index
 if TYPE_CHECKING:
     import gtsam
 
+    from pdr_graph.estimation.ambiguity.hypothesis import Proposal
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 AnyArray = NDArray[Any]
@@ -304,35 +305,12 @@ class Stage(Enum):
     FINAL = "final"
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """An assumption about how a source errs beyond what it states.
-
-    measurements: its kind under this assumption; price: negative log probability of it in advance, relative to a source
-    without such an error [nats]; text: what errs, for the user; source: its name; check: what the user should check, ""
-    if nothing; place_lost: True if the kind measures no absolute position then; fresh: symbols of the variables that do
-    not keep their values; apart: it is also solved from the walk by the other sources alone; prior: name of the linear
-    factors that alone differ, a prior of few variables, "" if others differ.
-    """
-
-    measurements: tuple[Measurement, ...]
-    price: float
-    source: str
-    text: str
-    check: str = ""
-    place_lost: bool = False
-    fresh: tuple[str, ...] = ()
-    apart: bool = False
-    prior: str = ""
-
-
 class Measurement:
     """A measurement kind: all its instances on one walk. Subclasses are frozen; these methods suit simple kinds."""
 
     name: ClassVar[str] = ""
     on_plan: ClassVar[bool] = False  # True if it uses the floor plan
     determines_position: ClassVar[bool] = False  # True if it measures absolute positions
-    has_list: ClassVar[bool] = False  # True if its positions come from a list, see `displaced`
     overhang: ClassVar[float] = 0.0  # [s] by which it may lie before or after the steps
 
     def keyframe_times(self) -> Array:
@@ -383,13 +361,12 @@ class Measurement:
         """The second pass, once a first optimum is known: outliers lose weight, common errors are modelled."""
         return self
 
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
-        """Assumptions under which the instances might fit better than at ``at``, the most promising first."""
-        return ()
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """What may be wrong with the instances, so that they fit better than at ``at``; the most promising first.
 
-    def displaced(self, by: Array) -> Hypothesis | None:
-        """The assumption that all listed positions are displaced by ``by (2,)`` [m]; None for kinds without a list."""
-        return None
+        by_others: returns the walk by the other sources alone; None if these do not determine its place.
+        """
+        return ()
 
     def corrected(self, at: Evaluation) -> Self | None:
         """The measurement without listed positions that the optimum ``at`` contradicts; None if there are none."""

@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from pdr_graph.estimation.ambiguity.review import Excess
 from pdr_graph.estimation.factors.base import insert
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.start import Prior, StartFactor
@@ -26,7 +27,6 @@ from pdr_graph.estimation.live.measurement_log import (
     TableCheckpoint,
 )
 from pdr_graph.estimation.live.nearby_optimum import restart_nearby
-from pdr_graph.estimation.live.review import Excess
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL, WindowCheckpoint
 from pdr_graph.estimation.live.window_graph import WindowGraph

@@ -16,18 +16,25 @@ from typing import Any
 import numpy as np
 from gtsam.symbol_shorthand import C
 
+from pdr_graph.estimation.ambiguity.review import (
+    SOURCE,
+    Excess,
+    Findings,
+    History,
+    HistoryCheckpoint,
+    Places,
+    PlacesQuestion,
+    Review,
+)
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
-from pdr_graph.estimation.live.history import History, HistoryCheckpoint
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.modes import ModesCheckpoint
 from pdr_graph.estimation.live.nearby_optimum import restart_nearby
 from pdr_graph.estimation.live.new_fixes import NewFixes, were_rejected
 from pdr_graph.estimation.live.path_trial import Trial
-from pdr_graph.estimation.live.plan_search import SOURCE, Places, PlacesQuestion
-from pdr_graph.estimation.live.review import Excess, Findings, Review
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL
@@ -375,7 +382,7 @@ class LiveSmoother(NewFixes):
         """Adopt what sources get wrong, and the covariance of what remains possible."""
         graph = self.graph
         before, self.findings = self.findings, review.findings
-        if self.findings.texts != before.texts:
+        if not self.findings.same_decisions(before):
             self._assume(review)
         graph.excess = review.excess or graph.excess
 
