@@ -24,7 +24,10 @@ WRONG_ORIGIN = 1.0  # a list is displaced as a whole: as probable as a receiver 
 WRONG_FIX = 6.0  # a fix is wrong: 1 in 100, that lies anywhere within about 5 sigma
 WRONG_START = -log(0.1)  # the start heading of a user is wrong: 1 in 10; judgement
 COMPASS_OFF = -log(0.07)  # a compass is off to one side throughout: 7 in 100; of 21 real headings none was
-WRONG_PLAN = 6.0  # a plan does not fit; right walls add 0 to 4.5 nats to the cost on 60 simulated and 45 real walks
+WRONG_PLAN = 6.0  # a plan does not fit, at least; right walls add 0 to 4.5 nats on 60 simulated and 45 real walks
+ADDED_BY_WALLS = 0.25  # [nats] the same per measurement, of long walks and frequent fixes: those that the walls amount
+# to, and the cost without walls; right walls add 0.12 to 0.19 in laps of 12 min and more, and where fixes at 1 Hz have
+# correlated errors; 0.3 to 2.3 where the plan is 3 m or more beside many fixes
 DISPLACED_PLAN = 3.0  # a plan, or the only position on it, is some metres off; then walks cost 0 to 5 nats, simulated
 
 

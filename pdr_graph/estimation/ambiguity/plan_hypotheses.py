@@ -17,8 +17,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.bank import DROPPED, SAME_PATH, HypothesisBank, pruned, weighed
-from pdr_graph.estimation.ambiguity.hypothesis import DISPLACED_PLAN, WRONG_PLAN, Hypothesis, Wording, wording_of
+from pdr_graph.estimation.ambiguity.bank import DROPPED, SAME_PATH, UNLIKELY, HypothesisBank, pruned, weighed
+from pdr_graph.estimation.ambiguity.hypothesis import (
+    ADDED_BY_WALLS,
+    DISPLACED_PLAN,
+    WRONG_PLAN,
+    Hypothesis,
+    Wording,
+    wording_of,
+)
 from pdr_graph.estimation.ambiguity.path_modes import (
     ATTEMPTS,
     STRAINED,
@@ -38,13 +45,7 @@ from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.types import Array, Mask
 
 PLAN = "plan"  # the kind of hypotheses about it
-PER_MEASUREMENT = 0.25  # [nats] per measurement that walls amount to; right walls add less: 0.10 to 0.21 in laps of 4
-# to 66 min, up to 53 nats in all; 0.5 to 1.0 where the fixes are 3 m beside the plan, 0.6 where it is turned by 10°
-PER_STEP = 0.1  # measurements per step that right walls amount to at most; 0.03 in these laps, in corridors of 2.5 m
-CORRELATED = 0.25  # share of the cost by which walls add more where the errors of fixes are correlated; IPIN21 at 1 Hz
-MOST_ADDED = 5.0  # [nats] that right walls hardly add: beyond it a displaced plan or position is tried
-MISPLACED = 6.0  # [m] sigma of that displacement, per axis; chosen by hand
-CARRIED = 3.0
+MISPLACED = 6.0  # [m] sigma of the displacement of a plan or of the only position on it, per axis; judgement
 
 # Particles all over the plan: chosen on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the
 # densest
@@ -80,12 +81,11 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
         bank.add(others, DROPPED)
         return bank.members
     free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
-    free = [walk for walk in free if walk.surprise < free[0].surprise + CARRIED]
     between = list(_between_walls(graph, free))
-    usual = PER_MEASUREMENT * min(_measurements_by_walls(between[0]), PER_STEP * len(graph.steps))
-    if between[0].surprise > free[0].surprise + max(MOST_ADDED, usual) and _single_position(graph):
+    by_walls = _measurements_by_walls(between[0])
+    if between[0].surprise > free[0].surprise + UNLIKELY and _single_position(graph):
         between += _displaced(graph, free[0])
-    return pruned([*between, *(walk for other in free for walk in _without_walls(other, max(WRONG_PLAN, usual)))])
+    return pruned([*between, *(walk for other in free for walk in _without_walls(other, by_walls))])
 
 
 def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
@@ -117,11 +117,16 @@ def _measurements_by_walls(optimum: Optimum) -> float:
     return total
 
 
-def _without_walls(free: Optimum, price: float) -> list[Optimum]:
-    """The walk if the plan does not fit; in each direction if the other sources do not determine it."""
+def _without_walls(free: Optimum, by_walls: float) -> Iterator[Optimum]:
+    """The walk if the plan does not fit; in each direction if the other sources do not determine it.
+
+    by_walls: the number of measurements that the walls amount to.
+    """
     walks = different_directions(free)
-    wrong = Hypothesis((PLAN, "wrong"), price=price + float(np.log(len(walks))))
-    return [_assuming(replace(walk, burden=CORRELATED * walk.cost), free, wrong) for walk in walks]
+    for walk in walks:
+        price = max(WRONG_PLAN, ADDED_BY_WALLS * (by_walls + walk.cost))
+        wrong = Hypothesis((PLAN, "wrong"), price=price + float(np.log(len(walks))))
+        yield _assuming(replace(walk, burden=0.0), free, wrong)
 
 
 def _single_position(graph: WalkGraph) -> bool:
