@@ -14,11 +14,11 @@ import numpy as np
 from pdr_graph import io
 from pdr_graph.contradiction import OK, Contradiction
 from pdr_graph.errors import InputError, one_line
+from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
 from pdr_graph.estimation.calibration import calibrate, prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA, heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
-from pdr_graph.estimation.global_localization import begun_on
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother

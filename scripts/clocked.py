@@ -28,8 +28,8 @@ STAGES = {  # what the time of a function is counted as, less what is counted as
     "floors": ("pdr_graph.pipeline:with_floors",),
     "graph, built": ("pdr_graph.pipeline:WalkGraph",),
     "graph, particles": (
-        "pdr_graph.estimation.path_modes:particle_filter",
-        "pdr_graph.estimation.path_modes:particles_from",
+        "pdr_graph.estimation.ambiguity.path_modes:particle_filter",
+        "pdr_graph.estimation.ambiguity.path_modes:particles_from",
     ),
     "graph, solved": ("pdr_graph.pipeline:smooth",),
     "graph, covariance": ("pdr_graph.estimation.smoother:_mixture_covariance",),

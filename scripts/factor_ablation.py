@@ -19,7 +19,7 @@ from reproduce import DATA
 from tables import publish
 
 from pdr_graph import Prior, WalkGraph, smooth
-from pdr_graph.estimation import optimizer
+from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors import fixes as fix_factors
 from pdr_graph.estimation.factors import losses as loss_functions
 from pdr_graph.estimation.factors import preintegration
@@ -79,7 +79,7 @@ def pdr():
 def sub_steps():
     jumps = []
     for walk in malls(SECOND):
-        best = optimizer.solutions(graph_of(walk))[0]
+        best = solutions(graph_of(walk))[0]
         jumps.append(np.hypot(*best.at.step_residual.value[:, :2].T))
     jumps = np.concatenate(jumps)
     half, most = np.percentile(jumps, [50, 95])

@@ -19,6 +19,7 @@ from simulations import simulated
 from tables import DOCS
 
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
+from pdr_graph.estimation.ambiguity.path_modes import rotated, solutions
 from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.factors.beacon_rssi import LEVEL_SIGMA, PATH_LOSS, PATH_LOSS_SIGMA, BeaconRssiFactor
@@ -32,7 +33,6 @@ from pdr_graph.estimation.factors.start import CorridorUse, first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
-from pdr_graph.estimation.optimizer import _rotated, solutions
 from pdr_graph.gait.compass import COMPASS_SIGMA
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
@@ -596,7 +596,7 @@ def first_heading():
     steps = steps_of(np.where(np.arange(60) == 35, 1.2, 0.0))
     one = WalkGraph(steps, fixes_at(dead_reckon(steps), [0], 0.5))
     figure, (around, law) = canvas()
-    for n, start in enumerate(_rotated(one)):
+    for n, start in enumerate(rotated(one)):
         named = "where the optimiser starts" if n == 0 else None
         around.plot(*start.start.poses[:, :2].T, color=BLUE, lw=1.6, label=named)
     around.plot(*one.positions.fixes.position[0], "o", ms=11, color=ORANGE, zorder=5, label="the only fix")

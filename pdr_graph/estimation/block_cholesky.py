@@ -284,21 +284,9 @@ class Factorization:
             x[batch.eliminated] = own - solved[:, :, :-1] @ at_border
         return x[:-1]
 
-    @property
+    @cached_property
     def inverse(self) -> Array:
         """Blocks ``(s, 3, 3)`` of the inverse matrix, in the slots of ``elimination``."""
-        return self._inverses[0]
-
-    def covariance_with(self, variables: Index) -> Array | None:
-        """Columns ``(count, 3, 3 v)`` of the inverse matrix; None for variables that are not all border."""
-        place = np.searchsorted(self.elimination.border, variables)
-        if not np.isin(variables, self.elimination.border).all():
-            return None
-        return self._inverses[1][:-1, :, (3 * place[:, None] + np.arange(3)).ravel()]
-
-    @cached_property
-    def _inverses(self) -> tuple[Array, Array]:
-        """Blocks of the inverse matrix, and its columns ``(count + 1, 3, 3 g)`` of the border."""
         elimination, size = self.elimination, 3 * len(self.elimination.root)
         root, blocks = elimination.root, np.zeros((self._size, 3, 3))
         dense = cho_solve(self._root, np.eye(len(self._last)), check_finite=False)
@@ -317,7 +305,7 @@ class Factorization:
             blocks[batch.bound], blocks[batch.mirrored] = parts, parts.transpose(0, 1, 3, 2)
             to_border[batch.eliminated] = beside
         elimination.fill_in(blocks, to_border)
-        return blocks, to_border
+        return blocks
 
     def joint(self, variables: Index) -> Array:
         """Joint covariances ``(n, 3 d, 3 d)`` of groups ``(n, d)`` of variables that all have a factor in common."""

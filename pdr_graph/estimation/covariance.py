@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.normal_equations import AnySolution
+from pdr_graph.estimation.normal_equations import Solution
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.types import Array, Index
 
 MOST_AT_ONCE = 2000  # pieces whose matrices fit into a processor's cache
 
 
-def covariance_of_ends(at: Evaluation, solution: AnySolution, which: Index) -> tuple[Array, Array]:
+def covariance_of_ends(at: Evaluation, solution: Solution, which: Index) -> tuple[Array, Array]:
     """Covariances of (x, y, heading) at the start and the ends of some pieces ``(1 + n, 3, 3)``, in the output axes.
 
     Between keyframes: the joint of x_i, x_j and c through the derivatives of the sub-steps, plus the covariance of a

@@ -7,9 +7,8 @@ and used in every iteration.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -139,58 +138,6 @@ class Solution:
         """
         first = first_variables(self._state)
         return self._factorization.joint(np.stack([first[symbol] + rows for symbol, rows in groups], axis=1))
-
-    def covariance_with(self, symbol: str, rows: Index) -> dict[str, Array] | None:
-        """Covariances ``(n, 3, 3 r)`` of all variables of each symbol with those in ``rows (r,)`` of one symbol.
-
-        None unless so many others are bound to each of these that they are the border of the elimination.
-        """
-        first = first_variables(self._state)
-        columns = self._factorization.covariance_with(first[symbol] + rows)
-        if columns is None:
-            return None
-        return {symbol: columns[n : n + len(self._state[symbol])] for symbol, n in first.items()}
-
-    @property
-    def unchanged(self) -> Solution:
-        """Itself; see `ChangedSolution`."""
-        return self
-
-
-@dataclass(frozen=True)
-class ChangedSolution:
-    """A solution whose information has changed for a few variables; see `changed_prior` and `Solution`.
-
-    before: without the change; columns: C, ``(n, 3, q)`` of the variables of each symbol; change: M ``(q, q)``.
-    """
-
-    before: Solution
-    columns: Mapping[str, Array]
-    change: Array
-    log_determinant: float
-
-    def joint(self, *groups: tuple[str, Index]) -> Array:
-        """As `Solution.joint`."""
-        C = np.concatenate([self.columns[symbol][rows] for symbol, rows in groups], axis=1)
-        return self.before.joint(*groups) - C @ self.change @ C.transpose(0, 2, 1)
-
-    @property
-    def unchanged(self) -> Solution:
-        """The solution before the change."""
-        return self.before
-
-
-AnySolution = Solution | ChangedSolution
-
-
-def mixture(solutions: Sequence[AnySolution], weight: Array) -> AnySolution:
-    """A solution whose covariances are the weighted means. solutions: of one system, with changes or without."""
-    pairs = zip(weight / weight.sum(), solutions, strict=True)
-    changed = [(share, solution) for share, solution in pairs if isinstance(solution, ChangedSolution)]
-    if not changed:
-        return solutions[0]
-    mean = np.sum([share * solution.change for share, solution in changed], axis=0)
-    return replace(changed[0][1], change=mean)
 
 
 def first_variables(state: State) -> dict[str, int]:

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.errors import expect
+from pdr_graph.estimation.ambiguity.bank import SAME_PATH, contradictions, paths, probabilities
+from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, joint_solutions, localized
 from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.covariance import covariance_of_ends
-from pdr_graph.estimation.global_localization import Localization, localized
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
-from pdr_graph.estimation.normal_equations import AnySolution, mixture
-from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, fully_optimized, paths, probabilities
+from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
     LEAST_REPORTED,
     calibration_of,
@@ -54,7 +53,7 @@ def estimated(graph: WalkGraph, found: Localization) -> Estimate:
     of_c = best.solution.joint(("c", np.arange(len(best.state.c))))
     covariance = found.covariance(rows, _mixture_covariance(optima, share / share.sum()))
     fits = best.graph.walled == graph.walled
-    of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(_covariance_of_rows(best, best.solution)))
+    of_path = float(probability[path == 0].sum()) * (1.0 if fits else _near(_covariance_of_rows(best)))
     trajectory = replace(track, covariance=covariance)
 
     # Calibration, reports, warnings
@@ -124,24 +123,14 @@ def _near(covariance: Array) -> float:
 def _mixture_covariance(optima: list[Optimum], weight: Array) -> Array:
     """Covariance of each row about the best solution, the others counted by their probability.
 
-    weight: ``(n,)`` with sum 1. Solutions that differ in a prior alone are mixed before the steps between keyframes.
+    weight: ``(n,)`` with sum 1.
     """
     rows, total = poses_of_rows(optima[0]), np.zeros(())
-    for own in _alike(optima):
-        share = float(weight[own].sum())
-        mixed = mixture([optima[n].solution for n in own], weight[own])
-        total = total + share * _covariance_of_rows(optima[own[0]], mixed)
-        for n in own[own > 0].tolist():
-            apart = differences(poses_of_rows(optima[n]), rows)
-            total = total + weight[n] * apart[:, :, None] * apart[:, None, :]
+    for share, optimum in zip(weight.tolist(), optima, strict=True):
+        apart = differences(poses_of_rows(optimum), rows)
+        total = total + share * (_covariance_of_rows(optimum) + apart[:, :, None] * apart[:, None, :])
     return total
 
 
-def _alike(optima: list[Optimum]) -> list[Index]:
-    """Places of the solutions that differ in a prior alone, together."""
-    same = [id(optimum.solution.unchanged) for optimum in optima]
-    return [np.flatnonzero(np.array(same) == one) for one in dict.fromkeys(same)]
-
-
-def _covariance_of_rows(optimum: Optimum, solution: AnySolution) -> Array:
-    return covariance_of_ends(optimum.at, solution, optimum.at.pieces.row_end)[0]
+def _covariance_of_rows(optimum: Optimum) -> Array:
+    return covariance_of_ends(optimum.at, optimum.solution, optimum.at.pieces.row_end)[0]

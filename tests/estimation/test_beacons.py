@@ -133,7 +133,7 @@ def test_live_every_received_level_is_in_the_graph(monkeypatch):
         if n % 20 == 10:
             live.append(fixes_at([steps.time[n]], track.position[n + 1], 1.0))
     live.finish()
-    kinds = live.graph.evaluate(everything=True).measurements
+    kinds = live.graph.at.measurements
     [levels] = [kind for kind in kinds if isinstance(kind, BeaconRssiFactor)]
     assert len(calls) > 50
     assert sorted(levels.listed.rssi.tolist()) == sorted(calls)

@@ -8,13 +8,13 @@ import shapely
 from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
+from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
 from pdr_graph.estimation.factors.fixes import FixCosts
 from pdr_graph.estimation.factors.heading_prior import HeadingCosts
 from pdr_graph.estimation.factors.preintegration import intervals, whole_pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.particle_filter import ParticleFilter, measurements_at, particle_filter
 from pdr_graph.estimation.particle_motion import COMPILED
-from pdr_graph.estimation.path_modes import dominant_modes
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 

@@ -1,6 +1,5 @@
 """While a walk goes on, its sources are compared as in the batch: wrong lists are found, what stays open is stated."""
 
-import re
 from copy import deepcopy
 from dataclasses import replace
 from functools import cache, partial
@@ -11,11 +10,10 @@ from test_one_engine import started, walking
 from walks import drawn_beside_beacons, drawn_with_a_receiver
 
 from pdr_graph import smooth
-from pdr_graph.estimation.factors.base import Hypothesis
+from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
+from pdr_graph.estimation.ambiguity.review import SPAN, Excess, Findings, Question
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live import review
-from pdr_graph.estimation.live.history import SPAN
-from pdr_graph.estimation.live.review import Assumption, Excess, Findings, Question
 from pdr_graph.storage import decode, encode
 
 STEPS = 160
@@ -67,7 +65,7 @@ def test_a_correct_list_stays_as_it_is():
     steps, fixes, levels, _ = drawn_beside_beacons(STEPS, 0, wrong=0.5)
     live = followed(steps, [fixes, levels])
     assert live.ambiguity.findings.contradictions == ()
-    assert not any("list" in text for text in live.ambiguity.findings.texts)
+    assert not any(claim.kind[0] == "beacons" for claim in live.ambiguity.findings.memory.adopted)
 
 
 def with_a_receiver():
@@ -94,7 +92,7 @@ def test_idle_moments_and_checkpoints_change_nothing(walk):
     plain = plainly_followed(walk)
     rested, resumed = (followed(steps, data, between=between) for between in (idle, restored))
     for other, limit in ((rested, 0.0), (resumed, 0.6)):  # linearised elsewhere, at sigmas of 5 m
-        assert other.ambiguity.findings.texts == plain.ambiguity.findings.texts
+        assert other.ambiguity.findings.same_decisions(plain.ambiguity.findings)
         assert np.abs(other.graph.window.pose - plain.graph.window.pose)[:, :2].max() <= limit
     assert np.array_equal(rested.graph.excess.covariance, plain.graph.excess.covariance)
 
@@ -114,59 +112,78 @@ def test_an_adopted_assumption_stays_without_evidence_and_goes_against_it():
     """A pair once found swapped, in a past without its levels, and in one in which the list is right."""
     steps, (fixes, levels), _, _ = swapped()
     first = Question(partial(WalkGraph, steps, fixes, levels=levels), Findings(), {}, False).answer()
-    assert len(first.findings.texts) == 1
+    assert len(first.findings.memory.adopted) == 1
     silent = replace(levels, time=levels.time[:4], beacon=levels.beacon[:4], rssi=levels.rssi[:4])
     later = Question(partial(WalkGraph, steps, fixes, levels=silent), first.findings, first.decisions, False).answer()
-    assert later.findings.texts == first.findings.texts
+    assert later.findings.same_decisions(first.findings)
     right = replace(levels, position=drawn_beside_beacons(STEPS, 0, wrong=0.5)[2].position)
     places = np.column_stack([levels.position, np.zeros(len(levels.position))])
     wrong = {"beacons": first.decisions["beacons"] | {"position": levels.position, "prior": places}}
     after = Question(partial(WalkGraph, steps, fixes, levels=right), first.findings, wrong, False).answer()
-    assert after.findings.texts == frozenset()
+    assert after.findings.memory.adopted == ()
+
+
+def fix_wrong(number):
+    return Hypothesis(("fixes", "wrong"), (number,), (60.0, 3.0, 4.0))
+
+
+def off(factor, name="GNSS"):
+    return Hypothesis(("gnss_bias", "throughout"), (name,), (factor,), price=factor)
+
+
+def displaced(by):
+    return Hypothesis(("beacons", "displaced"), (), (by,), 5.5, ("beacons",))
 
 
 @pytest.mark.parametrize(
     ("one", "other", "same"),
     [
-        ("b4 is not where the list says", "b6 is not where the list says", False),
-        ("the fix at 60 s, (3, 4) m, is wrong", "the fix at 90 s, (3, 4) m, is wrong", False),
-        ("all positions in the list of beacons are off by about 44 m", "{} 41 m", True),
-        ("GNSS is off throughout by up to 2 times what it states", "{} 5 times what it states", True),
+        (Hypothesis(("beacons", "moved"), ("b4",)), Hypothesis(("beacons", "moved"), ("b6",)), False),
+        (Hypothesis(("beacons", "moved"), ("b4",)), Hypothesis(("beacons", "swapped"), ("b4",)), False),
+        (fix_wrong(7), fix_wrong(8), False),
+        (displaced(44.0), displaced(41.0), True),
+        (off(2.0), off(5.0), True),
+        (off(2.0), off(2.0, "Wi-Fi"), False),
     ],
 )
-def test_assumptions_are_the_same_if_only_the_size_of_the_error_differs(one, other, same):
-    """Evidence for one beacon or fix is none for another whose name has other digits."""
-    other = other.format(re.split(r" \d", one)[0])
-    assert (review._sizeless(one) == review._sizeless(other)) == same
+def test_hypotheses_are_the_same_claim_if_only_the_size_of_the_error_differs(one, other, same):
+    assert (one == other) == same
+    assert len({one, other}) == 2 - same
+
+
+def test_row_numbers_of_a_hypothesis_become_permanent():
+    numbers = {"fixes": np.array([40, 41, 45]), "beacons": np.array([3])}
+    assert fix_wrong(2).numbered(numbers) == fix_wrong(45)
+    assert Hypothesis(("beacons", "moved"), ("b4",)).numbered(numbers).instances == ("b4",)
+    assert off(2.0).numbered(numbers) == off(2.0)
 
 
 @pytest.mark.parametrize("competed", [True, False])
-def test_what_competes_with_an_adopted_assumption_stays_possible(monkeypatch, competed):
+def test_what_competes_with_an_adopted_hypothesis_stays_possible(monkeypatch, competed):
     """Either the list or the receiver is off: the list fits better by 1.3 nats, although the receiver was adopted.
 
     If the list was not possible when the receiver was adopted, the older evidence is for the receiver alone.
     """
     steps, (fixes, levels), _, _ = swapped()
-    off = {
-        "list": Hypothesis((), 5.5, "beacons", "the list is off by about 31 m", "the list"),
-        "receiver": Hypothesis((), 5.5, "fixes", "the receiver is off", "the receiver"),
-    }
+    list_off, receiver_off = displaced(31.0), replace(off(5.0), changes=())
 
-    def explained(first):
-        costs = {"list": 0.0, "receiver": 1.3}
-        return [replace(first, assumed=(off[name],), burden=first.burden + cost) for name, cost in costs.items()]
+    def explained(bank):
+        costs = {list_off: 0.0, receiver_off: 1.3}
+        first = bank.first
+        bank.members = [replace(first, assumed=(h,), burden=first.burden + cost) for h, cost in costs.items()]
+        return bank
 
-    monkeypatch.setattr(review, "explanations", explained)
-    rivals = ("the list is off by about # m",) * competed + ("the receiver is off",)
-    before = Findings((Assumption.of(off["receiver"]),), (), rivals)
+    monkeypatch.setattr(HypothesisBank, "explain", explained)
+    rivals = (displaced(29.0),) * competed + (receiver_off,)
+    before = Findings(Memory((receiver_off,), rivals))
     found = Question(partial(WalkGraph, steps, fixes, levels=levels), before, {}, False).answer().findings
     (contradiction,) = found.contradictions
     if competed:
-        assert found.texts == {"the list is off by about 31 m"}
+        assert found.memory.adopted == (list_off,)
         assert contradiction.amount == pytest.approx(1 / (1 + np.exp(-1.3)), abs=0.001)
-        assert set(found.rivals) == set(rivals)
+        assert set(found.memory.possible) == set(rivals)
     else:
-        assert found.texts == {"the receiver is off"}
+        assert found.memory.adopted == (receiver_off,)
         assert contradiction.amount > 0.99
 
 
@@ -175,6 +192,7 @@ def test_a_review_is_encoded_without_loss():
     answer = Question(partial(WalkGraph.of, steps, data), Findings(), {}, False).answer()
     again = decode(encode(answer), type(answer))
     assert again.findings == answer.findings
+    assert again.findings.same_decisions(answer.findings)
     assert np.array_equal(again.excess.covariance, answer.excess.covariance)
 
 
@@ -193,7 +211,7 @@ def test_decisions_name_rows_that_are_dropped_before_the_answer_is_used():
     """A silence of minutes between a question and its answer, or a late fix, may change the rows of the history."""
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
-    before = Findings((Assumption(("fixes",), 5.5, "", "", ""),))
+    before = Findings(Memory((replace(fix_wrong(0), changes=("fixes",)),)))
     question = live.ambiguity.history.question(live.graph.window.times[-1], live.graph.prior, before, {}, False)
     numbers = live.ambiguity.history.log.numbers("fixes").tolist()
     live.ambiguity.history.log.forget(np.inf)

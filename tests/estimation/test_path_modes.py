@@ -6,8 +6,8 @@ import shapely
 from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
+from pdr_graph.estimation.ambiguity.path_modes import APART, dominant_modes, path_modes, path_starts
 from pdr_graph.estimation.particle_filter import Paths, particle_filter
-from pdr_graph.estimation.path_modes import APART, dominant_modes, hypotheses, path_modes
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
 
@@ -46,7 +46,7 @@ def test_a_fork_has_two_modes_of_similar_share():
     """There is a wall straight ahead; the walk went to one side, and no measurement says which."""
     paths = particle_filter(graph_of(walk(0.0)))
     assert upper(paths) == pytest.approx(0.5, abs=0.2)
-    ways = hypotheses(graph_of(walk(0.0)))
+    ways = path_starts(graph_of(walk(0.0)))
     ends = np.array([way.poses[-1, 1] for way in ways[:3]])
     strongest = [side * ends[np.sign(ends) == side][0] for side in (-1, 1)]
     assert strongest == pytest.approx(np.full(2, (35.0 - STEM) * np.sin(HALF_ANGLE)), abs=3.5)  # strides: by a quarter
@@ -56,7 +56,7 @@ def test_a_fork_has_two_modes_of_similar_share():
 def test_a_measured_turn_leaves_one_mode(side):
     steps = walk(side * HALF_ANGLE)
     steps = type(steps)(**{**steps.__dict__, "sigma_turn": np.full(len(steps), 0.02)})
-    ways = hypotheses(graph_of(steps))
+    ways = path_starts(graph_of(steps))
     assert np.sign(ways[0].poses[-1, 1]) == side
     assert all(np.sign(way.poses[-1, 1]) == side for way in ways)
 

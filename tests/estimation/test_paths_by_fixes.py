@@ -6,8 +6,9 @@ import shapely
 from walks import PERIOD, fixes_at, steps_of
 
 from pdr_graph import Headings, WalkGraph
-from pdr_graph.estimation import optimizer, particle_filter
-from pdr_graph.estimation.optimizer import solutions
+from pdr_graph.estimation import particle_filter
+from pdr_graph.estimation.ambiguity import path_modes
+from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
@@ -66,7 +67,7 @@ def test_dense_fixes_determine_the_path_without_particles(sent_off):
 def test_particles_lead_to_the_same_walk(monkeypatch):
     walk, _ = graph(every=20, sigma=2.0)
     by_fixes = solutions(walk)[0]
-    monkeypatch.setattr(optimizer, "fixes_determine_path", lambda *_: None)
+    monkeypatch.setattr(path_modes, "fixes_determine_path", lambda *_: None)
     sought = solutions(walk)[0]
     # the optimiser settles within 3e-5 of a cost of some tens
     assert by_fixes.surprise == pytest.approx(sought.surprise, abs=0.02)

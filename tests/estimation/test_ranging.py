@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from walks import drawn_from_the_model
 
+from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors import ranging
 from pdr_graph.estimation.factors.ranging import LongErrors, RangeFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.optimizer import solutions
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.measurements import Ranges, take
 from pdr_graph.types import Steps

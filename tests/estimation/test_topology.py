@@ -8,8 +8,9 @@ import shapely
 from walks import fixes_at, steps_of
 
 from pdr_graph import Headings, smooth
+from pdr_graph.estimation.ambiguity.bank import paths, probabilities
+from pdr_graph.estimation.ambiguity.path_modes import UNSEEN, solutions
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import UNSEEN, paths, probabilities, solutions
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame

@@ -11,8 +11,8 @@ from walks import fixes_at
 
 import pdr_graph as pdr
 from pdr_graph import Headings, smooth
-from pdr_graph.estimation.hypotheses import joint_solutions
-from pdr_graph.estimation.optimizer import probabilities
+from pdr_graph.estimation.ambiguity.bank import probabilities
+from pdr_graph.estimation.ambiguity.plan_hypotheses import joint_solutions
 from pdr_graph.geometry import interpolate
 
 MAPS = Path(__file__).parents[2] / "maps"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pdr_graph.estimation.factors import beacon_rssi
-from pdr_graph.estimation.live import ambiguity, scan_collector
+from pdr_graph.estimation.live import live_ambiguity, scan_collector
 from pdr_graph.estimation.live.measurement_log import WAITING
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.gait.step_stream import StepStream
@@ -141,7 +141,7 @@ def test_a_barometer_alone_is_not_hoarded():
 
 def test_a_walk_whose_direction_stays_open_leaves_the_window(monkeypatch):
     """One fix and nothing else: the direction is never known, and the window would hold all of the walk."""
-    monkeypatch.setattr(ambiguity, "SCHEDULE", replace(SCHEDULE, longest_open=60.0))
+    monkeypatch.setattr(live_ambiguity, "SCHEDULE", replace(SCHEDULE, longest_open=60.0))
     steps, fixes = held_by_walls(600, period=0.5)
     nav, most = Navigator(lag=20.0), 0
     for event in said_events(steps, fixes[:1]):

@@ -318,28 +318,6 @@ class Stage(Enum):
     FINAL = "final"
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """An assumption about how a source errs beyond what it states.
-
-    measurements: its kind under this assumption; price: negative log probability of it in advance, relative to a source
-    without such an error [nats]; text: what errs, for the user; source: its name; check: what the user should check, ""
-    if nothing; place_lost: True if the kind measures no absolute position then; fresh: symbols of the variables that do
-    not keep their values; apart: it is also solved from the walk by the other sources alone; prior: name of the linear
-    factors that alone differ, a prior of few variables, "" if others differ.
-    """
-
-    measurements: tuple[Measurement, ...]
-    price: float
-    source: str
-    text: str
-    check: str = ""
-    place_lost: bool = False
-    fresh: tuple[str, ...] = ()
-    apart: bool = False
-    prior: str = ""
-
-
 class Measurement(ABC):
     """A measurement kind: all its instances on one walk. Subclasses are frozen.
 

@@ -13,13 +13,21 @@ stays the same where nobody moves, so levels are averaged over metres walked, no
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
+from pdr_graph.estimation.ambiguity.hypothesis import (
+    WRONG_LIST,
+    WRONG_ORIGIN,
+    Hypothesis,
+    Proposal,
+    Wording,
+    wording_of,
+)
+from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.beacon_list import (
     HEIGHT,
     LEVEL_SIGMA,
@@ -44,12 +52,9 @@ ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its stro
 
 # A wrong list
 MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are assumed and solved
-WRONG_LIST = 5.5  # [nats] price of a wrong list, see `Hypothesis`
 SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
-ORIGIN_SIGMA = 30.0  # [m] of the displacement of a whole list, and
-WRONG_ORIGIN = 1.0  # [nats] its price: as probable as a receiver that is as far off throughout
+ORIGIN_SIGMA = 30.0  # [m] of the displacement of a whole list
 DISPLACED = 8.0  # [m] between the walks by the list and by all else, from which that is assumed
-CHECK_LIST = "the positions in the list of beacons"
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,18 +256,24 @@ class BeaconRssiFactor(Measurement):
         prior[listed, :2] = position[listed]
         return replace(self, position=position, prior=prior)
 
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
-        """Two beacons of the list are swapped, one has moved, or the list is of another place."""
-        return list_hypotheses(self, at)
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """Two beacons of the list are swapped, one has moved, the list is of another place or is displaced."""
+        along = list_hypotheses(self, at, placed=by_others is not None)
+        if by_others is None:
+            return along
+        others = by_others()
+        apart = list_hypotheses(self, others, placed=True) if along else []
+        by = np.mean(others.state.poses[:, :2] - at.state.poses[:, :2], axis=0)
+        if np.hypot(*by) > DISPLACED:
+            apart.append(self._displaced(by))
+        return [*along, *(replace(proposal, start=others.state) for proposal in apart)]
 
-    def displaced(self, by: Array) -> Hypothesis | None:
-        """The list has the right distances between beacons, but another origin."""
-        if np.hypot(*by) < DISPLACED:
-            return None
-        text = f"all positions in the list of beacons are off by about {np.hypot(*by):.0f} m"
+    def _displaced(self, by: Array) -> Proposal:
+        """The list has the right distances between beacons, but another origin, ``by (2,)`` [m] away."""
         displaced = replace(self.at_places(self.position + by), origin=by)
         price = WRONG_ORIGIN + 2 * float(np.log(ORIGIN_SIGMA))
-        return Hypothesis((displaced,), price, "beacons", text, CHECK_LIST, fresh=("b",))
+        away = Hypothesis((self.name, "displaced"), (), (float(np.round(np.hypot(*by))),), price)
+        return Proposal(away, (displaced,), fresh=("b",))
 
     def reports(self, at: Evaluation, which: Index | None = None) -> tuple[BeaconReport, ...]:
         """Estimated position and mean residual of each beacon received on the walk."""
@@ -325,8 +336,11 @@ def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons
     return Levels(middle[of_stretch[first]], row, mean, label, beacons.position[received], beacons.sigma[received])
 
 
-def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesis]:
-    """What may be wrong with the listed positions, screened along the walk ``at``."""
+def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation, placed: bool) -> list[Proposal]:
+    """What may be wrong with the listed positions, screened along the walk ``at``.
+
+    placed: other sources say where the walk was, so that the whole list may be wrong.
+    """
     q = at.state.arrays.get("q", PATH_LOSS[None])[0]
     levels = replace(beacons.listed, position=beacons.position)
     surveyed, places, cost = placement_costs(levels, at.chain.time, at.state.poses[:, :2], q)
@@ -344,22 +358,24 @@ def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation) -> list[Hypothesi
     best = places[count + np.argmin(cost[:, count:], axis=1)]
     for i in np.argsort(-gains)[:MOST_OF_A_KIND].tolist():
         if gains[i] > SUSPICIOUS:
-            text = f"{beacons.listed.label[surveyed[i]]} is not where the list says"
-            found.append(_unlisted(beacons, surveyed[i : i + 1], best[i : i + 1], text))
-    if count > 1 and np.sum(gains) > count * SUSPICIOUS:
-        text = "the list of beacons is of another place"
-        found.append(replace(_unlisted(beacons, surveyed, best, text), place_lost=True))
+            label = beacons.listed.label[surveyed[i]]
+            found.append(_unlisted(beacons, surveyed[i : i + 1], best[i : i + 1], "moved", (label,)))
+    if placed and count > 1 and np.sum(gains) > count * SUSPICIOUS:
+        found.append(_unlisted(beacons, surveyed, best, "of another place"))
     return found
 
 
-def _swapped(beacons: BeaconRssiFactor, a: int, b: int) -> Hypothesis:
-    position, label = beacons.position.copy(), beacons.listed.label
+def _swapped(beacons: BeaconRssiFactor, a: int, b: int) -> Proposal:
+    position = beacons.position.copy()
     position[[a, b]] = position[[b, a]]
-    text = f"the positions of {label[a]} and {label[b]} are swapped in the list"
-    return Hypothesis((beacons.at_places(position),), WRONG_LIST, "beacons", text, CHECK_LIST, fresh=("b",))
+    labels = tuple(sorted((beacons.listed.label[a], beacons.listed.label[b])))
+    swapped = Hypothesis((beacons.name, "swapped"), labels, price=WRONG_LIST)
+    return Proposal(swapped, (beacons.at_places(position),), fresh=("b",))
 
 
-def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) -> Hypothesis:
+def _unlisted(
+    beacons: BeaconRssiFactor, which: Index, place: Array, error: str, labels: tuple[str, ...] = ()
+) -> Proposal:
     """Beacons ``which`` are not where they are listed, perhaps at ``place (m, 2)`` [m].
 
     The price includes the normaliser of the wider prior of their places.
@@ -369,4 +385,19 @@ def _unlisted(beacons: BeaconRssiFactor, which: Index, place: Array, text: str) 
     unlisted = beacons.at_places(position)
     unlisted.prior[which, :2] = place
     price = WRONG_LIST + float(2 * np.log(ANYWHERE / beacons.listed.sigma[which]).sum())
-    return Hypothesis((unlisted,), price, "beacons", text, CHECK_LIST, fresh=("b",))
+    return Proposal(Hypothesis((beacons.name, error), labels, price=price), (unlisted,), fresh=("b",))
+
+
+@wording_of(BeaconRssiFactor.name)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """What is wrong with a list of beacons."""
+    labels, (_, error) = " and ".join(str(label) for label in hypothesis.instances), hypothesis.kind
+    if error == "swapped":
+        text = f"the positions of {labels} are swapped in the list"
+    elif error == "moved":
+        text = f"{labels} is not where the list says"
+    elif error == "displaced":
+        text = f"all positions in the list of beacons are off by about {hypothesis.parameter[0]:.0f} m"
+    else:
+        text = "the list of beacons is of another place"
+    return Wording(BeaconRssiFactor.name, text, "the positions in the list of beacons")

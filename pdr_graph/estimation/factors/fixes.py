@@ -8,13 +8,14 @@ reach of the one before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Hypothesis, Measurement
+from pdr_graph.estimation.ambiguity.hypothesis import WRONG_FIX, Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.likelihood import LEAST_SIGMA, OUTLIER_PRICE
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
@@ -41,7 +42,6 @@ REJECTED = 0.25  # of a fix in the longest chain, for one that the walk under wa
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
 DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, below which one may be wrong
-WRONG_FIX = 6.0  # [nats] price of a wrong fix: one in a hundred, that lies anywhere within about 5 sigma
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
 SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
 FAR = 4.0  # [σ] of a fix from all particles, from which some of them are moved there
@@ -238,7 +238,7 @@ class FixFactor(Measurement):
         held = np.where(reached, ~far | self.consistent, self.held)
         return self.classified(outlier, held & np.logical_not(self.wrong))
 
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """A fix beside the one farthest from the walk, or that one, is wrong: the walk may have followed it."""
         own = self.independent[np.argsort(self.fixes.time[self.independent], kind="stable")]
         if self.approximate or self.flat or len(own) < 2:
@@ -251,16 +251,15 @@ class FixFactor(Measurement):
         beside = [n for n in range(max(worst - 1, 0), min(worst + 2, len(own))) if not self.outlier[own[n]]]
         return [self._without(int(own[n]), own[max(n - 1, 0) : n + 2], usual) for n in beside]
 
-    def _without(self, n: int, near: Index, usual: float) -> Hypothesis:
+    def _without(self, n: int, near: Index, usual: float) -> Proposal:
         """Fix ``n`` is wrong, and those near it in time are no outliers. usual: sigma [m]: surer ones are right."""
         outlier, held = self.outlier.copy(), self.held.copy()
         outlier[near], held[near] = False, self.used[near]
         held[n] = False
         price = WRONG_FIX + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))
-        x, y = self.fixes.position[n]
-        text = f"the fix at {self.fixes.time[n]:.0f} s, ({x:.0f}, {y:.0f}) m, is wrong"
         without = replace(self.classified(outlier, held), wrong=self.wrong | (self.number == self.number[n]))
-        return Hypothesis((without,), price, self.name, text, "that position and its sigma")
+        where = (float(self.fixes.time[n]), *self.fixes.position[n].tolist())
+        return Proposal(Hypothesis((self.name, "wrong"), (int(self.number[n]),), where, price), (without,))
 
     @property
     def instances(self) -> tuple[Index, Array]:
@@ -385,6 +384,14 @@ class FixCosts:
 def _squares(state: Array, place: Array) -> Array:
     """Squared distances ``(n,)`` [m²] from a place."""
     return np.square(state[0] - place[0]) + np.square(state[1] - place[1])
+
+
+@wording_of(FixFactor.name)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """A fix is wrong."""
+    time, x, y = hypothesis.parameter
+    text = f"the fix at {time:.0f} s, ({x:.0f}, {y:.0f}) m, is wrong"
+    return Wording(FixFactor.name, text, "that position and its sigma")
 
 
 def fix_reason(sigmas: float, weight: float, outlier: bool, origin: str = "the walk") -> str:

@@ -17,13 +17,14 @@ excess of worse ones among them is common to them as well.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Hypothesis, Measurement, Variables
+from pdr_graph.estimation.ambiguity.hypothesis import LARGER, WORSE, Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.receivers import ALONG, alike, by_source, drift
@@ -42,10 +43,8 @@ AMBLE = 1.0  # [m/s] assumed after the last step, until the next node
 SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
 THROUGHOUT = 1.0  # k of a receiver that is as good as it states
-SCATTERED = 1.1  # [σ] root mean square residual from which all errors may be larger than stated,
-LARGER = ((2.0, 1.5), (4.0, 3.0))  # by these factors, and the price of that assumption [nats]
-CHECK_RECEIVER = "its sigmas, as stated; leave it out, or give a position that is known"
-WORSE = ((2.0, 0.7), (5.0, 2.3))  # of a worse one, and the price of that assumption [nats]
+USUALLY_WORSE = 2.0  # k up to which a user need not check a receiver
+SCATTERED = 1.1  # [σ] root mean square residual from which all errors may be larger than stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,32 +113,23 @@ class GnssBias(Measurement):
         fixes = self.fixes.refined(at)
         return self if fixes is self.fixes else self.of(fixes, self.steps).continued(self.decisions())
 
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
-        """All receivers are off throughout by several times what they state."""
-        if not len(self.fix):
-            return ()
-        hypotheses = []
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """All receivers are off throughout by several times what they state, or all their errors are larger."""
+        return [*self._off_throughout(), *self._larger_errors(at)] if len(self.fix) else ()
+
+    def _off_throughout(self) -> Iterator[Proposal]:
+        """All receivers are off throughout; the normaliser is that of the wider prior."""
         for k, price in WORSE:
-            text = f"{self._names} is off throughout by up to {k:.0f} times what it states"
-            check = CHECK_RECEIVER if k > 2 else ""
-            worse = replace(self, throughout=k)
-            spread = 2 * float(np.log(k)) * len(self.usual)  # the normaliser of the wider prior
-            hypotheses.append(
-                Hypothesis((worse,), price + spread, self._names, text, check, prior=self._name_throughout)
-            )
-        return [*hypotheses, *self._larger_errors(at)]
+            normaliser = 2 * float(np.log(k)) * len(self.usual)
+            off = Hypothesis((self.name, "throughout"), self._names, (k,), price + normaliser)
+            yield Proposal(off, (replace(self, throughout=k),))
 
     @property
-    def _name_throughout(self) -> str:
-        """The name of the factors of o."""
-        return f"{self.name}.throughout"
-
-    @property
-    def _names(self) -> str:
+    def _names(self) -> tuple[str, ...]:
         """The names of the receivers."""
-        return " and ".join(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist()))
+        return tuple(dict.fromkeys(self.fixes.fixes.source[n] for n in self.fix.tolist()))
 
-    def _larger_errors(self, at: Evaluation) -> Iterator[Hypothesis]:
+    def _larger_errors(self, at: Evaluation) -> Iterator[Proposal]:
         """All errors are several times what is stated, if the fixes lie accordingly about the walk and the offset."""
         [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol]
         if np.sqrt(np.mean(block.residual**2)) < SCATTERED:
@@ -148,9 +138,8 @@ class GnssBias(Measurement):
             normalisers = 2 * float(np.log(factor)) * (len(block) + len(self.sigma) + len(self.usual))
             outlier = self.fixes.outlier & (self.fixes.distance(at) > OUTLIER * factor * self.fixes.sigma)
             fixes = self.fixes.classified(outlier, self.fixes.held)
-            text = f"the errors of {self._names} are about {factor:.0f} times what it states"
-            larger = replace(self._times(factor), fixes=fixes)
-            yield Hypothesis((larger, fixes), price + normalisers, self._names, text, CHECK_RECEIVER)
+            errors = Hypothesis((self.name, "larger"), self._names, (factor,), price + normalisers)
+            yield Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes))
 
     def _times(self, factor: float) -> Self:
         """Multiply the sigmas of all errors."""
@@ -247,7 +236,7 @@ class GnssBias(Measurement):
         )
         root = np.stack([1 / (self.throughout * self.usual)] * 2 + [np.ones(len(o))], axis=1)
         same = FactorBlock.uniform(
-            self._name_throughout,
+            f"{self.name}.throughout",
             o * root,
             [(self.symbol_throughout, np.arange(len(o)))],
             lambda: [np.eye(3) * root[:, :, None]],
@@ -257,6 +246,17 @@ class GnssBias(Measurement):
             prior=True,
         )
         return [begin, follow, same]
+
+
+@wording_of(GnssBias.name)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """Receivers are off throughout, or all their errors are larger than they state."""
+    names, (factor,) = " and ".join(str(name) for name in hypothesis.instances), hypothesis.parameter
+    check = "its sigmas, as stated; leave it out, or give a position that is known"
+    if hypothesis.kind[1] == "larger":
+        return Wording(names, f"the errors of {names} are about {factor:.0f} times what it states", check)
+    text = f"{names} is off throughout by up to {factor:.0f} times what it states"
+    return Wording(names, text, check if factor > USUALLY_WORSE else "")
 
 
 def _number(source: str) -> int:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Hypothesis, Measurement
+from pdr_graph.estimation.ambiguity.hypothesis import (
+    COMPASS_OFF,
+    WRONG_START,
+    Hypothesis,
+    Proposal,
+    Wording,
+    wording_of,
+)
+from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.likelihood import OUTLIER_PRICE
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
@@ -23,8 +31,7 @@ if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
 START, START_HEADING_SIGMA = "start", 0.2  # source and sigma [rad] of the start heading of a user; chosen by hand
-WRONG_START = 0.1  # share of wrong start headings; chosen by hand
-OFF, SHARE = np.pi / 4, 0.14  # [rad] of a compass that is off throughout; share of such (none of 21 real headings)
+OFF = np.pi / 4  # [rad] of a compass that is off throughout
 
 
 @dataclass(frozen=True)
@@ -92,14 +99,18 @@ class HeadingFactor(Measurement):
         here = self.keyframe == keyframe
         return HeadingCosts(self.headings.heading[here], self.headings.sigma[here]) if here.any() else None
 
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """All compass headings are off by a large angle, by iron; the start heading is wrong.
 
         Compass headings share most of their error (`gait.compass`).
         """
         started, bound = of_start(self.headings), self.keyframe >= 0
         found = [self._off(angle) for angle in (OFF, -OFF)] if np.any(bound & ~started) else []
-        return [*found, *([self._without_start()] if np.any(bound & started) else [])]
+        if not np.any(bound & started):
+            return found
+        found.append(self._without_start())
+        apart = [replace(proposal, start=by_others().state) for proposal in found] if by_others else []
+        return [*found, *apart]
 
     def decisions(self) -> dict[str, AnyArray]:
         """Whether the start heading is wrong, if there is one."""
@@ -109,20 +120,17 @@ class HeadingFactor(Measurement):
         """Take over whether the start heading is wrong."""
         return replace(self, wrong_start=bool(decisions["wrong_start"][0])) if "wrong_start" in decisions else self
 
-    def _without_start(self) -> Hypothesis:
-        """The assumption that the start heading is wrong; its normaliser replaces that of its sigma."""
+    def _without_start(self) -> Proposal:
+        """The start heading is wrong; its normaliser replaces that of its sigma."""
         sigma = float(self.headings.sigma[of_start(self.headings)][0])
-        price = -float(np.log(WRONG_START)) + float(np.log(ANY_HEADING / sigma))
-        check = "the start heading: clockwise from north, in degrees, of the first step"
-        return Hypothesis(
-            (replace(self, wrong_start=True),), price, START, "the start heading is wrong", check, apart=True
-        )
+        price = WRONG_START + float(np.log(ANY_HEADING / sigma))
+        return Proposal(Hypothesis((self.name, "wrong start"), price=price), (replace(self, wrong_start=True),))
 
-    def _off(self, angle: float) -> Hypothesis:
-        """The assumption that all headings are off by ``angle`` [rad]."""
-        text = f"the compass is off by about {np.degrees(OFF):.0f}° to the {'left' if angle > 0 else 'right'}"
-        check = "magnets and iron near the phone"
-        return Hypothesis((replace(self, off=angle),), -float(np.log(SHARE / 2)), self.name, text, check)
+    def _off(self, angle: float) -> Proposal:
+        """All compass headings are off by ``angle`` [rad]."""
+        side = "left" if angle > 0 else "right"
+        off = Hypothesis((self.name, f"off to the {side}"), parameter=(abs(angle),), price=COMPASS_OFF)
+        return Proposal(off, (replace(self, off=angle),))
 
     @property
     def instances(self) -> tuple[Index, Array]:
@@ -153,6 +161,17 @@ class HeadingCosts:
 
     def place_sought(self, state: Array) -> None:
         """Headings determine no place."""
+
+
+@wording_of(HeadingFactor.name)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """The start heading is wrong, or the compass is off."""
+    if hypothesis.kind[1] == "wrong start":
+        check = "the start heading: clockwise from north, in degrees, of the first step"
+        return Wording(START, "the start heading is wrong", check)
+    (angle,) = np.degrees(hypothesis.parameter)
+    text = f"the compass is {hypothesis.kind[1].replace('off', f'off by about {angle:.0f}°')}"
+    return Wording(HeadingFactor.name, text, "magnets and iron near the phone")
 
 
 def of_start(headings: Headings) -> Mask:

@@ -7,14 +7,15 @@ True if the kind has the methods. (Such a check takes 0.2 µs; one of ``typing.P
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from pdr_graph.estimation.factors.base import AnyArray, Hypothesis, Measurement, Stage
+from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage
 from pdr_graph.floor.cells import STRAY
 from pdr_graph.types import Array, Fixes, FixReport, Headings, Index, Mask
 
 if TYPE_CHECKING:
+    from pdr_graph.estimation.ambiguity.hypothesis import Proposal
     from pdr_graph.estimation.factors.chain import Evaluation
 
 
@@ -150,18 +151,16 @@ class Doubted(Structural):
     """A kind that may err beyond what it states."""
 
     @abstractmethod
-    def hypotheses(self, at: Evaluation) -> Sequence[Hypothesis]:
-        """Assumptions under which the instances might fit better than at ``at``, the most promising first."""
+    def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
+        """What may be wrong with the instances, so that they fit better than at ``at``; the most promising first.
+
+        by_others: returns the walk by the other sources alone; None if these do not determine its place.
+        """
         ...
 
 
 class Listed(Structural):
     """A kind whose positions come from a list, which may be wrong."""
-
-    @abstractmethod
-    def displaced(self, by: Array) -> Hypothesis | None:
-        """The assumption that all listed positions are displaced by ``by (2,)`` [m]; None if that is nothing."""
-        ...
 
     @abstractmethod
     def corrected(self, at: Evaluation) -> Self | None:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.bank import paths, probabilities
+from pdr_graph.estimation.ambiguity.path_modes import corrected_solutions
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.protocols import decisions_of
 from pdr_graph.estimation.graph import WalkGraph
@@ -15,7 +17,7 @@ from pdr_graph.estimation.kalman import HOPELESS, GaussianMixture
 from pdr_graph.estimation.live.measurement_log import Decisions, numbered
 from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.prediction import Position, in_output_axes
-from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, paths, probabilities
+from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.estimation.results import SURE
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.types import Array, Index

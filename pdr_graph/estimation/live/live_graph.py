@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.review import Excess
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
 from pdr_graph.estimation.factors.corridor import corridors_on_plan
@@ -31,7 +32,6 @@ from pdr_graph.estimation.live.measurement_log import (
     merged_decisions,
     same_decisions,
 )
-from pdr_graph.estimation.live.review import Excess
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import Part, Window, WindowCheckpoint
 from pdr_graph.estimation.normal_equations import NormalEquations, Solution

@@ -17,12 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.review import SOURCE, Findings
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.live.ambiguity import AmbiguityCheckpoint, LiveAmbiguity
+from pdr_graph.estimation.live.live_ambiguity import AmbiguityCheckpoint, LiveAmbiguity
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.live_output import LiveOutput
-from pdr_graph.estimation.live.plan_search import SOURCE
-from pdr_graph.estimation.live.review import Findings
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building

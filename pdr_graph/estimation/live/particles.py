@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.bank import SAME_PATH
+from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
-from pdr_graph.estimation.optimizer import SAME_PATH
 from pdr_graph.estimation.particle_filter import LEAST_STRIDE, KeyframeMeasurements, ParticleFilter, Paths
-from pdr_graph.estimation.path_modes import dominant_modes
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import differences

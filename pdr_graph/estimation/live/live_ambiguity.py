@@ -14,22 +14,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.review import (
+    Excess,
+    Findings,
+    History,
+    HistoryCheckpoint,
+    Places,
+    PlacesQuestion,
+    Review,
+)
 from pdr_graph.estimation.factors import kind_of_type, made_from
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.protocols import Gated
 from pdr_graph.estimation.factors.receivers import sourced
 from pdr_graph.estimation.live.batch_start import BatchQuestion, BatchSolution
 from pdr_graph.estimation.live.deferred import Deferred
-from pdr_graph.estimation.live.history import History, HistoryCheckpoint
 from pdr_graph.estimation.live.live_graph import LiveGraph
 from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.modes import ModesCheckpoint
 from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
 from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
-from pdr_graph.estimation.live.plan_search import Places, PlacesQuestion
 from pdr_graph.estimation.live.prediction import beyond_gate, predict
-from pdr_graph.estimation.live.review import Excess, Findings, Review
 from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL
@@ -401,7 +407,7 @@ class LiveAmbiguity:
     def _adopt_review(self, review: Review) -> None:
         """Adopt what sources get wrong, and the covariance of what remains possible."""
         before, self.findings = self.findings, review.findings
-        if self.findings.texts != before.texts:
+        if not self.findings.same_decisions(before):
             self._assume(review)
         self.graph.excess = review.excess or self.graph.excess
 

@@ -1,23 +1,45 @@
-"""Paths of a walk on a plan: those that fixes determine, and the modes of a particle filter's paths.
+"""Paths of a walk: an optimum for each path that its plan admits, or for each direction without one.
 
 Fixes determine a path if the walk, estimated without its plan, has a sigma below a third of the distance between two
-aisles. After the last fixes it may be wider; particles then search for alternative endings.
+aisles. After the last fixes it may be wider; particles then search for alternative endings. Else particles search from
+the start, and the modes of their paths are starts of the optimiser. Each path is a solution by its cost, with the price
+of the regions that it leads through.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
+from pdr_graph.estimation.ambiguity.bank import pruned
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.normal_equations import AnySolution
+from pdr_graph.estimation.initialization import AMBIGUOUS
+from pdr_graph.estimation.normal_equations import Solution
+from pdr_graph.estimation.optimizer import (
+    Optimum,
+    continued,
+    negative_log_posterior,
+    optimize,
+    solve_loose_walls,
+    solve_relaxed,
+    solve_robust,
+    solve_tight_walls,
+)
 from pdr_graph.estimation.particle_filter import FEWEST, Paths, particle_filter, particles_from
 from pdr_graph.geometry import rotation
 from pdr_graph.types import Array, Index
 
+USUAL = 1.5  # usual ratio of the cost with walls to that without
+STRAINED = 3.0  # [nats] above the usual cost from which further paths are searched
+UNSEEN = 4.5  # [nats] above the usual cost of a path that the particles may have missed
+ATTEMPTS = 2  # of the particle filter
+DIRECTIONS = 8  # initial directions where any is possible
+
+# Modes of the paths of particles
 MOST_MODES = 8
 MOST_SOUGHT = 300  # modes among which the heaviest are chosen: after a long gap particles are all over the plan
 APART = 4.0  # [m] largest distance between two modes: nearer ones lead the optimiser to the same walk
@@ -31,7 +53,85 @@ FEWEST_FIXES = 3  # two do not check one another
 MOST_OPEN = 0.25  # share of the walk, at its end, that may be undetermined
 
 
-def fixes_determine_path(graph: WalkGraph, solution: AnySolution) -> tuple[int, Array] | None:
+def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
+    """Distinct solutions, the most probable first; much less probable ones are dropped.
+
+    With a plan, the search starts on the paths that it admits; without, in several directions if the measurements do
+    not determine the direction (one fix; two at the ends of a loop). without_walls: the walk without the plan, solved
+    if missing.
+    """
+    if graph.walled:
+        return pruned(_in_the_building(graph, without_walls or solve_robust(graph.without_plan())))
+    return pruned([solve_robust(start) for start in rotated(graph)])
+
+
+def corrected_solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
+    """As `solutions`, repeated without listed positions that the most probable walk contradicts (relocated beacons)."""
+    optima = solutions(graph, without_walls)
+    while corrected := optima[0].graph.corrected(optima[0].at):
+        optima = solutions(corrected)
+    return optima
+
+
+def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = None) -> Optimum:
+    """The local optimum between the walls near the walk without them, or near ``start``."""
+    robust = graph.classified_as(without_walls.graph)
+    if start is not None:
+        return solve_tight_walls(solve_loose_walls(robust, continued(robust.start, start)))
+    near = _paths_of_fixes(robust, without_walls)
+    near = near or [solve_tight_walls(solve_loose_walls(robust, continued(robust.start, without_walls.state)))]
+    return min(near, key=negative_log_posterior)
+
+
+def different_directions(optimum: Optimum) -> list[Optimum]:
+    """The distinct optima near a walk, rotated if the measurements do not determine its direction."""
+    graph = optimum.graph
+    return pruned([optimum, *(optimize(other, other.start) for other in rotated(graph)[1:])])
+
+
+def rotated(graph: WalkGraph) -> list[WalkGraph]:
+    """The graph, rotated to DIRECTIONS starts if the measurements do not determine its direction."""
+    if not graph.positions.used.any() or graph.sigma_direction < AMBIGUOUS:
+        return [graph]
+    return [graph, *(graph.rotated(angle) for angle in np.arange(1, DIRECTIONS) * 2 * np.pi / DIRECTIONS)]
+
+
+def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
+    """An optimum for each path that the plan admits, and near the walk aligned with the fixes.
+
+    Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes.
+    """
+    robust, expected = graph.classified_as(without_walls.graph), USUAL * without_walls.cost
+    optima = pruned(_paths_of_fixes(robust, without_walls))
+    if optima and optima[0].surprise < expected + STRAINED:
+        return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+    aligned, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
+    for attempt in range(ATTEMPTS):
+        optima += solutions_near(robust, path_starts(robust, attempt) + (aligned if attempt == 0 else []))
+        if min(optimum.surprise for optimum in optima) < expected + STRAINED:
+            break
+    return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+
+
+def solutions_near(graph: WalkGraph, starts: Sequence[State]) -> list[Optimum]:
+    """The optima between the walls near some starts, the most probable first."""
+    loose = pruned([solve_loose_walls(graph, start) for start in starts])
+    return pruned([solve_tight_walls(near) for near in loose])
+
+
+def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
+    """An optimum for each path if the fixes determine it except for its end; else an empty list."""
+    until = fixes_determine_path(graph, without_walls.solution)
+    if until is None:
+        return []
+    last, sigma = until
+    rough = solve_relaxed(graph, continued(graph.start, without_walls.state), sigma)
+    first = solve_tight_walls(rough)
+    others = alternative_endings(first.graph, first.state, first.solution, last)
+    return [first, *(solve_tight_walls(solve_loose_walls(graph, path)) for path in others)]
+
+
+def fixes_determine_path(graph: WalkGraph, solution: Solution) -> tuple[int, Array] | None:
     """The last keyframe up to which fixes determine the path, and the sigma of each piece ``(m,)`` [m].
 
     None if they do not determine it. solution: of the walk without its walls.
@@ -47,7 +147,7 @@ def fixes_determine_path(graph: WalkGraph, solution: AnySolution) -> tuple[int, 
     return last, np.maximum(sigma[:-1], sigma[1:])[graph.pieces.interval]
 
 
-def alternative_endings(graph: WalkGraph, state: State, solution: AnySolution, last: int) -> list[State]:
+def alternative_endings(graph: WalkGraph, state: State, solution: Solution, last: int) -> list[State]:
     """Paths that differ from ``state`` after keyframe ``last``. solution: at ``state``."""
     if last == len(state.poses) - 1:
         return []
@@ -68,7 +168,7 @@ def alternative_endings(graph: WalkGraph, state: State, solution: AnySolution, l
     return [state.replaced(x=np.concatenate([state.poses[: last + 1], path])) for path in endings[1:]]
 
 
-def hypotheses(graph: WalkGraph, attempt: int = 0) -> list[State]:
+def path_starts(graph: WalkGraph, attempt: int = 0) -> list[State]:
     """Starts for the optimiser: the middle path of each mode, the heaviest mode first.
 
     attempt: 0, 1, …; each attempt draws other particles, twice as many as the one before.

@@ -1,0 +1,215 @@
+"""The bank of doubts: solutions of a walk under joint hypotheses about its sources, weighed by their evidence.
+
+A source may err beyond what it states: two beacons of a list are swapped, a receiver is several times worse than it
+says, a plan is of another floor. No robust loss helps where its measurements agree with one another. So each kind of
+measurement proposes hypotheses about itself (`Doubted.hypotheses`), combinations of them are solved, and each is
+weighed by Laplace's approximation of its evidence (MacKay, *Information Theory, Inference, and Learning Algorithms*,
+Ch. 28),
+
+    −log p(z | H) − log p(H) = cost + log |R| + price,      RᵀR the information matrix at the optimum
+
+in which constants that all share are left out. The walk is the best; the others widen its covariance. What is much less
+probable than the best is pruned. Batch and live use the same bank; that of a live walk also remembers what was adopted
+(`HypothesisBank.remember`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_graph.contradiction import Contradiction
+from pdr_graph.errors import percent
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
+from pdr_graph.estimation.factors.base import AnyArray
+from pdr_graph.estimation.factors.chain import Evaluation
+from pdr_graph.estimation.factors.protocols import Doubted, decisions_of
+from pdr_graph.estimation.optimizer import Optimum, continued, optimize
+from pdr_graph.types import Array, Index
+
+UNLIKELY = 5.0  # [nats] above the best from which a hypothesis is not carried on: 0.7 %
+DROPPED = 12.0  # [nats] above the best from which another path is dropped: rough costs may be off by some nats
+PROBABLE = 0.5  # probability above which a user is told what a source gets wrong
+DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
+SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance between two aisles
+LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that fits nothing is still the best there is
+
+# Live: what was adopted holds for the whole walk, and a review sees two minutes of it
+OLDER = 8.0  # [nats] per adopted hypothesis: its price, 5.5, and 2.5 of evidence that may be older
+LEAD = 1.0  # [nats] by which other hypotheses must be better than the adopted ones; judgement
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What the last review of a walk left: the adopted hypotheses, and all that remained possible."""
+
+    adopted: tuple[Hypothesis, ...] = ()
+    possible: tuple[Hypothesis, ...] = ()
+
+
+class HypothesisBank:
+    """Solutions of one walk under joint hypotheses.
+
+    first: without any; members: the most probable first; numbers: permanent numbers of rows, by kind of measurement;
+    recalled: the member under adopted hypotheses that no source suggests any more.
+    """
+
+    def __init__(self, first: Optimum, numbers: Mapping[str, Index] | None = None):
+        self.first, self.members, self.recalled = first, [first], None
+        self._numbers = numbers or {}
+
+    def explain(self) -> HypothesisBank:
+        """Add the walk near ``first`` under each joint hypothesis that remains.
+
+        Kind by kind, hypotheses are added to those of the best walk so far, or made instead of them.
+        """
+        for name in [kind.name for kind in self.first.graph.measurements]:
+            best = self.members[0]
+            bases = [best] if best is self.first else [best, self.first]
+            self.add((new for base in bases for new in self._alternatives(base, name)), UNLIKELY)
+        return self
+
+    def add(self, optima: Iterable[Optimum], within: float) -> None:
+        """Add members, and prune all that are not within some nats of the best."""
+        self.members = pruned([*self.members, *optima], within)
+
+    def propose(self, base: Optimum, name: str) -> Sequence[Proposal]:
+        """What may be wrong with one kind of measurement along ``base``, or along the walk by the others alone."""
+        kind = next(kind for kind in base.graph.measurements if kind.name == name)
+        fixes = base.graph.positions
+        placed = fixes.used.any() and not fixes.approximate
+
+        def by_others() -> Evaluation:
+            without = base.graph.without(kind)
+            return optimize(without, without.start).at
+
+        return kind.hypotheses(base.at, by_others if placed else None) if isinstance(kind, Doubted) else ()
+
+    def solve(self, base: Optimum, proposal: Proposal) -> Optimum:
+        """The optimum under one more hypothesis than ``base``."""
+        graph = base.graph.assuming(proposal.measurements)
+        optimum = optimize(graph, continued(graph.start, proposal.start or base.state, proposal.fresh))
+        changes = tuple(kind.name for kind in proposal.measurements)
+        hypothesis = replace(proposal.hypothesis.numbered(self._numbers), changes=changes)
+        information = optimum.solution.log_determinant - base.solution.log_determinant
+        return weighed(replace(optimum, unseen=self.first.unseen), base, hypothesis, information=information)
+
+    def _alternatives(self, base: Optimum, name: str) -> list[Optimum]:
+        """The walk under each hypothesis about one kind; the better one where it was solved from two starts."""
+        best = dict[tuple[Hypothesis, tuple[float, ...]], Optimum]()
+        for proposal in self.propose(base, name):
+            claim, new = (proposal.hypothesis, proposal.hypothesis.parameter), self.solve(base, proposal)
+            if claim not in best or new.surprise < best[claim].surprise:
+                best[claim] = new
+        return list(best.values())
+
+    def remember(self, memory: Memory, decisions: Mapping[str, Mapping[str, AnyArray]]) -> None:
+        """Count the evidence from before the data of this walk, and put first the member that is to be adopted.
+
+        Adopted hypotheses are kept until evidence speaks against them. It supports as much what competed with them:
+        often it says only that one of two sources is wrong. decisions: about the kinds that the adopted ones change.
+        """
+        adopted = frozenset(memory.adopted)
+        kept = [frozenset(member.assumed) == adopted for member in self.members]
+        if not kept[0]:
+            self.members = [self._supported(member, memory) for member in self.members]
+        if adopted and not any(kept):
+            graph = self.first.graph.decided(decisions)
+            optimum = replace(optimize(graph, graph.start), unseen=self.first.unseen)
+            information = optimum.solution.log_determinant - self.first.solution.log_determinant
+            held = weighed(optimum, self.first, *memory.adopted, information=information)
+            self.recalled = replace(held, burden=held.burden - OLDER * len(adopted))
+            self.members, kept = [*self.members, self.recalled], [*kept, True]
+        lead = [
+            member.surprise - LEAD * held if _adoptable(member) else np.inf
+            for member, held in zip(self.members, kept, strict=True)
+        ]
+        self.members = [self.members[n] for n in np.argsort(lead, kind="stable").tolist()]
+
+    @property
+    def memory(self) -> Memory:
+        """What this review leaves: the hypotheses of the first member, and those that remain possible."""
+        best, least = self.members[0], min(member.surprise for member in self.members)
+        possible = [member for member in self.members if member is best or member.surprise < least + UNLIKELY]
+        return Memory(best.assumed, tuple(dict.fromkeys(claim for member in possible for claim in member.assumed)))
+
+    def _supported(self, member: Optimum, memory: Memory) -> Optimum:
+        """A member with what older evidence says for its hypotheses."""
+        known = bool(member.assumed) and set(member.assumed) <= set(memory.possible)
+        older = OLDER * min(len(member.assumed), len(memory.adopted)) if known else 0.0
+        return replace(member, burden=member.burden - older)
+
+
+def weighed(optimum: Optimum, base: Optimum, *hypotheses: Hypothesis, information: float = 0.0) -> Optimum:
+    """An optimum under more hypotheses than ``base``, with their evidence.
+
+    information: log |R| in addition to that of the base [nats].
+    """
+    price = sum(hypothesis.price for hypothesis in hypotheses)
+    burden = optimum.burden + base.burden + information + price
+    return replace(optimum, assumed=(*base.assumed, *hypotheses), burden=burden)
+
+
+def pruned(optima: Iterable[Optimum], within: float = DROPPED) -> list[Optimum]:
+    """Distinct solutions within some nats of the best, the most probable first.
+
+    Of equal solutions the first is first: it has heading 0 if a walk has one fix.
+    """
+    kept = list[Optimum]()
+    for new in sorted(optima, key=lambda optimum: round(optimum.surprise, 3)):
+        if kept and new.surprise - kept[0].surprise >= within:
+            break
+        if all(_differ(new, other) for other in kept):
+            kept.append(new)
+    return kept
+
+
+def _differ(one: Optimum, other: Optimum) -> bool:
+    """True if two solutions assume different things, or lead elsewhere."""
+    claims = [[(claim, claim.parameter) for claim in optimum.assumed] for optimum in (one, other)]
+    apart = one.at.ends[:, :2] - other.at.ends[:, :2]
+    return claims[0] != claims[1] or float(np.abs(apart).max()) > DIFFERENT
+
+
+def _adoptable(optimum: Optimum) -> bool:
+    """True if a walk under way can adopt all hypotheses: the kinds that they change have decisions."""
+    changed = {name for hypothesis in optimum.assumed for name in hypothesis.changes}
+    return all(decisions_of(kind) for kind in optimum.graph.measurements if kind.name in changed)
+
+
+def probabilities(optima: Sequence[Optimum], path: Index) -> Array:
+    """Probabilities ``(n,)`` of different solutions, by their negative log posterior.
+
+    path: ``(n,)`` see `paths`; solutions on one path share the weight of the best. The remainder to 1 is the
+    probability of paths that the search missed; it grows with the excess of the best cost over the usual cost. On
+    simulated walks (`scripts/reproduce topology` shows others) cost and price need no scale; the curvature at a
+    solution (Laplace's approximation) and the number of particles on its path add no information.
+    """
+    surprise = np.array([optimum.surprise for optimum in optima])
+    least = min(surprise.min(), optima[0].unseen)
+    weight, together = np.exp(np.maximum(least - surprise, LEAST_LOGARITHM)), path[:, None] == path
+    weight = weight * np.max(weight * together, axis=1) / (together @ weight)
+    return weight / (weight.sum() + np.exp(least - optima[0].unseen))
+
+
+def paths(optima: Sequence[Optimum]) -> Index:
+    """The path of each solution ``(n,)``: index of the first solution within SAME_PATH of it on average."""
+    tracks = np.array([optimum.at.ends[:, :2] for optimum in optima])
+    near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SAME_PATH
+    return np.argmax(near, axis=1)
+
+
+def contradictions(optima: Sequence[Optimum], probability: Array) -> tuple[Contradiction, ...]:
+    """What the sources probably get wrong. probability: ``(n,)`` of each solution, up to a factor."""
+    found = []
+    for claim in dict.fromkeys(claim for optimum in optima for claim in optimum.assumed):
+        sizes = [[other for other in optimum.assumed if other == claim and other.wording.check] for optimum in optima]
+        share = float(probability[[bool(of_optimum) for of_optimum in sizes]].sum() / probability.sum())
+        if share > PROBABLE:
+            words = next(of_optimum[0] for of_optimum in sizes if of_optimum).wording
+            text = f"{words.text} (probability {percent(share)})"
+            against = "the steps and the other sources"
+            found.append(Contradiction(words.source, against, round(share, 3), "probability", text, words.check))
+    return tuple(found)

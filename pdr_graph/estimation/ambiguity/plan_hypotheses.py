@@ -1,0 +1,255 @@
+"""Doubts about the floor plan of a walk: it does not fit, it is displaced, or nothing says where on it the walk was.
+
+A plan may be of another floor, displaced, or lack a door. A walk between its walls then costs more than a right plan
+adds to the walk without it. So the walk without walls is a solution too, at a price. If a single position relates the
+walk to the plan, neither confirms the other: then the walk may also start some metres from that position.
+
+Without any position, walls and the turns of a walk leave few places for it. Particles start all over the plan, in all
+directions (Woodman & Harle 2008, *Pedestrian localisation for indoor environments*, Sec. 4), in several independent
+runs, each weighted by its evidence. The modes of their paths are starts of the graph, which solves and weighs them like
+any other paths. The particles that belong to no solution say how probable another place is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_graph.estimation.ambiguity.bank import DROPPED, SAME_PATH, UNLIKELY, HypothesisBank, pruned, weighed
+from pdr_graph.estimation.ambiguity.hypothesis import (
+    ADDED_BY_WALLS,
+    DISPLACED_PLAN,
+    WRONG_PLAN,
+    Hypothesis,
+    Wording,
+    wording_of,
+)
+from pdr_graph.estimation.ambiguity.path_modes import (
+    ATTEMPTS,
+    STRAINED,
+    corrected_solutions,
+    different_directions,
+    mode_starts,
+    near_walk,
+    solutions,
+    solutions_near,
+)
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
+from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, measurements_at
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.types import Array, Mask
+
+PLAN = "plan"  # the kind of hypotheses about it
+MISPLACED = 6.0  # [m] sigma of the displacement of a plan or of the only position on it, per axis; judgement
+
+# Particles all over the plan: chosen on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the
+# densest
+DENSITY, MOST_DENSITY = 8.0, 50.0  # [1/m²] of particles at first: in large plans, in small ones
+FEWEST, FEWEST_AT_FIRST, MOST = 2000, 50_000, 200_000  # particles
+MOST_STORED = 10_000_000  # particles times keyframes of a run: half a gigabyte, if a walk fits everywhere
+KEPT = 5000  # paths of a run
+PER_BIN = 0.1  # [m²] particles per occupied bin of place and direction, times their density at first
+DRAWN = 2000  # paths among which modes are sought
+PLACES = 2000  # that stand for all of a plan
+RUNS = 2  # independent ones: a run may lose the right place
+
+
+@wording_of(PLAN)
+def _wording(hypothesis: Hypothesis) -> Wording:
+    """The plan does not fit, or is displaced."""
+    text = "the floor plan does not fit the walk and the positions on it"
+    if hypothesis.kind[1] == "displaced":
+        text = f"the floor plan, or the only position on it, is displaced by about {hypothesis.parameter[0]:.0f} m"
+    check = "the floor plan (another floor, displaced, a door missing?) and the positions on it (start, fixes)"
+    return Wording(PLAN, text, check)
+
+
+def joint_solutions(graph: WalkGraph) -> list[Optimum]:
+    """Distinct solutions under all hypotheses about sources that remain, the most probable first.
+
+    With a plan, what the other sources get wrong is explained along the walk without its walls; each such walk is then
+    a walk between the walls, or the plan does not fit.
+    """
+    if not graph.walled:
+        first, *others = solutions(graph)
+        bank = HypothesisBank(first).explain()
+        bank.add(others, DROPPED)
+        return bank.members
+    free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
+    between = list(_between_walls(graph, free))
+    by_walls = _measurements_by_walls(between[0])
+    if between[0].surprise > free[0].surprise + UNLIKELY and _single_position(graph):
+        between += _displaced(graph, free[0])
+    return pruned([*between, *(walk for other in free for walk in _without_walls(other, by_walls))])
+
+
+def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
+    """Walks between the walls: on each path for the best walk ``free`` without walls, then near each other one."""
+    best, *others = free
+    first, *more = corrected_solutions(graph, best)
+    yield from (_assuming(walk, best) for walk in (first, *more))
+    for other in others:
+        same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SAME_PATH
+        yield _assuming(near_walk(graph, other, first.state if same_path else None), other)
+
+
+def _assuming(walk: Optimum, free: Optimum, *hypotheses: Hypothesis) -> Optimum:
+    """A walk with the hypotheses of the walk ``free`` without walls, and more."""
+    return weighed(replace(walk, unseen=np.inf), free, *hypotheses)
+
+
+def _measurements_by_walls(optimum: Optimum) -> float:
+    """The number of independent measurements that the walls amount to: tr(J Σ Jᵀ) over the steps that they press.
+
+    It grows with the corridors walked through, and what right walls add to the cost grows with it: a walk errs anew
+    between two corridors. J: whitened derivatives; Σ: covariance of the walk between the walls.
+    """
+    total = 0.0
+    for block in optimum.at.blocks_of(optimum.graph.walls.name):
+        J = np.hstack(block.weighted[1])[:, None]
+        of_rows = [(symbol, rows[block.row_of]) for symbol, rows in block.variables]
+        total += float(np.sum((J @ optimum.solution.joint(*of_rows)) * J))
+    return total
+
+
+def _without_walls(free: Optimum, by_walls: float) -> Iterator[Optimum]:
+    """The walk if the plan does not fit; in each direction if the other sources do not determine it.
+
+    by_walls: the number of measurements that the walls amount to.
+    """
+    walks = different_directions(free)
+    for walk in walks:
+        price = max(WRONG_PLAN, ADDED_BY_WALLS * (by_walls + walk.cost))
+        wrong = Hypothesis((PLAN, "wrong"), price=price + float(np.log(len(walks))))
+        yield _assuming(replace(walk, burden=0.0), free, wrong)
+
+
+def _single_position(graph: WalkGraph) -> bool:
+    """True if one fix is all that determines positions."""
+    kinds = [kind for kind in graph.measurements if kind.determines_position]
+    return kinds == [graph.positions] and np.count_nonzero(graph.positions.used) == 1
+
+
+def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:
+    """Walks between the walls that start some metres from the only fix: it is misplaced, or the plan by as much."""
+    positions = free.graph.positions
+    wide = free.graph.assuming((positions.misplaced(MISPLACED),))
+    wrong = Hypothesis((PLAN, "wrong"), price=DISPLACED_PLAN + float(np.log(2)))  # it, or the position
+    for walk in corrected_solutions(graph, optimize(wide, free.state)):
+        fix = int(np.argmax(positions.used))
+        by = positions.fixes.position[fix] - walk.state.poses[positions.keyframe[fix], :2]
+        displaced = Hypothesis((PLAN, "displaced"), parameter=(float(np.round(np.hypot(*by))),))
+        for place in (walk, _moved(walk, by, free.graph)):
+            yield _assuming(place, free, wrong, displaced)
+
+
+def _moved(walk: Optimum, by: Array, graph: WalkGraph) -> Optimum:
+    """A walk moved by ``by (2,)`` [m] together with its walls, as probable as before. graph: without walls."""
+    state = walk.state.replaced(x=walk.state.poses + np.append(by, 0.0))
+    at = graph.evaluate(state)
+    return replace(walk, graph=graph, at=at, burden=walk.surprise - at.surprise)
+
+
+@dataclass(frozen=True)
+class Localization:
+    """Where a walk can have been.
+
+    optima: the solutions, the most probable first; elsewhere: probability of another place; evidence: logarithm of the
+    probability of the steps on this floor; anywhere: ``(n, 2)`` other places [m].
+    """
+
+    optima: list[Optimum]
+    elsewhere: float = 0.0
+    evidence: float = 0.0
+    anywhere: Array = field(default_factory=lambda: np.empty((0, 2)))
+
+    def covariance(self, poses: Array, of_optima: Array) -> Array:
+        """Covariance ``(n, 3, 3)`` about ``poses (n, 3)``, if ``of_optima (n, 3, 3)`` is that of the solutions."""
+        if not self.elsewhere:
+            return of_optima
+        apart = self.anywhere.mean(axis=0) - poses[:, :2]
+        another = np.zeros_like(of_optima)
+        another[:, :2, :2] = np.cov(self.anywhere.T) + apart[:, :, None] * apart[:, None, :]
+        another[:, 2, 2] = ANY_HEADING**2
+        return (1.0 - self.elsewhere) * of_optima + self.elsewhere * another
+
+
+def begun_on(graphs: Sequence[WalkGraph]) -> tuple[WalkGraph, Localization]:
+    """The graph of the floor where a walk most probably began, and its solutions.
+
+    graphs: of the same walk, begun on each floor; `unplaced`.
+    """
+    found = [localized(graph) for graph in graphs]
+    evidence = np.array([one.evidence + np.log(_floor(g).walkable_area) for g, one in zip(graphs, found, strict=True)])
+    best = int(np.argmax(evidence))
+    share = float(np.exp(evidence[best] - np.logaddexp.reduce(evidence)))
+    return graphs[best], replace(found[best], elsewhere=1.0 - share * (1.0 - found[best].elsewhere))
+
+
+def localized(graph: WalkGraph) -> Localization:
+    """The solutions of a walk on a plan without any position. graph: `unplaced`."""
+    free = graph.without_plan()
+    runs, optima, paths = list[tuple[Paths, float]](), list[Optimum](), None
+    for attempt in range(ATTEMPTS):
+        runs += [particles_anywhere(free, RUNS * attempt + n, 2**attempt) for n in range(RUNS)]
+        paths = _pooled(runs)
+        optima = solutions_near(graph, mode_starts(graph, _drawn(paths)))
+        if not STRAINED <= optima[0].surprise < DROPPED:
+            break  # it fits, or no walk on this plan does
+    assert paths is not None, "there is an attempt"
+    covered = float(paths.weight[_near_any(paths, optima)].sum())
+    evidence = float(np.logaddexp.reduce([logarithm for _, logarithm in runs]) - np.log(len(runs)))
+    anywhere = _floor(graph).random_places(PLACES, np.random.default_rng(0))
+    optima = [replace(optimum, unseen=WRONG_PLAN) for optimum in optima]
+    return Localization(optima, max(0.0, 1.0 - covered), evidence, anywhere)
+
+
+def particles_anywhere(graph: WalkGraph, seed: int, times: int = 1) -> tuple[Paths, float]:
+    """The paths of particles that start all over the plan, and their log evidence.
+
+    graph: without walls; times: multiple of the usual number of particles.
+    """
+    floor = _floor(graph)
+    area = floor.walkable_area
+    most = min(MOST_DENSITY * area, MOST, MOST_STORED / len(graph.keyframe_time))
+    count = times * int(min(max(DENSITY * area, FEWEST_AT_FIRST), most))
+    per_bin = PER_BIN * count / area
+    particles = ParticleFilter(graph.prior, seed, fewest=FEWEST, most=count, per_bin=per_bin)
+    particles.begin_anywhere(floor, measurements_at(graph.measurements, 0))
+    advance_through(particles, graph, 0)
+    return particles.paths(KEPT), particles.evidence
+
+
+def _floor(graph: WalkGraph) -> FloorPlan:
+    """The floor where the walk begins."""
+    sequence = graph.floor_sequence
+    assert sequence is not None, "asked for with a plan"
+    return sequence.building.floors[sequence.level[0]]
+
+
+def _pooled(runs: Sequence[tuple[Paths, float]]) -> Paths:
+    """The paths of several runs, weighted by their evidence."""
+    evidence = np.array([logarithm for _, logarithm in runs])
+    share = np.exp(evidence - np.logaddexp.reduce(evidence))
+    state = np.concatenate([paths.state for paths, _ in runs], axis=2)
+    return Paths(state, np.concatenate([s * paths.weight for s, (paths, _) in zip(share, runs, strict=True)]))
+
+
+def _drawn(paths: Paths) -> Paths:
+    """Some paths drawn by their weights, all with the same weight."""
+    random = np.random.default_rng(0)
+    drawn = random.choice(len(paths.weight), min(DRAWN, len(paths.weight)), p=paths.weight / paths.weight.sum())
+    return Paths(paths.state[:, :, drawn], np.full(len(drawn), 1.0 / len(drawn)))
+
+
+def _near_any(paths: Paths, optima: Sequence[Optimum]) -> Mask:
+    """``(n,)`` True for paths that are near one of the solutions."""
+    near = np.zeros(len(paths.weight), dtype=bool)
+    for optimum in optima:
+        apart = paths.state[:, :2] - optimum.state.poses[:, :2, None]
+        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SAME_PATH
+    return near

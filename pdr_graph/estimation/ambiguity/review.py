@@ -1,0 +1,288 @@
+"""Doubts of a walk under way: what its sources get wrong in its recent past, and where on its plan it may be.
+
+A review solves the last minutes of the walk in the batch's bank. The window adopts the decisions of the best member
+(which beacons are where, how far off a receiver is); the others widen the covariance that is stated. A hypothesis holds
+for the whole walk, and its evidence may be older than the history: see `HypothesisBank.remember`.
+
+A walk without any position is sought on the whole plan (`localized`), again and again while it goes on. Until one place
+is certain, its solutions are the ways that remain; then that place is a fix and a heading like any others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from pdr_graph.contradiction import Contradiction
+from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory, contradictions, paths, probabilities
+from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, localized
+from pdr_graph.estimation.factors.base import poses_at
+from pdr_graph.estimation.factors.protocols import decisions_of
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.estimation.kalman import GaussianMixture
+from pdr_graph.estimation.live.batch_start import modes_at_end
+from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, TableCheckpoint, numbered
+from pdr_graph.estimation.live.step_buffer import later_steps
+from pdr_graph.estimation.optimizer import Optimum, solve_robust
+from pdr_graph.estimation.results import SURE
+from pdr_graph.gait.stair_steps import with_goings
+from pdr_graph.gait.step_chunks import concatenate_steps
+from pdr_graph.geometry import (
+    ANY_HEADING,
+    differences,
+    horizontal_sigma,
+    interpolate,
+    nearest,
+    pose_rotation,
+    rotation,
+)
+from pdr_graph.types import Array, Fixes, Headings, Index, Steps
+
+SPAN = 120.0  # [s] of the walk in which sources are compared: twice the usual lag; chosen by hand
+SPACING = 10.0  # [s] between the times at which the covariance of a review is computed
+SOURCE = "plan"  # of the fix and the heading of a place that is certain
+LEAST_SIGMA, LEAST_SIGMA_HEADING = 1.0, 0.2  # [m], [rad] of a certain place: the walls that tell it count again
+NOWHERE_ELSE, LEAST = 1e-3, 1e-9  # probability below which no other place is kept; least of the solutions together
+
+
+@dataclass(frozen=True)
+class Excess:
+    """Covariance ``(n, 3, 3)`` at times ``(n,)`` [s] to add to that of the solver, in the output axes."""
+
+    time: Array
+    covariance: Array
+
+    @classmethod
+    def none(cls) -> Excess:
+        """Nothing to add."""
+        return cls(np.zeros(1), np.zeros((1, 3, 3)))
+
+    def at(self, time: Array) -> Array:
+        """The covariances ``(n, 3, 3)`` at times ``(n,)`` [s]; constant before the first and after the last."""
+        return interpolate(time, self.time, self.covariance.reshape(-1, 9)).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a review found. memory: for the next one; contradictions: what sources probably get wrong."""
+
+    memory: Memory = field(default_factory=Memory)
+    contradictions: tuple[Contradiction, ...] = ()
+
+    @property
+    def changes(self) -> frozenset[str]:
+        """The names of the measurement kinds that the adopted hypotheses change."""
+        return frozenset(name for claim in self.memory.adopted for name in claim.changes)
+
+    def same_decisions(self, other: Findings) -> bool:
+        """True if both adopt the same hypotheses, of the same size."""
+        mine, theirs = ({(c, c.parameter) for c in found.memory.adopted} for found in (self, other))
+        return mine == theirs
+
+
+@dataclass(frozen=True)
+class Review:
+    """What the bank says of the recent past of a walk.
+
+    findings, decisions: to adopt, of the best walk; time: ``(k,)`` of its keyframes [s], pose: ``(k, 3)``; begins:
+    ``(s,)`` of its calibrations [s], c: ``(s, 3)``; excess: for the covariance that is stated, by the other walks that
+    remain, none under a plan; None if that of the review before holds.
+    """
+
+    findings: Findings
+    decisions: Decisions
+    time: Array
+    pose: Array
+    begins: Array
+    c: Array
+    excess: Excess | None
+
+    def poses(self, time: Array, pose: Array) -> Array:
+        """Poses ``(n, 3)`` of the best walk at times ``(n,)`` [s].
+
+        Those from before the recent past are ``pose (n, 3)``, moved rigidly with its beginning; those after its end
+        with its end.
+        """
+        there = poses_at(time, self.time, self.pose)
+        for beyond, edge in ((time < self.time[0], 0), (time > self.time[-1], -1)):
+            if beyond.any():
+                (old,), new = poses_at(self.time[[edge]], time, pose), self.pose[edge]
+                turn = new[2] - old[2]
+                there[beyond, :2] = (pose[beyond, :2] - old[:2]) @ rotation(turn).T + new[:2]
+                there[beyond, 2] = pose[beyond, 2] + turn
+        return there
+
+    def calibration(self, time: float) -> Array:
+        """(R_s, R_d, b) ``(3,)`` of the best walk at a time [s]."""
+        return self.c[max(int(np.searchsorted(self.begins, time)) - 1, 0)]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A review that is due.
+
+    graph: builds that of the recent past, without its plan; before: what the last review found; decisions: about the
+    kinds that this changed, by row of the graph's data; walled: the walk has a plan, for which no other walk is added;
+    numbers: permanent numbers of the rows, by kind: some may be dropped before the answer is used.
+    """
+
+    graph: Callable[[], WalkGraph]
+    before: Findings
+    decisions: Decisions
+    walled: bool
+    numbers: dict[str, Index] = field(default_factory=dict)
+
+    def answer(self) -> Review:
+        """The review."""
+        bank = HypothesisBank(solve_robust(self.graph()), self.numbers).explain()
+        bank.remember(self.before.memory, self.decisions)
+        best, optima = bank.members[0], bank.members
+        probability = probabilities(optima, paths(optima))
+        found = Findings(bank.memory, contradictions(optima, probability))
+        excess = Excess.none() if self.walled else _excess(optima, probability / probability.sum())
+        if best is bank.recalled:  # no source says more about it than before
+            found, excess = self.before, excess if self.walled else None
+        changed, chain = self.before.changes | found.changes, best.at.chain
+        decisions = {kind.name: decisions_of(kind) for kind in best.graph.measurements if kind.name in changed}
+        return Review(
+            findings=found,
+            decisions={name: numbered(rows, self.numbers.get(name)) for name, rows in decisions.items()},
+            time=chain.time,
+            pose=best.state.poses,
+            begins=chain.time[chain.segment_first],
+            c=best.state.c,
+            excess=excess,
+        )
+
+
+def _excess(optima: list[Optimum], weight: Array) -> Excess:
+    """What the covariance of the first walk lacks to that of all, with weights; negative parts are left out."""
+    chain = optima[0].at.chain
+    time = np.arange(chain.time[-1], chain.time[0], -SPACING)[::-1]
+    poses, solved = _keyframes(optima[0], time)
+    total = np.zeros_like(solved)
+    for share, optimum in zip(weight[1:].tolist(), optima[1:], strict=True):
+        there, covariance = _keyframes(optimum, time)
+        apart = differences(there, poses)
+        total += share * (covariance - solved + apart[:, :, None] * apart[:, None, :])
+    value, vector = np.linalg.eigh(total)
+    return Excess(time, (vector * np.maximum(value, 0.0)[:, None, :]) @ vector.transpose(0, 2, 1))
+
+
+def _keyframes(optimum: Optimum, time: Array) -> tuple[Array, Array]:
+    """Poses ``(n, 3)`` of a solution at times ``(n,)`` [s], and covariances ``(n, 3, 3)`` of the nearest keyframes."""
+    chain, poses = optimum.at.chain, optimum.state.poses
+    which = nearest(chain.time, time)
+    R = pose_rotation(poses[which, 2])
+    spread = R @ optimum.solution.joint(("x", which)) @ R.transpose(0, 2, 1)
+    return poses_at(time, chain.time, poses), spread
+
+
+@dataclass(frozen=True)
+class HistoryCheckpoint:
+    """State of a `History`."""
+
+    steps: Steps | None
+    tables: list[TableCheckpoint]
+
+
+class History:
+    """The steps and measurements of the last SPAN seconds; log: gets the rows of the window's log."""
+
+    def __init__(self) -> None:
+        self.log = MeasurementLog()
+        self._chunks = list[Steps]()
+
+    def extend(self, steps: Steps) -> None:
+        """Append the next steps. What no question asks for, while nothing measures positions, is dropped in time."""
+        self._chunks.append(steps)
+        if steps.end - self._chunks[0].start > 3 * SPAN:
+            self._forget(steps.end - 2 * SPAN)
+
+    def set_goings(self, goings: Array) -> None:
+        """Give the steps on stairs the length of the treads, see `with_goings`."""
+        self._chunks = [with_goings(steps, goings) for steps in self._chunks]
+
+    def has_position(self, now: float) -> bool:
+        """True if a measurement of the last SPAN seconds before ``now`` [s] determines a position."""
+        times = self.log.position_times()
+        return bool(((times > now - SPAN) & (times <= now)).any())
+
+    def question(self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool) -> Question:
+        """The review of the last SPAN seconds before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
+        steps = self._forget(now - SPAN)
+        graph = partial(WalkGraph.of, steps, self.log.until(steps.end), prior=prior)
+        kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.changes}
+        return Question(graph, before, kept, walled, self.log.all_numbers(steps.end))
+
+    def _forget(self, before: float) -> Steps:
+        """Drop what is from before a moment [s]; returns the steps that are left."""
+        steps = later_steps(concatenate_steps(self._chunks), before)
+        self._chunks = [steps]
+        self.log.forget(steps.start - max(self.log.overhangs.values(), default=0.0))
+        return steps
+
+    def checkpoint(self) -> HistoryCheckpoint:
+        """Return the state."""
+        return HistoryCheckpoint(concatenate_steps(self._chunks) if self._chunks else None, self.log.checkpoint())
+
+    def restore(self, checkpoint: HistoryCheckpoint) -> None:
+        """Set the state to a checkpoint."""
+        self._chunks = [] if checkpoint.steps is None else [checkpoint.steps]
+        self.log.restore(checkpoint.tables)
+
+
+@dataclass(frozen=True)
+class Places:
+    """The places of a walk on the plan at ``time`` [s]. ways: with their probabilities; sure: the first is certain."""
+
+    time: float
+    ways: GaussianMixture
+    sure: bool
+
+    @property
+    def fix(self) -> Fixes:
+        """The certain place."""
+        sigma = max(float(horizontal_sigma(self.ways.covariance[0])), LEAST_SIGMA)
+        return Fixes(np.array([self.time]), self.ways.mean[:1, :2], np.array([sigma]), source=(SOURCE,))
+
+    @property
+    def heading(self) -> Headings:
+        """The direction at the certain place."""
+        sigma = max(float(np.sqrt(self.ways.covariance[0, 2, 2])), LEAST_SIGMA_HEADING)
+        return Headings(np.array([self.time]), self.ways.mean[:1, 2], np.array([sigma]), (SOURCE,))
+
+
+@dataclass(frozen=True)
+class PlacesQuestion:
+    """A search that is due. graph: builds that of the walk so far."""
+
+    graph: Callable[[], WalkGraph]
+
+    def answer(self) -> Places:
+        """The places where the walk can be now."""
+        graph = self.graph()
+        found = localized(graph)
+        path = paths(found.optima)
+        share = probabilities(found.optima, path)
+        there = 1.0 - found.elsewhere
+        ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
+        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > SURE)
+
+
+def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:
+    """The ways, and anywhere on the plan in any direction with a probability."""
+    if probability < NOWHERE_ELSE:
+        return ways
+    mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
+    mean[:3] = (*found.anywhere.mean(axis=0), 0.0)
+    covariance[:3], covariance[:, :3] = 0.0, 0.0
+    covariance[:2, :2], covariance[2, 2] = np.cov(found.anywhere.T), ANY_HEADING**2
+    remaining = np.log(max(1.0 - probability, LEAST))
+    weight = np.append(ways.log_weight + remaining, np.log(probability))
+    both: tuple[Array, Array] = np.vstack([ways.mean, mean]), np.concatenate([ways.covariance, covariance[None]])
+    return GaussianMixture(*both, weight, np.arange(len(weight)))
