@@ -23,7 +23,6 @@ from pdr_graph.estimation import optimizer
 from pdr_graph.estimation.factors import fixes as fix_factors
 from pdr_graph.estimation.factors import losses as loss_functions
 from pdr_graph.estimation.factors import preintegration
-from pdr_graph.estimation.factors.start import CorridorUse
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.lifelog import sessions
@@ -96,7 +95,7 @@ def wall():
 
 def direction():
     walks = malls(FIRST)
-    told = with_plan(walks, corridors=CorridorUse(directions=True))
+    told = with_plan(walks, corridors="directions")
     return f"mall walks with the plan, the first waypoint alone given: {with_plan(walks)}; with directions {told}."
 
 

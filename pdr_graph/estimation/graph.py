@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import measurements_of
+from pdr_graph.estimation.factors import corridors_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
 from pdr_graph.estimation.factors.chain import Chain, Evaluation
-from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
@@ -129,10 +128,8 @@ class WalkGraph:
 
     def _use_plan(self, floor_sequence: FloorSequence) -> None:
         self.floor_sequence, self.walled, self._associated = floor_sequence, True, False
-        self._measurements += (WallFactor.about(floor_sequence, self.prior.wall_margin, self.prior.wall_sigma),)
-        use = self.prior.corridors
-        if use.turns or use.directions:
-            self._measurements += (CorridorFactor.about(floor_sequence, use),)
+        walls = WallFactor.about(floor_sequence, self.prior.wall_margin, self.prior.wall_sigma)
+        self._measurements += (walls, *corridors_of(floor_sequence, self.prior))
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:

@@ -7,12 +7,15 @@ from typing import Any
 
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
+from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.factors.turns import TurnFactor
+from pdr_graph.floor.building import FloorSequence
 from pdr_graph.measurements import Closures, Levels, Ranges
 from pdr_graph.types import Fixes, Headings, Index, Steps
 
@@ -24,6 +27,8 @@ KINDS: dict[type, tuple[Any, ...]] = {
     Closures: (LoopClosureFactor,),
     Ranges: (RangeFactor,),
 }
+
+CORRIDORS = {"directions": CorridorFactor, "turns": TurnFactor}  # by `Prior.corridors`
 
 
 def kind_of(data: Any) -> type[Measurement]:
@@ -50,6 +55,11 @@ def measurements_of(
     kind: Any = kind_of(data)
     measurement = _continued(kind.of(data, steps, prior, number), decisions)
     return [measurement, *(_continued(beside.of(measurement, steps), decisions) for beside in KINDS[type(data)][1:])]
+
+
+def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Measurement]:
+    """The factor of corridors that the prior asks for, not associated with the walk yet; empty if there is none."""
+    return [CORRIDORS[prior.corridors].about(floor_sequence)] if prior.corridors else []
 
 
 def _continued(kind: Measurement, decisions: Mapping[str, Mapping[str, AnyArray]] | None) -> Measurement:

@@ -11,9 +11,9 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pdr_graph.estimation.factors import corridors_of
 from pdr_graph.estimation.factors.base import Measurement
 from pdr_graph.estimation.factors.chain import Evaluation
-from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor
 from pdr_graph.estimation.graph import WalkGraph
@@ -116,12 +116,13 @@ class WindowGraph:
 
     def _on_plan(self, part: Part) -> list[Measurement]:
         """Factors of walls and corridors, if the plan is used."""
-        walls, use, plan = part.walls(), self.prior.corridors, self.window.located_plan
+        walls, plan = part.walls(), self.window.located_plan
         evidence: list[Measurement] = [] if walls is None else [walls]
-        if plan is not None and (use.turns or use.directions) and part.intervals:
+        if plan is not None and self.prior.corridors and part.intervals:
             labels = [interval.label for interval in part.intervals for _ in interval.fields]
             at = part.chain.evaluate(part.state(self.isam.values, ()))
-            evidence.append(CorridorFactor.about(FloorSequence.of(plan, labels), use).associated(at))
+            corridors = corridors_of(FloorSequence.of(plan, labels), self.prior)
+            evidence += [kind.associated(at) for kind in corridors]
         return evidence
 
     def store_decisions(self, measurements: Sequence[Measurement]) -> bool:

@@ -8,13 +8,16 @@ import shapely
 from plans import MAPS
 
 from pdr_graph import FloorPlan
+from pdr_graph.estimation.factors.corridor import straight_runs
+from pdr_graph.estimation.factors.turns import turns_along
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.corridor_runs import straight_runs, turns_between
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.floor.network import derived_network
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
 
 LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
+NETWORKS = {"drawn": LOOP.network, "derived": derived_network(LOOP.cells, LOOP.walkable)}
 LAP = [[14.85, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 1.25], [14.0, 1.25]]
 STRIDE = 0.7
 
@@ -68,15 +71,17 @@ def test_a_run_continues_across_an_intersection_and_past_pillars():
     assert run.last - run.first > 0.9 * len(track)
 
 
-def test_a_lap_turns_at_each_intersection():
-    track = along(*LAP)
-    runs = straight_runs(track, LOOP.distance)
-    found = list(turns_between(runs, track, LOOP.network))
-    assert [f[:2] for f in found] == list(pairwise(runs))
-    for (_, _, turn), corner in zip(found, LAP[1:-1], strict=True):
-        assert np.hypot(*(LOOP.network.nodes[turn.node] - corner)) < 0.1
-        assert np.hypot(*(track[turn.first] - corner)) < STRIDE
-        assert LOOP.network.links[turn.before].tolist().count(turn.node) == 1
+@pytest.mark.parametrize("sway", [0.0, 0.6])
+@pytest.mark.parametrize("network", ["drawn", "derived"])
+def test_a_lap_turns_at_each_intersection(network, sway):
+    track = along(*LAP, sway=sway)
+    found = list(turns_along(track, NETWORKS[network]))
+    for turn, corner, leg in zip(found, LAP[1:-1], pairwise(np.diff(LAP, axis=0)), strict=True):
+        assert np.hypot(*(turn.corners.mean(axis=0) - corner)) < 0.1
+        assert np.hypot(*(track[turn.at] - corner)) < STRIDE + sway
+        for way, along_leg in zip((turn.into, turn.out_of), leg, strict=True):
+            assert way == pytest.approx(along_leg / np.hypot(*along_leg), abs=0.02)
+    assert all(before.last > after.at - 6 for before, after in pairwise(found)), "from corner to corner"
 
 
 def test_there_is_no_turn_away_from_an_intersection():
@@ -85,4 +90,5 @@ def test_there_is_no_turn_away_from_an_intersection():
         "1", tuple(Area(a.kind, a.name, shapely.affinity.translate(a.shape, 9, 9)) for a in LOOP.areas), Frame()
     )
     track = along(*LAP)
-    assert not list(turns_between(straight_runs(track, LOOP.distance), track, beside.network))
+    assert not list(turns_along(track, beside.network))
+    assert not list(turns_along(track[:1], LOOP.network))
