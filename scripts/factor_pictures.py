@@ -385,7 +385,7 @@ def wall_error(field, points, prior):
     return about.residual(SimpleNamespace(ends=points, pieces=SimpleNamespace(length=np.ones(n))))[0]
 
 
-def a_lap(corridors):
+def a_lap(*corridors):
     """A lap of the loop, and what was matched of it."""
     plan = FloorPlan.load(DOCS.parent / "maps" / "loop.geojson")
     corners = np.array([[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 3.0]])

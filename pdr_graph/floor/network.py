@@ -40,14 +40,23 @@ class Network(OneLineRepr):
 
     nodes: ``(n, 2)`` [m]; corners: ``(n, 4, 2)`` of each intersection, counter-clockwise, NaN at dead ends and where no
     corridors cross [m]; links: ``(l, 2)`` nodes; lines: the centre line of each link, ``(m, 2)`` from its first node to
-    its second [m]; area: the polygon that they lie in [m].
+    its second [m]; width: ``(l,)`` between the walls beside it [m]; area: the polygon that they lie in [m].
     """
 
     nodes: Array
     corners: Array
     links: Index
     lines: tuple[Array, ...]
+    width: Array
     area: shapely.Geometry
+
+    @classmethod
+    def within(cls, area: shapely.Geometry, nodes: Array, corners: Array, links: Index, lines: list[Array]) -> Network:
+        """The network of an area, with the widths that its border leaves: the median along each link."""
+        shapely.prepare(border := shapely.boundary(area))
+        points = [shapely.get_coordinates(shapely.segmentize(shapely.linestrings(line), TOUCH * 4)) for line in lines]
+        width = [2 * float(np.median(shapely.distance(shapely.points(at), border))) for at in points]
+        return cls(nodes, corners, links, tuple(lines), np.array(width), area)
 
     def __len__(self) -> int:
         return len(self.links)
@@ -114,12 +123,12 @@ class Segments(OneLineRepr):
         return int(self.link[np.argmin(apart)]), float(apart.min())
 
 
-def link_costs(segments: Segments, start: Array, end: Array) -> Array:
-    """Cost ``(n, l)`` of assigning each step, from ``start`` to ``end (n, 2)`` [m], to each link.
+def segment_costs(segments: Segments, start: Array, end: Array) -> Array:
+    """Cost ``(n, s)`` of assigning each step, from ``start`` to ``end (n, 2)`` [m], to each segment.
 
     [map-matching] Sec. 3.3 scores distance and angle and gives no formula. Here the cost is the sum of both squares,
     each divided by its usual value; the cost of a distance saturates beyond two corridor widths, where the track is
-    lost. A link has no direction, and the best segment of a bent link counts.
+    lost. A segment has no direction.
     """
     usual_distance, usual_angle = 3.0, np.radians(30)  # [m], [rad] a corridor's width, a zigzag
     largest = 4.0  # cost of a distance: less than that of a right angle
@@ -127,9 +136,7 @@ def link_costs(segments: Segments, start: Array, end: Array) -> Array:
     step, along = np.arctan2(*(end - start).T[::-1]), np.arctan2(*segments.along.T[::-1])
     askew = np.abs(wrap_angle(2 * (step[:, None] - along))) / 2
     squared = (apart / usual_distance) ** 2
-    cost = squared / (1 + squared / largest) + (askew / usual_angle) ** 2
-    begins = np.flatnonzero(np.diff(segments.link, prepend=-1))
-    return np.minimum.reduceat(cost, begins, axis=1)
+    return squared / (1 + squared / largest) + (askew / usual_angle) ** 2
 
 
 def drawn_network(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geometry) -> Network | None:
@@ -139,14 +146,13 @@ def drawn_network(areas: tuple[Area, ...], cells: Cells, walkable: shapely.Geome
         return None
     (nodes, corners, links, lines), area = drawn, _network_area(cells, walkable)
     within = shapely.covers(shapely.buffer(area, TOUCH), shapely.MultiLineString(lines))
-    return Network(nodes, corners, links, tuple(lines), area) if within else None
+    return Network.within(area, nodes, corners, links, lines) if within else None
 
 
 def derived_network(cells: Cells, walkable: shapely.Geometry) -> Network:
     """The network derived from the walkable area; this takes seconds on a large floor."""
     area = _network_area(cells, walkable)
-    nodes, corners, links, lines = derive(area)
-    return Network(nodes, corners, links, tuple(lines), area)
+    return Network.within(area, *derive(area))
 
 
 def _network_area(cells: Cells, walkable: shapely.Geometry) -> shapely.Geometry:
@@ -230,7 +236,7 @@ RECESS = 0.5  # the same as a share of the circle's radius: a corner of a square
 
 
 @dataclass(frozen=True)
-class Skeleton(OneLineRepr):
+class Skeleton:
     """The medial axis as a graph.
 
     position: ``(v, 2)`` of the vertices [m]; clearance: ``(v,)`` distance to the nearest wall [m]; edges: ``(e, 2)``
@@ -240,9 +246,6 @@ class Skeleton(OneLineRepr):
     position: Array
     clearance: Array
     edges: Index
-
-    def _summary(self) -> list[str]:
-        return [f"{len(self.position)} vertices", count(len(self.edges), "edge")]
 
     def chains(self, stops: Iterable[int] = ()) -> list[Index]:
         """The vertices of each line from one stop to the next; ends, junctions and the vertices ``stops`` are stops."""
@@ -378,22 +381,19 @@ class DerivationSettings:
 DERIVATION = DerivationSettings()
 
 
-@dataclass(frozen=True)
-class _Hubs:
-    """The future nodes. vertex: ``(n,)`` of the skeleton; at: ``(v,)`` node of each of its vertices, −1 if none."""
-
-    vertex: Index
-    at: Index
-
-
 def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
     """Nodes ``(n, 2)``, corners ``(n, 4, 2)``, links ``(l, 2)`` and their lines from a (multi)polygon. [m]"""
     middle = skeleton(area)
-    hubs = _hubs(middle)
-    links, chains = _links(middle, hubs)
-    lines = [_straightened(middle, hubs, link, chain, area) for link, chain in zip(links, chains, strict=True)]
-    clearance = middle.clearance[hubs.vertex]
-    nodes = _centred(middle.position[hubs.vertex], DERIVATION.inner * clearance, links, lines)
+    vertex, at = _hubs(middle)
+    clearance = middle.clearance[vertex]
+    links, chains = list[tuple[int, int]](), list[Index]()
+    for chain in middle.chains(np.flatnonzero(at >= 0).tolist()):
+        i, j = (int(n) for n in at[chain[[0, -1]]])
+        if i != j or middle.length(chain) >= DERIVATION.island * clearance[i]:
+            links.append((i, j))
+            chains.append(chain)
+    lines = [_straightened(middle, vertex[list(ij)], chain, area) for ij, chain in zip(links, chains, strict=True)]
+    nodes = _centred(middle.position[vertex], DERIVATION.inner * clearance, links, lines)
     for (i, j), line in zip(links, lines, strict=True):
         line[0], line[-1] = nodes[i], nodes[j]
     widths = [float(np.median(middle.clearance[chain])) for chain in chains]
@@ -404,10 +404,17 @@ def derive(area: shapely.Geometry) -> tuple[Array, Array, Index, list[Array]]:
     return nodes[linked], corners[linked], renumbered.reshape(-1, 2), lines
 
 
-def _hubs(middle: Skeleton) -> _Hubs:
-    """Junctions, then bends, then ends, by decreasing clearance; each absorbs the later ones within its circle."""
+def _hubs(middle: Skeleton) -> tuple[Index, Index]:
+    """The vertex of each node ``(n,)``, and the node of each vertex ``(v,)``, −1 if none.
+
+    Nodes are junctions, then bends, then ends, by decreasing clearance; each absorbs the later ones within its circle.
+    A ring without a bend has a node somewhere on it.
+    """
     degree = np.bincount(middle.edges.ravel(), minlength=len(middle.position))
-    bends = np.concatenate([_bends(middle, chain) for chain in middle.chains()] or [np.empty(0, dtype=np.intp)])
+    chains = middle.chains()
+    bends = [_bends(middle, chain) for chain in chains]
+    rings = [c[:1] for c, bent in zip(chains, bends, strict=True) if degree[c[0]] == 2 and not len(bent)]
+    bends = np.concatenate([*bends, *rings, np.empty(0, dtype=np.intp)])
     junctions, ends = np.flatnonzero(degree > 2), np.flatnonzero(degree == 1)
     rank = np.concatenate([np.zeros(len(junctions)), np.ones(len(bends)), np.full(len(ends), 2)])
     candidates = np.concatenate([junctions, bends, ends]).astype(np.intp)
@@ -420,7 +427,7 @@ def _hubs(middle: Skeleton) -> _Hubs:
             at[absorbed] = len(chosen)
             at[v] = len(chosen)
             chosen.append(v)
-    return _Hubs(np.array(chosen, dtype=np.intp), at)
+    return np.array(chosen, dtype=np.intp), at
 
 
 def _bends(middle: Skeleton, chain: Index) -> Index:
@@ -450,24 +457,15 @@ def _point_at(s: Array, walked: Array, line: Array, period: float | None) -> Arr
     return np.stack([np.interp(s, walked, axis, period=period) for axis in line.T], axis=1)
 
 
-def _links(middle: Skeleton, hubs: _Hubs) -> tuple[list[tuple[int, int]], list[Index]]:
-    """Links and their vertices from hub to hub, except for loops within a hub or around something small."""
-    links, chains = list[tuple[int, int]](), list[Index]()
-    for chain in middle.chains(np.flatnonzero(hubs.at >= 0).tolist()):
-        i, j = (int(n) for n in hubs.at[chain[[0, -1]]])
-        if i == j and middle.length(chain) < DERIVATION.island * middle.clearance[hubs.vertex[i]]:
-            continue
-        links.append((i, j))
-        chains.append(chain)
-    return links, chains
+def _straightened(middle: Skeleton, ends: Index, chain: Index, area: shapely.Geometry) -> Array:
+    """The line of a link, straight within the circles at both ends, simplified between them. [m]
 
-
-def _straightened(middle: Skeleton, hubs: _Hubs, link: tuple[int, int], chain: Index, area: shapely.Geometry) -> Array:
-    """The line of a link: straight within the circles at both ends, simplified between them. [m]"""
+    ends: ``(2,)`` vertices of its nodes; chain: ``(m,)`` vertices from one to the other.
+    """
     line = middle.position[chain]
     first, last = 0, len(line) - 1
-    for end, n in enumerate(link):
-        centre, radius = middle.position[hubs.vertex[n]], DERIVATION.inner * middle.clearance[hubs.vertex[n]]
+    for end, v in enumerate(ends):
+        centre, radius = middle.position[v], DERIVATION.inner * middle.clearance[v]
         beyond = np.flatnonzero(np.hypot(*(line - centre).T) > radius)
         if end == 0:
             first = max(int(beyond[0]) - 1, 0) if len(beyond) else len(line) // 2
@@ -478,13 +476,10 @@ def _straightened(middle: Skeleton, hubs: _Hubs, link: tuple[int, int], chain: I
     if len(between) > 2:
         simple = shapely.simplify(shapely.linestrings(between), slack)
         if not shapely.covers(area, simple):
-            simple = shapely.simplify(
-                shapely.linestrings(between), min(slack, float(middle.clearance[chain].min()) / 2)
-            )
+            slack = min(slack, float(middle.clearance[chain].min()) / 2)
+            simple = shapely.simplify(shapely.linestrings(between), slack)
         between = shapely.get_coordinates(simple)
-    return np.concatenate(
-        [middle.position[hubs.vertex[link[0]]][None], between, middle.position[hubs.vertex[link[1]]][None]]
-    )
+    return np.concatenate([middle.position[ends[:1]], between, middle.position[ends[1:]]])
 
 
 def _centred(nodes: Array, radius: Array, links: list[tuple[int, int]], lines: list[Array]) -> Array:

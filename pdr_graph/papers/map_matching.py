@@ -15,7 +15,7 @@ import numpy as np
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.estimation.factors.turns import LEAST_TURN, range_of_turn
-from pdr_graph.floor.network import Network, Segments, link_costs
+from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import courses, row_times, turn_between, unit, wrap_angle
 from pdr_graph.types import Array, Index, Mask, Steps, Trajectory
@@ -43,6 +43,12 @@ class Turn(OneLineRepr):
     def _summary(self) -> list[str]:
         angle = np.degrees(turn_between(self.into, self.out_of))
         return [f"steps {self.first} to {self.last}", f"node {self.node}", f"{angle:.0f}°"]
+
+
+def link_costs(segments: Segments, start: Array, end: Array) -> Array:
+    """Cost ``(n, l)`` of assigning each step to each link: that of the best segment of a bent link."""
+    begins = np.flatnonzero(np.diff(segments.link, prepend=-1))
+    return np.minimum.reduceat(segment_costs(segments, start, end), begins, axis=1)
 
 
 def straightened(steps: Steps) -> Steps:

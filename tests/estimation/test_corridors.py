@@ -25,7 +25,7 @@ CORNER = (
 ELL = plan(*CORNER)
 
 
-def ell_walk(corridors=""):
+def ell_walk(*corridors):
     """Twenty metres east and, after a turn on the spot, twenty north; from a known start."""
     turn = np.zeros(60)
     turn[30] = np.pi / 2
@@ -39,13 +39,13 @@ def test_corridors_are_matched_only_on_request():
     matched = graph.associated_at(graph.start)
     assert matched.find(CorridorFactor) is matched.find(TurnFactor) is None
     with pytest.raises(ValueError, match="expected 'directions', 'turns'"):
-        Prior(corridors="both")
+        Prior(corridors=("both",))
 
 
 def test_a_straight_run_determines_the_direction_where_walls_are_far():
     wrong = []
-    for corridors in ("", "directions"):
-        graph = ell_walk(corridors)
+    for corridors in ((), ("directions",)):
+        graph = ell_walk(*corridors)
         askew = graph.start.rotated(ASKEW, np.zeros(2))
         solved = optimize(graph.associated_at(askew), askew)
         wrong.append(abs(wrap_angle(solved.state.poses[1, 2])))

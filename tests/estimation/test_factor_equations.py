@@ -241,7 +241,7 @@ def ring():
     return FloorPlan("ring", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
 
 
-def in_the_ring(corridors):
+def in_the_ring(*corridors):
     """Two laps of it, matched along the walk itself."""
     steps = square_walk(20, laps=2)
     track = dead_reckon(steps)

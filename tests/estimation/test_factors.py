@@ -45,7 +45,7 @@ def ring():
     return plan(*areas)
 
 
-def in_corridors(corridors):
+def in_corridors(*corridors):
     """Two laps of the ring, whose turns or straight runs are matched along the walk itself."""
     steps = square_walk(20, laps=2)
     track = dead_reckon(steps)

@@ -10,7 +10,7 @@ from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, dead_reckon
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.network import Segments, link_costs
+from pdr_graph.floor.network import Segments
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.papers.map_matching import (
@@ -22,6 +22,7 @@ from pdr_graph.papers.map_matching import (
     feasible_pairs,
     feasible_region,
     lattice,
+    link_costs,
     match,
     method_2,
     range_of_R_d,

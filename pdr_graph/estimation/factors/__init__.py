@@ -58,8 +58,8 @@ def measurements_of(
 
 
 def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Measurement]:
-    """The factor of corridors that the prior asks for, not associated with the walk yet; empty if there is none."""
-    return [CORRIDORS[prior.corridors].about(floor_sequence)] if prior.corridors else []
+    """The factors of corridors that the prior asks for, not associated with the walk yet."""
+    return [CORRIDORS[name].about(floor_sequence) for name in prior.corridors]
 
 
 def _continued(kind: Measurement, decisions: Mapping[str, Mapping[str, AnyArray]] | None) -> Measurement:

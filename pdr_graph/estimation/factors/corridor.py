@@ -1,14 +1,13 @@
-"""Directions of straight runs along corridors.
+"""Directions of straight runs along the links of a corridor network, and the links that a walk follows.
 
-A corridor is where walls on both sides of the walk are parallel to it, so that only the walls near the walk are
-examined: the cost depends on its length, not on the floor, and no network is needed. Runs are associated along one
-walk; the association is data, and the factor never searches.
+The association of runs with links is along one walk; it is data, and the factor never searches.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -18,54 +17,42 @@ from pdr_graph.estimation.factors.base import FactorBlock, Measurement
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import STRAY
-from pdr_graph.floor.distance_field import DistanceField
-from pdr_graph.geometry import interpolate, length_along, unit, wrap_angle
-from pdr_graph.types import Array, Headings, Index, Mask
+from pdr_graph.floor.network import Network, Segments, segment_costs
+from pdr_graph.geometry import length_along, wrap_angle
+from pdr_graph.types import Array, Headings, Index
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
 SIGMA_SIDE = 0.3  # of a corridor's width, lateral position at either end of a run; 1/√12 if uniformly distributed
 SIGMA_AHEAD = 0.03  # [rad] between the line from end to end of a run and the keyframe's dead-reckoned heading
+# Of the association, chosen by hand
+ON_LINK = 2.0  # largest cost of a step on a link: half a corridor off and askew as in a zigzag
+SHORTEST = 3.0  # [m] of the walk along a link
+BRIDGED = 6.0  # [m] of the walk between two parts of one run: across an intersection, past an open shop
+STRAIGHT, SPREAD = np.radians(10), np.radians(4)  # between the links of one run, the same as a standard deviation
+LEAST_LENGTH, LEAST_RATIO = 8.0, 3.0  # of a run [m], and in widths of its corridor: a shorter one may cross a plaza
 
 
 @dataclass(frozen=True)
-class RunSettings:
-    """Constants by which straight runs are found, chosen by hand.
+class Stretch:
+    """A straight part of a walk along one link.
 
-    chord: length of the walk before and after a place that determines its direction there [m]: that of a zigzag.
-    reach: distance of a corridor's wall to either side [m].
-    shortest_wall: length of a wall that has a direction [m]: a shorter one is a pillar or a door frame.
-    askew: largest angle between walk and walls [rad]: that of a zigzag.
-    straight: largest angle between the walls of one corridor [rad]; spread: the same as a standard deviation along a
-        run.
-    shortest: least length of the walk between walls [m].
-    bridged: length of the walk between two parts of one run [m]: across an intersection, past an open shop.
-    least_length, least_ratio: least length of a run [m], and in widths of its corridor: a shorter one may cross a
-        plaza.
+    first, last: its places [first, last); bearing: ``(s,)`` of the link at each step, as walked [rad].
     """
 
-    chord: float = 2.5
-    reach: float = 6.0
-    shortest_wall: float = 1.0
-    askew: float = np.radians(30)
-    straight: float = np.radians(10)
-    spread: float = np.radians(4)
-    shortest: float = 1.5
-    bridged: float = 6.0
-    least_length: float = 8.0
-    least_ratio: float = 3.0
-
-
-RUN = RunSettings()
+    first: int
+    last: int
+    link: int
+    bearing: Array
 
 
 @dataclass(frozen=True)
 class Run(OneLineRepr):
-    """A straight run along a corridor.
+    """A straight run along links.
 
     first, last: its places [first, last); direction: of the corridor, as walked [rad]; width: of the corridor [m];
-    spread: standard deviation of the direction of its walls [rad].
+    spread: standard deviation of the direction of its links [rad].
     """
 
     first: int
@@ -133,7 +120,7 @@ class CorridorFactor(Measurement):
         rows = list[tuple[int, float, float]]()
         for floor, begin, end in self.floor_sequence.spans:
             track = Track.of(at, begin, end)
-            rows += [row for run in straight_runs(track.position, floor.distance) if (row := _heading(track, run))]
+            rows += [row for run in straight_runs(track.position, floor.network) if (row := _heading(track, run))]
         keyframe, direction, sigma = np.array(rows).reshape(-1, 3).T
         numbers = keyframe.astype(np.intp)
         return replace(self, keyframe=numbers, direction=Headings(at.chain.time[numbers], direction, sigma))
@@ -144,93 +131,51 @@ class CorridorFactor(Measurement):
         return [heading_block(self.name, at, self.keyframe, self.direction, number)]
 
 
-def straight_runs(track: Array, walls: DistanceField) -> list[Run]:
-    """The long straight runs along corridors of a walk through places ``track (n, 2)`` [m]."""
-    if len(track) < 2:
+def stretches_along(track: Array, network: Network) -> list[Stretch]:
+    """The links that a walk through places ``track (n, 2)`` [m] follows, in order of time."""
+    if len(track) < 2 or not len(network):
         return []
-    walked = length_along(track)
-    beside = _walls_beside(track, walked, walls)
-    return [run for run in _joined_runs(beside, walked) if _is_corridor(run, track)]
+    segments, step, walked = Segments.of(network), np.diff(track, axis=0), length_along(track)
+    cost = segment_costs(segments, track[:-1], track[1:])
+    nearest = cost.argmin(axis=1)
+    along = segments.along[nearest]
+    bearing = np.arctan2(*(along * np.where(np.sum(step * along, axis=1) < 0, -1, 1)[:, None]).T[::-1])
+    link = np.where(cost.min(axis=1) < ON_LINK, segments.link[nearest], -1)
+    bends = np.abs(wrap_angle(np.diff(bearing))) > STRAIGHT
+    parts = np.split(np.arange(len(link)), np.flatnonzero(bends | (np.diff(link) != 0)) + 1)
+    return [
+        Stretch(int(part[0]), int(part[-1]) + 2, int(link[part[0]]), bearing[part])
+        for part in parts
+        if link[part[0]] >= 0 and walked[part[-1] + 1] - walked[part[0]] > SHORTEST
+    ]
 
 
-@dataclass(frozen=True)
-class _WallsBeside:
-    """The walls on both sides of each place ``(n,)``; NaN unless there are some on both.
-
-    direction: of the walls, as walked [rad]; width: between them [m].
-    """
-
-    direction: Array
-    width: Array
+def straight_runs(track: Array, network: Network) -> list[Run]:
+    """The long straight runs of a walk through places ``track (n, 2)`` [m] along the links of a network."""
+    stretches, walked = stretches_along(track, network), length_along(track)
+    ends = [n + 1 for n, (before, after) in enumerate(pairwise(stretches)) if not _continues(before, after, walked)]
+    runs = [_run(stretches[i:j], network) for i, j in pairwise([0, *ends, len(stretches)]) if j > i]
+    return [run for run in runs if _is_corridor(run, track)]
 
 
-def _walls_beside(track: Array, walked: Array, walls: DistanceField) -> _WallsBeside:
-    """The nearest walls to the left and right of each place that are parallel to the walk."""
-    place, wall = walls.walls_near(track, RUN.reach)
-    course = interpolate(walked + RUN.chord, walked, track) - interpolate(walked - RUN.chord, walked, track)
-    course = np.arctan2(*course.T[::-1])[place]
-    along = wall[:, 1] - wall[:, 0]
-    length = np.hypot(*along.T)
-    askew = wrap_angle(2 * (course - np.arctan2(along[:, 1], along[:, 0]))) / 2
-    ahead, to = unit(course), track[place] - wall[:, 0]
-    share = np.sum(to * along, axis=1) / np.maximum(length**2, 1e-12)
-    foot = np.clip(share, 0.0, 1.0)[:, None] * along - to
-    aside = ahead[:, 0] * foot[:, 1] - ahead[:, 1] * foot[:, 0]
-    is_beside = np.abs(aside) > np.abs(np.sum(ahead * foot, axis=1))
-    parallel = (np.abs(askew) < RUN.askew) & (length > RUN.shortest_wall) & is_beside
-    found = [_nearest(place, aside * side, parallel, len(track)) for side in (1, -1)]
-    both = (found[0] >= 0) & (found[1] >= 0)
-    left, right = (f[both] for f in found)
-    apart = wrap_angle(2 * (askew[left] - askew[right])) / 2
-    weight = length[left] / (length[left] + length[right])
-    direction, width = np.full(len(track), np.nan), np.full(len(track), np.nan)
-    direction[both] = np.where(np.abs(apart) < RUN.straight, course[right] - askew[right] - weight * apart, np.nan)
-    width[both] = aside[left] - aside[right]
-    return _WallsBeside(wrap_angle(direction), width)
+def _continues(before: Stretch, after: Stretch, walked: Array) -> bool:
+    """True if two stretches are parts of one run."""
+    bend = abs(float(wrap_angle(after.bearing[0] - before.bearing[-1])))
+    return bend < STRAIGHT and walked[after.first] - walked[before.last - 1] < BRIDGED
 
 
-def _nearest(place: Index, distance: Array, parallel: Mask, places: int) -> Index:
-    """The pair ``(places,)`` of each place with its nearest parallel wall at a positive distance; −1 if none."""
-    pairs = np.flatnonzero(parallel & (distance > 0))
-    pairs = pairs[np.argsort(-distance[pairs])]  # assignment below keeps the last pair of a place, the nearest
-    nearest = np.full(places, -1)
-    nearest[place[pairs]] = pairs
-    return nearest
-
-
-def _joined_runs(beside: _WallsBeside, walked: Array) -> Iterator[Run]:
-    """Runs of consecutive places between walls of one direction."""
-    turned = np.abs(wrap_angle(np.diff(beside.direction, prepend=np.nan)))
-    begins = np.flatnonzero(~(turned < RUN.straight))
-    parts = np.split(np.arange(len(walked)), begins[begins > 0])
-    long = [p for p in parts if not np.isnan(beside.direction[p[0]]) and walked[p[-1]] - walked[p[0]] > RUN.shortest]
-    run = list[Index]()
-    for part in long:
-        if run and not _continues(beside, walked, run[-1][-1], part[0]):
-            yield _run(beside, np.concatenate(run))
-            run.clear()
-        run.append(part)
-    if run:
-        yield _run(beside, np.concatenate(run))
-
-
-def _continues(beside: _WallsBeside, walked: Array, last: int, first: int) -> bool:
-    """True if the part that ends at place ``last`` and the one that begins at ``first`` are one run."""
-    bend = abs(float(wrap_angle(beside.direction[first] - beside.direction[last])))
-    return bend < RUN.straight and walked[first] - walked[last] < RUN.bridged
-
-
-def _run(beside: _WallsBeside, places: Index) -> Run:
-    direction = beside.direction[places]
-    mean = float(np.angle(np.mean(np.exp(1j * direction))))
-    spread = float(np.sqrt(np.mean(wrap_angle(direction - mean) ** 2)))
-    return Run(int(places[0]), int(places[-1]) + 1, mean, float(np.median(beside.width[places])), spread)
+def _run(parts: Sequence[Stretch], network: Network) -> Run:
+    bearing = np.concatenate([part.bearing for part in parts])
+    mean = float(np.angle(np.mean(np.exp(1j * bearing))))
+    spread = float(np.sqrt(np.mean(wrap_angle(bearing - mean) ** 2)))
+    width = float(np.median(network.width[[part.link for part in parts]]))
+    return Run(parts[0].first, parts[-1].last, mean, width, spread)
 
 
 def _is_corridor(run: Run, track: Array) -> bool:
-    """True if a run is long enough, and its walls are straight enough, for a corridor."""
+    """True if a run is long enough, and its links are straight enough, for a corridor."""
     length = float(np.hypot(*(track[run.last - 1] - track[run.first])))
-    return length > max(RUN.least_length, RUN.least_ratio * run.width) and run.spread < RUN.spread
+    return length > max(LEAST_LENGTH, LEAST_RATIO * run.width) and run.spread < SPREAD
 
 
 def _heading(track: Track, run: Run) -> tuple[int, float, float] | None:

@@ -31,7 +31,7 @@ class Prior:
     change: standard deviation of their change from one segment to the next.
     wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
     corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
-        "turns" at intersections, or "" for neither.
+        "turns" at intersections.
     fix_flat: distance from a fix [σ] within which all positions are about equally likely, for receivers that state only
         a radius; the common error of one source is then not modelled.
     """
@@ -42,7 +42,7 @@ class Prior:
     correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wall_margin: float = 0.8
     wall_sigma: float = 1.0
-    corridors: Literal["", "directions", "turns"] = ""
+    corridors: tuple[Literal["directions", "turns"], ...] = ()
     fix_flat: float = 0.0
 
     def __post_init__(self) -> None:
@@ -50,8 +50,8 @@ class Prior:
         for name in ("sigma", "change"):
             if not all(np.isfinite(s) and s > 0 for s in getattr(self, name)):
                 raise ValueError(f"Prior.{name}: found {getattr(self, name)}, expected standard deviations above 0")
-        if self.corridors not in ("", "directions", "turns"):
-            raise ValueError(f"Prior.corridors: found {self.corridors!r}, expected 'directions', 'turns' or ''")
+        if not set(self.corridors) <= {"directions", "turns"}:
+            raise ValueError(f"Prior.corridors: found {self.corridors!r}, expected 'directions', 'turns' or neither")
 
     @property
     def covariance(self) -> Array:

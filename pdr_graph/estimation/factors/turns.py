@@ -16,10 +16,10 @@ import numpy as np
 import shapely
 
 from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Measurement
-from pdr_graph.estimation.factors.corridor import Track
+from pdr_graph.estimation.factors.corridor import Track, stretches_along
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import STRAY
-from pdr_graph.floor.network import Network, Segments, link_costs
+from pdr_graph.floor.network import Network
 from pdr_graph.geometry import length_along, turn_between, wrap_angle
 from pdr_graph.types import Array, Index
 
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 SIGMA_TURNED = 0.05  # [rad] of a heading change: few steps of a turn are straight in a corridor
 SIGMA_PLACE = 0.5  # [m] outside the intersection: corners are cut, and the step nearest to the turn is half a step off
 # Of the association, chosen by hand
-ON_LINK = 2.0  # largest cost of a place on a link: half a corridor off and askew as in a zigzag
-SHORTEST = 3.0  # [m] of the walk along a link
 OVERLAP = 6  # places at the end or the beginning of a stretch that may belong to the turn
 LONGEST = 8.0  # [m] of the walk around an intersection, from one link to the other
 LEAST_TURN, MOST_TURN = np.radians(25), np.radians(150)  # less is one corridor, more is a reversal
@@ -155,15 +153,16 @@ class TurnFactor(Measurement):
 def turns_along(track: Array, network: Network) -> Iterator[Turn]:
     """The turns of a walk through places ``track (n, 2)`` [m], at intersections that have corners."""
     walked = length_along(track)
-    for (first, last, before), (begin, end, after) in pairwise(_stretches(track, walked, network)):
-        for node in np.intersect1d(network.links[before], network.links[after]).tolist():
-            into, out_of = -network.direction(before, node), network.direction(after, node)
-            low, high = max(last - OVERLAP, first), min(begin + OVERLAP, end)
+    for before, after in pairwise(stretches_along(track, network)):
+        shared = np.intersect1d(network.links[before.link], network.links[after.link])
+        for node in shared[~np.isnan(network.corners[shared, 0, 0])].tolist():
+            into, out_of = -network.direction(before.link, node), network.direction(after.link, node)
+            low, high = max(before.last - OVERLAP, before.first), min(after.first + OVERLAP, after.last)
             at = low + int(np.argmax(track[low:high] @ (into - out_of)))  # the sharpest
-            turned, around = abs(turn_between(into, out_of)), walked[begin] - walked[last - 1]
-            apart = shapely.distance(shapely.polygons(network.corners[node]), shapely.Point(track[at]))  # or NaN
-            if before != after and LEAST_TURN < turned < MOST_TURN and around < LONGEST and apart < AT_NODE:
-                yield Turn(first, at, end - 1, into, out_of, network.corners[node])
+            turned, around = abs(turn_between(into, out_of)), walked[after.first] - walked[before.last - 1]
+            apart = shapely.distance(shapely.polygons(network.corners[node]), shapely.Point(track[at]))
+            if before.link != after.link and LEAST_TURN < turned < MOST_TURN and around < LONGEST and apart < AT_NODE:
+                yield Turn(before.first, at, after.last - 1, into, out_of, network.corners[node])
 
 
 def range_of_turn(into: Array, out_of: Array, corners: Array, before: float, after: float) -> tuple[float, float]:
@@ -185,23 +184,6 @@ def range_of_turn(into: Array, out_of: Array, corners: Array, before: float, aft
 
     least, most = sorted((turned(outer, inner), turned(inner, outer)))
     return least, most
-
-
-def _stretches(track: Array, walked: Array, network: Network) -> list[tuple[int, int, int]]:
-    """Places [first, last) of a walk and the link that it follows there, without stretches shorter than SHORTEST."""
-    if len(track) < 2 or not len(network):
-        return []
-    cost = link_costs(Segments.of(network), track[:-1], track[1:])
-    link = np.where(cost.min(axis=1) < ON_LINK, cost.argmin(axis=1), -1)
-    found = list[tuple[int, int, int]]()
-    for places in np.split(np.arange(len(link)), np.flatnonzero(np.diff(link)) + 1):
-        first, last, on = int(places[0]), int(places[-1]) + 2, int(link[places[0]])
-        if on < 0 or walked[last - 1] - walked[first] < SHORTEST:
-            continue
-        if found and found[-1][2] == on and walked[first] - walked[found[-1][1] - 1] < LONGEST:
-            first = found.pop()[0]
-        found.append((first, last, on))
-    return found
 
 
 def _bounds(track: Track, turn: Turn) -> tuple[int, int, float, float, int, Array, Array] | None:
