@@ -29,8 +29,9 @@ from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
 from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, DOUBTED, FIRM, LoopClosureFactor
 from pdr_graph.estimation.factors.losses import GEMAN_MCCLURE_WIDTH, HUBER_WIDTH
-from pdr_graph.estimation.factors.start import CorridorUse, first_heading_prior
+from pdr_graph.estimation.factors.start import first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
+from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.compass import COMPASS_SIGMA
@@ -384,7 +385,7 @@ def wall_error(field, points, prior):
     return about.residual(SimpleNamespace(ends=points, pieces=SimpleNamespace(length=np.ones(n))))[0]
 
 
-def a_lap(use):
+def a_lap(*corridors):
     """A lap of the loop, and what was matched of it."""
     plan = FloorPlan.load(DOCS.parent / "maps" / "loop.geojson")
     corners = np.array([[1.25, 1.25], [43.75, 1.25], [43.75, 26.75], [1.25, 26.75], [1.25, 3.0]])
@@ -397,13 +398,13 @@ def a_lap(use):
     steps = replace(steps_of(turn), length=np.hypot(*moves.T))
     truth = dead_reckon(steps)
     first = Fixes(truth.time[:1], place[:1], np.array([0.5]), ("",))
-    whole = WalkGraph(steps, first, floor=plan, prior=Prior(corridors=use))
+    whole = WalkGraph(steps, first, floor=plan, prior=Prior(corridors=corridors))
     return plan, whole.associated_at(whole.start), truth.position + place[0]
 
 
 def direction():
     """The straight runs of a lap and the direction that each tells."""
-    plan, whole, track = a_lap(CorridorUse(directions=True))
+    plan, whole, track = a_lap("directions")
     figure, axes = canvas(1, 5.2)
     draw_plan(axes, plan)
     axes.plot(*track.T, color=BLUE, label="a walk", zorder=4)
@@ -424,7 +425,7 @@ def direction():
 
 def turn():
     """The least and the greatest turn at an intersection, and what the factor makes of them."""
-    plan, whole, _ = a_lap(CorridorUse(turns=True))
+    plan, whole, _ = a_lap("turns")
     figure, (above, law) = canvas(ratios=[1, 1.1])
     draw_plan(above, plan)
     out, far = np.array([2.5, 0.0]), 12.0
@@ -437,7 +438,7 @@ def turn():
     above.set(xlim=(29.5, 46), ylim=(-out[0], 15.5))
     above.legend(loc="upper left")
 
-    turns = whole.find(CorridorFactor).turns
+    turns = whole.find(TurnFactor)
     angle = np.radians(np.linspace(20, 160, 400))
     residual = []
     for change in angle:

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from tables import DOCS, publish, table
 
 from pdr_graph import FloorPlan, Headings, WalkGraph, detect_steps, smooth
-from pdr_graph.floor.corridor_turns import straightened
 from pdr_graph.geometry import dead_reckon, interpolate, length_along
-from pdr_graph.papers.map_matching import correct, match
+from pdr_graph.papers.map_matching import correct, match, straightened
 from pdr_graph.plotting import draw_plan
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

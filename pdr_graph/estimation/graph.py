@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import kind_of, made_from, measurements_of_walk
+from pdr_graph.estimation.factors import corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
 from pdr_graph.estimation.factors.chain import Chain, Evaluation
-from pdr_graph.estimation.factors.corridor import corridors_on_plan
 from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
 from pdr_graph.estimation.factors.protocols import (
     Directions,
@@ -28,6 +27,7 @@ from pdr_graph.estimation.factors.protocols import (
     Multimodal,
     OnPlan,
     Positions,
+    Priced,
     Refined,
     Remembered,
     Restarted,
@@ -139,8 +139,8 @@ class WalkGraph:
 
     def _use_plan(self, floor_sequence: FloorSequence) -> None:
         self.floor_sequence, self.walled, self._associated = floor_sequence, True, False
-        walls, corridors = walls_on_plan(floor_sequence, self.prior), corridors_on_plan(floor_sequence, self.prior)
-        self._measurements += (walls, *corridors)
+        walls = walls_on_plan(floor_sequence, self.prior)
+        self._measurements += (walls, *corridors_of(floor_sequence, self.prior))
 
     def _start_prior(self, heading: float) -> Measurement:
         """Prior of the first pose; heading: of the initial walk [rad]."""
@@ -315,7 +315,7 @@ class WalkGraph:
     def same_association(self, other: WalkGraph) -> bool:
         """True if both graphs have the same rooms and corridors."""
         pairs = zip(self.measurements, other.measurements, strict=True)
-        return all(a.same_association(b) for a, b in pairs if isinstance(a, OnPlan))
+        return all(a.same_association(b) for a, b in pairs if isinstance(a, Priced))
 
     def _restarted(self, start: State) -> tuple[Measurement, ...]:
         kinds = self._measurements

@@ -149,13 +149,8 @@ class FloorPlan(OneLineRepr):
     @cached_property
     def network(self) -> Network:
         """Network of intersections and corridors, as drawn, else derived from the walkable area."""
-        drawn = self.drawn_network
+        drawn = drawn_network(self.areas, self.cells, self.walkable)
         return derived_network(self.cells, self.walkable) if drawn is None else drawn
-
-    @cached_property
-    def drawn_network(self) -> Network | None:
-        """Network of intersections and corridors as drawn; None if the plan has none."""
-        return drawn_network(self.areas, self.cells, self.walkable)
 
     @cached_property
     def corners(self) -> Array:

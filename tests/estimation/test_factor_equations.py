@@ -17,7 +17,8 @@ from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, LoopClosureFactor
-from pdr_graph.estimation.factors.start import CorridorUse, Prior
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.marginal import marginalized
 from pdr_graph.estimation.optimizer import optimize
@@ -240,31 +241,32 @@ def ring():
     return FloorPlan("ring", tuple(Area(kind, "", shape) for kind, shape in areas), Frame())
 
 
-def in_the_ring(use):
+def in_the_ring(*corridors):
     """Two laps of it, matched along the walk itself."""
     steps = square_walk(20, laps=2)
     track = dead_reckon(steps)
-    graph = WalkGraph(steps, fixes_at(track.time[:1], track.position[:1]), floor=ring(), prior=Prior(corridors=use))
+    start = fixes_at(track.time[:1], track.position[:1])
+    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=corridors))
     return graph.associated_at(graph.start)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_turn_is_free_within_its_range(seed):
     """r = [max(0, δ − β) − max(0, α − δ)]/σ; and max(0, n p − e)/σ of the piece that turns, on all four sides."""
-    graph = in_the_ring(CorridorUse(turns=True))
-    state, turns = any_state(graph, seed), graph.find(CorridorFactor).turns
+    graph = in_the_ring("turns")
+    state, turns = any_state(graph, seed), graph.find(TurnFactor)
     assert len(turns) == 7
     placed = graph.evaluate(state).poses.value
     for n in range(len(turns)):
         i, j = int(turns.before[n]), int(turns.after[n])
         alpha, beta = turns.least[n], turns.most[n]
         delta = (alpha + beta) / 2 + wrapped(state.poses[j, 2] - state.poses[i, 2] - (alpha + beta) / 2)
-        (factor,) = factors_with(graph, state, "corridors.turn", ("x", i), ("x", j))
+        (factor,) = factors_with(graph, state, "turns.angle", ("x", i), ("x", j))
         r = (max(0, delta - beta) - max(0, alpha - delta)) / 0.05
         assert factor.residual == pytest.approx([r], abs=1e-9)
 
         interval = int(graph.pieces.interval[turns.piece[n]])
-        corner = factors_with(graph, state, "corridors.intersection")[n]
+        corner = factors_with(graph, state, "turns.place")[n]
         assert corner.variables == [("x", interval), ("x", interval + 1), ("c", int(graph.segment[interval]))]
         p = placed[turns.piece[n], :2]
         sides = [max(0, normal @ p - edge) / 0.5 for normal, edge in zip(turns.normal[n], turns.edge[n], strict=True)]
@@ -273,11 +275,11 @@ def test_a_turn_is_free_within_its_range(seed):
 
 def test_a_straight_run_leads_along_its_corridor():
     """wrap(θ − direction), of σ² = 2 (0.3 w/L)² + 0.03² + spread²; the corridors of the ring are level or upright."""
-    graph = in_the_ring(CorridorUse(directions=True))
+    graph = in_the_ring("directions")
     state, corridors = any_state(graph, 2), graph.find(CorridorFactor)
     directions = corridors.direction
     assert len(directions) == 8
-    factors = factors_with(graph, state, "corridors.direction")
+    factors = factors_with(graph, state, "corridors")
     for n, (k, direction) in enumerate(zip(corridors.keyframe.tolist(), directions.heading, strict=True)):
         assert factors[n].variables == [("x", k)]
         assert factors[n].residual == pytest.approx([wrapped(state.poses[k, 2] - direction) / directions.sigma[n]])

@@ -13,10 +13,10 @@ from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.factors.base import Stage
-from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
-from pdr_graph.estimation.factors.start import CorridorUse, Prior
+from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
@@ -45,12 +45,12 @@ def ring():
     return plan(*areas)
 
 
-def turning_graph():
-    """Two laps of the ring, whose turns and straight runs are matched along the walk itself."""
+def in_corridors(*corridors):
+    """Two laps of the ring, whose turns or straight runs are matched along the walk itself."""
     steps = square_walk(20, laps=2)
     track = dead_reckon(steps)
     start = fixes_at(track.time[:1], track.position[:1])
-    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=CorridorUse(turns=True, directions=True)))
+    graph = WalkGraph(steps, start, floor=ring(), prior=Prior(corridors=corridors))
     return graph.associated_at(graph.start)
 
 
@@ -116,7 +116,8 @@ def ranged_graph():
 GRAPHS = {
     "walls": walled_graph,
     "rough walls": rough_walls,
-    "turns": turning_graph,
+    "turns": lambda: in_corridors("turns"),
+    "directions": lambda: in_corridors("directions"),
     "a receiver": received,
     "radius": flat,
     "beacons": beside_beacons,
@@ -127,7 +128,7 @@ GRAPHS = {
     "no fix": lambda: WalkGraph(wandering_walk(12)),
     "no fix on a plan": lambda: WalkGraph(wandering_walk(12), floor=hall()),
 }
-OF_EVERY_WALK = {"steps", "walls", "corridors", "calibration", "start"}
+OF_EVERY_WALK = {"steps", "walls", "corridors", "turns", "calibration", "start"}
 QUICK = [name for name in GRAPHS if name not in ("turns", "compass")]
 
 
@@ -158,11 +159,11 @@ def test_every_measurement_kind_is_tested():
 
 def test_turns_have_residuals():
     """The derivatives of turns are tested at residuals that are not zero."""
-    graph = turning_graph()
+    graph = in_corridors("turns")
     at = graph.evaluate(random_state(graph, np.random.default_rng(1)))
-    for name in ("corridors.turn", "corridors.intersection"):
+    for name in ("turns.angle", "turns.place"):
         [block] = at.blocks_of(name)
-        assert len(block) == len(graph.find(CorridorFactor).turns) == 7
+        assert len(block) == len(graph.find(TurnFactor)) == 7
         assert np.count_nonzero(block.deviation) > len(block) / 2
 
 

@@ -10,14 +10,20 @@ from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, dead_reckon
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.corridor_turns import (
-    Segments,
+from pdr_graph.floor.network import Segments
+from pdr_graph.frames import Frame
+from pdr_graph.geometry import wrap_angle
+from pdr_graph.papers.map_matching import (
+    CalibratedTrack,
     Turn,
     calibrated_tracks,
     centroid,
+    correct,
+    feasible_pairs,
     feasible_region,
     lattice,
     link_costs,
+    match,
     method_2,
     range_of_R_d,
     range_of_R_s,
@@ -25,9 +31,6 @@ from pdr_graph.floor.corridor_turns import (
     straightened,
     turning_periods,
 )
-from pdr_graph.frames import Frame
-from pdr_graph.geometry import wrap_angle
-from pdr_graph.papers.map_matching import CalibratedTrack, correct, feasible_pairs, match
 
 LOOP = FloorPlan.load(MAPS / "loop.geojson")  # corridors of 2.5 m, middles 1.25 m inside
 START = np.array([14.85, 1.25])

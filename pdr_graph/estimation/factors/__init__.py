@@ -22,6 +22,8 @@ from pdr_graph.estimation.factors.protocols import Locating, Remembered
 from pdr_graph.estimation.factors.ranging import RangeFactor
 from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
+from pdr_graph.estimation.factors.turns import TurnFactor
+from pdr_graph.floor.building import FloorSequence
 from pdr_graph.measurements import Closures, Levels, Ranges
 from pdr_graph.types import Fixes, Headings, Index, Steps
 
@@ -83,6 +85,8 @@ register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
 
+CORRIDORS = {"directions": CorridorFactor, "turns": TurnFactor}  # by `Prior.corridors`
+
 
 def kind_of(data: Any) -> type[Measurement]:
     """The kind of measurement that a type of data makes. Raises TypeError for types that are not registered."""
@@ -127,6 +131,11 @@ def measurements_of(
         made.append(_continued(kind.of(source, steps, prior, number), decisions))
         source = made[0]
     return made
+
+
+def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Measurement]:
+    """The factors of corridors that the prior asks for, not associated with the walk yet."""
+    return [CORRIDORS[name].about(floor_sequence) for name in prior.corridors]
 
 
 def _continued(kind: Measurement, decisions: Mapping[str, Mapping[str, AnyArray]] | None) -> Measurement:

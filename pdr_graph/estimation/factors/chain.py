@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement, State
 from pdr_graph.estimation.factors.preintegration import Bridge, Increments, Pieces, bridge, preintegrate
-from pdr_graph.estimation.factors.protocols import OnPlan
+from pdr_graph.estimation.factors.protocols import Priced
 from pdr_graph.geometry import nearest, pose_rotation, wrap_angle
 from pdr_graph.types import INSTANT, Array, Complex, Index
 
@@ -151,7 +151,7 @@ class Evaluation:
     @property
     def surprise(self) -> float:
         """The negative log posterior: the cost plus the price of the rooms and corridors on the way."""
-        return self.cost + sum(kind.price for kind in self.measurements if isinstance(kind, OnPlan))
+        return self.cost + sum(kind.price for kind in self.measurements if isinstance(kind, Priced))
 
     @cached_property
     def ends(self) -> Array:

@@ -1,178 +1,73 @@
-"""Corridors as measurements: turns at intersections, and directions of straight runs.
+"""Directions of straight runs along the links of a corridor network, and the links that a walk follows.
 
-A turn matched to an intersection has two bounds: [map-matching] Eq. (6) limits its angle, from one corridor into the
-other; and it happens in the intersection, between the walls of both corridors. The residual is zero within the bounds
-and linear outside. Corridors and intersections are associated along one walk; the association is data, and no factor
-searches.
+The association of runs with links is along one walk; it is data, and the factor never searches.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Measurement
+from pdr_graph.columns import OneLineRepr
+from pdr_graph.estimation.factors.base import FactorBlock, Measurement
 from pdr_graph.estimation.factors.heading_prior import heading_block
-from pdr_graph.estimation.factors.start import CorridorUse, Prior
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import STRAY
-from pdr_graph.floor.corridor_runs import Run, straight_runs, turns_between
-from pdr_graph.floor.corridor_turns import Turn, range_of_turn
-from pdr_graph.floor.network import Network
-from pdr_graph.geometry import wrap_angle
+from pdr_graph.floor.network import Network, Segments, segment_costs
+from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Headings, Index
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-SIGMA_TURNED = 0.05  # [rad] of a heading change: few steps of a turn are straight in a corridor
-SIGMA_PLACE = 0.5  # [m] outside the intersection: corners are cut, and the step nearest to the turn is half a step off
 SIGMA_SIDE = 0.3  # of a corridor's width, lateral position at either end of a run; 1/√12 if uniformly distributed
 SIGMA_AHEAD = 0.03  # [rad] between the line from end to end of a run and the keyframe's dead-reckoned heading
-
-
-@dataclass(frozen=True, eq=False)
-class Turns:
-    """Turns of a walk at intersections, ``t`` of them.
-
-    before, after: ``(t,)`` keyframes in the corridors on either side; least, most: ``(t,)`` heading change from the one
-    to the other, counter-clockwise [rad]; piece: ``(t,)`` of the walk that ends where it turns; normal: ``(t, 4, 2)``
-    outward of the sides of the intersection; edge: ``(t, 4)`` how far along these the sides are [m].
-    """
-
-    before: Index
-    after: Index
-    least: Array
-    most: Array
-    piece: Index
-    normal: Array
-    edge: Array
-
-    def __len__(self) -> int:
-        return len(self.piece)
-
-    @classmethod
-    def together(cls, turns: Sequence[Turns]) -> Turns:
-        """Concatenate; empty for an empty list."""
-        none, numbers = np.empty(0), np.empty(0, dtype=np.intp)
-        empty = cls(numbers, numbers, none, none, numbers, np.empty((0, 4, 2)), np.empty((0, 4)))
-        columns = [[getattr(turn, column.name) for turn in (empty, *turns)] for column in fields(cls)]
-        return cls(*(np.concatenate(column) for column in columns))
-
-    def heading_change(self, heading: Array) -> tuple[Array, Array]:
-        """Residual ``(t,)`` of the heading change between keyframes ``(k + 1,)``, and its derivative:
-
-            r = [ max(0, δ − β) − max(0, α − δ) ] / σ,      δ = θ_after − θ_before
-
-        The derivative is by θ_after; by θ_before it is the opposite.
-        """
-        off = wrap_angle(heading[self.after] - heading[self.before] - (self.least + self.most) / 2)
-        beyond = np.maximum(np.abs(off) - (self.most - self.least) / 2, 0.0)
-        return np.sign(off) * beyond / SIGMA_TURNED, (beyond > 0) / SIGMA_TURNED
-
-    def outside(self, turning: Linearized) -> Linearized:
-        """Residual ``(t, 4)`` of each turn beyond the sides of its intersection: r = max(0, n p − e) / σ.
-
-        For a rectangular intersection the squares add up to that of the distance. turning: poses of the pieces that
-        turn.
-        """
-        beyond = np.einsum("tsk,tk->ts", self.normal, turning.value[:, :2]) - self.edge
-        slope = np.zeros((*beyond.shape, 3))
-        slope[:, :, :2] = self.normal * (beyond > 0)[:, :, None] / SIGMA_PLACE
-        value = np.maximum(beyond, 0.0) / SIGMA_PLACE
-        return Linearized(value, slope @ turning.by_i, slope @ turning.by_j, slope @ turning.by_c)
-
-
-@dataclass(frozen=True, eq=False)
-class CorridorFactor(Measurement):
-    """Turns at intersections, and directions of straight runs.
-
-    floor_sequence: the floor of each piece; use: which evidence it adds; turns; keyframe: ``(r,)`` in each run;
-    direction: its heading.
-    """
-
-    floor_sequence: FloorSequence
-    use: CorridorUse
-    turns: Turns
-    keyframe: Index
-    direction: Headings
-
-    name: ClassVar[str] = "corridors"
-    on_plan: ClassVar[bool] = True
-
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
-        """Match the turns and straight runs of the walk ``at``.
-
-        Turns need a plan with drawn intersections. A run that begins or ends with a matched turn adds no direction.
-        """
-        turns, directions, pieces = list[Turns](), list[tuple[int, float, float]](), at.pieces
-        for floor, begin, end in self.floor_sequence.spans:
-            moved = begin + np.flatnonzero(pieces.length[begin:end] > 0)
-            track = _Track(at.ends[moved, :2], moved, np.append(-1, pieces.last), at.state.poses[:, 2])
-            runs = [run for run in straight_runs(track.position, floor.distance) if track.keyframe(run) is not None]
-            network = floor.drawn_network if self.use.turns else None
-            matched = list(turns_between(runs, track.position, network)) if network else []
-            turns += [_turn(track, network, before, after, turn) for before, after, turn in matched if network]
-            turning = [run for before, after, _ in matched for run in (before, after)]
-            directions += [_direction(track, run) for run in runs if self.use.directions and run not in turning]
-        keyframe, direction, sigma = np.array(directions).reshape(-1, 3).T
-        rows = keyframe.astype(np.intp)
-        headings = Headings(at.chain.time[rows], direction, sigma)
-        return replace(self, turns=Turns.together(turns), keyframe=rows, direction=headings)
-
-    def same_association(self, other: Measurement) -> bool:
-        """True: runs and turns follow the rooms of the walls."""
-        return True
-
-    @property
-    def price(self) -> float:
-        """0: a walk pays for its rooms alone."""
-        return 0.0
-
-    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """Factors of the directions of runs, and of the heading changes and places of turns."""
-        number = at.state.number("x")[self.keyframe]
-        directions = heading_block(f"{self.name}.direction", at, self.keyframe, self.direction, number)
-        return [directions, *self._turns(at)] if len(self.turns) else [directions]
-
-    def _turns(self, at: Evaluation) -> list[FactorBlock]:
-        turns, number = self.turns, at.chain.number[self.turns.after]
-        value, slope = turns.heading_change(at.state.poses[:, 2])
-        turning = at.poses_of(turns.piece)
-        corner, interval = turns.outside(turning), at.pieces.interval[turns.piece]
-
-        def by_headings() -> list[Array]:
-            by = np.zeros((len(turns), 1, 3))
-            by[:, 0, 2] = slope
-            return [-by, by]
-
-        ends = [("x", turns.before), ("x", turns.after)]
-        place = [("x", interval), ("x", interval + 1), ("c", at.chain.segment[interval])]
-        return [
-            FactorBlock.uniform(
-                f"{self.name}.turn",
-                value[:, None],
-                ends,
-                by_headings,
-                number,
-                signature=EXACT * (turns.least + turns.most),
-            ),
-            FactorBlock.uniform(
-                f"{self.name}.intersection",
-                corner.value,
-                place,
-                lambda: [corner.by_i, corner.by_j, corner.by_c],
-                number,
-                signature=EXACT * turns.edge.sum(axis=1),
-            ),
-        ]
+# Of the association, chosen by hand
+ON_LINK = 2.0  # largest cost of a step on a link: half a corridor off and askew as in a zigzag
+SHORTEST = 3.0  # [m] of the walk along a link
+BRIDGED = 6.0  # [m] of the walk between two parts of one run: across an intersection, past an open shop
+STRAIGHT, SPREAD = np.radians(10), np.radians(4)  # between the links of one run, the same as a standard deviation
+LEAST_LENGTH, LEAST_RATIO = 8.0, 3.0  # of a run [m], and in widths of its corridor: a shorter one may cross a plaza
 
 
 @dataclass(frozen=True)
-class _Track:
+class Stretch:
+    """A straight part of a walk along one link.
+
+    first, last: its places [first, last); bearing: ``(s,)`` of the link at each step, as walked [rad].
+    """
+
+    first: int
+    last: int
+    link: int
+    bearing: Array
+
+
+@dataclass(frozen=True)
+class Run(OneLineRepr):
+    """A straight run along links.
+
+    first, last: its places [first, last); direction: of the corridor, as walked [rad]; width: of the corridor [m];
+    spread: standard deviation of the direction of its links [rad].
+    """
+
+    first: int
+    last: int
+    direction: float
+    width: float
+    spread: float
+
+    def _summary(self) -> list[str]:
+        direction = f"{np.degrees(self.direction):.0f}° ± {np.degrees(self.spread):.1f}°"
+        return [f"places {self.first} to {self.last}", direction, f"corridor of {self.width:.1f} m"]
+
+
+@dataclass(frozen=True)
+class Track:
     """A walk on one floor.
 
     position: ``(n, 2)`` [m] and piece ``(n,)`` of those that moved; keyframe_piece: ``(k + 1,)`` that ends at each
@@ -184,50 +79,114 @@ class _Track:
     keyframe_piece: Index
     heading: Array
 
-    def keyframe(self, run: Run) -> int | None:
-        """The keyframe nearest to the middle of a run; None if the run has none."""
-        first, last = self.piece[run.first], self.piece[run.last - 1]
-        middle = self.piece[(run.first + run.last) // 2]
-        nearest = int(np.argmin(np.abs(self.keyframe_piece - middle)))
-        return nearest if first <= self.keyframe_piece[nearest] <= last else None
+    @classmethod
+    def of(cls, at: Evaluation, begin: int, end: int) -> Track:
+        """The walk ``at``, pieces [begin, end)."""
+        moved = begin + np.flatnonzero(at.pieces.length[begin:end] > 0)
+        return cls(at.ends[moved, :2], moved, np.append(-1, at.pieces.last), at.state.poses[:, 2])
+
+    def keyframe(self, first: int, last: int) -> int | None:
+        """The keyframe nearest to the middle of places ``first`` to ``last``; None if there is none between them."""
+        nearest = int(np.argmin(np.abs(self.keyframe_piece - self.piece[(first + last + 1) // 2])))
+        return nearest if self.piece[first] <= self.keyframe_piece[nearest] <= self.piece[last] else None
 
     def aside(self, keyframe: int, begin: int, end: int) -> float:
-        """Angle [rad] of a keyframe's heading to the left of the line between two positions, by index."""
-        return float(wrap_angle(self.heading[keyframe] - _bearing(self.position[end] - self.position[begin])))
+        """Angle [rad] of a keyframe's heading to the left of the line between two places."""
+        along = self.position[end] - self.position[begin]
+        return float(wrap_angle(self.heading[keyframe] - np.arctan2(along[1], along[0])))
 
 
-def _direction(track: _Track, run: Run) -> tuple[int, float, float]:
-    """Keyframe, heading and sigma [rad] of a straight run, which leads along its corridor from end to end."""
-    keyframe, ends = track.keyframe(run), (run.first, run.last - 1)
-    assert keyframe is not None
-    length = float(np.hypot(*(track.position[ends[1]] - track.position[ends[0]])))
-    sigma = np.hypot(np.sqrt(2) * SIGMA_SIDE * run.width / length, np.hypot(SIGMA_AHEAD, run.spread))
-    return keyframe, float(wrap_angle(run.direction + track.aside(keyframe, *ends))), float(sigma)
+@dataclass(frozen=True, eq=False)
+class CorridorFactor(Measurement):
+    """Directions of straight runs.
+
+    floor_sequence: the floor of each piece; keyframe: ``(r,)`` in each run; direction: its heading.
+    """
+
+    floor_sequence: FloorSequence
+    keyframe: Index
+    direction: Headings
+
+    name: ClassVar[str] = "corridors"
+    on_plan: ClassVar[bool] = True
+
+    @classmethod
+    def about(cls, floor_sequence: FloorSequence) -> CorridorFactor:
+        """The corridors of the floors that a walk is on, associated with none of its runs yet."""
+        return cls(floor_sequence, np.empty(0, dtype=np.intp), Headings.none())
+
+    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+        """Match the straight runs of the walk ``at``."""
+        rows = list[tuple[int, float, float]]()
+        for floor, begin, end in self.floor_sequence.spans:
+            track = Track.of(at, begin, end)
+            rows += [row for run in straight_runs(track.position, floor.network) if (row := _heading(track, run))]
+        keyframe, direction, sigma = np.array(rows).reshape(-1, 3).T
+        numbers = keyframe.astype(np.intp)
+        return replace(self, keyframe=numbers, direction=Headings(at.chain.time[numbers], direction, sigma))
+
+    def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
+        """One heading for each run."""
+        number = at.state.number("x")[self.keyframe]
+        return [heading_block(self.name, at, self.keyframe, self.direction, number)]
 
 
-def _turn(track: _Track, network: Network, before: Run, after: Run, turn: Turn) -> Turns:
-    """The bounds of one turn, by [map-matching] Eq. (6) along the runs before and after it."""
-    i, j = track.keyframe(before), track.keyframe(after)
-    assert i is not None
-    assert j is not None
-    corners, at = network.corners[turn.node], turn.first
-    come, gone = (np.hypot(*(track.position[at] - track.position[n])) for n in (before.first, after.last - 1))
-    aside = track.aside(j, at, after.last - 1) - track.aside(i, before.first, at)
-    least, most = np.array(range_of_turn(turn, corners, float(come), float(gone))) + aside
-    side = np.roll(corners, -1, axis=0) - corners
-    normal = np.stack([side[:, 1], -side[:, 0]], axis=1) / np.hypot(*side.T)[:, None]
-    edge = np.sum(normal * corners, axis=1)
-    columns = (i, j, least, most, track.piece[at], normal, edge)
-    return Turns(*(np.array([column]) for column in columns))
-
-
-def _bearing(way: Array) -> float:
-    return float(np.arctan2(way[1], way[0]))
-
-
-def corridors_on_plan(floor_sequence: FloorSequence, prior: Prior) -> list[CorridorFactor]:
-    """The corridors of the floors of a walk, before their association with its runs; empty if the prior uses none."""
-    if not prior.corridors.any:
+def stretches_along(track: Array, network: Network) -> list[Stretch]:
+    """The links that a walk through places ``track (n, 2)`` [m] follows, in order of time."""
+    if len(track) < 2 or not len(network):
         return []
-    no_turns, nowhere = Turns.together([]), np.empty(0, dtype=np.intp)
-    return [CorridorFactor(floor_sequence, prior.corridors, no_turns, nowhere, Headings.none())]
+    segments, step, walked = Segments.of(network), np.diff(track, axis=0), length_along(track)
+    cost = segment_costs(segments, track[:-1], track[1:])
+    nearest = cost.argmin(axis=1)
+    along = segments.along[nearest]
+    bearing = np.arctan2(*(along * np.where(np.sum(step * along, axis=1) < 0, -1, 1)[:, None]).T[::-1])
+    link = np.where(cost.min(axis=1) < ON_LINK, segments.link[nearest], -1)
+    bends = np.abs(wrap_angle(np.diff(bearing))) > STRAIGHT
+    parts = np.split(np.arange(len(link)), np.flatnonzero(bends | (np.diff(link) != 0)) + 1)
+    return [
+        Stretch(int(part[0]), int(part[-1]) + 2, int(link[part[0]]), bearing[part])
+        for part in parts
+        if link[part[0]] >= 0 and walked[part[-1] + 1] - walked[part[0]] > SHORTEST
+    ]
+
+
+def straight_runs(track: Array, network: Network) -> list[Run]:
+    """The long straight runs of a walk through places ``track (n, 2)`` [m] along the links of a network."""
+    stretches, walked = stretches_along(track, network), length_along(track)
+    ends = [n + 1 for n, (before, after) in enumerate(pairwise(stretches)) if not _continues(before, after, walked)]
+    runs = [_run(stretches[i:j], network) for i, j in pairwise([0, *ends, len(stretches)]) if j > i]
+    return [run for run in runs if _is_corridor(run, track)]
+
+
+def _continues(before: Stretch, after: Stretch, walked: Array) -> bool:
+    """True if two stretches are parts of one run."""
+    bend = abs(float(wrap_angle(after.bearing[0] - before.bearing[-1])))
+    return bend < STRAIGHT and walked[after.first] - walked[before.last - 1] < BRIDGED
+
+
+def _run(parts: Sequence[Stretch], network: Network) -> Run:
+    bearing = np.concatenate([part.bearing for part in parts])
+    mean = float(np.angle(np.mean(np.exp(1j * bearing))))
+    spread = float(np.sqrt(np.mean(wrap_angle(bearing - mean) ** 2)))
+    width = float(np.median(network.width[[part.link for part in parts]]))
+    return Run(parts[0].first, parts[-1].last, mean, width, spread)
+
+
+def _is_corridor(run: Run, track: Array) -> bool:
+    """True if a run is long enough, and its links are straight enough, for a corridor."""
+    length = float(np.hypot(*(track[run.last - 1] - track[run.first])))
+    return length > max(LEAST_LENGTH, LEAST_RATIO * run.width) and run.spread < SPREAD
+
+
+def _heading(track: Track, run: Run) -> tuple[int, float, float] | None:
+    """Keyframe, heading and sigma [rad] of a straight run, which leads along its corridor from end to end.
+
+    None if the run has no keyframe.
+    """
+    first, last = run.first, run.last - 1
+    keyframe = track.keyframe(first, last)
+    if keyframe is None:
+        return None
+    length = float(np.hypot(*(track.position[last] - track.position[first])))
+    sigma = np.hypot(np.sqrt(2) * SIGMA_SIDE * run.width / length, np.hypot(SIGMA_AHEAD, run.spread))
+    return keyframe, float(wrap_angle(run.direction + track.aside(keyframe, first, last))), float(sigma)

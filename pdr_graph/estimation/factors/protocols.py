@@ -49,6 +49,10 @@ class OnPlan(Structural):
         with the same error.
         """
 
+
+class Priced(Structural):
+    """A kind whose association with regions of the plan has a price."""
+
     @abstractmethod
     def same_association(self, other: Measurement) -> bool:
         """True if ``other``, a version of the same kind, has the same rooms or corridors."""

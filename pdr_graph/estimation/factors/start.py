@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -22,19 +22,6 @@ FRAME_SIGMA = 1e-3  # [m, rad] of a start that defines the frame
 
 
 @dataclass(frozen=True)
-class CorridorUse:
-    """Use of corridor measurements in addition to walls, which contain much of the same information."""
-
-    turns: bool = False
-    directions: bool = False
-
-    @property
-    def any(self) -> bool:
-        """True if any is used."""
-        return self.turns or self.directions
-
-
-@dataclass(frozen=True)
 class Prior:
     """Prior of walker, gyro and walls.
 
@@ -42,7 +29,9 @@ class Prior:
         the sigma of b covers the phones of `scripts/reproduce drift`, real and simulated.
     correlation: of (R_s, R_d), (R_s, b), (R_d, b).
     change: standard deviation of their change from one segment to the next.
-    wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m]; corridors: see ``CorridorUse``.
+    wall_margin: clearance that people keep from walls, wall_sigma: its sigma [m].
+    corridors: factors of corridors beside the walls, which contain the same information: "directions" of straight runs,
+        "turns" at intersections.
     fix_flat: distance from a fix [σ] within which all positions are about equally likely, for receivers that state only
         a radius; the common error of one source is then not modelled.
     """
@@ -53,14 +42,16 @@ class Prior:
     correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     wall_margin: float = 0.8
     wall_sigma: float = 1.0
-    corridors: CorridorUse = field(default_factory=CorridorUse)
+    corridors: tuple[Literal["directions", "turns"], ...] = ()
     fix_flat: float = 0.0
 
     def __post_init__(self) -> None:
-        """Raise ValueError if a standard deviation is not positive and finite."""
+        """Raise ValueError for a sigma that is not positive and finite, or an unknown factor of corridors."""
         for name in ("sigma", "change"):
             if not all(np.isfinite(s) and s > 0 for s in getattr(self, name)):
                 raise ValueError(f"Prior.{name}: found {getattr(self, name)}, expected standard deviations above 0")
+        if not set(self.corridors) <= {"directions", "turns"}:
+            raise ValueError(f"Prior.corridors: found {self.corridors!r}, expected 'directions', 'turns' or neither")
 
     @property
     def covariance(self) -> Array:

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.estimation.ambiguity.review import Excess
+from pdr_graph.estimation.factors import corridors_of
 from pdr_graph.estimation.factors.base import CALIBRATION, POSE, Measurement, State
 from pdr_graph.estimation.factors.chain import Chain, Evaluation, Priors
-from pdr_graph.estimation.factors.corridor import corridors_on_plan
 from pdr_graph.estimation.factors.protocols import Itemized, decisions_of
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
@@ -244,11 +244,10 @@ class LiveGraph:
         """Factors of walls and corridors, if the plan is used."""
         walls, plan = part.walls(), self.window.located_plan
         evidence: list[Measurement] = [] if walls is None else [walls]
-        if plan is not None and self.prior.corridors.any and part.intervals:
+        if plan is not None and self.prior.corridors and part.intervals:
             labels = [interval.label for interval in part.intervals for _ in interval.fields]
             at = part.chain.evaluate(part.state())
-            corridors = corridors_on_plan(FloorSequence.of(plan, labels), self.prior)
-            evidence += [kind.associated(at) for kind in corridors]
+            evidence += [kind.associated(at) for kind in corridors_of(FloorSequence.of(plan, labels), self.prior)]
         return evidence
 
     def _new_priors(self, chain: Chain, state: State, measurements: tuple[Measurement, ...]) -> Priors:
