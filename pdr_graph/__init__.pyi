@@ -11,8 +11,8 @@ from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
 from .estimation.smoother import smooth as smooth
 from .evaluation import evaluate as evaluate
-from .floor.building import Building as Building
-from .floor.plan import FloorPlan as FloorPlan
+from .floor.plan_files import Building as Building
+from .floor.plan_files import FloorPlan as FloorPlan
 from .frames import Frame as Frame
 from .frames import frame_of as frame_of
 from .gait.compass import magnetic_headings as magnetic_headings

@@ -10,8 +10,8 @@ import numpy as np
 
 from pdr_graph import io
 from pdr_graph.errors import InputError
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle

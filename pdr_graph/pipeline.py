@@ -25,7 +25,7 @@ from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import FIRST_ONLY, POSITIONS_ALONE, missing_of
 from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats import read_route
+from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.compass import magnetic_headings
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.stair_steps import with_stair_lengths

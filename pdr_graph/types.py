@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -97,6 +98,12 @@ class Beacons(OneLineRepr, row="beacon"):
 
     def __len__(self) -> int:
         return len(self.name)
+
+
+def minor_number(label: str) -> str:
+    """The number at the end of a beacon's name, as in ``Sightings.minor``; empty without one."""
+    number = re.search(r"\d+$", label)
+    return str(int(number.group())) if number else ""
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import pytest
 from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
 
 from pdr_graph import InputError, io, read_fixes, read_trajectory
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.types import Recording, Signal
 
 RECORDINGS, TABLES, PLANS = inputs()

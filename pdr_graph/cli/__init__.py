@@ -312,7 +312,7 @@ def evaluate(
     pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
     """
     from pdr_graph import evaluation
-    from pdr_graph.floor.building import Building
+    from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import read_trajectory
 
     floor = Building.load(map_, scale) if map_ else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +11,7 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.tables import check_geodetic, read_table
-from pdr_graph.types import LONLAT, Beacons, Recording
+from pdr_graph.types import LONLAT, Beacons, Recording, minor_number
 
 if TYPE_CHECKING:
     from pdr_graph.floor.cells import Area
@@ -72,10 +71,4 @@ def _names(label: Sequence[str], recording: Recording | None) -> tuple[str, ...]
     if received is not None:
         by_address = {name.lower(): name for name in received.transmitter}
         by_number = dict(zip(received.minor, received.transmitter, strict=False))
-    return tuple(by_address.get(name.lower()) or by_number.get(number_of(name), name) for name in label)
-
-
-def number_of(label: str) -> str:
-    """The number at the end of a name, without leading zeros; empty without one."""
-    number = re.search(r"\d+$", label)
-    return str(int(number.group())) if number else ""
+    return tuple(by_address.get(name.lower()) or by_number.get(minor_number(name), name) for name in label)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from pdr_graph import io
 from pdr_graph.errors import InputError
-from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats import root_of
+from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside
 from pdr_graph.lifelog import cache

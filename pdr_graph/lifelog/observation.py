@@ -293,7 +293,7 @@ class ObservationResult:
 
 def plan_hash(plan: Path) -> str:
     """Name and hash of the files of a floor plan."""
-    from pdr_graph.floor.formats import plan_fingerprint  # here, since few days have a plan and it is slow to load
+    from pdr_graph.floor.plan_files import plan_fingerprint  # here, since few days have a plan and it is slow to load
 
     return plan_fingerprint(plan)
 

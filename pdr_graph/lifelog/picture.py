@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 
 from pdr_graph.colours import RADIO, TRACK
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
 from pdr_graph.lifelog.map_furniture import Label, draw_labels, draw_north, draw_scale, filled, is_inside
 from pdr_graph.lifelog.maps import (

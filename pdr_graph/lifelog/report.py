@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.geometry import confidence_band, horizontal_sigma
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay

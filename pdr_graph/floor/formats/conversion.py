@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor import formats
+from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import own_writer
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.georeference import TiePoints, georeferenced, scale_of_two_points
-from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.plan_files import FloorPlan
 
 
 def convert(
@@ -48,18 +48,18 @@ def _check_target(source: Path, target: Path) -> None:
     """Raise InputError for a target that is a folder or a file of the input."""
     if target.is_dir():
         raise InputError("--out", "", f"{target}, which is a folder", "a file to write")
-    if source.exists() and target.resolve() in {file.resolve() for file in formats.files_of(source)}:
+    if source.exists() and target.resolve() in {file.resolve() for file in plan_files.files_of(source)}:
         raise InputError("--out", "", f"{target}, which is the input", "another file")
 
 
 def _read(source: Path, scale: float | None, points: TiePoints | None) -> Drawing:
     """Read a plan; if it needs a scale and none is stated, with that of the points."""
     try:
-        return formats.read(source, scale)
+        return plan_files.read(source, scale)
     except InputError:
         if scale is not None or points is None:
             raise
-        return formats.read(source, points.scale)
+        return plan_files.read(source, points.scale)
 
 
 def _labelled(drawing: Drawing, floor: str) -> Drawing:
