@@ -19,7 +19,7 @@ from .gait.compass import magnetic_headings as magnetic_headings
 from .gait.steps import detect_steps as detect_steps
 from .gait.walker import Walker as Walker
 from .geometry import dead_reckon as dead_reckon
-from .io import load as load
+from .io.loading import load as load
 from .io.tables import read_fixes as read_fixes
 from .io.tables import read_trajectory as read_trajectory
 from .online.interface import Event as Event
