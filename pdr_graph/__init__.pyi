@@ -32,7 +32,6 @@ from .online.journal import Journal as Journal
 from .online.navigator import Navigator as Navigator
 from .online.status import Status as Status
 from .plotting import plot as plot
-from .sensor_names import Sensor as Sensor
 from .simulation.scenario import Scenario as Scenario
 from .simulation.simulate import simulate as simulate
 from .types import LONLAT as LONLAT
@@ -41,6 +40,7 @@ from .types import Estimate as Estimate
 from .types import Fixes as Fixes
 from .types import Headings as Headings
 from .types import Recording as Recording
+from .types import Sensor as Sensor
 from .types import Sightings as Sightings
 from .types import Signal as Signal
 from .types import Steps as Steps

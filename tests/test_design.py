@@ -29,7 +29,7 @@ FLOORS = [
     ["inertial", "floor"],
     ["recovery"],
     ["geometry", "frames", "storage", "web_request", "source", "measurements", "types", "contradiction", "columns"],
-    ["sensor_names", "notebook_html"],
+    ["notebook_html"],
     ["second_core"],
     ["errors", "whole_files", "progress"],
 ]
@@ -67,18 +67,18 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (29, 3208),
+    ".": (28, 3208),
     "cli": (12, 985),
     "estimation": (28, 3423),
     "estimation/ambiguity": (2, 0),
     "estimation/factors": (19, 2213),
     "estimation/live": (27, 2712),
     "evaal": (5, 555),
-    "floor": (13, 1501),
-    "floor/formats": (29, 1994),
-    "gait": (16, 1782),
+    "floor": (12, 1527),
+    "floor/formats": (20, 1960),
+    "gait": (14, 1782),
     "inertial": (6, 667),
-    "io": (24, 1754),
+    "io": (20, 1753),
     "lifelog": (53, 6353),
     "lifelog/past": (21, 1063),
     "online": (12, 1159),
@@ -89,8 +89,8 @@ BUDGETS: dict[str, tuple[int, int]] = {
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (55, 6349),
-    "online.navigator": (116, 13695),
+    "estimation.smoother": (52, 6349),
+    "online.navigator": (111, 13695),
 }
 
 

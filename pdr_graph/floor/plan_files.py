@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 from typing import Self
 
 import numpy as np
@@ -14,18 +15,21 @@ from pdr_graph.errors import InputError, check_not_special
 from pdr_graph.floor import building, plan
 from pdr_graph.floor.cells import LINK, WALKABLE
 from pdr_graph.floor.formats import (
-    drafts,
+    cad_segments,
+    dxf,
+    floor_picture,
     imdf,
     ipin21_polygons,
     microsoft,
     osm_indoor,
-    osm_xml,
     own_format,
+    pdf_page,
+    ros_map,
     several_files,
 )
+from pdr_graph.floor.formats.drafting import check_size
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.geojson import features_of, read_json
-from pdr_graph.floor.formats.units import check_size
 from pdr_graph.floor.plan_limits import check_floor_count, check_neighbours
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Array
@@ -101,11 +105,33 @@ def root_of(path: Path) -> Path:
     return imdf.root_of(microsoft.root_of(path))
 
 
+DRAWINGS = (dxf, pdf_page, floor_picture, ros_map, cad_segments)  # read with a scale, recognised by the first bytes
+UNREAD = {  # first bytes: what it is, what to do
+    b"AC10": ("a DWG drawing", "the same saved as DXF"),
+    b"P5": ("the picture of a ROS map", "its .yaml file"),
+}
+
+
+def drawing_format(path: Path) -> ModuleType | None:
+    """The module of DRAWINGS that reads a drawing or a picture; None for any other file or a folder.
+
+    Raises InputError with advice for a drawing that cannot be read.
+    """
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        head = file.read(4096)
+    for begin, (found, advice) in UNREAD.items():
+        if head.startswith(begin):
+            raise InputError(path, "", found, advice)
+    return next((module for module in DRAWINGS if module.recognizes(path, head)), None)
+
+
 def files_of(path: Path) -> tuple[Path, ...]:
     """The files that `read` reads: the plan, or all files of a floor folder, of an IMDF archive or of a building."""
     root = root_of(path)
     if not root.is_dir():
-        return drafts.files_of(root) if drafts.recognizes(root) else (root,)
+        return (root, ros_map.picture_of(root)) if drawing_format(root) is ros_map else (root,)
     if microsoft.recognizes(root):
         return tuple(root / name for name in microsoft.FILES)
     if imdf.recognizes(root):
@@ -132,8 +158,8 @@ def read(path: Path, scale: float | None = None) -> Drawing:
     if several_files.is_zip(path):
         with several_files.unpacked(path) as folder:
             return read(folder, scale)
-    if drafts.recognizes(path):
-        return drafts.read(path, scale)
+    if (reader := drawing_format(path)) is not None:
+        return reader.read(path, scale)
     forms = [form for form in (microsoft, imdf) if form.recognizes(path)]
     if path.is_dir() and not forms:
         return several_files.read(path, partial(read, scale=scale))
@@ -145,8 +171,8 @@ def read(path: Path, scale: float | None = None) -> Drawing:
 def _read_file(path: Path) -> Drawing:
     """Read a plan of one file."""
     notes, repairs = list[str](), list[str]()
-    if osm_xml.recognizes(path):
-        features = osm_xml.features_of(path, notes, repairs)
+    if osm_indoor.is_osm_xml(path):
+        features = osm_indoor.osm_features(path, notes, repairs)
         return replace(osm_indoor.read(path, features, notes), repairs=tuple(repairs))
     collection = read_json(path)
     features = list(features_of(path, collection, notes, repairs))

@@ -18,7 +18,7 @@ from pdr_graph.io import (
     phyphox,
     sensor_logger,
 )
-from pdr_graph.io.unrecognized import description
+from pdr_graph.io.likely_causes import description
 from pdr_graph.source import Source
 from pdr_graph.types import Recording
 

@@ -15,8 +15,18 @@ import numpy as np
 from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
 from pdr_graph.measurements import FINEST, Closures, Levels, Ranges, last_time, take
-from pdr_graph.sensor_names import unknown_sensor
-from pdr_graph.types import INSTANT, LARGEST_HEADING, SENSORS, Array, Fixes, Headings, Mask, Sightings, Steps
+from pdr_graph.types import (
+    INSTANT,
+    LARGEST_HEADING,
+    SENSORS,
+    Array,
+    Fixes,
+    Headings,
+    Mask,
+    Sightings,
+    Steps,
+    unknown_sensor,
+)
 
 FARTHEST = 1e8  # [m] largest coordinate and sigma of a usable fix
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors

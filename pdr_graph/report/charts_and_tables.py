@@ -12,8 +12,7 @@ from pdr_graph.colours import FIX, GREY, RADIO, TRACK
 from pdr_graph.errors import count
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.io.signal_checks import clipped
-from pdr_graph.io.validation import INERTIAL, are_gaps
+from pdr_graph.io.validation import INERTIAL, are_gaps, clipped
 from pdr_graph.report.page import CENTISECOND, column, thinned
 from pdr_graph.types import (
     Array,

@@ -18,8 +18,7 @@ import numpy as np
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.sensor_logger import NANOSECOND, sign_by_gravity
-from pdr_graph.io.signal_checks import GRAVITY_IN_G
-from pdr_graph.io.validation import receiver_fixes, unit_of
+from pdr_graph.io.validation import GRAVITY_IN_G, receiver_fixes, unit_of
 from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Sightings, Signal
 
 LARGEST_NUMBER = 1 << 62  # of a messageId

@@ -13,10 +13,9 @@ from pdr_graph import InputError
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.cells import DOOR, WALL
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats.drafting import drawing_of_lines
-from pdr_graph.floor.formats.layers import UNKNOWN
+from pdr_graph.floor.formats.drafting import UNKNOWN, drawing_of_lines
+from pdr_graph.floor.formats.floor_picture import skew_of
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
-from pdr_graph.floor.formats.tracing import skew_of
 from pdr_graph.floor.plan_files import Building
 
 pytest.importorskip("ezdxf")

@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph import FloorPlan
-from pdr_graph.floor.network_derivation import derive
+from pdr_graph.floor.network import derive
 
 W, X, Y = 2.5, 45.0, 28.0  # [m] of maps/loop.geojson
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNKNOWN, drawing_of_lines, holds
 from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.formats.layers import UNKNOWN, holds
-from pdr_graph.floor.formats.prerequisites import check_file_size
+from pdr_graph.floor.plan_limits import check_file_size
 from pdr_graph.types import Array
 
 COLUMNS = ("x1", "y1", "x2", "y2")

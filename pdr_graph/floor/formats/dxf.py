@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drafting import IGNORED, MOST_SEGMENTS, UNITS, UNKNOWN, drawing_of_lines, holds
 from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.formats.layers import IGNORED, UNKNOWN, holds
-from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
-from pdr_graph.floor.formats.units import UNITS
+from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
 LARGEST_FILE = 100_000_000  # [bytes]

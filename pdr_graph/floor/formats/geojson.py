@@ -13,8 +13,7 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.formats.prerequisites import check_file_size
-from pdr_graph.floor.plan_limits import check_crossings
+from pdr_graph.floor.plan_limits import check_crossings, check_file_size
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array
 

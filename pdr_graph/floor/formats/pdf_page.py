@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNKNOWN, drawing_of_lines
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.floor_picture import drawing_of_picture
-from pdr_graph.floor.formats.layers import UNKNOWN
-from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
+from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
 LARGEST_FILE = 100_000_000  # [bytes]
