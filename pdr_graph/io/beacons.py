@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 BEACON_LIST = "BLE_Locations.csv"  # the list that the organisers of IPIN competitions put in the folder of a log
 SURVEY_SIGMA = 1.0  # [m] per axis, of a position without a stated sigma; chosen by hand
-MINIMUM_SIGMA = 1e-3  # [m] per axis; chosen by hand
 
 
 def beside(recording: Path) -> Path | None:
@@ -52,7 +51,8 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
             raise InputError(path, f"data row {n + 1}", found, "one row for each beacon, with its name")
         before.add(name)
     epsg = LONLAT if geodetic else None
-    return Beacons(_names(label, recording), position, np.maximum(sigma, MINIMUM_SIGMA), words["floor"], label, epsg)
+    # minimum sigma [m] per axis; chosen by hand
+    return Beacons(_names(label, recording), position, np.maximum(sigma, 1e-3), words["floor"], label, epsg)
 
 
 def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording, unstated: float = SURVEY_SIGMA) -> Beacons:

@@ -9,9 +9,7 @@ from pathlib import PurePosixPath
 from pdr_graph.source import Source
 
 CLOCK_MARGIN = 5.0  # [s] by which a fix or a truth may lie outside the recording; chosen by hand
-LARGEST_TIME_ZONE = 14.0  # [h]
 FIRST_UNIX_TIME = 1e8  # [s] of the year 1973: smaller times count from the start of a recording
-LAST_UNIX_TIME = 1e10  # [s] of the year 2286
 DAY = 86_400.0  # [s]
 UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # in which times are written, per second
 NUMBER = re.compile(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?")
@@ -26,10 +24,10 @@ def clock_hint(found: tuple[float, float], expected: tuple[float, float]) -> str
     offset = (first + last - start - end) / 2
     hours, open_ = round(offset / 1800) / 2, (end - start) / 2 + CLOCK_MARGIN
     direction = "late" if offset > 0 else "early"
-    if 0 < abs(hours) <= LARGEST_TIME_ZONE and abs(offset - 3600 * hours) <= open_:
+    if 0 < abs(hours) <= 14.0 and abs(offset - 3600 * hours) <= open_:  # largest time zone [h]
         inside = start - CLOCK_MARGIN <= first - 3600 * hours and last - 3600 * hours <= end + CLOCK_MARGIN
         return f" ({'exactly ' if inside else ''}{abs(hours):g} h {direction}: time zone?)"
-    if end < FIRST_UNIX_TIME <= first < LAST_UNIX_TIME:
+    if end < FIRST_UNIX_TIME <= first < 1e10:  # last unix time [s] of the year 2286
         return " (Unix times, while the recorder's clock counts from another moment?)"
     for unit, factor in UNITS.items():
         if start - CLOCK_MARGIN <= first / factor <= end + CLOCK_MARGIN:

@@ -243,7 +243,6 @@ def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
 COLUMNS = 8
 NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 ROW = re.compile(rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
-NO_ROTATION = 1e-9  # largest part of a quaternion that turns about no axis
 
 
 def is_tum(text: str) -> bool:
@@ -273,6 +272,7 @@ def read_tum(where: str, text: str) -> Trajectory:
 def _yaw(quaternion: Array) -> Array:
     """Rotations about z ``(n,)`` [rad] of quaternions x, y, z, w ``(n, 4)``; NaN if none of them rotates."""
     x, y, z, w = quaternion.T
-    if np.abs(quaternion[:, :3]).max(initial=0.0) < NO_ROTATION:
+    # no rotation: largest part of a quaternion that turns about no axis
+    if np.abs(quaternion[:, :3]).max(initial=0.0) < 1e-9:
         return np.full(len(quaternion), np.nan)
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))

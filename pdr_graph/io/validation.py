@@ -218,14 +218,11 @@ def _scaled(signal: Signal, factor: float) -> Signal:
     return signal if factor == 1.0 else replace(signal, values=signal.values * factor)
 
 
-SLOWEST_RATE = 15.0  # [Hz] below which peaks of steps are missed
-
-
 def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
     """Note inertial sensors that are slow or have gaps."""
     for sensor in (s for s in INERTIAL if s in signals and len(signals[s]) > 1):
         signal = signals[sensor]
-        if signal.rate < SLOWEST_RATE:
+        if signal.rate < 15.0:  # slowest rate [Hz] below which peaks of steps are missed
             notes.append(f"{sensor}: {signal.rate:.1f} Hz is too slow to detect every step{slow_rate(signal.rate)}")
         interval = np.diff(signal.time)
         gaps = interval[are_gaps(signal)]
@@ -237,9 +234,6 @@ def _check_rates(signals: dict[str, Signal], notes: list[str]) -> None:
 def are_gaps(signal: Signal) -> Mask:
     """True for intervals between samples ``(n - 1,)`` longer than 0.5 s and than five median intervals."""
     return np.diff(signal.time) > max(0.5, 5 / signal.rate if signal.rate else np.inf)
-
-
-NOTED_DIFFERENCE = 1.0  # [s] between the starts or ends of two sensors from which it is noted
 
 
 def _check_clocks(path: str, signals: dict[str, Signal], notes: list[str]) -> None:
@@ -256,7 +250,8 @@ def _check_clocks(path: str, signals: dict[str, Signal], notes: list[str]) -> No
             f"a start {begins:.1f} s after the accelerometer's, without overlap",
             "sensors on one clock that overlap in time",
         )
-    if max(abs(begins), abs(ends)) > NOTED_DIFFERENCE:
+    # noted difference [s] between the starts or ends of two sensors from which it is noted
+    if max(abs(begins), abs(ends)) > 1.0:
         notes.append(f"gyroscope: begins {begins:+.1f} s and ends {ends:+.1f} s after the accelerometer")
 
 
@@ -387,7 +382,6 @@ def mean_magnitudes(signal: Signal) -> Array:
 FEWEST = 2  # windows in the other unit
 TYPICAL_SPREAD = 1.4  # factor between gravity and the median magnitude of a walk's acceleration, at most
 DEGREES = 180 / np.pi
-WALKING = 0.1  # swing of the acceleration in windows with steps: a phone that lies or is held still turns slowly
 RATIO = (DEGREES / 2, DEGREES * 2)  # of angular rates in windows of two units, in deg/s and in rad/s
 SIMILAR_SWING = 1.5  # factor between the acceleration in windows of two units: else a ride and a run in deg/s
 
@@ -404,7 +398,8 @@ def check_one_unit(path: str, signals: dict[str, Signal]) -> None:
     if "gyroscope" in signals:
         turns = Windows.of(signals["gyroscope"])
         swing = np.interp(turns.time, felt.time, felt.swing)
-        walking = swing > WALKING
+        # walking: swing of the acceleration in windows with steps: a phone that lies or is held still turns slowly
+        walking = swing > 0.1
         degrees = walking & (turns.typical > FASTEST_TURN)
         radians = walking & (turns.typical <= FASTEST_TURN) & (turns.typical > 0)
         if degrees.any() and radians.any():
@@ -455,9 +450,7 @@ def check_times(path: str, signals: dict[str, Signal]) -> None:
             )
 
 
-CLIPPED = 3  # consecutive samples at the extreme value: an unclipped peak has one, two by rounding
 SMALLEST_RANGE = {"accelerometer": 15.0, "gyroscope": 4.0}  # [m/s², rad/s] sensors have 2 g and 250 deg/s, or more
-NOTED_SHARE = 0.001  # of a sensor's samples that are clipped
 
 
 def note_clipping(signals: dict[str, Signal], notes: list[str]) -> None:
@@ -465,7 +458,7 @@ def note_clipping(signals: dict[str, Signal], notes: list[str]) -> None:
     for sensor, smallest in SMALLEST_RANGE.items():
         if sensor in signals and (largest := np.abs(signals[sensor].values).max()) > smallest:
             number = sum(clipped(axis) for axis in signals[sensor].values.T)
-            if number > NOTED_SHARE * len(signals[sensor]):
+            if number > 0.001 * len(signals[sensor]):  # noted share of a sensor's samples that are clipped
                 unit = "m/s²" if sensor == "accelerometer" else "rad/s"
                 notes.append(f"{sensor}: {number} samples at the end of its range, {largest:.1f} {unit} (saturated)")
 
@@ -478,4 +471,5 @@ def clipped(values: Array) -> int:
         np.diff(np.concatenate([[False], (values == values.max()) | (values == values.min()), [False]]))
     )
     length = edge[1::2] - edge[::2]
-    return int(length[length >= CLIPPED].sum())
+    # clipped: consecutive samples at the extreme value: an unclipped peak has one, two by rounding
+    return int(length[length >= 3].sum())

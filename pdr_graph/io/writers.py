@@ -107,7 +107,6 @@ Words = NDArray[np.uint32]
 GROUP = 4  # digits of a word
 THOUSANDS = 10**GROUP
 LARGEST = 1e12  # of numbers
-UNCERTAIN = 1e-6  # distance from a half, in units of the last digit, at which rounding is left to Python
 
 
 def text_rows(columns: Sequence[Words]) -> bytes:
@@ -139,7 +138,8 @@ def decimals(values: Array, places: int, before: bytes = b"") -> Words:
     texts = np.empty((len(values), len(columns)), np.uint32)
     for place, column in enumerate(columns):
         texts[:, place] = column
-    by_python = ~finite | (np.abs(scaled - np.floor(scaled) - 0.5) < UNCERTAIN)
+    # uncertain: distance from a half, in units of the last digit, at which rounding is left to Python
+    by_python = ~finite | (np.abs(scaled - np.floor(scaled) - 0.5) < 1e-6)
     for row in np.flatnonzero(by_python).tolist():
         text = before + b"%.*f" % (places, values[row])
         texts[row] = _words(text.ljust(GROUP * len(columns), b"\0"))

@@ -15,7 +15,6 @@ from pdr_graph.types import Array
 
 COLUMNS = ("x1", "y1", "x2", "y2")
 LAYER = "layer"
-LARGEST_FILE = 50_000_000  # [bytes]
 LARGEST_COORDINATE = 1e10  # [unit] northings of a projection in millimetres
 
 
@@ -43,7 +42,7 @@ def read(path: Path, scale: float | None) -> Drawing:
 
 def _rows(path: Path) -> tuple[Array, list[str]]:
     """The segments ``(n, 2, 2)`` [unit], and what the layer of each holds."""
-    check_file_size(path, LARGEST_FILE)
+    check_file_size(path, 50_000_000)  # largest file [bytes]
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -85,7 +85,6 @@ NUMBER = r"\s*(-?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)\s*"
 TWO_POINTS = re.compile(rf"{NUMBER},{NUMBER}[\s;]{NUMBER},{NUMBER}={NUMBER}m?\s*")
 TIE_POINT = re.compile(rf"{NUMBER},{NUMBER}={NUMBER},{NUMBER}")
 LARGEST_CONTRADICTION = 0.05  # of two scales, as a share: points clicked in a picture are a pixel or two off
-MIRRORED = 5.0  # times the residual without mirroring is larger, if the axes of a drawing are mirrored
 
 
 @dataclass(frozen=True)
@@ -180,7 +179,8 @@ def _similarity(points: Array, place: Array) -> tuple[complex, complex, float]:
 
 def _check_fit(points: Array, place: Array, scale: float, residual: float) -> None:
     """Raise InputError if the points contradict the scale of a plan or fit better to its mirror image."""
-    if len(points) > 2 and residual > 1.0 and _similarity(points * (-1, 1), place)[2] * MIRRORED < residual:
+    # mirrored: times the residual without mirroring is larger, if the axes of a drawing are mirrored
+    if len(points) > 2 and residual > 1.0 and _similarity(points * (-1, 1), place)[2] * 5.0 < residual:
         raise InputError(
             "--georeference", "", f"a residual of {residual:.1f} m", "points that are not mirrored (x,y swapped?)"
         )

@@ -179,7 +179,6 @@ def outlines(dark: Mask) -> shapely.Geometry:
 
 
 LARGEST_PICTURE = 80_000_000  # [pixel]
-LONGEST_SIDE = 5000  # [pixel] larger pictures are reduced
 
 
 def opened(path: object, formats: tuple[str, ...]) -> tuple[Picture, int]:
@@ -194,7 +193,7 @@ def opened(path: object, formats: tuple[str, ...]) -> tuple[Picture, int]:
             width, height = image.size
             if width * height > LARGEST_PICTURE or min(width, height) < 8:
                 raise InputError(str(path), "", f"{width} by {height} pixels", f"8 to {LARGEST_PICTURE} pixels in all")
-            factor = -(-max(width, height) // LONGEST_SIDE)
+            factor = -(-max(width, height) // 5000)  # longest side [pixel]: larger pictures are reduced
             image = image.convert("RGBA") if "A" in image.getbands() or "transparency" in image.info else image
             if image.mode == "RGBA":
                 image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)

@@ -230,13 +230,10 @@ def _wall_lines(walls: shapely.Geometry) -> Geometries:
 
 
 NARROWEST, WIDEST = 0.55, 1.5  # [m] a leaf of a door: 0.6 to 1.2, and what was drawn inaccurately
-WIDEST_OPENING = 3.0  # [m] a door of two leaves
 TOUCH = 0.08  # [m] two ends so close were meant to touch; the thickness of a leaf drawn as a rectangle
-LONGEST_CHORD = 0.5  # [m] of an arc: a quarter of 1.5 m in five chords
 FEWEST_CHORDS = 3
 BENDS = np.radians([0.5, 40.0])  # [rad] between two chords of an arc
 SWEEPS = np.radians([40.0, 130.0])  # [rad] of a swing, 90° as a rule, on drawings also 45°
-ROUNDNESS = 0.04  # deviation from the circle as a share of the radius
 JAMB = (0.04, 0.6)  # [m] thickness of a wall
 SQUARE = np.cos(np.radians(80.0))  # largest cosine between a leaf and its jambs
 
@@ -293,7 +290,8 @@ def _opening(arc: Arc, walls: shapely.Geometry) -> tuple[shapely.Geometry, shape
 
 def _arcs(segments: Array) -> list[Arc]:
     """Arcs in a drawing: chains of short segments that bend alike along a circle of a door's size."""
-    short = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) < LONGEST_CHORD]
+    # longest chord [m] of an arc: a quarter of 1.5 m in five chords
+    short = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) < 0.5]
     if len(short) < FEWEST_CHORDS:
         return []
     lines = shapely.union_all(shapely.set_precision(shapely.linestrings(short), 0.002))
@@ -327,7 +325,8 @@ def _fitted(points: Array) -> Arc | None:
     centre = middle + solution[:2]
     away = points - centre
     sweep = abs(float(wrap_angle(np.diff(np.arctan2(away[[0, -1], 1], away[[0, -1], 0])))[0]))
-    round_ = np.abs(np.hypot(*away.T) - radius).max() < ROUNDNESS * radius
+    # roundness: deviation from the circle as a share of the radius
+    round_ = np.abs(np.hypot(*away.T) - radius).max() < 0.04 * radius
     return Arc(centre, points) if round_ and SWEEPS[0] <= sweep <= SWEEPS[1] else None
 
 
@@ -408,7 +407,8 @@ def _straight_symbol(part: shapely.Geometry, walls: shapely.Geometry) -> list[sh
     middles = (corners[:-1] + corners[1:]) / 2
     lines = [shapely.LineString(pair) for pair in (middles[[0, 2]], middles[[1, 3]])]
     lines += [shapely.LineString(corners[n : n + 2]) for n in range(4)]
-    lines = [line for line in lines if NARROWEST <= shapely.length(line) <= WIDEST_OPENING]
+    # widest opening [m]: a door of two leaves
+    lines = [line for line in lines if NARROWEST <= shapely.length(line) <= 3.0]
     if not lines:
         return []
     ends = [shapely.points(shapely.get_coordinates(line)) for line in lines]

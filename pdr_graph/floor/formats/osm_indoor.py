@@ -27,10 +27,8 @@ from pdr_graph.floor.plan_limits import check_file_size
 
 KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
 KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
-HIGHEST_LEVEL = 200.0  # above or below the ground: no building has more
 MOST_AREAS = 100_000  # features times the levels on which each is
 STAIRS_WIDTH, LIFT_WIDTH = 1.5, 1.6  # [m] of stairs drawn as a line, and of a lift drawn as a point
-LARGEST_LIFT = 15.0  # [m²] a larger room around a lift's point is not its cabin
 NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
 
 
@@ -105,7 +103,8 @@ def levels_of(text: Any, missing: Iterable[float] = ()) -> tuple[float, ...]:
             raise ValueError(f"level {str(text)[:40]!r}")
         first = float(found[1])
         last = first if found[2] is None else float(found[2])
-        if max(abs(first), abs(last)) > HIGHEST_LEVEL or last < first:
+        # highest level above or below the ground: no building has more
+        if max(abs(first), abs(last)) > 200.0 or last < first:
             raise ValueError(f"level {str(text)[:40]!r}")
         between = np.arange(first, last + 0.5).tolist() if last > first else [first]
         levels += [level for level in between if level not in missing or len(between) == 1]
@@ -224,7 +223,8 @@ def _is_around(polygon: Area, area: Area, middle: shapely.Geometry) -> bool:
 
 def _is_cabin(room: Area, lift: Area) -> bool:
     """True if the point of a lift lies in a room as small as a lift."""
-    is_small = room.kind == "room" and room.is_polygon and bool(shapely.area(room.shape) < LARGEST_LIFT)
+    # largest lift [m²]: a larger room around a lift's point is not its cabin
+    is_small = room.kind == "room" and room.is_polygon and bool(shapely.area(room.shape) < 15.0)
     on_one_floor = bool(set(room.floors) & set(lift.floors))
     return is_small and on_one_floor and bool(shapely.intersects(room.shape, lift.shape))
 
@@ -274,7 +274,6 @@ def _on_walls(door: Area, rings: Sequence[shapely.Geometry], tree: shapely.STRtr
     return replace(door, shape=shapely.line_merge(pieces), floors=(label,))
 
 
-LARGEST_FILE = 60_000_000  # [bytes] of text, which takes ten times as much memory as a tree; a station has 2 MB
 AREAS = ("area", "building", "building:part", "indoor", "room")  # tags of closed ways that are polygons
 
 
@@ -309,7 +308,8 @@ def osm_features(path: Path, notes: list[str], repairs: list[str]) -> list[Featu
 
 def _parse(path: Path) -> etree._Element:
     """The root element. Raises InputError for other files."""
-    check_file_size(path, LARGEST_FILE, "cut out the building")
+    # largest file [bytes] of text, which takes ten times as much memory as a tree; a station has 2 MB
+    check_file_size(path, 60_000_000, "cut out the building")
     try:
         data = path.read_bytes()
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
