@@ -14,15 +14,15 @@ from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
 from .estimation.smoother import smooth as smooth
 from .evaluation import evaluate as evaluate
-from .floor.building import Building as Building
-from .floor.plan import FloorPlan as FloorPlan
+from .floor.plan_files import Building as Building
+from .floor.plan_files import FloorPlan as FloorPlan
 from .frames import Frame as Frame
 from .frames import frame_of as frame_of
 from .gait.compass import magnetic_headings as magnetic_headings
 from .gait.steps import detect_steps as detect_steps
 from .gait.walker import Walker as Walker
 from .geometry import dead_reckon as dead_reckon
-from .io import load as load
+from .io.loading import load as load
 from .io.tables import read_fixes as read_fixes
 from .io.tables import read_trajectory as read_trajectory
 from .online.interface import Event as Event
@@ -35,7 +35,6 @@ from .online.journal import Journal as Journal
 from .online.navigator import Navigator as Navigator
 from .online.status import Status as Status
 from .plotting import plot as plot
-from .sensor_names import Sensor as Sensor
 from .simulation.scenario import Scenario as Scenario
 from .simulation.simulate import simulate as simulate
 from .types import LONLAT as LONLAT
@@ -44,6 +43,7 @@ from .types import Estimate as Estimate
 from .types import Fixes as Fixes
 from .types import Headings as Headings
 from .types import Recording as Recording
+from .types import Sensor as Sensor
 from .types import Sightings as Sightings
 from .types import Signal as Signal
 from .types import Steps as Steps

@@ -11,7 +11,7 @@ from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
 
-from pdr_graph import io
+from pdr_graph.io.loading import load
 from pdr_graph.progress import Stages
 from pdr_graph.second_core import in_background
 from pdr_graph.walk_options import Options
@@ -29,7 +29,7 @@ def smooth_recording(
     options, stage = options or Options(), Stages()
     with stage("reading"):
         with in_background(partial(import_module, "pdr_graph.pipeline")):
-            walk = io.load(recording, options.gnss_latency)
+            walk = load(recording, options.gnss_latency)
         from pdr_graph.inputs import read
         from pdr_graph.outputs import REPORT, picture_call, write
         from pdr_graph.pipeline import causal_tracks, estimate, observe, positions_alone

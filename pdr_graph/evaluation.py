@@ -139,10 +139,10 @@ def circular_accuracy(pairs: Pairs) -> float:
     errors = np.einsum("nij,nj->ni", to_walker, (pairs.truth - pairs.estimate)[known])
     if len(errors) < 3:
         return float("nan")
-    return float(np.hypot(*_mode(errors[:: -(-len(errors) // MAXIMUM_KERNELS)])))
+    # maximum kernels: errors of which the density is the sum: time grows with their square
+    return float(np.hypot(*_mode(errors[:: -(-len(errors) // 1000)])))
 
 
-MAXIMUM_KERNELS = 1000  # errors of which the density is the sum: time grows with their square
 MAXIMUM_SHIFTS, CONVERGED = 500, 1e-6  # iterations of mean shift; [kernel widths] shift at convergence
 
 
@@ -180,9 +180,6 @@ def floor_share(pairs: Pairs) -> float:
     return float(np.mean(pairs.truth_floor[known] == pairs.estimate_floor[known])) if known.any() else float("nan")
 
 
-ANOTHER_CLOCK = 86_400.0  # [s] between truth and estimate; more means Unix times beside times from the start
-
-
 def evaluate(
     estimate: Trajectory, truth: Trajectory, floor: FloorPlan | Building | None = None, pairing: str = "linear"
 ) -> dict[str, Any]:
@@ -196,7 +193,8 @@ def evaluate(
     expect("evaluate, truth", truth, Trajectory, instead="read_trajectory(path, recording)")
     expect("evaluate, floor", floor, FloorPlan, Building, None, instead="FloorPlan.load(path)")
     pairs = pair(estimate, truth, pairing)
-    if not len(pairs.time) and abs(truth.time[0] - estimate.time[0]) > ANOTHER_CLOCK:
+    # another clock [s] between truth and estimate; more means Unix times beside times from the start
+    if not len(pairs.time) and abs(truth.time[0] - estimate.time[0]) > 86_400.0:
         found, expected = (f"{t[0]:.3f} to {t[-1]:.3f} s" for t in (truth.time, estimate.time))
         raise ValueError(f"evaluate, truth: found times {found}, expected the same clock as the estimate's, {expected}")
     on_floor = pairs.where(pairs.same_floor)

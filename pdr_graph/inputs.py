@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pdr_graph import io
 from pdr_graph.errors import InputError
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import BEACON
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, frame_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.io.beacons import SURVEY_SIGMA, beside, drawn_beacons, read_beacons
+from pdr_graph.io.loading import load
 from pdr_graph.io.ranges import ANCHOR_SIGMA, read_ranges
 from pdr_graph.io.tables import read_fixes, read_trajectory
 from pdr_graph.plausibility import FASTEST_WALK, RADIO_RANGE, Plausibility, check_floors
@@ -71,7 +71,7 @@ def read(
     """
     options = options or Options()
     if walk is None:
-        walk = io.load(recording, options.gnss_latency)
+        walk = load(recording, options.gnss_latency)
     notes = list(walk.notes)
     walker = options.person()
     listed_fixes = read_fixes(options.fixes, walk, notes=notes) if options.fixes else Fixes.none()

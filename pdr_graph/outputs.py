@@ -35,7 +35,6 @@ from pdr_graph.walk_options import Options
 LONGEST_SOURCES = (
     0.3  # share of the estimate's time for the tracks of its sources; each takes 3 to 10 % of it on IPIN 2023
 )
-LEAST_SOURCES = 1.0  # [s] that these tracks may always take
 PROTECTION = {"95": 0.95, "999": 0.999}  # name of each protection level -> its probability
 REPORT = "report.html"
 KNOWN_AT_ONCE = "live, known at once"  # name of the track of current poses in reports
@@ -198,7 +197,7 @@ def write_report(
 
         estimate, truth = result.estimate, _truth_beside(inputs, result.estimate)
         tracks = result.tracks() if tracks is None else tracks
-        longest = max(LONGEST_SOURCES * seconds, LEAST_SOURCES)
+        longest = max(LONGEST_SOURCES * seconds, 1.0)  # least sources [s] that these tracks may always take
         sources = () if result.graph is None else position_sources(result.graph, estimate, longest)
         shown = WalkReport(
             inputs.walk, inputs.building, estimate, method, summary, result.steps, tracks, truth, sources

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph import io
 from pdr_graph.contradiction import OK, Contradiction
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
@@ -25,7 +24,7 @@ from pdr_graph.estimation.kalman import kalman_filter, kalman_smoother
 from pdr_graph.estimation.results import FIRST_ONLY, POSITIONS_ALONE, missing_of
 from pdr_graph.estimation.smoother import estimated, smooth
 from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats import read_route
+from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.compass import magnetic_headings
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.stair_steps import with_stair_lengths
@@ -33,6 +32,7 @@ from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Inputs
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.measurements import by_type
 from pdr_graph.outputs import Result
@@ -240,7 +240,7 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Walker | N
     """
     from pdr_graph.plotting import picture_bytes, plot
 
-    walk, person = io.load(recording), walker or Walker()
+    walk, person = load(recording), walker or Walker()
     if walk.gyroscope is None:
         raise InputError(recording, "gyroscope", "no samples", "its turns, to tell them from the route's")
     steps = detect_steps(walk, replace(person, profile=None))
@@ -263,7 +263,7 @@ def learn_radio_map(walks: Sequence[tuple[Path, Path]], out: Path) -> RadioMap:
 
     learnt, frames = [], []
     for recording, folder in walks:
-        walk, track = io.load(recording), read_trajectory(folder / "trajectory.csv")
+        walk, track = load(recording), read_trajectory(folder / "trajectory.csv")
         track = replace(track, time=track.time - walk.clock_origin)
         if track.time[-1] < 0 or track.time[0] > max(s.time[-1] for s in walk.signals.values()):
             raise InputError(folder, "trajectory.csv", "times of another walk", f"those of {walk.source}")

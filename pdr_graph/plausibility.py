@@ -28,7 +28,6 @@ FASTEST_RIDE = 60.0  # [m/s] the same where the recording may contain a ride by 
 LIVE_DURATION = 3600.0  # [s] of a walk that has not begun
 RADIO_RANGE = 100.0  # [m] from which a beacon or an anchor is received
 WIDEST_ERROR = 5.0  # [sigma] of a fix
-FEWEST_RECORDED = 3  # fixes inside a recording that can contradict a file: a single one is often an old position
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,8 @@ class Plausibility(OneLineRepr):
                 raise InputError(source, "x, y", f"degrees on the plan{hint}", "metres in the plan's frame")
         if outline is not None and plan is not None:
             self.check_plan(plan, outline, hint)
-        if source is None or len(recorded) < FEWEST_RECORDED:
+        # fewest recorded: fixes inside a recording that can contradict a file: a single one is often an old position
+        if source is None or len(recorded) < 3:
             return
         if outline is not None and (outline.distance(listed.position) <= outline.margin).any():
             return  # the receiver is wrong
@@ -185,7 +185,6 @@ class Plausibility(OneLineRepr):
         return " (latitude and longitude swapped?)" if near else ""
 
 
-SHORTEST_IN_MILLIMETRES = 2000.0  # [mm] between fixes: any metres divided by 1000 are near the origin
 DEGREES = " (time,lat,lon,sigma in the header?)"
 
 
@@ -207,9 +206,10 @@ def _mistaken_metres(frame: Frame, position: Array, outline: Reach) -> str:
     if on_plan(position):
         return ""
     corner = outline.low[0]
+    # shortest in millimetres [mm] between fixes: any metres divided by 1000 are near the origin
     guesses = {
         "x and y swapped?": position[:, ::-1],
-        "millimetres?": position / 1000 if np.ptp(position, axis=0).max() > SHORTEST_IN_MILLIMETRES else position,
+        "millimetres?": position / 1000 if np.ptp(position, axis=0).max() > 2000.0 else position,
         "metres from a corner of the plan?": position + corner,
     }
     if frame.georeferenced:

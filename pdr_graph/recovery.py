@@ -33,7 +33,6 @@ Rows = Mapping[str, Sequence[Sequence[Any]]]  # by the statement that inserts th
 Check = Callable[[sqlite3.Connection], str]  # what is damaged in the rows of a file, "" if nothing is
 Keep = Callable[[Callable[[str], list[Row]]], tuple[Rows, str]]  # reader of a table -> rows to keep, what is lost
 WAL_HEADER, FRAME_HEADER = struct.Struct(">8I"), struct.Struct(">6I")
-NATIVE_MAGIC = 0x377F0682  # of a log whose checksums are of little-endian words; + 1: big-endian
 UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)  # the latter for names and messages
 SUM = "row_sum"  # name of the SQL function
 
@@ -215,7 +214,8 @@ def _header_is_whole(content: bytes) -> bool:
     """True if SQLite will read a log with this header."""
     magic, _, page, *_, first, second = WAL_HEADER.unpack_from(content)
     sums = _summed(content[: WAL_HEADER.size - 8], (0, 0), magic)
-    return magic | 1 == NATIVE_MAGIC | 1 and page >= 512 and sums == (first, second)
+    # native magic of a log whose checksums are of little-endian words; + 1: big-endian
+    return magic | 1 == 0x377F0682 | 1 and page >= 512 and sums == (first, second)
 
 
 def _whole_frames(content: bytes, page: int) -> int:

@@ -19,7 +19,6 @@ from pdr_graph.whole_files import INTERRUPTIONS
 
 Value = TypeVar("Value")
 LONGEST_CALL = 60.0  # [s] after which a copy that does not answer is given up
-PIECE = 1 << 20  # [bytes] read at once
 LENGTH = 8  # [bytes] of an answer's length, before it
 
 
@@ -134,7 +133,7 @@ class ForkedCall(Generic[Value]):
         """The answer of the copy; empty if it does not come, or not whole."""
         data, pipe, deadline = bytearray(), self._files[-1], time.monotonic() + LONGEST_CALL
         while select.select([pipe], [], [], max(0.0, deadline - time.monotonic()))[0]:
-            piece = os.read(pipe, PIECE)
+            piece = os.read(pipe, 1 << 20)  # piece [bytes]: read at once
             if not piece:
                 whole = len(data) == LENGTH + int.from_bytes(data[:LENGTH], "big")
                 return bytes(data[LENGTH:]) if whole else b""

@@ -23,8 +23,6 @@ MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched
 MOST_LINES = 20_000_000  # of a file: ten hours at 400 Hz are 14 million
 LIMIT = "PDR_GRAPH_MAX_MB"  # environment variable: maximum size of the text of one recording [MB]
-NAME_SIZE = 26  # [bytes] of a member's header before the lengths of its name and of what else it has
-ENTRY = 300  # bytes of a zip's directory for a file: twice what a file of an app has
 METHODS = {zipfile.ZIP_STORED: "stored", zipfile.ZIP_DEFLATED: "deflated"}  # unpacked piece by piece, unlike others
 OTHER_METHODS = {zipfile.ZIP_BZIP2: "bzip2", zipfile.ZIP_LZMA: "lzma"}
 ZIP_ERRORS = (
@@ -189,7 +187,8 @@ class Source(OneLineRepr):
         except ImportError:
             return None
         with self.stream(name), self.path.open("rb") as file:  # opened as a stream, it has been checked
-            file.seek(member.header_offset + NAME_SIZE)
+            # name size [bytes] of a member's header before the lengths of its name and of what else it has
+            file.seek(member.header_offset + 26)
             name_size, extra_size = (int.from_bytes(file.read(2), "little") for _ in range(2))
             file.seek(name_size + extra_size, os.SEEK_CUR)
             packed = file.read(member.compress_size)
@@ -218,7 +217,8 @@ class _BoundedReads:
 
     def read(self, size: int = -1) -> bytes:
         """The next bytes. Raises InputError for more than the directory of so many files has."""
-        if size > max(ENTRY * self._most_files, 1 << 20):
+        # entry: bytes of a zip's directory for a file: twice what a file of an app has
+        if size > max(300 * self._most_files, 1 << 20):
             found = f"a directory of {size / 1e6:.1f} MB"
             raise InputError(self._path, "", found, f"an archive of at most {self._most_files} files")
         return self._file.read(size)

@@ -39,7 +39,6 @@ ARRAY = 1  # code of the msgpack extension
 SHAPE = struct.Struct("<4sB")  # dtype and number of dimensions, before the dimensions
 SIMPLE = (str, float, int, np.ndarray, type(None))  # values without fields
 DTYPES = frozenset(np.dtype(name).str for name in ("f8", "f4", "c16", "i8", "i4", "u8", "u4", "u1", "?"))
-MOST_DIMENSIONS = 8
 UNREADABLE = (
     *(msgspec.MsgspecError, struct.error, ValueError, TypeError, AttributeError),
     *(LookupError, RecursionError, OverflowError),
@@ -157,7 +156,7 @@ def _array(code: int, data: memoryview) -> Any:
         raise ValueError(f"found msgpack extension {code}")
     name, dimensions = SHAPE.unpack_from(data)
     text = name.decode("ascii").rstrip()
-    if text not in DTYPES or dimensions > MOST_DIMENSIONS:
+    if text not in DTYPES or dimensions > 8:  # most dimensions
         raise ValueError(f"found an array of dtype {text!r} and {dimensions} dimensions")
     shape, dtype = struct.unpack_from(f"<{dimensions}Q", data, SHAPE.size), np.dtype(text)
     begin = SHAPE.size + 8 * dimensions
@@ -190,12 +189,10 @@ _ENCODER = msgspec.msgpack.Encoder(enc_hook=_plain, order="sorted")
 _ENVELOPE = msgspec.msgpack.Decoder(tuple[str, msgspec.Raw])
 
 
-LEVEL = 1  # of zlib: the next ones take twice the time for a hundredth of the size of random digits
-
-
 def compress(value: object) -> bytes:
     """`encode`, compressed."""
-    return zlib.compress(encode(value), LEVEL)
+    # level of zlib: the next ones take twice the time for a hundredth of the size of random digits
+    return zlib.compress(encode(value), 1)
 
 
 def decompress(blob: bytes, *kinds: type) -> Any:

@@ -10,8 +10,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -20,8 +22,7 @@ from numpy.typing import NDArray
 
 from pdr_graph.columns import OneLineRepr, check_each, check_finite, fill_labels, select_rows, time_span
 from pdr_graph.contradiction import Contradiction
-from pdr_graph.errors import count, expect
-from pdr_graph.sensor_names import SENSORS
+from pdr_graph.errors import count, expect, one_line
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -34,6 +35,35 @@ FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller
 Limits = dict[str, tuple[float, float]]  # least and largest value of a column, by its name
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
+
+
+class Sensor(StrEnum):
+    """A sensor of a phone; each is equal to its name: ``Sensor.ACCELEROMETER == "accelerometer"``.
+
+    The names are accelerometer, gyroscope, magnetometer, linear_acceleration and barometer.
+    ``Sensor(value)`` is the sensor of a name. Raises ValueError for an unknown name, with the known ones.
+    """
+
+    ACCELEROMETER = "accelerometer"
+    GYROSCOPE = "gyroscope"
+    MAGNETOMETER = "magnetometer"
+    LINEAR_ACCELERATION = "linear_acceleration"
+    BAROMETER = "barometer"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Sensor:
+        raise ValueError(f"Sensor: {unknown_sensor(value)}")
+
+
+SENSORS = tuple(sensor.value for sensor in Sensor)
+
+
+def unknown_sensor(value: object) -> str:
+    """What is wrong with a name that no sensor has, and which it may mean: for messages."""
+    begin = str(value).lower()[:3]
+    close = [name for name in SENSORS if len(begin) == 3 and name.startswith(begin)]
+    hint = f" ({close[0]}?)" if close else ""
+    return f"found {one_line(repr(value))}{hint}, expected one of {', '.join(SENSORS)}"
 
 
 @dataclass(frozen=True)
@@ -100,6 +130,12 @@ class Beacons(OneLineRepr, row="beacon"):
 
     def __len__(self) -> int:
         return len(self.name)
+
+
+def minor_number(label: str) -> str:
+    """The number at the end of a beacon's name, as in ``Sightings.minor``; empty without one."""
+    number = re.search(r"\d+$", label)
+    return str(int(number.group())) if number else ""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from typing import Any
 from urllib.parse import urljoin, urlsplit
 from urllib.request import Request
 
-CHUNK = 1 << 16  # bytes
 REDIRECTS, MOST_REDIRECTS = (301, 302, 303, 307, 308), 5
 FAULTS = (OSError, HTTPException)  # what a server can cause
 Follow = Callable[[str], bool]  # whether to follow a redirect to an address
@@ -80,7 +79,7 @@ def body_of(answer: HTTPResponse, most: int) -> bytes:
 def pieces_of(answer: HTTPResponse, most: int) -> Iterator[bytes]:
     """Yield the body in pieces; raises as `body_of`."""
     size = 0
-    while piece := answer.read1(CHUNK):
+    while piece := answer.read1(1 << 16):  # chunk: bytes
         size += len(piece)
         if size > most:
             raise TooLongError(f"an answer of more than {most} bytes")

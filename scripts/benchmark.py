@@ -25,13 +25,14 @@ from scaling import scaling_rows
 from synthetic_walks import PERIOD, held_by_walls, walk
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation import particle_filter
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.gait.live_steps import StepDetector
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.inertial.attitude import vqf_offline
+from pdr_graph.io.loading import load
 from pdr_graph.papers.attitude_filters import METHODS, switching
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
@@ -143,7 +144,7 @@ def command_rows():
         ]
         whole = median_time(lambda: subprocess.run([*start, *arguments], check=True), 5)
         help_ = median_time(lambda: subprocess.run([*start, "--help"], check=True, stdout=subprocess.DEVNULL), 5)
-        seconds = io.load(recording).accelerometer.time[-1]
+        seconds = load(recording).accelerometer.time[-1]
     rows = [[f"`pdr-graph smooth`, {seconds:.0f} s at 50 Hz with a map, start-up included", f"{whole:.2f} s"]]
     rows += [["`pdr-graph --help`", f"{help_:.2f} s"]]
     return table(["command", "median"], rows)

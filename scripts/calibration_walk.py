@@ -7,7 +7,7 @@ from tables import publish, table
 
 from pdr_graph import detect_steps
 from pdr_graph.estimation.calibration import calibrate
-from pdr_graph.floor.formats import read_route
+from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait import step_length
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_length import StepFeatures

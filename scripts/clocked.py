@@ -16,7 +16,7 @@ import numpy as np
 START = "interpreter and imports"
 REST = "all else"
 STAGES = {  # what the time of a function is counted as, less what is counted as something else
-    "reading the recording": ("pdr_graph.io:load",),
+    "reading the recording": ("pdr_graph.io.loading:load",),
     "plan, fixes, frame": ("pdr_graph.inputs:read",),
     "attitude": ("pdr_graph.gait.signals:attitude_of",),
     "steps": (

@@ -15,7 +15,7 @@ from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import attitude_of
-from pdr_graph.io import load
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.papers.heading_methods import principal_axis
 from pdr_graph.simulation.carrying import with_grip_change

@@ -8,9 +8,10 @@ from microsoft import recordings
 from recorded import given, ipin21_walks, ipin2023_walks, nju_walk
 from tables import publish, table
 
-from pdr_graph import WalkGraph, detect_steps, io, smooth
+from pdr_graph import WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import dead_reckon
+from pdr_graph.io.loading import load
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes
@@ -67,7 +68,7 @@ def walks(data):
     yield "Samsung S10", "IPIN21's eight", eight.steps, given(eight.truth, slice(None, None, 5))
     campus = nju_walk(data)
     yield "unknown", "NJU campus", campus.steps, campus.fixes[np.arange(0, len(campus.fixes), 10)]
-    steps = detect_steps(io.load(data / "apf_pdr" / "walk"))
+    steps = detect_steps(load(data / "apf_pdr" / "walk"))
     ends = np.array([steps.start, steps.end])
     yield "Samsung A16", "CAD walk, closed", steps, Fixes(ends, np.zeros((2, 2)), np.full(2, 0.5), ("", ""))
 

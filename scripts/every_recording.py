@@ -13,8 +13,9 @@ from recorded import WAYPOINT_NOISE, gaps, helped, ipin21_landmarks, nju_walk, w
 from steps import beside, oxford
 from tables import publish, table
 
-from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, io, kalman_filter, smooth
+from pdr_graph import Navigator, WalkGraph, detect_steps, events_of, kalman_filter, smooth
 from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.io.loading import load
 
 PDR, LAID, FILTER, ONLINE, GRAPH = METHODS = "PDR", "PDR, rigidly aligned", "filter", "graph online", "graph"
 COMPARED = [(GRAPH, PDR), (GRAPH, LAID), (GRAPH, FILTER), (GRAPH, ONLINE), (ONLINE, LAID), (ONLINE, FILTER)]
@@ -183,7 +184,7 @@ def pooled(rows):
 def counted(data):
     """Steps of recordings without positions, at the end and live."""
     for of, true, path in oxford(data):
-        recording = io.load(path)
+        recording = load(path)
         nav = Navigator()
         for event in events_of(recording):
             nav.push(event)

@@ -4,11 +4,12 @@ import numpy as np
 from recorded import WAYPOINT_NOISE, gaps
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
 from pdr_graph.evaluation import REGION_90
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate, nearest
+from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given to a walk of the map
@@ -23,7 +24,7 @@ def observed(folder):
     """The walks of a floor: recording, steps, headings, and the walk smoothed with all its waypoints and the plan."""
     floor, walks = FloorPlan.load(folder), []
     for path in sorted(folder.glob("*.txt")):
-        walk = io.load(path)
+        walk = load(path)
         gaits, truth = gait_signals(walk), walk.truth
         steps, headings = detect_steps(gaits), magnetic_headings(gaits, floor.frame, np.zeros(2))
         given = Fixes(truth.time, truth.position, np.full(len(truth), SIGMA), ("",) * len(truth))

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from tables import publish, table
 
-from pdr_graph import detect_steps, io
+from pdr_graph import detect_steps
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.inertial.attitude import runs
+from pdr_graph.io.loading import load
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.sensors import EXPONENT, LAPSE, SEA_LEVEL
 from pdr_graph.simulation.simulate import simulate
@@ -46,7 +47,7 @@ def recorded(data):
     rows = []
     paths = [*sorted((data / "ipin2023_track3").glob("*Trial*.txt")), data / "nju_phyphox_outdoor"]
     for path in [*paths, data / "ipin21_hcu" / "eight"]:
-        walk = io.load(path)
+        walk = load(path)
         steps, truth = detect_steps(walk), walk.truth
         known = truth is not None and any(truth.floor)
         found = floors_along(steps, walk.barometer, truth.floor[0] if known else "0", Fixes.none(), None)

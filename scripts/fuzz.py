@@ -16,16 +16,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
 
-from pdr_graph import InputError, detect_steps, io, read_fixes, read_trajectory
-from pdr_graph.floor.building import Building
+from pdr_graph import InputError, detect_steps, read_fixes, read_trajectory
 from pdr_graph.floor.check import problems
+from pdr_graph.floor.plan_files import Building
+from pdr_graph.io.loading import load
 from pdr_graph.types import Recording, Signal
 
 SLOWEST = 10  # [s] for inputs of some kilobytes
 
 
 def record(path):
-    walk = io.load(path)
+    walk = load(path)
     if walk.has_acceleration:
         detect_steps(walk)
 

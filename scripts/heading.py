@@ -10,7 +10,7 @@ from pdr_graph.frames import enu
 from pdr_graph.gait.heading import walking_direction
 from pdr_graph.gait.signals import uninterrupted
 from pdr_graph.inertial.attitude import vqf_offline
-from pdr_graph.io import load
+from pdr_graph.io.loading import load
 from pdr_graph.papers.attitude_filters import imu_filter
 from pdr_graph.papers.heading_methods import (
     PrincipalDirection,

@@ -6,9 +6,9 @@ import numpy as np
 from recorded import WAYPOINT_NOISE, gaps, given, rest
 from tables import publish, table
 
-from pdr_graph import io
 from pdr_graph.estimation.fingerprinting import revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
+from pdr_graph.io.loading import load
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import estimate_walk
 from pdr_graph.lifelog.sessions import Session
@@ -21,7 +21,7 @@ NO_PIECE = "5dda0214"  # of site1/F1, an hour later: no piece of its chain
 
 def observed(folder):
     """Every walk of a floor, in order of time, with its waypoints."""
-    found = [(observe(path, RecordingOptions(plan=folder)), io.load(path)) for path in sorted(folder.glob("*.txt"))]
+    found = [(observe(path, RecordingOptions(plan=folder)), load(path)) for path in sorted(folder.glob("*.txt"))]
     return sorted(found, key=lambda pair: pair[0].epoch)
 
 

@@ -19,8 +19,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from tables import table
 
-from pdr_graph import dead_reckon, io
+from pdr_graph import dead_reckon
 from pdr_graph.frames import enu
+from pdr_graph.io.loading import load
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import Observation, observe
@@ -185,7 +186,7 @@ def hour_rows():
         write(simulate(given), Path(folder))
         size = sum(path.stat().st_size for path in Path(folder).rglob("*.csv")) / 1e6
         began = time.perf_counter()
-        io.load(folder)
+        load(folder)
         read = time.perf_counter()
         found = observe(Path(folder))
         done = time.perf_counter()

@@ -13,8 +13,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from tables import publish, table
 
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.lifelog.day import Stay

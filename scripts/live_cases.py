@@ -23,12 +23,13 @@ from integrity_walks import (
 from microsoft import HELP, helped_walk, helped_walks, recording_at, recording_paths
 from recorded import SIGMA, WAYPOINT_NOISE, Walk, ipin21_walks, ipin2023_walks, nju_walks
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.inputs import Options, read
 from pdr_graph.io.beacons import read_beacons
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import events_of
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
@@ -133,7 +134,7 @@ def museum(data):
     """IPIN 2023, by the phone's GNSS, without and with beacons."""
     folder = data / "ipin2023_track3"
     for walk in ipin2023_walks(data):
-        recording = io.load(folder / f"{walk.name}.txt")
+        recording = load(folder / f"{walk.name}.txt")
         lon, lat = recording.fixes.position[0]
         frame = enu(lat, lon)
         beacons = frame.place(read_beacons(folder / "BLE_Locations.csv", recording))
@@ -149,14 +150,14 @@ def campus(data):
 
 def on_campus(data, walk):
     """Of NJU's walk with some of its positions."""
-    recording = io.load(data / "nju_phyphox_outdoor")
+    recording = load(data / "nju_phyphox_outdoor")
     lon, lat = recording.fixes.position[0]
     return Case("NJU campus", walk.name, walk, recording, enu(lat, lon))
 
 
 def eight(data):
     """IPIN21's figure of eight, without and with its plan; its truth is dense enough for directions."""
-    recording = io.load(data / "ipin21_hcu" / "eight")
+    recording = load(data / "ipin21_hcu" / "eight")
     for walk in ipin21_walks(data):
         walk = replace(walk, truth=with_course(walk.truth))
         yield Case("IPIN21, eight", walk.name, walk, recording, walk.floor.frame)
@@ -184,7 +185,7 @@ def apf(data, plan):
 
     plan: with the walls of its building, drawn as bare lines.
     """
-    recording = io.load(data / "apf_pdr" / "walk")
+    recording = load(data / "apf_pdr" / "walk")
     steps = detect_steps(recording)
     start, end = np.array([steps.start + 1.0]), np.array([steps.end])
     heading = Headings(start, np.array([APF_HEADING]), np.array([APF_SIGMA]))

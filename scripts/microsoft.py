@@ -6,9 +6,10 @@ import numpy as np
 from recorded import WAYPOINT_NOISE, Walk, fixes_as_track, gaps, helped
 from tables import publish, table
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, kalman_filter, kalman_smoother, magnetic_headings, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, kalman_filter, kalman_smoother, magnetic_headings, smooth
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.signals import gait_signals
+from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes
 
 HELP = {
@@ -43,7 +44,7 @@ def recordings(data):
 @cache
 def recording_at(path):
     """One recording, and the walk with all its waypoints as truth and no fix."""
-    return walk_of(io.load(path), _floor(path.parent), path)
+    return walk_of(load(path), _floor(path.parent), path)
 
 
 @cache

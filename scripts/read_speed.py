@@ -12,7 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 import recorders
 import simulated
 
-from pdr_graph import io, read_trajectory
+from pdr_graph import read_trajectory
+from pdr_graph.io.loading import load
 
 ROUTE = ((0.0, 0.0), (400.0, 0.0), (400.0, 300.0))
 
@@ -64,7 +65,7 @@ def reading_rows(median_time):
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for name, path, size in written(Path(folder)):
-            use = read_trajectory if name.startswith("trajectory") else io.load
+            use = read_trajectory if name.startswith("trajectory") else load
             took = median_time(lambda use=use, path=path: use(path), 5)
             rows.append([name, f"{size / 1e6:.1f}", f"{size / 1e6 / took:.0f}"])
     return rows

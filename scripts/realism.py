@@ -10,9 +10,10 @@ from scipy.signal import welch
 from scipy.stats import ks_2samp, kurtosis, skew
 from tables import DOCS, publish, table
 
-from pdr_graph import dead_reckon, detect_steps, io
+from pdr_graph import dead_reckon, detect_steps
 from pdr_graph.gait.signals import uninterrupted
 from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.io.loading import load
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -38,7 +39,7 @@ def real(data):
         groups[f"Oxford, {hold}"] = (hold, [p for p in oxford if name in p.name])
     groups["Oxford, swinging arm"] = ("swinging arm", [data / "oxford_steps" / "Pixel_Jamie_Hard_SwingingArm_1"])
     for group, (hold, paths) in groups.items():
-        walks = [uninterrupted(io.load(path))[0] for path in paths]
+        walks = [uninterrupted(load(path))[0] for path in paths]
         if group == IPIN:
             walks = [_after(walk, 65.0) for walk in walks]  # shaken and still before
         yield group, hold, walks

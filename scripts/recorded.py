@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph import FloorPlan, detect_steps, io, magnetic_headings, read_fixes
+from pdr_graph import FloorPlan, detect_steps, magnetic_headings, read_fixes
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.evaluation import REGION_90, circular_error, in_region, pair, stated_covariance
@@ -12,6 +12,7 @@ from pdr_graph.frames import enu
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.stair_steps import with_stair_lengths
 from pdr_graph.io.beacons import read_beacons
+from pdr_graph.io.loading import load
 from pdr_graph.measurements import Levels
 from pdr_graph.types import Fixes, Headings, Steps, Trajectory
 
@@ -76,7 +77,7 @@ def helped(walk, which):
 def ipin21_walks(data):
     """The figure of eight with the start alone and with each set of simulated fixes."""
     folder = data / "ipin21_hcu"
-    walk, floor = io.load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
+    walk, floor = load(folder / "eight"), FloorPlan.load(folder / "map" / "Plan4OG.geojson")
     gaits, truth = gait_signals(walk), floor.frame.place(walk.truth)
     steps = detect_steps(gaits)
     paths = sorted(folder.rglob("*_err*.csv"), key=lambda p: p.stem.lower())
@@ -89,14 +90,14 @@ def ipin21_walks(data):
 def ipin21_landmarks(data, truth):
     """The rows of the figure of eight's truth when the walker was at the surveyed places."""
     folder = data / "ipin21_hcu" / "eight"
-    at = np.loadtxt(folder / "ref.csv")[:, 0] / 1000 - io.load(folder).clock_origin
+    at = np.loadtxt(folder / "ref.csv")[:, 0] / 1000 - load(folder).clock_origin
     return np.unique([np.argmin(np.abs(truth.time - t)) for t in at])
 
 
 def ipin2023_walks(data, relisted=lambda listed: listed):
     """Three walks in a museum with the phone's GNSS, and the beacons that it heard; relisted: changes their list."""
     for path in sorted((data / "ipin2023_track3").glob("*Trial*.txt")):
-        walk = io.load(path)
+        walk = load(path)
         lon, lat = walk.fixes.position[0]
         frame = enu(lat, lon)
         gaits, fixes = gait_signals(walk), frame.place(walk.fixes)
@@ -110,7 +111,7 @@ def ipin2023_walks(data, relisted=lambda listed: listed):
 
 def nju_walk(data):
     """A campus walk by its GPS, which is its truth as well."""
-    walk = io.load(data / "nju_phyphox_outdoor")
+    walk = load(data / "nju_phyphox_outdoor")
     lon, lat = walk.fixes.position[0]
     frame = enu(lat, lon)
     fixes = frame.place(walk.fixes)

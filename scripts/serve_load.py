@@ -33,7 +33,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph import io
+from pdr_graph.io import loading
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -108,7 +108,7 @@ def bodies(seconds: int) -> list[bytes]:
     scenario = Scenario.load(Path("outdoors"))
     with tempfile.TemporaryDirectory() as folder:
         write(simulate(scenario), Path(folder))
-        walk = io.load(Path(folder))
+        walk = loading.load(Path(folder))
     return [message(SESSION, n, payload) for n, payload in enumerate(batches(walk)[:seconds])]
 
 

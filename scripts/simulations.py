@@ -6,9 +6,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from recorded import Walk
 
-from pdr_graph import detect_steps, io, magnetic_headings
+from pdr_graph import detect_steps, magnetic_headings
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate
+from pdr_graph.io.loading import load
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Trajectory
@@ -21,7 +22,7 @@ def simulated(scenario):
     walk = simulate(scenario)
     with TemporaryDirectory() as folder:
         write(walk, Path(folder))
-        recording = io.load(folder)
+        recording = load(folder)
     gaits, fixes = gait_signals(recording), walk.frame.place(recording.fixes)
     time = np.arange(0.0, walk.truth.time[-1], EVERY)
     place = interpolate(time, walk.truth.time, walk.truth.position)

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from tables import publish, table
 
-from pdr_graph import Walker, WalkGraph, detect_steps, io, smooth
+from pdr_graph import Walker, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.calibration import posterior_profile, prior_of
 from pdr_graph.frames import enu
 from pdr_graph.gait import step_length
@@ -12,6 +12,7 @@ from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.io.loading import load
 from pdr_graph.papers.step_detectors import peak_pairs, trough_to_peak
 from pdr_graph.types import LONLAT, Fixes
 
@@ -45,7 +46,7 @@ def counts(data):
     """Steps of the Oxford recordings, of an accelerometer alone."""
     rows = []
     for name, true, path in oxford(data):
-        attitude = attitude_of(io.load(path))
+        attitude = attitude_of(load(path))
         found = [len(detect(attitude)) for detect in DETECTORS.values()]
         rows.append([name, true, *(beside(n, true) for n in found)])
     publish("results/steps.md", "counts", table(["recording", "true", *DETECTORS], rows))
@@ -71,7 +72,7 @@ def quiet(data):
     }
     rows = []
     for name, files in paths.items():
-        attitudes = [attitude_of(io.load(path)) for path in files]
+        attitudes = [attitude_of(load(path)) for path in files]
         found = [sum(int((detect(a).time < QUIET[name]).sum()) for a in attitudes) for detect in DETECTORS.values()]
         rows.append([f"{name}, first {QUIET[name]:.0f} s of {len(files)}", *found])
     publish("results/steps.md", "quiet", table(["", *DETECTORS], rows))
@@ -102,14 +103,14 @@ def measured(data):
     """Microsoft's walks, and those that no constant was chosen on."""
     walks = []
     for path in sorted((data / "ms_indoor20").glob("site*/*/*.txt")):
-        walk = io.load(path)
+        walk = load(path)
         walks.append(Measured(f"{path.parent.parent.name}/{path.parent.name} {path.stem[:8]}", walk, walk.truth))
     for path in sorted((data / "ipin2023_track3").glob("*Trial[02]*.txt")):  # Trial52 climbs stairs
-        walk = io.load(path)
+        walk = load(path)
         walks.append(Measured(path.stem.split("Training")[1].split("_")[0], walk, walk.truth))
-    walk = io.load(data / "ipin21_hcu" / "eight")
+    walk = load(data / "ipin21_hcu" / "eight")
     walks.append(Measured("IPIN21", walk, walk.truth, every=8))
-    walk = io.load(data / "nju_phyphox_outdoor")
+    walk = load(data / "nju_phyphox_outdoor")
     walks.append(Measured("NJU", walk, walk.fixes, every=12))
     return walks
 

@@ -13,7 +13,8 @@ from commands import run
 from typer.testing import CliRunner
 
 import pdr_graph
-from pdr_graph import cli, io
+from pdr_graph import cli
+from pdr_graph.io.loading import READERS
 from pdr_graph.simulation import scenario
 
 ROOT = Path(__file__).parent.parent
@@ -279,7 +280,7 @@ def exported(recorder, folder):
 
 
 @pytest.mark.parametrize("command", ["smooth", "replay"])
-@pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in io.READERS])
+@pytest.mark.parametrize("recorder", [reader.__name__.rsplit(".", 1)[1] for reader in READERS])
 def test_one_command_makes_a_report_of_every_recorders_file(tmp_path, monkeypatch, recorder, command):
     """Without options: the last line of the output is the report, in the current folder."""
     monkeypatch.chdir(tmp_path)
@@ -351,7 +352,7 @@ def test_an_unknown_file_ends_with_a_list_of_recorders_and_writes_nothing(tmp_pa
     (tmp_path / "notes.csv").write_text("8342,1,1\n")
     code, _, errors = run(command, "notes.csv", cwd=tmp_path)
     assert (code, len(errors)) == (2, 1)
-    assert [name for name in (reader.NAME for reader in io.READERS) if name not in errors[0]] == []
+    assert [name for name in (reader.NAME for reader in READERS) if name not in errors[0]] == []
     assert [path.name for path in tmp_path.iterdir()] == ["notes.csv"]
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from mutations import PLAN_SCALES, inputs, mutated, simulated_if_short
 
-from pdr_graph import InputError, io, read_fixes, read_trajectory
-from pdr_graph.floor.building import Building
+from pdr_graph import InputError, read_fixes, read_trajectory
 from pdr_graph.floor.check import problems
+from pdr_graph.floor.plan_files import Building
+from pdr_graph.io.loading import load
 from pdr_graph.types import Recording, Signal
 
 RECORDINGS, TABLES, PLANS = inputs()
@@ -38,7 +39,7 @@ def survive(name, undamaged, use, folder):
 
 @pytest.mark.parametrize("name", RECORDINGS)
 def test_damaged_recordings(name, tmp_path):
-    survive(name, RECORDINGS[name], io.load, tmp_path)
+    survive(name, RECORDINGS[name], load, tmp_path)
 
 
 @pytest.mark.parametrize("name", PLANS)

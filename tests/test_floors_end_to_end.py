@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from pdr_graph import evaluation
 from pdr_graph.cli import app
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.io.tables import read_trajectory
 
 ROOT = Path(__file__).resolve().parents[1]

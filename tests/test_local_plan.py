@@ -12,9 +12,9 @@ from test_cli import ARCADE, ROUTE
 from typer.testing import CliRunner
 
 from pdr_graph.cli import app
-from pdr_graph.floor import formats
-from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats import own_writer
+from pdr_graph.floor import plan_files
+from pdr_graph.floor.formats import own_format
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.inputs import Options, read
 from pdr_graph.io.tables import read_trajectory
@@ -27,7 +27,7 @@ from pdr_graph.simulation.simulate import simulate
 def folder(tmp_path_factory):
     """A walk, its fixes, and its plan in metres."""
     folder = simulated.arcade(tmp_path_factory.mktemp("walk"), recorder="indoor_location")
-    own_writer.write(folder / "local.geojson", replace(formats.read(ARCADE), frame=Frame()))
+    own_format.write(folder / "local.geojson", replace(plan_files.read(ARCADE), frame=Frame()))
     return folder
 
 
@@ -55,7 +55,7 @@ def test_a_walk_is_the_same_on_a_plan_in_metres_but_for_the_compass(folder, tmp_
 
 def test_recorded_positions_are_left_out_with_a_note(tmp_path):
     write(simulate(simulated.scenario(ROUTE, gnss={}, recorder="phyphox", place=[135.0, 35.0])), tmp_path / "walk")
-    own_writer.write(tmp_path / "local.geojson", replace(formats.read(ARCADE), frame=Frame()))
+    own_format.write(tmp_path / "local.geojson", replace(plan_files.read(ARCADE), frame=Frame()))
     inputs = read(tmp_path / "walk", Options(plan=tmp_path / "local.geojson"))
     assert len(inputs.fixes) == 0
     assert any("fixes inside the recording were left out: no latitude in the plan" in note for note in inputs.notes)
@@ -89,5 +89,5 @@ def test_programs_without_a_scale_name_the_conversion(folder, tmp_path, command)
 def test_a_journal_of_another_scale_is_another_walk(tmp_path):
     path = Path(tmp_path / "lines.csv")
     path.write_text("x1,y1,x2,y2\n0,0,1,1\n")
-    one, other, none = (formats.plan_fingerprint(path, scale) for scale in (0.5, 0.25, None))
+    one, other, none = (plan_files.plan_fingerprint(path, scale) for scale in (0.5, 0.25, None))
     assert len({one, other, none}) == 3

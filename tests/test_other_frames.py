@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from pdr_graph import InputError
 from pdr_graph.cli import app
 from pdr_graph.evaal.trial import format_on_plan
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu, projected
 from pdr_graph.inputs import Options
 from pdr_graph.online.replay import navigator_of

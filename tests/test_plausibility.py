@@ -9,7 +9,7 @@ from commands import run
 from test_cli import ARCADE, MAPS, ROUTE
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 from pdr_graph.inputs import Options, read
 from pdr_graph.io.likely_causes import clock_hint

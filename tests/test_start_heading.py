@@ -10,7 +10,7 @@ from commands import run
 from test_cli import ROUTE
 
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.io import load
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator

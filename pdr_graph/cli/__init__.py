@@ -164,12 +164,12 @@ def steps(
     \b
     pdr-graph steps walk.zip
     """
-    from pdr_graph import io
     from pdr_graph.gait.steps import detect_steps
+    from pdr_graph.io.loading import load
     from pdr_graph.io.writers import write_steps
     from pdr_graph.walk_options import Options
 
-    walk, person = io.load(recording), Options(walker=walker, height=height).person()
+    walk, person = load(recording), Options(walker=walker, height=height).person()
     detected = detect_steps(walk, person)
     file = out or path_named_after(recording, "-steps.csv")
     write_steps(file, detected, walk.clock_origin)
@@ -312,7 +312,7 @@ def evaluate(
     pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
     """
     from pdr_graph import evaluation
-    from pdr_graph.floor.building import Building
+    from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import read_trajectory
 
     floor = Building.load(map_, scale) if map_ else None

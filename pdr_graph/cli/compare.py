@@ -45,7 +45,7 @@ def compare(
     pdr-graph compare graph filter pdr --recording walk.zip --fixes fixes.csv --truth truth.csv
     """
     from pdr_graph import comparison
-    from pdr_graph.floor.building import Building
+    from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import read_trajectory
     from pdr_graph.plotting import picture_bytes, plot_comparison
     from pdr_graph.whole_files import write_file

@@ -32,7 +32,7 @@ def map_show(
     \b
     pdr-graph map show plan.geojson --out plan.png
     """
-    from pdr_graph.floor.plan import FloorPlan
+    from pdr_graph.floor.plan_files import FloorPlan
     from pdr_graph.plotting import picture_bytes, plot_plan
     from pdr_graph.whole_files import write_file
 
@@ -87,7 +87,7 @@ def map_convert(
     pdr-graph map convert scan.png --two-points "120,80 920,80 = 24.5"
     """
     from pdr_graph.floor.formats.conversion import convert
-    from pdr_graph.floor.plan import FloorPlan
+    from pdr_graph.floor.plan_files import FloorPlan
     from pdr_graph.plotting import picture_bytes, plot_conversion
     from pdr_graph.whole_files import write_file
 
@@ -104,7 +104,7 @@ def map_convert(
 
 def _picture_beside(target: Path, plan: Path) -> Path:
     """The PNG beside a conversion's GeoJSON, of another name if that is a file of the input."""
-    from pdr_graph.floor.formats import files_of
+    from pdr_graph.floor.plan_files import files_of
 
     picture = target.with_suffix(".png")
     is_input = picture.resolve() in {file.resolve() for file in files_of(plan)}
@@ -113,8 +113,8 @@ def _picture_beside(target: Path, plan: Path) -> Path:
 
 def _report_check(plan: Path, scale: float | None = None) -> None:
     """Print notes, floors, connections and problems of a plan; exit with EXIT_DEGRADED if there are problems."""
-    from pdr_graph.floor.building import Building
     from pdr_graph.floor.check import problems
+    from pdr_graph.floor.plan_files import Building
 
     building = Building.load(plan, scale)
     for note in building.floors[0].notes:

@@ -15,9 +15,8 @@ from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors import locating_kinds
 from pdr_graph.estimation.factors.fixes import LOUD_BEACON
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.gps_track import REPEATED
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import FIRST_ONLY, REJECTED, SURE, is_measured, stride_scale, used_fixes
+from pdr_graph.estimation.results import FIRST_ONLY, REJECTED, REPEATED, SURE, is_measured, stride_scale, used_fixes
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import distance_to_box
 from pdr_graph.types import Array, Estimate, FixReport, Trajectory

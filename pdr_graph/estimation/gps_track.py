@@ -15,7 +15,7 @@ import numpy as np
 from pdr_graph.estimation.factors.fixes import WITHIN, longest_consistent_chain
 from pdr_graph.estimation.factors.gnss_bias import WHITE
 from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, SmoothTrack, smooth_track
-from pdr_graph.estimation.results import REJECTED
+from pdr_graph.estimation.results import REJECTED, REPEATED
 from pdr_graph.estimation.transport_mode import EPOCH, RIDES, STANDS, STATES, WIDEST, moves, straightness
 from pdr_graph.geometry import ANY_HEADING, interpolate
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Trajectory
@@ -187,7 +187,7 @@ def _trajectory(time: Array, way: SmoothTrack, floor: tuple[str, ...]) -> Trajec
 
 
 TRUSTED = 0.9  # weight above which a fix is reported as "full weight"
-TOO_FAST, REPEATED = "too far to be reached in time: not used", "a better fix at the same time: not used"
+TOO_FAST = "too far to be reached in time: not used"  # reason in reports
 
 
 def follow(fixes: Fixes) -> Estimate:

@@ -22,6 +22,7 @@ REJECTED = 0.1  # weight below which a fix counts as rejected
 MANY = 0.1  # share of rejected fixes at which a user is warned
 STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
+REPEATED = "a better fix at the same time: not used"  # reason in reports
 CROSSED_ANYWAY = 0.01  # share of rows, beside one, through walls on right routes: at most 1 of 15 to 222 real rows
 POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients

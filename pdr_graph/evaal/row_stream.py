@@ -85,8 +85,6 @@ class RowStream:
 
 
 FIRST_SECOND, LONGEST_DELAY = 1.0, 10.0  # [s] of samples from which a unit is recognised; kept while it is not
-LAGS = 600  # slots whose median is the lag: five minutes, over which clocks drift by less than 25 ms
-SLEW = 0.002  # [s/s] at which the lag changes: twenty times the drift of clocks, a fifth of 100 Hz's interval per slot
 
 
 class _Sensor:
@@ -100,7 +98,8 @@ class _Sensor:
         self.name, self.notes = name, notes
         self.delayed: Array | None = None
         self.unit: tuple[str, float] | None = None
-        self.lags: deque[float] = deque(maxlen=LAGS)
+        # lags: slots whose median is the lag: five minutes, over which clocks drift by less than 25 ms
+        self.lags: deque[float] = deque(maxlen=600)
         self.lag, self.latest, self.read = 0.0, -np.inf, -np.inf
         self.own_clock = True
 
@@ -149,7 +148,8 @@ class _Sensor:
             self.notes[f"{self.name}: its clock and the app's differ; the app's clock is used from now on"] += 1
             return app
         self.lags.append(median)
-        most = SLEW * abs(float(sensor[-1]) - self.read)
+        # slew [s/s] at which the lag changes: twenty times the drift of clocks, a fifth of 100 Hz's interval per slot
+        most = 0.002 * abs(float(sensor[-1]) - self.read)
         self.lag += float(np.clip(np.median(self.lags) - self.lag, -most, most))
         self.read = float(sensor[-1])
         return sensor + self.lag

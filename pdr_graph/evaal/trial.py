@@ -40,8 +40,6 @@ from pdr_graph.plausibility import check_initial
 from pdr_graph.types import LONLAT, Array, Fixes
 from pdr_graph.whole_files import output_folder, write_file
 
-INITIAL_SIGMA = 0.5  # [m] per axis of the initial position, a mark on the floor; chosen by hand
-
 
 class PositionFormat:
     """The format of one trial's positions.
@@ -79,7 +77,8 @@ class PositionFormat:
         if self.initial is None:
             return Fixes.none()
         label = self.default if not floors or self.default in floors else ""
-        sigma, epsg = np.array([INITIAL_SIGMA]), LONLAT if self.lonlat else None
+        # initial sigma [m] per axis of the initial position, a mark on the floor; chosen by hand
+        sigma, epsg = np.array([0.5]), LONLAT if self.lonlat else None
         return Fixes(np.array([time]), np.array([self.initial]), sigma, (label,), epsg)
 
 
@@ -173,7 +172,6 @@ def _write_initial(log: RequestLog, out: Path, form: PositionFormat, floors: tup
 
 INTERVAL = 0.5  # [s] between positions, of which the server scores each; also of the rows of an online request
 MAXIMUM_REQUESTS = 200_000  # of an online trial: more than a day
-MAXIMUM_EMPTY = 1200  # answers in a row without a row that can be read: ten minutes of a trial
 
 
 def _position_lines(out: Path, form: PositionFormat) -> str:
@@ -283,7 +281,7 @@ def _run_online(
         walk.seconds.append(reply.seconds)
         walk.repeated += reply.tries - 1
         walk.feed(reply.text)
-        if walk.empty >= MAXIMUM_EMPTY:
+        if walk.empty >= 1200:  # maximum empty: answers in a row without a row that can be read: ten minutes of a trial
             return False, f"no readable row in {walk.empty} answers, found {reply.text[:100]!r}, expected sensor rows"
         if progress:
             progress(f"{walk.stream.rows.total()} rows, {(number + 1) * INTERVAL:.0f} s of the trial")

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from typing import Self
 
 import numpy as np
 import shapely
@@ -48,7 +48,10 @@ class Connection(OneLineRepr):
 
 @dataclass(frozen=True)
 class Building(OneLineRepr):
-    """All floors of a plan in one frame, lowest first. A plan of one floor is a building with one floor."""
+    """All floors of a plan in one frame, lowest first. A plan of one floor is a building with one floor.
+
+    `plan_files.Building` reads it from a file.
+    """
 
     floors: tuple[FloorPlan, ...]
 
@@ -60,15 +63,7 @@ class Building(OneLineRepr):
         return [count(len(self.floors), "floor"), ", ".join(repr(label) for label in self.labels)]
 
     @classmethod
-    def load(cls, path: str | Path, scale: float | None = None) -> Building:
-        """Read all floors of a plan in any format. Raises InputError as `FloorPlan.load_all` does.
-
-        scale: metres per unit of a drawing or per pixel of a picture, whose format states none.
-        """
-        return cls.of(*FloorPlan.load_all(path, scale))
-
-    @classmethod
-    def of(cls, *floors: FloorPlan) -> Building:
+    def of(cls, *floors: FloorPlan) -> Self:
         """A building with these floors, which are in one frame."""
         return cls(tuple(sorted(floors, key=lambda floor: floor.height)))
 
@@ -87,9 +82,9 @@ class Building(OneLineRepr):
             raise KeyError(f"floor {label!r}: found only {', '.join(self.labels)}")
         return self.labels.index(label)
 
-    def within(self, low: Array, high: Array) -> Building:
+    def within(self, low: Array, high: Array) -> Self:
         """Crop each floor to a box from ``low (2,)`` to ``high (2,)`` [m]."""
-        return Building(tuple(floor.within(low, high) for floor in self.floors))
+        return replace(self, floors=tuple(floor.within(low, high) for floor in self.floors))
 
     def near(self, position: Array) -> Mask:
         """``(n,)`` True for positions ``(n, 2)`` [m] on or near any floor plan."""

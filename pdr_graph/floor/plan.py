@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from typing import Self
 
 import numpy as np
 import shapely
 
 from pdr_graph.columns import OneLineRepr
-from pdr_graph.errors import InputError, count
-from pdr_graph.floor import formats
-from pdr_graph.floor.cells import OUTLINE, SOLID, WALKABLE, Area, Cells, Regions, without_cracks
+from pdr_graph.errors import count
+from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
-from pdr_graph.floor.formats.units import check_size
 from pdr_graph.floor.network import Network, derived_network, drawn_network
-from pdr_graph.floor.plan_limits import check_floor_count, check_neighbours
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
@@ -26,7 +23,7 @@ FAR_FROM_PLAN = 100.0  # [m] from the plan's bounding box: a walk beyond it is n
 
 @dataclass(frozen=True)
 class FloorPlan(OneLineRepr):
-    """One floor, in its own metric frame.
+    """One floor, in its own metric frame. `plan_files.FloorPlan` reads it from a file.
 
     label: the floor's name, "F1"; areas: the outline and everything in it; frame: relates it to latitude and longitude;
     height: above the plan's zero level [m]; notes: features of the file that were skipped or reinterpreted; repairs:
@@ -43,50 +40,6 @@ class FloorPlan(OneLineRepr):
     def _summary(self) -> list[str]:
         width, height = self.corners[1] - self.corners[0]
         return [repr(self.label), count(len(self.areas), "area"), f"{width:.0f} m by {height:.0f} m"]
-
-    @classmethod
-    def load(cls, path: str | Path, floor: str | None = None, scale: float | None = None) -> FloorPlan:
-        """Read one floor of a plan in any format (``docs/formats.md``).
-
-        floor: label; required if the plan has several floors, ignored if it has one. scale: metres per unit of a
-        drawing or per pixel of a picture.
-
-        Raises InputError for another format, an unknown floor, or a floor without walkable area.
-        """
-        plans = cls.load_all(path, scale)
-        found = ", ".join(plan.label for plan in plans)
-        if len(plans) == 1:
-            return plans[0]
-        if floor is None:
-            raise InputError(path, "", f"{len(plans)} floors, {found[:80]}", "the label of one of them")
-        chosen = next((plan for plan in plans if plan.label == floor), None)
-        if chosen is None:
-            raise InputError(path, "", f"the floors {found[:80]}", f"a floor {floor!r}")
-        return chosen
-
-    @classmethod
-    def load_all(cls, path: str | Path, scale: float | None = None) -> tuple[FloorPlan, ...]:
-        """Read all floors of a plan, lowest first; scale: as for `load`.
-
-        Raises InputError for a floor without walkable area, or whose rooms and corridors have impossible widths.
-        """
-        return cls.of(Path(path), formats.read(Path(path), scale))
-
-    @classmethod
-    def of(cls, path: Path, drawing: formats.Drawing) -> tuple[FloorPlan, ...]:
-        """The floors of a drawing, lowest first, checked as by `load_all`; path: its file, for messages."""
-        check_floor_count(path, len(drawing.floors))
-        plans = tuple(
-            cls(label, areas, drawing.frame, drawing.notes, drawing.repairs, drawing.heights.get(label, 0.0))
-            for label, areas in drawing.floors.items()
-        )
-        for plan in plans:
-            check_neighbours(path, plan.label, [area.shape for area in plan.of_kind(*WALKABLE) if area.is_polygon])
-            if shapely.is_empty(plan.walkable):
-                expected = "an outline or a corridor that is not all solid"
-                raise InputError(path, f"floor {plan.label}" if plan.label else "", "no walkable area", expected)
-            check_size(path, plan.walkable)
-        return plans
 
     def of_kind(self, *kinds: str) -> tuple[Area, ...]:
         """All areas of the given kinds."""
@@ -167,7 +120,7 @@ class FloorPlan(OneLineRepr):
         low, high = self.corners
         return np.all((position > low - FAR_FROM_PLAN) & (position < high + FAR_FROM_PLAN), axis=1)
 
-    def within(self, low: Array, high: Array) -> FloorPlan:
+    def within(self, low: Array, high: Array) -> Self:
         """Crop the plan to the areas that touch a box from ``low (2,)`` to ``high (2,)`` [m].
 
         Cropping to the reach of a walk makes the cost independent of the size of the floor. Returns the whole plan if

@@ -1,7 +1,9 @@
-"""Limits of an untrusted plan where cost grows with the square: floors, areas on one another, crossings."""
+"""Limits of an untrusted plan: file sizes, and what costs the square of it: floors, areas on one another, crossings."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -9,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from pdr_graph.errors import InputError
+from pdr_graph.errors import InputError, check_not_special, install
 
 MOST_FLOORS = 500  # the tallest building has 163
 MOST_NEIGHBOURS = 40  # areas that touch an area, on average; real plans have up to ten
@@ -51,3 +53,23 @@ def _pairs(shapes: NDArray[np.object_], most: int, predicate: Literal["intersect
         if number > limit:
             return True
     return False
+
+
+def check_file_size(path: Path, largest: int, advice: str = "") -> None:
+    """Raise InputError for a file larger than `largest` [bytes], or one without an end, such as a pipe.
+
+    advice: what to do, appended to the message.
+    """
+    check_not_special(path, "a file of a floor plan")
+    size = path.stat().st_size
+    if size > largest:
+        raise InputError(path, "", f"{size} bytes", f"at most {largest} bytes{advice and ': ' + advice}")
+
+
+@contextmanager
+def required_library(path: Path, noun: str, library: str) -> Iterator[None]:
+    """Raise InputError where the block's import fails. noun: what the file is; library: its name on PyPI."""
+    try:
+        yield
+    except ImportError:
+        raise InputError(path, "", f"{noun} and no {library}", install("plans")) from None

@@ -1,4 +1,7 @@
-"""Live steps: samples as they arrive become the steps that `detect_steps` finds in the whole recording."""
+"""Live steps: samples as they arrive become the steps that `detect_steps` finds in the whole recording.
+
+A `StepStream` is a sequence of `SegmentStream`s, one for each uninterrupted part of the samples.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pdr_graph import storage
+from pdr_graph.gait.heading import Direction
+from pdr_graph.gait.heading_stream import HeadingStream
+from pdr_graph.gait.live_steps import DetectorCheckpoint, StepDetector
 from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
-from pdr_graph.gait.step_segment import STEP_STREAM, SegmentCheckpoint, SegmentStream
+from pdr_graph.gait.step_detection import LONGEST_STEP, Landings, decimation
+from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, steps_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, SHORTEST_WALK
-from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION, GravityRestorer, Health, SensorStream
-from pdr_graph.types import Array, Steps
+from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
+from pdr_graph.inertial.attitude_stream import (
+    SENSOR_VALIDATION,
+    AttitudeCheckpoint,
+    AttitudeStream,
+    GravityRestorer,
+    Health,
+    SensorStream,
+)
+from pdr_graph.types import Array, Recording, Steps
 
 
 @dataclass(frozen=True)
@@ -212,3 +227,259 @@ class StepStream:
             steps = replace(steps, unknown=(NO_GRAVITY, *steps.unknown))
         profile = self.walker.profile
         return profile.corrected(steps) if profile is not None and steps is not None else steps
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Constants of the live steps, chosen by hand.
+
+    block: duration of the samples that are processed together [s].
+    context: number of certain landings on which the duration of the next step depends.
+    usual: number of the last steps whose median duration is the usual one; changed: relative change of it that counts.
+    margin: time before the first step that its features use [s].
+    standing: least time of standing that is reported before the next step [s].
+    packets: most packets that wait for processing, as after a reset of a clock.
+    lagging: delay of one sensor behind the other after which the other is processed alone [s].
+    fastest: shortest interval between samples [s]: walking has no higher frequencies.
+    """
+
+    block: float = 0.5
+    context: int = 4
+    usual: int = 40
+    changed: float = 0.08
+    margin: float = 3.0
+    standing: float = 1.0
+    packets: int = 24
+    lagging: float = 0.2
+    fastest: float = 0.005
+
+
+STEP_STREAM = StreamSettings()
+EMPTY_RECORDING = Recording("live", 0.0, None)
+STEP_COLUMNS = ("time", "duration", "length", "turn", "pause_turn", "sigma_length", "sigma_turn")
+
+
+@dataclass(frozen=True)
+class SegmentCheckpoint:
+    """The state of a `SegmentStream`."""
+
+    attitude: AttitudeCheckpoint
+    detector: DetectorCheckpoint
+    direction: HeadingStream
+    end: float
+    count: int
+    landed: Array
+    reported: int
+    durations: Array
+
+
+class SegmentStream:
+    """The steps of an uninterrupted part of the samples.
+
+    origin: time of sample 0 [s]; period: between samples [s]; bias: ``(3,)`` start value of the gyroscope's bias
+    [rad/s]; end: of the certain steps [s]; listener: called with the gait signals of each chunk of certain steps.
+    """
+
+    def __init__(
+        self,
+        origin: float,
+        period: float,
+        walker: Walker,
+        bias: Array,
+        listener: Callable[[GaitSignals], None] | None = None,
+    ):
+        self.walker, self.listener = walker, listener
+        self.attitude = AttitudeStream(period, bias)
+        self.detector = StepDetector(period, origin)
+        self.direction = HeadingStream(origin, period)
+        self.end = origin
+        self.count = 0  # of samples so far
+        self.landed = np.empty((0, 2))  # times and amplitudes of the last certain landings
+        self.reported = 0  # number of these landings whose steps were returned
+        self.durations = np.empty(0)  # of the last steps [s]
+        self._provisional: Steps | None = None
+        stride = decimation(period)
+        self.block = max(1, round(STEP_STREAM.block / period / stride)) * stride
+
+    @property
+    def origin(self) -> float:
+        """Time of sample 0. [s]"""
+        return self.direction.origin
+
+    @property
+    def period(self) -> float:
+        """Interval between samples. [s]"""
+        return self.direction.period
+
+    def checkpoint(self) -> SegmentCheckpoint:
+        """The complete state."""
+        return SegmentCheckpoint(
+            attitude=storage.checkpoint(self.attitude, AttitudeCheckpoint),
+            detector=self.detector.checkpoint(),
+            direction=deepcopy(self.direction),
+            end=self.end,
+            count=self.count,
+            landed=self.landed.copy(),
+            reported=self.reported,
+            durations=self.durations.copy(),
+        )
+
+    def restore(self, checkpoint: SegmentCheckpoint) -> None:
+        """Continue from a checkpoint of a stream with the same walker."""
+        storage.restore(self.attitude, checkpoint.attitude)
+        self.detector, self.direction = StepDetector.restored(checkpoint.detector), deepcopy(checkpoint.direction)
+        self.end, self.count, self.reported = checkpoint.end, checkpoint.count, checkpoint.reported
+        self.landed, self.durations = checkpoint.landed.copy(), checkpoint.durations.copy()
+
+    def next_times(self, count: int) -> Array:
+        """Times ``(count,)`` of the next samples. [s]"""
+        return self.origin + self.period * np.arange(self.count, self.count + count, dtype=float)
+
+    def next_time(self, number: int) -> float:
+        """Time of the sample that is so many after the last. [s]"""
+        return self.origin + self.period * (self.count + number - 1)
+
+    def available(self, until: float) -> int:
+        """Number of further samples up to a time [s]."""
+        return int((until - self.origin) / self.period + 1e-6) + 1 - self.count
+
+    def advance(
+        self, count: int, accelerometer: SensorStream, gyroscope: SensorStream, last: bool = False
+    ) -> list[Steps]:
+        """Process the next ``count`` samples; returns the steps that became certain, none or one chunk.
+
+        last: True if no more samples follow.
+        """
+        if count:
+            time = self.next_times(count)
+            acceleration, measured = accelerometer.at(time), gyroscope.covers(time)
+            rate = gyroscope.at(time) if measured.any() else np.zeros((count, 3))
+            quaternion, rate = self.attitude.update(acceleration, rate, measured)
+            self._add_landings(*self.detector.update(acceleration))
+            self.direction.update(quaternion, acceleration, rate, measured)
+            self.count += count
+        if last:
+            self._add_landings(*self.detector.finish())
+            self.direction.finish()
+        return self._certain_steps(last)
+
+    def provisional(self) -> Steps | None:
+        """The steps after the certain ones, up to the last sample; None if there are no samples after them."""
+        if self._provisional is None and self.now > self.end:
+            self._provisional = self._steps()
+        return self._provisional
+
+    @property
+    def now(self) -> float:
+        """Time of the last sample. [s]"""
+        return self.origin + self.period * (self.count - 1)
+
+    @property
+    def _begun(self) -> float:
+        """Time until which the walk is certain from its first samples on: no step lands earlier. [s]"""
+        return self.origin + self.period
+
+    def _certain_steps(self, last: bool) -> list[Steps]:
+        self._provisional = None
+        until = self.now if last else self.direction.final_until
+        count = int(np.searchsorted(self.landed[self.reported :, 0], until, side="right"))
+        end = self.now if last else self._certain_until(until, count)
+        begins = self.end == self.origin and self.now > self.origin
+        if begins and not last and end <= self.origin:  # the walk begins at once: all else is provisional
+            end = self._begun
+        if self.now <= self.end or not (begins or count or last or end > self.end + STEP_STREAM.standing):
+            return []
+        first, self._provisional = self._split(self._steps(), count, end)
+        if self.listener is not None:
+            self.listener(self._signals_of(first))
+        self._commit(count, end, first)
+        return [first]
+
+    def _add_landings(self, time: Array, amplitude: Array) -> None:
+        landings = np.stack([time, amplitude], axis=1)[time > self._begun]
+        self.landed = np.concatenate([self.landed, landings])
+
+    def _certain_until(self, until: float, count: int) -> float:
+        """End of the certain time: the last landing, or, while standing, before any step that may still appear. [s]"""
+        landed = self.landed[self.reported :, 0].tolist()
+        earliest = min([until, self.detector.earliest, *landed[count:]]) - LONGEST_STEP
+        return max(landed[count - 1] if count else self.end, earliest)
+
+    def _steps(self) -> Steps:
+        """All steps after the certain ones."""
+        landings = self._landings()
+        first = max(0, int((self.end - STEP_STREAM.margin - self.origin) / self.period) - self.direction.first)
+        gait = self._signals(slice(first, None), landings)
+        steps = steps_of(gait, self.walker, self.end)
+        unmeasured = self.direction.unmeasured[first:]
+        if unmeasured[-1] == unmeasured[0]:
+            return steps
+        at_steps = np.interp(np.append(self.end, steps.time), gait.attitude.time, unmeasured)
+        without_gyroscope = np.diff(at_steps) > 0
+        if not without_gyroscope.any():
+            return steps
+        sigma_turn = np.where(without_gyroscope, SIGMA_UNMEASURED_TURN, steps.sigma_turn)
+        return replace(steps, sigma_turn=sigma_turn, unknown=(NO_GYROSCOPE,))
+
+    def _signals(self, part: slice, landings: Landings) -> GaitSignals:
+        """Gait signals of a part of the stored samples."""
+        direction = Direction(self.direction.course[part], self.direction.variance[part])
+        return GaitSignals(EMPTY_RECORDING, self.direction.attitude(part), landings, direction)
+
+    def _split(self, steps: Steps, count: int, end: float) -> tuple[Steps, Steps | None]:
+        """The first ``count`` steps, up to a time ``end`` [s] before the next one, and the others."""
+        turned = self._heading_at(end) - self._heading_at(float(steps.time[count - 1]) if count else self.end)
+        first = replace(steps, end=end, final_turn=turned, **{n: getattr(steps, n)[:count] for n in STEP_COLUMNS})
+        if steps.end <= end:
+            return first, None
+        rest = {n: getattr(steps, n)[count:].copy() for n in STEP_COLUMNS}
+        if len(steps) > count:
+            rest["turn"][0] -= turned
+            rest["pause_turn"][0] -= turned
+        final = steps.final_turn if len(steps) > count else steps.final_turn - turned
+        return first, replace(steps, start=end, final_turn=final, **rest)
+
+    def _signals_of(self, steps: Steps) -> GaitSignals:
+        """Gait signals of newly certain steps, for the listener."""
+        course = self.direction
+        first, after = (
+            int((t - self.origin) / self.period + 1e-6) + 1 - course.first for t in (steps.start, steps.end)
+        )
+        amplitude = self.landed[self.reported : self.reported + len(steps), 1]
+        gait = self._signals(slice(first, after), Landings(steps.time, steps.duration, amplitude))
+        return self._with_gyroscope(gait, first, after)
+
+    def provisional_signals(self) -> GaitSignals:
+        """Gait signals of the samples after the certain steps."""
+        first = int((self.end - self.origin) / self.period + 1e-6) + 1 - self.direction.first
+        return self._with_gyroscope(self._signals(slice(first, None), self._landings()), first, None)
+
+    def _with_gyroscope(self, gait: GaitSignals, first: int, after: int | None) -> GaitSignals:
+        """The signals of the samples [first, after); ``unknown`` names the gyroscope if it did not run throughout."""
+        if np.any(np.diff(self.direction.unmeasured[max(0, first - 1) : after]) > 0):
+            return replace(gait, attitude=replace(gait.attitude, unknown=(NO_GYROSCOPE,)))
+        return gait
+
+    def _landings(self) -> Landings:
+        """All landings after the certain ones."""
+        provisional = np.stack(self.detector.provisional(), axis=1)
+        provisional = provisional[provisional[:, 0] > self._begun]
+        time, amplitude = np.concatenate([self.landed, provisional]).T
+        landings, rows = Landings.at(time, amplitude, self.origin), slice(self.reported, None)
+        return Landings(landings.time[rows], landings.period[rows], landings.amplitude[rows])
+
+    def _heading_at(self, time: float) -> float:
+        return float(np.interp(time, self.direction.time, self.direction.course))
+
+    def _commit(self, count: int, end: float, steps: Steps) -> None:
+        """Drop what the steps after ``end`` [s] do not depend on, and update the usual duration of a step."""
+        self.end = end
+        drop = max(0, self.reported + count - STEP_STREAM.context)
+        self.reported += count - drop
+        self.landed = self.landed[drop:]
+        if count:
+            self.durations = np.append(self.durations, steps.duration)[-STEP_STREAM.usual :]
+            usual = float(np.median(self.durations))
+            if abs(usual / self.direction.step - 1) > STEP_STREAM.changed:
+                self.direction.step = usual
+        self.direction.forget(end)

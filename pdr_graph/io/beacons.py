@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +11,13 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.io.tables import check_geodetic, read_table
-from pdr_graph.types import LONLAT, Beacons, Recording
+from pdr_graph.types import LONLAT, Beacons, Recording, minor_number
 
 if TYPE_CHECKING:
     from pdr_graph.floor.cells import Area
 
 BEACON_LIST = "BLE_Locations.csv"  # the list that the organisers of IPIN competitions put in the folder of a log
 SURVEY_SIGMA = 1.0  # [m] per axis, of a position without a stated sigma; chosen by hand
-MINIMUM_SIGMA = 1e-3  # [m] per axis; chosen by hand
 
 
 def beside(recording: Path) -> Path | None:
@@ -53,7 +51,8 @@ def read_beacons(path: str | Path, recording: Recording | None = None, unstated:
             raise InputError(path, f"data row {n + 1}", found, "one row for each beacon, with its name")
         before.add(name)
     epsg = LONLAT if geodetic else None
-    return Beacons(_names(label, recording), position, np.maximum(sigma, MINIMUM_SIGMA), words["floor"], label, epsg)
+    # minimum sigma [m] per axis; chosen by hand
+    return Beacons(_names(label, recording), position, np.maximum(sigma, 1e-3), words["floor"], label, epsg)
 
 
 def drawn_beacons(drawn: Sequence[tuple[Area, str]], recording: Recording, unstated: float = SURVEY_SIGMA) -> Beacons:
@@ -72,10 +71,4 @@ def _names(label: Sequence[str], recording: Recording | None) -> tuple[str, ...]
     if received is not None:
         by_address = {name.lower(): name for name in received.transmitter}
         by_number = dict(zip(received.minor, received.transmitter, strict=False))
-    return tuple(by_address.get(name.lower()) or by_number.get(number_of(name), name) for name in label)
-
-
-def number_of(label: str) -> str:
-    """The number at the end of a name, without leading zeros; empty without one."""
-    number = re.search(r"\d+$", label)
-    return str(int(number.group())) if number else ""
+    return tuple(by_address.get(name.lower()) or by_number.get(minor_number(name), name) for name in label)

@@ -18,7 +18,6 @@ from pdr_graph.types import Array
 
 DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-")  # texts that recorders write for a missing value
-MAXIMUM_NUMBER = 1e20  # a larger number is treated as missing; Unix times in nanoseconds are about 1e18
 FOR_ARROW = 20_000  # rows from which the import of pyarrow, 0.1 s, is repaid
 MAXIMUM_LINE = 10_000  # characters; rows of recorders have some hundred
 
@@ -91,7 +90,8 @@ class TextRows(OneLineRepr):
         table = self._floats_by_numpy(columns) if table is None else table
         table = self._floats_by_cell(columns, cut_off_allowed) if table is None else table
         with np.errstate(invalid="ignore"):
-            numbers = np.abs(table) < MAXIMUM_NUMBER
+            # maximum number: a larger number is treated as missing; Unix times in nanoseconds are about 1e18
+            numbers = np.abs(table) < 1e20
         if not numbers.all():
             table[~numbers] = np.nan
         return table

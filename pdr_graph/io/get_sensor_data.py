@@ -119,9 +119,6 @@ def _sensor(tag: str, rows: TextRows, notes: list[str]) -> Array:
     return np.column_stack([sensor + offset, table[:, 2:]])
 
 
-UNIX_FROM = 1e9  # [s]; a larger receiver time is a Unix time after 2001, not a time since boot
-
-
 def _gnss(rows: TextRows | None, notes: list[str]) -> tuple[Fixes | None, float | None]:
     """Fixes on the app's clock, and the Unix time of its zero [s]. The app writes each epoch twice; one is used."""
     if rows is None:
@@ -132,7 +129,8 @@ def _gnss(rows: TextRows | None, notes: list[str]) -> tuple[Fixes | None, float 
     first = np.sort(first)
     if len(first) < len(app):
         notes.append(f"GNSS: {len(app) - len(first)} duplicate epochs were left out")
-    unix = (sensor > UNIX_FROM) & np.isfinite(app)
+    # unix from [s]: a larger receiver time is a Unix time after 2001, not a time since boot
+    unix = (sensor > 1e9) & np.isfinite(app)
     return fixes_of(table[first], notes), float(np.median((sensor - app)[unix])) if unix.any() else None
 
 

@@ -102,9 +102,6 @@ def _table(kind: str, rows: TextRows) -> Array:
     return table
 
 
-MAXIMUM_AGE = 300.0  # [s] of a reception when its row was written; an older time is from another clock
-
-
 def _sightings(rows: TextRows, transmitter: int, rssi: int, last_seen: int | None = None) -> Sightings | None:
     """Receptions with time, transmitter and level; rows without them are left out.
 
@@ -117,7 +114,8 @@ def _sightings(rows: TextRows, transmitter: int, rssi: int, last_seen: int | Non
         try:
             written, level = float(fields[0]) / 1000, float(fields[rssi])
             received = written if last_seen is None else float(fields[last_seen]) / 1000
-            time = received if 0 <= written - received <= MAXIMUM_AGE else written
+            # maximum age [s] of a reception when its row was written; an older time is from another clock
+            time = received if 0 <= written - received <= 300.0 else written
             sightings.add((time, fields[transmitter], level))
         except (ValueError, IndexError):
             continue

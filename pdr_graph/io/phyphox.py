@@ -87,9 +87,6 @@ class ExperimentClock:
         return time + self.offset[np.maximum(part, 0)]
 
 
-UNIX_MILLISECONDS_FROM = 1e11  # a larger system time is in milliseconds
-
-
 def _clock(source: Source) -> ExperimentClock:
     """The clock of ``meta/time.csv``; without that file, the experiment time itself."""
     name = source.named("time.csv")
@@ -102,7 +99,7 @@ def _clock(source: Source) -> ExperimentClock:
     starts = starts[np.isfinite(starts).all(axis=1)]
     if not len(starts):
         raise InputError(source.where(name), "", "no START event", "a row event,experiment time,system time with START")
-    unit = 1000.0 if starts[0, 1] > UNIX_MILLISECONDS_FROM else 1.0
+    unit = 1000.0 if starts[0, 1] > 1e11 else 1.0  # unix milliseconds from: a larger system time is in milliseconds
     return ExperimentClock(starts[:, 0], starts[:, 1] / unit - starts[:, 0], unix=True)
 
 

@@ -1,7 +1,8 @@
-"""Readers of tables of fixes, truth and trajectories; errors name the line."""
+"""Readers of tables of fixes, truth and trajectories, and of trajectories in TUM's format; errors name the line."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,8 @@ import numpy as np
 
 from pdr_graph.errors import InputError, expect
 from pdr_graph.frames import Frame
-from pdr_graph.io import delimited, geolife, gpx, ipin21, tum
-from pdr_graph.io.delimited import MISSING, Table
+from pdr_graph.io import delimited, geolife, gpx, ipin21
+from pdr_graph.io.delimited import MISSING, Table, TextRows
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint, header_hint, number_hint
 from pdr_graph.io.validation import iso_time
 from pdr_graph.source import Source
@@ -89,8 +90,8 @@ def read_trajectory(path: str | Path, recording: Recording | None = None) -> Tra
     """
     expect("read_trajectory, recording", recording, Recording, None, instead="load(path)")
     source = _one_file(Path(path))
-    if tum.is_tum(text := source.text(source.single or "")):
-        poses = tum.read_tum(str(path), text)
+    if is_tum(text := source.text(source.single or "")):
+        poses = read_tum(str(path), text)
         return poses if recording is None else replace(poses, time=poses.time - recording.clock_origin)
     optional = ("heading", "sigma_x", "sigma_y", "cov_xy", "sigma_heading")
     numbers, words = read_table(Path(path), [("time", "x", "y")], optional, ("floor",), recording)
@@ -233,3 +234,41 @@ def _check_clock(path: str | Path, fixes: Fixes, recording: Recording) -> None:
         raise InputError(
             path, "time", f"{first:.3f} to {last:.3f}{hint}", f"times within the recording, {start:.3f} to {end:.3f}"
         )
+
+
+COLUMNS = 8
+NUMBER = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
+ROW = re.compile(rf"(?:[ \t\r]*(?:#[^\n]*)?\n)*[ \t]*{NUMBER}(?:[ \t]+{NUMBER}){{{COLUMNS - 1}}}[ \t\r]*(?:\n|\Z)")
+
+
+def is_tum(text: str) -> bool:
+    """True if the first line that is no comment has eight numbers between spaces."""
+    return ROW.match(text) is not None
+
+
+def read_tum(where: str, text: str) -> Trajectory:
+    """The poses of a text; heading is the rotation about z [rad], NaN if no row has a rotation.
+
+    where: name of the file in messages. Raises InputError naming the line.
+    """
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    numbers = [n for n, line in enumerate(lines, 1) if line and not line.startswith("#")]
+    table = TextRows(where, [lines[n - 1] for n in numbers], numbers, " ").floats(range(COLUMNS), False)
+    wrong = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if len(wrong):
+        raise InputError(where, f"line {numbers[wrong[0]]}", "a value that is no number", "time x y z qx qy qz qw")
+    back = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if len(back):
+        row = int(back[0]) + 1
+        found = f"{table[row, 0]:.6f} after {table[row - 1, 0]:.6f}"
+        raise InputError(where, f"line {numbers[row]}, time", found, "times that increase from row to row")
+    return Trajectory(table[:, 0], table[:, 1:3], _yaw(table[:, 4:]), ("",) * len(table))
+
+
+def _yaw(quaternion: Array) -> Array:
+    """Rotations about z ``(n,)`` [rad] of quaternions x, y, z, w ``(n, 4)``; NaN if none of them rotates."""
+    x, y, z, w = quaternion.T
+    # no rotation: largest part of a quaternion that turns about no axis
+    if np.abs(quaternion[:, :3]).max(initial=0.0) < 1e-9:
+        return np.full(len(quaternion), np.nan)
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))

@@ -107,11 +107,7 @@ def _path_length(kind: int, gone: Array) -> float:
 
 # Chosen by hand
 RIDE_SPEED = 10.0  # [m/s] standard deviation per axis of the velocity of a ride: traffic in a town
-SHORTEST_RIDE = 150.0  # [m]
 LONGEST_BOARDING = 30.0  # [s] without steps at either end of a ride, while it is slow
-MIN_STEPS_BETWEEN_RIDES = 30  # of a walk that separates two rides
-LONGEST_STOP = 600.0  # [s] between two parts of one ride: a jam, a bus stop, a platform
-FARTHEST_AT_STOP = 30.0  # [m] walked during such a stop
 
 
 def detect_rides(steps: Steps, fixes: Fixes) -> Array:
@@ -126,9 +122,8 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     fast = [s for s in segments if s.kind in (VEHICLE, GAP)]
     spans = np.reshape([(s.start, s.end) for s in fast], (-1, 2))
     far = np.array([_gap_distance(way, s) if s.kind == GAP else s.distance for s in fast])
-    spans = spans[
-        far > np.maximum(_reach_of_steps(steps, spans) + WITHIN * _largest_sigma(fixes, spans), SHORTEST_RIDE)
-    ]
+    # shortest ride [m]
+    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + WITHIN * _largest_sigma(fixes, spans), 150.0)]
     return _extended_to_steps(steps, _without_walks(_merge_rides(steps, spans), _confirmed_walks(steps, way)))
 
 
@@ -192,8 +187,9 @@ def _merge_rides(steps: Steps, spans: Array) -> Array:
     if len(spans) < 2:
         return spans
     leave, board = spans[:-1, 1], spans[1:, 0]
-    apart = (board - leave > LONGEST_STOP) | (
-        distance_walked(steps, board) - distance_walked(steps, leave) > FARTHEST_AT_STOP
+    # farthest at stop [m]: walked during such a stop
+    apart = (board - leave > 600.0) | (  # longest stop [s] between two parts of one ride: a jam, a bus stop, a platform
+        distance_walked(steps, board) - distance_walked(steps, leave) > 30.0
     )
     return np.column_stack([spans[np.append(True, apart), 0], spans[np.append(apart, True), 1]])
 
@@ -206,7 +202,8 @@ def _confirmed_walks(steps: Steps, way: Trajectory) -> Array:
     bouts = np.column_stack([begins[first], ends[after - 1]])
     gone = np.diff(np.interp(bouts, way.time, length_along(way.position)), axis=1)[:, 0]
     led = np.diff(distance_walked(steps, bouts), axis=1)[:, 0]
-    return bouts[(gone < STRETCHED * led) & (led < STRETCHED * gone) & (after - first >= MIN_STEPS_BETWEEN_RIDES)]
+    # least steps between rides of a walk that separates two rides
+    return bouts[(gone < STRETCHED * led) & (led < STRETCHED * gone) & (after - first >= 30)]
 
 
 def _without_walks(spans: Array, walks: Array) -> Array:

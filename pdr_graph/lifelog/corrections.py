@@ -29,7 +29,6 @@ CONTRADICTION = 3.0  # sigmas between a stated place and the recorded positions,
 # [s] at either end of a stated stay in which a walk with steps may go to the place and back, and [m/s] how fast: slower
 # than `DRIVEN` of `factors.fixes`; chosen by hand
 FREE_TIME, FREE_SPEED = 60.0, 20.0
-RECORDED_SIGMA = 20.0  # [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
 
 
 def apply_to_observations(
@@ -120,7 +119,8 @@ def _contradiction(recorded: Fixes, away: float, radius: float) -> list[str]:
     """A note if the positions recorded during a stated stay are far `away` [m] from the stated place."""
     if not len(recorded):
         return []
-    sigma = np.hypot(radius, max(RECORDED_SIGMA, float(np.median(recorded.sigma))))
+    # recorded sigma [m] per axis of recorded positions during a stay, which is mostly indoors; chosen by hand
+    sigma = np.hypot(radius, max(20.0, float(np.median(recorded.sigma))))
     if away <= CONTRADICTION * sigma:
         return []
     number = len(recorded)

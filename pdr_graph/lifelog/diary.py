@@ -30,7 +30,6 @@ from pdr_graph.lifelog.visits import SHORTEST_VISIT, Track, Visit, on_sphere, vi
 from pdr_graph.storage import compress, decompress
 
 DAY = 86_400.0  # [s]
-MIN_NAME_PROBABILITY = 0.5  # of a place on a plan that names a visit; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -186,7 +185,8 @@ def _is_visit(row: TimelineEntry) -> bool:
 
 def _plan_name(row: TimelineEntry) -> str:
     """The most probable place on a plan; "" if it is not probable enough."""
-    return row.facing[0][0] if row.facing and row.facing[0][1] >= MIN_NAME_PROBABILITY else ""
+    # least name probability of a place on a plan that names a visit; chosen by hand
+    return row.facing[0][0] if row.facing and row.facing[0][1] >= 0.5 else ""
 
 
 def _visit(row: TimelineEntry) -> Visit:

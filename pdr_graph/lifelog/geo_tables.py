@@ -34,7 +34,6 @@ MODES = {WALKING: "walk", PASSING: "walk", VEHICLE: "vehicle"}
 WGS84 = "EPSG:4326"
 EXTENT_SIGMAS = 2.0  # sigmas around the visits that belong to the extent of a location
 LEAST_EXTENT = 10.0  # [m]
-METRES_PER_DEGREE = 111_195.0  # of latitude; approximate, for extents
 NO_ID = -1
 
 
@@ -231,7 +230,8 @@ def _extent(own: PersonRows, place: Place) -> shapely.Geometry:
     """The convex hull of the visits to a place, widened by EXTENT_SIGMAS."""
     visits = [stay for stay in own.stays if stay.place_number == place.number]
     middle = np.array([place.longitude, place.latitude])
-    metres = METRES_PER_DEGREE * np.array([np.cos(np.radians(place.latitude)), 1.0])
+    # metres per degree of latitude; approximate, for extents
+    metres = 111_195.0 * np.array([np.cos(np.radians(place.latitude)), 1.0])
     discs = [
         shapely.Point((np.array([stay.longitude, stay.latitude]) - middle) * metres).buffer(
             max(EXTENT_SIGMAS * stay.sigma, LEAST_EXTENT), quad_segs=4

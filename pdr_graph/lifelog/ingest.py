@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pdr_graph import io
 from pdr_graph.errors import InputError
-from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats import root_of
+from pdr_graph.floor.plan_files import Building, root_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.io.beacons import beside
+from pdr_graph.io.loading import READERS, load
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.cache import content_hash
 from pdr_graph.lifelog.observation import check_usable, read_inputs
@@ -157,14 +156,14 @@ def _is_recording(path: Path) -> bool:
     """True if a reader recognises the format."""
     try:
         source = Source(path)
-        return any(reader.recognizes(source) for reader in io.READERS)
+        return any(reader.recognizes(source) for reader in READERS)
     except InputError:
         return path.is_file()  # a damaged zip is refused by name later; a folder of several recordings is no recording
 
 
 def _check(path: Path, options: RecordingOptions) -> None:
     """Raise InputError where a recording could not be observed."""
-    walk = io.load(path)
+    walk = load(path)
     if walk.epoch is None and options.begins is None:
         raise InputError(path, "", "no date", f"a start time: give --begins with {TIME_FORM}")
     placed = any(name != "walker" for name in options.files)

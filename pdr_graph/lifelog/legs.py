@@ -15,9 +15,7 @@ from pdr_graph.lifelog.visits import Track, Visit, lonlat_of
 
 # Chosen by hand
 SHORTEST_GAP = 600.0  # [s] a shorter silence on the way belongs to the walk or ride
-SHORTEST_LEG = 120.0  # [s] a shorter walk or ride beside a longer one belongs to it
 FASTEST_WALK = 2.5  # [m/s]
-SHORTEST_JUMP = 300.0  # [m] over a short silence, from which a fast one is a ride
 MOVING = (WALKING, VEHICLE)
 
 
@@ -116,10 +114,12 @@ def _kind_at_speed(gaps: Sequence[TimelineEntry], track: Track) -> str:
 def _leg_kind(piece: TimelineEntry, longest: float, track: Track) -> str:
     """Kind of the leg that a piece makes by itself; "" if it belongs to the leg beside it."""
     lasted = piece.end - piece.start
-    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALK * lasted, SHORTEST_JUMP):
+    # shortest jump [m] over a short silence, from which a fast one is a ride
+    if piece.kind == GAP and track.length(piece.start, piece.end) > max(FASTEST_WALK * lasted, 300.0):
         return VEHICLE if lasted < SHORTEST_GAP else GAP
     if piece.kind in MOVING:
-        return piece.kind if lasted >= min(SHORTEST_LEG, longest) else ""
+        # shortest leg [s]: a shorter walk or ride beside a longer one belongs to it
+        return piece.kind if lasted >= min(120.0, longest) else ""
     return GAP if piece.kind == GAP and lasted >= SHORTEST_GAP else ""
 
 

@@ -23,12 +23,8 @@ from pdr_graph.types import Array
 from pdr_graph.web_request import FAULTS, answer_to, body_of, same_host
 
 MERCATOR_RADIUS = 6_378_137.0  # [m] of Web Mercator's sphere
-TILE_PIXELS = 256
-HIGHEST_ZOOM = 19
 # Chosen by hand
 MAX_TILES = 64  # of a map
-MAX_BYTES = 2_000_000  # of a tile
-MAX_SIDE = 1024  # [pixels] of a tile
 TIMEOUT, LONGEST = 10.0, 60.0  # [s] of a request; of all tiles of a map
 MAX_FAILURES = 3  # requests that may fail before no other is made
 PNG_HEAD = struct.Struct(">8s8xII")  # signature, width and height
@@ -121,8 +117,8 @@ def _filled_in(template: str, zoom: int, x: int, y: int) -> str:
 
 def _zoom(west: float, north: float, east: float, south: float, pixels: float) -> int:
     """The zoom at which a tile is drawn about as large as it is, with at most MAX_TILES tiles."""
-    wanted = np.log2(max(pixels, 1) / TILE_PIXELS / max(east - west, 1e-9))
-    zoom = int(np.clip(np.round(wanted), 0, HIGHEST_ZOOM))
+    wanted = np.log2(max(pixels, 1) / 256 / max(east - west, 1e-9))  # tile pixels
+    zoom = int(np.clip(np.round(wanted), 0, 19))  # highest zoom
     while zoom > 0 and ((east - west) * 2**zoom + 1) * ((south - north) * 2**zoom + 1) > MAX_TILES:
         zoom -= 1
     return zoom
@@ -134,11 +130,11 @@ def _fetched(address: str) -> Array:
     with answer_to(request, TIMEOUT, TIMEOUT, same_host(address)) as answer:
         if answer.status != 200:
             raise OSError(f"status {answer.status}")
-        content = body_of(answer, MAX_BYTES)
+        content = body_of(answer, 2_000_000)  # most bytes of a tile
     if len(content) < PNG_HEAD.size:
         raise ValueError("no picture")
     _, width, height = PNG_HEAD.unpack_from(content)  # before it is unpacked: a thousandth may be a gigabyte
-    if max(width, height) > MAX_SIDE:
+    if max(width, height) > 1024:  # most side [pixels] of a tile
         raise ValueError(f"no PNG, or one of {width} × {height} pixels")
     picture = imread(io.BytesIO(content))
     return picture if picture.ndim == 3 else np.repeat(picture[:, :, None], 3, axis=2)

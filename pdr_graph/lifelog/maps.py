@@ -27,10 +27,7 @@ from pdr_graph.types import Array, Trajectory
 # Chosen by hand
 MARGIN_SHARE = 0.12  # of the size of the content, on each side of a map
 MIN_SIZE_INDOORS, MIN_SIZE_OUTDOORS = 40.0, 150.0  # [m] of a map
-PLACE_DISTANCE = 300.0  # [m] between places with maps of their own
 ENLARGED_SHARE = 0.3  # of the whole map's width, below which a place is drawn again on a larger map
-MIN_PLACE_TIME = 300.0  # [s] in a place that is drawn again
-MAX_PLACES = 4  # that are drawn again: those with the longest time in them
 PANEL_LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
@@ -134,15 +131,17 @@ def _enlarged_places(whole: Panel) -> list[Panel]:
         return []
     low, high = (np.array([end(d.track.position, axis=0) for d in own]) for end in (np.min, np.max))
     gaps = np.maximum(low[:, None] - high[None], low[None] - high[:, None]).max(axis=2)  # < 0 for boxes that overlap
-    _, group = connected_components(coo_array(gaps < PLACE_DISTANCE))
+    _, group = connected_components(coo_array(gaps < 300.0))  # place distance [m] between places with maps of their own
     found = [[d for d, g in zip(own, group, strict=True) if g == n] for n in range(int(group.max()) + 1)]
     found = [g for g in found if not any(d.floor for d in g)]  # places on a plan are drawn on the plan
     positions = [np.concatenate([d.track.position for d in g]) for g in found]
     close = [replace(whole, corners=_corners_around(own, MIN_SIZE_OUTDOORS)) for own in positions]
     times = [sum(float(np.ptp(d.track.time)) for d in g) for g in found]
     order = sorted(range(len(found)), key=lambda n: -times[n])
-    small = [n for n in order if close[n].width < ENLARGED_SHARE * whole.width and times[n] > MIN_PLACE_TIME]
-    return [close[n] for n in sorted(small[:MAX_PLACES])]
+    # least place time [s] in a place that is drawn again
+    small = [n for n in order if close[n].width < ENLARGED_SHARE * whole.width and times[n] > 300.0]
+    # most places that are drawn again: those with the longest time in them
+    return [close[n] for n in sorted(small[:4])]
 
 
 def _drawn_parts(outing: Outing, frame: Frame) -> Iterator[DrawnPart]:
@@ -201,7 +200,6 @@ CJK_FONTS = (  # with Chinese, Japanese and Korean letters; those that are insta
     "WenQuanYi Zen Hei",
     "Malgun Gothic",
 )
-FIRST_WIDE_LETTER = 0x2E80  # code point from which letters are twice as wide: Chinese, Japanese, Korean
 MAX_NAME_LENGTH = 26  # letters of a label
 
 
@@ -218,4 +216,5 @@ def short_name(name: str) -> str:
 
 def label_width(text: str) -> float:
     """Approximate width of a label [pt]."""
-    return LETTER_WIDTH * sum(1 + (ord(letter) > FIRST_WIDE_LETTER) for letter in text)
+    # first wide letter: code point from which letters are twice as wide: Chinese, Japanese, Korean
+    return LETTER_WIDTH * sum(1 + (ord(letter) > 0x2E80) for letter in text)

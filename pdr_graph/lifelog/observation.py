@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 # Chosen by hand
 END_DURATION = 1.5  # [s] at either end of a recording over which the magnetic field is averaged
-SHORTEST_PAUSE = 1.0  # [s] of standing in which the walker may turn; shorter pauses are part of the gait
 MIN_POSITIONS = 2  # positions required for an outing without steps
 BAROMETER_RATE = 5.0  # [Hz] to which a barometer is downsampled: climbs take seconds
 
@@ -216,7 +215,8 @@ def _turns_in_pauses(gaits: list[GaitSignals], steps: Steps) -> Array:
     looks = np.zeros(len(landed))
     for gait in gaits:
         time, heading = gait.attitude.time, gait.direction.heading
-        here = (set_off - landed > SHORTEST_PAUSE) & (landed >= time[0] - INSTANT) & (set_off <= time[-1] + INSTANT)
+        # shortest pause [s] of standing in which the walker may turn; shorter pauses are part of the gait
+        here = (set_off - landed > 1.0) & (landed >= time[0] - INSTANT) & (set_off <= time[-1] + INSTANT)
         for n in np.flatnonzero(here).tolist():
             first, after = np.searchsorted(time, [landed[n], set_off[n]])
             looks[n] = np.median(heading[first:after]) - heading[first]
@@ -293,7 +293,7 @@ class ObservationResult:
 
 def plan_hash(plan: Path) -> str:
     """Name and hash of the files of a floor plan."""
-    from pdr_graph.floor.formats import plan_fingerprint  # here, since few days have a plan and it is slow to load
+    from pdr_graph.floor.plan_files import plan_fingerprint  # here, since few days have a plan and it is slow to load
 
     return plan_fingerprint(plan)
 

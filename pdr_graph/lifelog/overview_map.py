@@ -32,14 +32,9 @@ from pdr_graph.types import Array
 NEIGHBOURS = 50_000.0  # [m] between points that share a map
 CELL = 5_000.0  # [m] to which points are rounded before they are grouped
 MOST_MAPS = 3
-MARGIN_SHARE = 0.1  # of the size of the content, on each side of a map
-MIN_SIZE = 400.0  # [m] of a map
 PLACE_SURROUNDINGS = 1_000.0  # [m] shown around the place of an overview of one place
-TRACK_TAILS = 0.02  # share of track points on each side that may lie outside the map of more than a day
 LARGEST_CIRCLE, SMALLEST_CIRCLE = 1500.0, 14.0  # [pt²] of the place with the most time, and of any
-LEAST_TIME = 7200.0  # [s] of the largest circle
 DAY_LINE, PERIOD_LINE = (1.8, 0.95), (0.8, 0.5)  # width [pt] and opacity of tracks
-MANY_POINTS = 30_000  # of tracks, above which a vector graphic has them as pixels
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,8 @@ def regions(shown: Overview) -> list[Region]:
         found = [([circle], lines) for circle in circles[:1]]
         return [_region(c, ls, PLACE_SURROUNDINGS, False) for c, ls in found]
     groups = _groups(circles, lines)
-    return [_region(c, ls, MIN_SIZE / 2, shown.period.kind == DAY) for c, ls in groups[:MOST_MAPS]]
+    # least size [m] of a map
+    return [_region(c, ls, 400.0 / 2, shown.period.kind == DAY) for c, ls in groups[:MOST_MAPS]]
 
 
 def _circles(shown: Overview) -> list[Circle]:
@@ -120,11 +116,13 @@ def _region(circles: Sequence[Circle], lines: Sequence[Line], half: float, every
     frame = MercatorFrame(lat, lon)
     tracks = [(line.kind, frame.from_lonlat(line.lonlat)) for line in lines]
     places = frame.from_lonlat(np.array([circle.lonlat for circle in circles]).reshape(-1, 2))
-    tails = 0.0 if everything else TRACK_TAILS
+    # track tails: share of track points on each side that may lie outside the map of more than a day
+    tails = 0.0 if everything else 0.02
     ends = [np.quantile(np.concatenate([t for _, t in tracks]), [tails, 1 - tails], axis=0)] if tracks else []
     content = places[:1] if half == PLACE_SURROUNDINGS else np.concatenate([places, *ends])
     low, high = content.min(axis=0), content.max(axis=0)
-    side = np.maximum((high - low) * (0.5 + MARGIN_SHARE), half)
+    # margin share of the size of the content, on each side of a map
+    side = np.maximum((high - low) * (0.5 + 0.1), half)
     middle = (low + high) / 2
     return Region(frame, tuple(circles), tuple(tracks), np.stack([middle - side, middle + side]))
 
@@ -140,7 +138,8 @@ def draw_region(axes: Axes, region: Region, aspect: float, title: str, template:
     for kind in dict.fromkeys(kind for kind, _ in region.lines):
         own = [line for k, line in region.lines if k == kind]
         drawn = LineCollection(own, colors=COLOURS[kind], linewidths=width, alpha=opacity, zorder=4, capstyle="round")
-        drawn.set_rasterized(sum(map(len, own)) > MANY_POINTS)
+        # many points of tracks, above which a vector graphic has them as pixels
+        drawn.set_rasterized(sum(map(len, own)) > 30_000)
         axes.add_collection(drawn, autolim=False)
     draw_labels(axes, _draw_circles(axes, region))
     draw_scale(axes, low, high)
@@ -155,7 +154,7 @@ def _draw_circles(axes: Axes, region: Region) -> list[Label]:
     if not region.circles:
         return []
     places = region.frame.from_lonlat(np.array([circle.lonlat for circle in region.circles]))
-    most = max(LEAST_TIME, *(circle.total for circle in region.circles))
+    most = max(7200.0, *(circle.total for circle in region.circles))  # least time [s] of the largest circle
     area = [max(LARGEST_CIRCLE * circle.total / most, SMALLEST_CIRCLE) for circle in region.circles]
     axes.scatter(*places.T, s=area, c=COLOURS[STAY], alpha=0.45, edgecolors=COLOURS[STAY], lw=1.0, zorder=6)
     radii = np.sqrt(np.array(area)) / 2

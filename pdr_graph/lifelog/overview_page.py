@@ -27,7 +27,6 @@ th, td { text-align: left; padding: 0.2rem 0.9rem 0.2rem 0; border-bottom: 1px s
 th { font-weight: 600; color: #6b655b; }
 """
 MOST_VISITS = 500  # rows of the page's table; visits.csv has all
-MOST_DAYS = 400
 MOST_PLACES = 200
 Rows = Sequence[Sequence[str]]
 
@@ -80,7 +79,7 @@ VISIT_HEAD = ("place", "from", "to", "for", "with data")
 
 def _day_rows(own: Overview) -> Iterator[Sequence[str]]:
     """A row per day with data, or per month if there are many; then the totals."""
-    letters = 10 if len(own.days) <= MOST_DAYS else 7
+    letters = 10 if len(own.days) <= 400 else 7  # most days
     for name, same in groupby(own.days, key=lambda day: day.date[:letters]):
         days = list(same)
         yield _totals_row(name, totals_of(days, len(days)))

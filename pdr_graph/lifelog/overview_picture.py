@@ -41,8 +41,6 @@ LEAST_SHARE = 0.12  # of a tile that a kind fills at least, so that a short walk
 LEFT = 1.5  # [inch] for the names of rows
 SIDE = 2.6  # [inch] for distance and steps beside the rows
 MOST_HOURS = 3  # places whose usual hours are drawn
-LEAST_ARRIVALS = 3  # of a place whose usual hours are drawn
-LONGEST_ROWS = 45  # days of a period whose calendar has rows
 SMALL = 8.0  # [pt]
 
 
@@ -76,7 +74,8 @@ def _panels(shown: Overview, template: str) -> Iterator[Panel]:
     maps = Panel(height, lambda figure, bottom, total: _draw_maps(figure, found, height, template, day, bottom, total))
     if shown.period.kind == DAY:
         yield from [maps] if found else []
-    if shown.period.kind in (YEAR, ALL) and len(shown.period) > LONGEST_ROWS:
+    # longest rows: days of a period whose calendar has rows
+    if shown.period.kind in (YEAR, ALL) and len(shown.period) > 45:
         yield from _tile_panels(shown)
     else:
         rows = _calendar_rows(shown)
@@ -86,7 +85,8 @@ def _panels(shown: Overview, template: str) -> Iterator[Panel]:
         )
     if shown.period.kind != DAY:
         yield from [maps] if found else []
-        usual = [p for p in shown.places if p.hours[0].arrivals >= LEAST_ARRIVALS][:MOST_HOURS]
+        # least arrivals of a place whose usual hours are drawn
+        usual = [p for p in shown.places if p.hours[0].arrivals >= 3][:MOST_HOURS]
         if usual:
             several = len(shown.persons) > 1
             yield Panel(HOURS_HEIGHT, lambda figure, bottom, total: _draw_usual(figure, usual, several, bottom, total))

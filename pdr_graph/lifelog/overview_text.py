@@ -19,8 +19,6 @@ from pdr_graph.lifelog.timeline import duration_text
 
 WIDTH = 100  # columns of a line
 MOST_PLACES, MOST_VISITS, MOST_MONTHS = 12, 20, 25  # rows of tables
-LONGEST_HOURS = 96 * 3600.0  # [s] of a duration in hours; longer ones are in days
-LEAST_ROWS = 10  # of a day's list when several persons share the screen
 NOTHING = "–"
 
 
@@ -38,7 +36,8 @@ def _person_lines(own: Overview, persons: int) -> Iterator[str]:
     if own.place:
         yield from _visit_lines(own.visits)
     elif period.kind == DAY:
-        yield from _day_lines(own.days, max(MOST_ROWS // persons, LEAST_ROWS))
+        # least rows of a day's list when several persons share the screen
+        yield from _day_lines(own.days, max(MOST_ROWS // persons, 10))
         yield ""
         yield fitted(totals_text(totals_of(own.days, 1)), WIDTH)
         return
@@ -80,7 +79,8 @@ def totals_text(totals: Totals) -> str:
 
 def time_text(seconds: float) -> str:
     """A duration as a text: ``45 s``, ``12 min``, ``2 h 05 min``, ``6.7 days``."""
-    return duration_text(seconds) if seconds < LONGEST_HOURS else f"{seconds / DAY_LENGTH:,.1f} days"
+    # longest hours [s] of a duration in hours; longer ones are in days
+    return duration_text(seconds) if seconds < (96 * 3600.0) else f"{seconds / DAY_LENGTH:,.1f} days"
 
 
 def _day_lines(days: Sequence[DayView], most: int) -> Iterator[str]:

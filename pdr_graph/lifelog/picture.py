@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 
 from pdr_graph.colours import RADIO, TRACK
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
 from pdr_graph.lifelog.map_furniture import Label, draw_labels, draw_north, draw_scale, filled, is_inside
 from pdr_graph.lifelog.maps import (
@@ -53,7 +53,6 @@ PAPER, BORDER = "#f7f6f2", "#c8c4ba"
 # Chosen by hand
 DOT_AREA, PASSING_AREA = (40.0, 600.0), 22.0  # [pt²] of the shortest and the longest stay, and of a slow pass
 START_DISTANCE = 3.5  # [pt] of a label from the mark of an outing's start
-LONGEST_STAY = 2 * 3600.0  # [s] of a stay with the largest dot
 
 
 def draw_map(axes: Axes, panel: Panel, maps: Sequence[Panel], zone: tzinfo, aspect: float) -> None:
@@ -147,7 +146,8 @@ def _dot(stay: Stay) -> float:
     if stay.passing:
         return PASSING_AREA
     least, most = DOT_AREA
-    return float(least + (most - least) * min((stay.end - stay.start) / LONGEST_STAY, 1.0))
+    # longest stay [s] of a stay with the largest dot
+    return float(least + (most - least) * min((stay.end - stay.start) / (2 * 3600.0), 1.0))
 
 
 def _stay_label(stay: Stay) -> str:
@@ -165,7 +165,6 @@ def _draw_starts(axes: Axes, panel: Panel, zone: tzinfo) -> list[Label]:
 
 # Chosen by hand
 MAX_NAME_ROWS = 3  # above the hours
-SHORTEST_FULL_DAY = 12 * 3600.0  # [s] between the first and last entry of a day that is shown with all its 24 hours
 HOURS_MARGIN = 0.02  # of a shorter day's duration, on both sides
 
 
@@ -187,7 +186,8 @@ def draw_hours(axes: Axes, day: Day, entries: Sequence[TimelineEntry], zone: tzi
 def _time_span(day: Day, entries: Sequence[TimelineEntry], zone: tzinfo) -> tuple[float, float]:
     """First and last Unix time [s] of the hours: of the whole day if it is long, else of its entries with a margin."""
     first, last = entries[0].start, max(entry.end for entry in entries)
-    if last - first <= SHORTEST_FULL_DAY:
+    # shortest full day [s] between the first and last entry of a day that is shown with all its 24 hours
+    if last - first <= (12 * 3600.0):
         return first - HOURS_MARGIN * (last - first), last + HOURS_MARGIN * (last - first)
     midnight = datetime.fromisoformat(day.date).replace(tzinfo=zone)
     return min(midnight.timestamp(), first), max((midnight + timedelta(days=1)).timestamp(), last)

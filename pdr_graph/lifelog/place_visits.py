@@ -24,7 +24,6 @@ EVERY_DAY = "every day"  # instead of a weekday
 DAY_LENGTH = 86_400.0  # [s]
 # Chosen by hand
 UNOBSERVED_TIME = 900.0  # [s] of no data before a stay, below which its start counts as an arrival; departures likewise
-SAME_INSTANT = 1.0  # [s] between two parts of a stay, before and after midnight
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,8 @@ def _continues(before: TimelineEntry, after: TimelineEntry) -> bool:
     same = before.place_number == after.place_number and before.place == after.place
     unplaced = before.place_number < 0 and (before.x, before.y) != (after.x, after.y)
     kinds = before.kind == after.kind and after.kind in (STAY, *KINDS_WITHOUT_DATA)
-    return kinds and abs(after.start - before.end) < SAME_INSTANT and same and not (after.kind == STAY and unplaced)
+    # same instant [s] between two parts of a stay, before and after midnight
+    return kinds and abs(after.start - before.end) < 1.0 and same and not (after.kind == STAY and unplaced)
 
 
 def _last_seen(entry: TimelineEntry) -> float:

@@ -20,7 +20,6 @@ from pdr_graph.types import Array
 
 PLACE_RADIUS = VISIT_RADIUS  # [m] between visits of one place
 NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed
-WIDEST_PLACE = 500.0  # [m] between visits of one name on a plan
 
 NamedArea = tuple[float, float, float, str]  # latitude, longitude [deg], radius [m], name
 
@@ -109,7 +108,8 @@ class _Cluster:
         off = visit.middle - self._sum / self._weight
         far = float(np.sqrt(off @ off))
         if visit.name or self.visits[0].name:
-            return float(np.nan_to_num(far)) if self._has_name(visit.name) and not far > WIDEST_PLACE else None
+            # widest place [m] between visits of one name on a plan
+            return float(np.nan_to_num(far)) if self._has_name(visit.name) and not far > 500.0 else None
         return far if far <= PLACE_RADIUS + min(visit.sigma, PLACE_RADIUS) else None
 
     def _has_name(self, name: str) -> bool:

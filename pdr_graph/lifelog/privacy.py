@@ -48,10 +48,8 @@ from pdr_graph.types import INSTANT, Array, Index, Mask, Trajectory
 
 # Chosen by hand
 SHORTEST_SHOWN = 60.0  # [s] of a track between two hidden ones
-SHORTEST_BREAK = 1.0  # [s] between two shown parts
 LEG_LENGTH = 30.0  # [m] over which the direction of a track is measured
 ROWS_PER_BLOCK = 50  # rows whose direction is tested at a time, from the end of a track backwards
-MAX_LEG_ROWS = 1000  # rows among which a leg begins: half a kilometre of steps
 
 
 @dataclass(frozen=True)
@@ -122,7 +120,8 @@ def _trimmed_end(position: Array, lonlat: Array, rows: Index, places: Sequence[P
         return rows
     for after in range(len(rows), 0, -ROWS_PER_BLOCK):
         number = range(max(after - ROWS_PER_BLOCK, 0), after)
-        behind = [rows[_leg_start(position[rows[max(0, n - MAX_LEG_ROWS) : n + 1]], n)] for n in number]
+        # most leg rows: rows among which a leg begins: half a kilometre of steps
+        behind = [rows[_leg_start(position[rows[max(0, n - 1000) : n + 1]], n)] for n in number]
         here = lonlat[rows[number]]
         away = [(p.distance(here) > 2 * p.radius) | ~p.ahead(here, lonlat[behind]) for p in places]
         good = np.flatnonzero(np.all(away, axis=0))
@@ -218,9 +217,6 @@ def quarter_before(time: float) -> float:
     return float(np.floor(time / QUARTER) * QUARTER)
 
 
-ORIGIN_DIGITS = 2  # of a degree: the new origin of a frame lies within a kilometre of the first shown row
-
-
 def without_private_places(
     days: Sequence[Day], cut: Sequence[PrivatePlace], blur: Sequence[PrivatePlace]
 ) -> tuple[list[Day], list[str]]:
@@ -262,7 +258,8 @@ def _exported_parts(
 def _shown_begin(outing: Outing, run: ShownRun, free: float) -> float:
     """Unix time at which a run is shown [s]: on a quarter of an hour if it is beside hidden rows or before `free`."""
     begin = outing.epoch + float(outing.trajectory.time[run.first])
-    after = free + SHORTEST_BREAK  # a part that begins where another ends would make one line across what is hidden
+    # shortest break [s] between two shown parts
+    after = free + 1.0  # a part that begins where another ends would make one line across what is hidden
     return quarter_after(max(begin, after)) if any(run.at_hidden) or begin < after else begin
 
 
@@ -321,7 +318,8 @@ def _with_new_origin(outing: Outing) -> Outing:
     if outing.frame.kind != "enu":
         return outing
     position = outing.trajectory.position
-    lon, lat = np.round(outing.frame.to_lonlat(position[:1])[0], ORIGIN_DIGITS).tolist()
+    # origin digits of a degree: the new origin of a frame lies within a kilometre of the first shown row
+    lon, lat = np.round(outing.frame.to_lonlat(position[:1])[0], 2).tolist()
     frame, old = enu(lat, lon), outing.frame
     turned = wrap_angle(outing.trajectory.heading + _convergence(frame, old, position))
     track = replace(outing.trajectory, position=frame.from_frame(old, position), heading=turned)

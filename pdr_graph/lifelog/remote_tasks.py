@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from pdr_graph.lifelog.time_limits import limited
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-POLL_PERIOD = 0.05  # [s] between looks at the tasks; chosen by hand
 Tasks = Sequence[tuple[Any, ...]]
 Work = Callable[[tuple[Any, ...]], Iterator[Any]]
 Look = Callable[[], None]  # called while waiting; raises FleetLostError
@@ -54,4 +53,4 @@ def finished(futures: Sequence[Any], look: Look) -> Iterator[Any]:
         left = running
         if left and not done:
             look()
-            sleep(POLL_PERIOD)
+            sleep(0.05)  # poll period [s] between looks at the tasks; chosen by hand

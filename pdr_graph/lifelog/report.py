@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, one_line
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.geometry import confidence_band, horizontal_sigma
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
@@ -89,7 +89,6 @@ def _write_page(
 OFFSET_PERIOD = 900.0  # [s]; daylight saving time starts and ends at multiples of it
 # Chosen by hand
 SMALLEST_DOT, LARGEST_DOT = 7.0, 22.0  # [px] diameter of the mark of a slow pass or short stay, of the longest stay
-LONGEST_STAY = 7200.0  # [s] duration of a stay with the largest mark
 BLOCK_HEIGHT, LANE_HEIGHT = 14, 26  # [px] in the chart of the day
 
 
@@ -228,7 +227,8 @@ def _stay_marks(panel: Panel, number: int) -> Iterator[dict[str, Any]]:
 
 def _dot_diameter(stay: Stay) -> float:
     """Diameter [px] of the mark of a stay, by its duration."""
-    share = 0.0 if stay.passing else min((stay.end - stay.start) / LONGEST_STAY, 1.0)
+    # longest stay [s]: duration of a stay with the largest mark
+    share = 0.0 if stay.passing else min((stay.end - stay.start) / 7200.0, 1.0)
     return round(float(np.sqrt(SMALLEST_DOT**2 + share * (LARGEST_DOT**2 - SMALLEST_DOT**2))), 1)
 
 

@@ -25,7 +25,6 @@ from pdr_graph.types import Array, Beacons, Fixes, Headings, Index, Sightings, S
 
 # Chosen by hand
 LONGEST_GAP = 600.0  # [s] between two recordings of one session; after a longer one the walker may be anywhere
-LONGEST_OVERLAP = 1.0  # [s] of two consecutive recordings
 
 Hashed = tuple[str, Observation]  # an observation with the content hash of its recording
 Located = TypeVar("Located", bound=Any)  # a table with positions
@@ -96,7 +95,8 @@ def _consecutive(parts: Sequence[Hashed]) -> Iterator[Session]:
     """Group consecutive recordings with short gaps, on one plan or without a plan."""
     session: Session | None = None
     for name, observation in parts:
-        if session is not None and observation.epoch < session.end - LONGEST_OVERLAP and observation.steps is not None:
+        # longest overlap [s] of two consecutive recordings
+        if session is not None and observation.epoch < session.end - 1.0 and observation.steps is not None:
             note = f"{observation.source}: left out: it overlaps {session.parts[-1][1].source} in time"
             session = replace(session, notes=(*session.notes, note))
         elif session is not None and _continues(session, observation):
@@ -146,9 +146,7 @@ def _with_fixes(observation: Observation, rows: Index) -> Observation:
 # A recorder that was restarted by somebody who stood still
 LONGEST_RESTART = 20.0  # [s] between the recordings; chosen by hand
 STANDING_SIGMA = 0.5  # [m] per axis by which a person moves on one spot; chosen by hand
-FIELD_TOLERANCE = 0.3  # relative difference of the field at two moments on one spot, half a metre apart indoors
 TURN_SIGMA = 0.2  # [rad] of a turn by the field: 9° rms over 9 restarts in malls, and one in ten may have walked on
-MIN_FIELD = 10.0  # [µT] horizontally; a weaker field has no direction
 
 
 @dataclass(frozen=True)
@@ -284,7 +282,9 @@ def turn_by_field(before: Observation, after: Observation) -> float | None:
     horizontal = np.hypot(*first[:2]), np.hypot(*second[:2])
     mean = (np.linalg.norm(first) + np.linalg.norm(second)) / 2
     difference = np.hypot(horizontal[0] - horizontal[1], first[2] - second[2])
-    if min(horizontal) < MIN_FIELD or difference > FIELD_TOLERANCE * mean:
+    # field tolerance: relative difference of the field at two moments on one spot, half a metre apart indoors
+    # least field [µT]: horizontally; a weaker field has no direction
+    if min(horizontal) < 10.0 or difference > 0.3 * mean:
         return None
     return float(np.angle((first[0] + 1j * first[1]) * (second[0] - 1j * second[1])))
 

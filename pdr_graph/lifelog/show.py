@@ -23,7 +23,6 @@ from pdr_graph.lifelog.timeline import TimelineEntry
 from pdr_graph.whole_files import output_folder
 
 TOLERANCES = {DAY: 1.0}  # [m] by which drawn tracks may be simplified
-COARSE_TOLERANCE = 10.0  # [m], of longer periods
 LIKELY_HOME = "home?"  # name of the place where somebody spends the nights, for those who ask for the guess
 MOST_NAMES = 12  # places that a message names
 
@@ -111,7 +110,7 @@ def _views(
     log: Store, persons: Sequence[str], period: Period, guess_home: bool
 ) -> tuple[list[DayView], dict[tuple[str, int], Place]]:
     """The days of a period that are not all without data, and all places by person and number."""
-    tolerance = TOLERANCES.get(period.kind, COARSE_TOLERANCE)
+    tolerance = TOLERANCES.get(period.kind, 10.0)  # coarse tolerance [m], of longer periods
     days, places = list[DayView](), dict[tuple[str, int], Place]()
     for person in persons:
         found = diary(log, person, period.first.isoformat(), period.last.isoformat())

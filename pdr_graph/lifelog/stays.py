@@ -37,10 +37,6 @@ LOOK_SIGMA = 0.6  # [rad] of the look from the body's direction: heads turn by 3
 RANDOM_LOOK_SHARE = 0.1  # of people who linger and face anywhere: they talk, or the heading is wrong
 UNNAMED_RATE = 0.05  # of stops for no named place (a call, a friend, a rest), relative to stops for a near place
 POINTS, RAYS = 96, 24  # sample points of the position; rays from each
-MIN_PROBABILITY = 1e-3  # of a place that is reported
-MAX_POSITION_SIGMA = 20.0  # [m] per axis; a less certain position does not determine a place
-INSET = 0.01  # [m] by which a position off the plan is moved into it
-WALL_OFFSET = 0.05  # [m] that walls are moved back, so that a front drawn on a wall is hit first
 
 Facing = tuple[tuple[str, float], ...]  # as of `Stay`
 
@@ -99,7 +95,8 @@ class VisiblePlaces(OneLineRepr):
         """
         standing = covariance + SHUFFLE_SIGMA**2 * np.diag([1.0, 1.0, 0.0])
         middle, spread = self._on_walkable(position, standing[:2, :2])
-        if np.trace(spread) > 2 * MAX_POSITION_SIGMA**2:
+        # most position sigma [m] per axis; a less certain position does not determine a place
+        if np.trace(spread) > 2 * 20.0**2:
             return ()
         reach = 3 * np.sqrt(np.trace(spread)) + MAX_DISTANCE
         near = self.tree.query(shapely.box(*(middle - reach), *(middle + reach)))
@@ -112,7 +109,8 @@ class VisiblePlaces(OneLineRepr):
         nothing = UNNAMED_RATE * (len(places) - len(np.unique(inside)))
         probability = rates / (rates.sum() + nothing)
         order = np.argsort(-probability, kind="stable")
-        return tuple((self.names[n], float(probability[n])) for n in order if probability[n] > MIN_PROBABILITY)
+        # least probability of a place that is reported
+        return tuple((self.names[n], float(probability[n])) for n in order if probability[n] > 1e-3)
 
     def _on_walkable(self, position: Array, covariance: Array) -> tuple[Array, Array]:
         """The nearest walkable position, and the covariance enlarged by the distance to it."""
@@ -121,7 +119,8 @@ class VisiblePlaces(OneLineRepr):
         off = middle - position
         if not off.any():
             return position, covariance
-        return middle + INSET * off / np.hypot(*off), covariance + np.outer(off, off)
+        # inset [m] by which a position off the plan is moved into it
+        return middle + 0.01 * off / np.hypot(*off), covariance + np.outer(off, off)
 
     def _reachable(self, middle: Array, places: Array, near: Index) -> Array:
         """The points that no solid wall separates from the middle; the middle if there is none."""
@@ -134,7 +133,8 @@ class VisiblePlaces(OneLineRepr):
         """Distance [m] to the first edge on each ray from each point, and the number of its place; ``(k, RAYS)``."""
         owner = np.append(-1, self.owner[near])
         hit = _ray_distances(places, unit(DIRECTIONS), self.start[near], self.way[near])
-        hit += np.where(owner[1:] < 0, WALL_OFFSET, 0.0)
+        # wall offset [m] that walls are moved back, so that a front drawn on a wall is hit first
+        hit += np.where(owner[1:] < 0, 0.05, 0.0)
         hit = np.concatenate([np.full((*hit.shape[:2], 1), np.inf), hit], axis=2)
         first = np.argmin(hit, axis=2)
         return np.take_along_axis(hit, first[:, :, None], axis=2)[:, :, 0], owner[first]
@@ -195,15 +195,8 @@ NORMAL_POINTS, DIRECTIONS = _normal_points(POINTS), np.arange(RAYS) * 2 * np.pi 
 SHORTEST_STAY = 5.0  # [s]; shorter halts are for letting somebody pass or for looking around
 SHORTEST_UNNAMED_STAY = 60.0  # [s] on a floor without names; shorter ones are at crossings
 SHORTEST_HALT = 1.0  # [s] between two steps; shorter pauses are part of the gait
-SHUFFLE_DISTANCE = 1.5  # [m] between two halts of one stay, along a shelf
-SHUFFLE_DURATION = 20.0  # [s] between two halts of one stay, or of a restarted recorder
-UNKNOWN_TURN_SIGMA = 1.2  # [rad] of the turn during a stay where it was not measured
-USUAL_SPEED_QUANTILE = 0.75  # of a walk's speeds, since much of the walk may be slow
-SLOW_SHARE = 0.7  # of the usual speed: people stroll at 0.8 of it and browse at half of it
 SPEED_WINDOW = 4.0  # [s] of walking over which a speed is measured: several strides
 PASS_PIECE = 3.0  # [m] of a slow pass with one result: half of a small shop's front
-PASSING_LOOK_SIGMA = 1.2  # [rad] of the look from the walking direction during a slow pass
-MIN_NAMED_PROBABILITY = 0.5  # that a slow pass led past a named place; otherwise it is just slow
 
 
 def stays_of(
@@ -281,7 +274,8 @@ def _stay(
     """A stay at a pose with covariance ``(3, 3)``, and the places that it faces."""
     facing = ()
     if floor in fronts:
-        facing = fronts[floor].facing(position, heading, covariance, PASSING_LOOK_SIGMA if passing else LOOK_SIGMA)
+        # passing look sigma [rad] of the look from the walking direction during a slow pass
+        facing = fronts[floor].facing(position, heading, covariance, 1.2 if passing else LOOK_SIGMA)
     return Stay(start, end, passing, position, covariance[:2, :2], heading, floor, facing)
 
 
@@ -295,9 +289,12 @@ def _stays(steps: Steps, track: Trajectory, fronts: dict[str, VisiblePlaces], lo
     begin, end = row_times(steps)[:-1], np.append(steps.time - steps.duration, steps.end)
     lasted = end - begin
     halts = np.flatnonzero(lasted > SHORTEST_HALT)
-    apart = np.hypot(*np.diff(track.position[halts], axis=0).T) > SHUFFLE_DISTANCE
-    apart |= begin[halts[1:]] - end[halts[:-1]] > SHUFFLE_DURATION
-    unseen = UNKNOWN_TURN_SIGMA**2 * np.diag([0.0, 0.0, 1.0]) if looks is None else 0.0
+    # shuffle distance [m] between two halts of one stay, along a shelf
+    apart = np.hypot(*np.diff(track.position[halts], axis=0).T) > 1.5
+    # shuffle duration [s] between two halts of one stay, or of a restarted recorder
+    apart |= begin[halts[1:]] - end[halts[:-1]] > 20.0
+    # unknown turn sigma [rad] of the turn during a stay where it was not measured
+    unseen = 1.2**2 * np.diag([0.0, 0.0, 1.0]) if looks is None else 0.0
     found = list[Stay]()
     for rows in np.split(halts, np.flatnonzero(apart) + 1) if len(halts) else []:
         longest = rows[np.argmax(lasted[rows])]
@@ -330,7 +327,8 @@ def _passes(steps: Steps, track: Trajectory, fronts: dict[str, VisiblePlaces]) -
         likeliest = [facing[0][0] if facing else "" for facing in passed]
         for _, same in groupby(zip(likeliest, pieces, strict=True), key=itemgetter(0)):
             whole = _pass_of(steps, np.concatenate([piece for _name, piece in same]), track, fronts)
-            if _is_long_enough(whole, fronts) and sum(p for _, p in whole.facing) > MIN_NAMED_PROBABILITY:
+            # least named probability that a slow pass led past a named place; otherwise it is just slow
+            if _is_long_enough(whole, fronts) and sum(p for _, p in whole.facing) > 0.5:
                 found.append(whole)
     return found
 
@@ -356,7 +354,9 @@ def _slow_runs(steps: Steps) -> list[Index]:
     way = np.concatenate([[0.0], np.cumsum(steps.length)])
     before, after = (np.clip(under_way[1:] + side * SPEED_WINDOW / 2, 0.0, under_way[-1]) for side in (-1, 1))
     speed = (np.interp(after, under_way, way) - np.interp(before, under_way, way)) / (after - before)
-    slow = np.flatnonzero(walking & (speed < SLOW_SHARE * np.quantile(speed[walking], USUAL_SPEED_QUANTILE)))
+    # usual speed quantile of a walk's speeds, since much of the walk may be slow
+    # slow share of the usual speed: people stroll at 0.8 of it and browse at half of it
+    slow = np.flatnonzero(walking & (speed < 0.7 * np.quantile(speed[walking], 0.75)))
     halted = (steps.time - steps.duration - row_times(steps)[:-2] > SHORTEST_HALT)[slow[1:]]
     split_at_gaps = np.split(slow, np.flatnonzero((np.diff(slow) > 1) | halted) + 1)
     return [numbers for numbers in split_at_gaps if steps.duration[numbers].sum() >= SHORTEST_STAY]

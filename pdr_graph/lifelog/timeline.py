@@ -35,8 +35,6 @@ HEADER = "start,end,kind,distance,floor,place,probability,others,latitude,longit
 SHORT_STAND = 60.0  # [s] of waiting at a crossing or a bus stop: part of the walk or ride, unless it is a stay
 LONGEST_SLIVER = 3.0  # [s] of standing at the edge of a stay, by which the detectors of standing and stays disagree
 SHORTEST_GAP = 1.0  # [s] between two outings that is shown as a gap
-SHORTEST_TOTAL = 60.0  # [s] at a place that the totals name
-MAX_OTHER_NAMES = 2  # alternative names of a place in the printed table; the CSV has all
 
 
 @dataclass(frozen=True)
@@ -249,9 +247,8 @@ def as_text(day: Day, entries: Sequence[TimelineEntry], zone: tzinfo) -> str:
         lasted, what, far, floor, place = entry_texts(entry)
         lines.append(f"{clock}  {lasted:>10}  {what:<15} {far:>9}  {floor:<6}  {place}".rstrip())
     sums = totals(day, entries)
-    places = ", ".join(
-        f"{one_line(name)} {duration_text(time)}" for name, time in sums.places if time >= SHORTEST_TOTAL
-    )
+    # shortest total [s] at a place that the totals name
+    places = ", ".join(f"{one_line(name)} {duration_text(time)}" for name, time in sums.places if time >= 60.0)
     lines += ["", "; ".join(total_texts(sums)), *([f"at places: {places}"] if places else [])]
     return "\n".join(lines) + "\n"
 
@@ -270,7 +267,8 @@ def _place_text(entry: TimelineEntry) -> str:
         return one_line(entry.place)
     if entry.facing:
         (name, probability), *others = entry.facing
-        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:MAX_OTHER_NAMES])
+        # most other names: alternative names of a place in the printed table; the CSV has all
+        beside = ", ".join(f"{one_line(n)} {p:.0%}" for n, p in others[:2])
         return f"{one_line(name)} {probability:.0%}" + (f"  ({beside})" if beside else "")
     if np.isfinite(entry.latitude):
         return f"{entry.latitude:.5f}, {entry.longitude:.5f} ± {entry.sigma:.0f} m"

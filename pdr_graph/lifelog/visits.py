@@ -18,15 +18,11 @@ from pdr_graph.lifelog.day import GAP, STANDING, Outing, without_gap_rows
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry, duration_text
 from pdr_graph.types import Array, Mask
 
-EARTH_RADIUS = 6_371_000.0  # [m] of a sphere: distances within a place need no ellipsoid
 # The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
 VISIT_RADIUS = 100.0  # [m] of a place
 SHORTEST_VISIT = 300.0  # [s]
 EDGE_RADIUS = 50.0  # [m] about the place: walking there belongs to the visit
-LONGEST_EXCURSION = 180.0  # [s] beyond VISIT_RADIUS that is still part of a visit: mostly an error of the receiver
 LONGEST_SILENCE = 18 * 3600.0  # [s] that a visit bridges: a night and a long morning
-SILENT_RADIUS = 300.0  # [m] between the ends of a silence at one place: receivers need minutes to find satellites
-SILENT_SPEED = 0.25  # [m/s] between its ends at most: faster, and the person was on the way
 SURE = 20.0  # [m] per axis: a halt this certain counts half as much as an exact one for the middle of a visit
 
 
@@ -84,7 +80,8 @@ class Track:
 def on_sphere(lonlat: Array) -> Array:
     """Points ``(n, 3)`` on a sphere [m] of longitudes and latitudes ``(n, 2)`` [deg]; distances are chords."""
     lon, lat = np.radians(lonlat).T
-    return EARTH_RADIUS * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+    # earth radius [m] of a sphere: distances within a place need no ellipsoid
+    return 6_371_000.0 * np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
 
 
 def lonlat_of(point: Array) -> tuple[float, float]:
@@ -152,7 +149,9 @@ def _silence(gap: TimelineEntry, track: Track) -> Iterator[Visit]:
     if max(gap.start - track.time[before], track.time[after] - gap.end) > SHORTEST_VISIT:
         return  # something without positions was between
     apart = float(np.linalg.norm(ends[1] - ends[0]))
-    if apart <= min(SILENT_RADIUS, SILENT_SPEED * lasted) and lasted <= LONGEST_SILENCE:
+    # silent radius [m] between the ends of a silence at one place: receivers need minutes to find satellites
+    # silent speed [m/s] between its ends at most: faster, and the person was on the way
+    if apart <= min(300.0, 0.25 * lasted) and lasted <= LONGEST_SILENCE:
         yield Visit(gap.start, gap.end, ends.mean(axis=0), max(apart / 2, SURE), 0.0)
 
 
@@ -165,9 +164,8 @@ def _is_one_place(visit: Visit, halt: Visit, track: Track) -> bool:
         return False
     off = np.linalg.norm(track.sphere[between] - visit.middle, axis=1)
     farthest = off.max(initial=0.0)
-    return bool(
-        farthest <= VISIT_RADIUS or (farthest <= 2 * VISIT_RADIUS and halt.start - visit.end <= LONGEST_EXCURSION)
-    )
+    # longest excursion [s] beyond VISIT_RADIUS that is still part of a visit: mostly an error of the receiver
+    return bool(farthest <= VISIT_RADIUS or (farthest <= 2 * VISIT_RADIUS and halt.start - visit.end <= 180.0))
 
 
 def _joined(visit: Visit, halt: Visit) -> Visit:

@@ -20,8 +20,7 @@ from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import horizontal_sigma, protection_level, wrap_angle
 from pdr_graph.measurements import Measured, last_time, take
-from pdr_graph.sensor_names import Sensor
-from pdr_graph.types import Array, Estimate, Recording, Sightings, Steps, Trajectory
+from pdr_graph.types import Array, Estimate, Recording, Sensor, Sightings, Steps, Trajectory
 
 PACKET = 0.1  # [s] of samples that a phone delivers at once
 NO_DATA = "no data received"  # issue of a missing sensor

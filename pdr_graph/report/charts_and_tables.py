@@ -12,8 +12,7 @@ from pdr_graph.colours import FIX, GREY, RADIO, TRACK
 from pdr_graph.errors import count
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.io.signal_checks import clipped
-from pdr_graph.io.validation import INERTIAL, are_gaps
+from pdr_graph.io.validation import INERTIAL, are_gaps, clipped
 from pdr_graph.report.page import CENTISECOND, column, thinned
 from pdr_graph.types import (
     Array,
@@ -33,10 +32,7 @@ CHART_ROWS = 2000  # of a curve without jumps: 4 per pixel
 CHART_RESOLUTION = 1e-4  # in the unit of the chart; finer than a screen shows
 UNITS = {"R_s": "", "R_d": "", "b": "°/s"}
 MEANING = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
-SCALE_HEIGHT = 8434.0  # [m] of air at 15 °C: pressure falls to 1/e over this height
 BAROMETER_RATE = 1.0  # [Hz] of the chart: faster changes are noise
-LONGEST_PAUSE = 2.0  # [s] between steps; a line is broken at longer pauses
-MANY = 50  # points above which a line has no markers
 
 
 def line(name: str, colour: str, time: Array, y: Array, **style: Any) -> dict[str, Any]:
@@ -94,7 +90,8 @@ def errors(tracks: Mapping[str, tuple[str, Trajectory]], truth: Trajectory) -> d
     lines = []
     for name, (colour, path) in tracks.items():
         pairs = pair(path, truth)
-        marks = {"mode": "lines+markers"} if len(pairs.time) <= MANY else {}
+        # many: points above which a line has no markers
+        marks = {"mode": "lines+markers"} if len(pairs.time) <= 50 else {}
         lines.append(line(name, colour, pairs.time, circular_error(pairs), **marks))
     return {"title": "horizontal error", "unit": "m", "lines": lines, "from_zero": True}
 
@@ -109,7 +106,8 @@ def residuals(fixes: Sequence[FixReport], labels: Sequence[str]) -> dict[str, An
 
 def gait(steps: Steps) -> list[dict[str, Any]]:
     """Charts of step length [m] and step frequency [Hz], broken where the walker stands or the recording has a gap."""
-    stood = np.flatnonzero(steps.time - steps.duration > np.append(steps.start, steps.time[:-1]) + LONGEST_PAUSE)
+    # longest pause [s] between steps; a line is broken at longer pauses
+    stood = np.flatnonzero(steps.time - steps.duration > np.append(steps.start, steps.time[:-1]) + 2.0)
     walked = ~steps.is_gap
     time = np.insert(steps.time, stood, steps.time[stood])
     length, frequency = (
@@ -134,7 +132,8 @@ def height(barometer: Signal) -> dict[str, Any]:
     place = np.searchsorted(time, barometer.time, side="right") - 1
     count = np.bincount(place, minlength=len(time))
     pressure = np.bincount(place, barometer.values[:, 0], len(time))[count > 0] / count[count > 0]
-    above = -SCALE_HEIGHT * np.log(pressure / pressure[0])
+    # scale height [m] of air at 15 °C: pressure falls to 1/e over this height
+    above = -8434.0 * np.log(pressure / pressure[0])
     return {"title": "barometric height", "unit": "m", "lines": [line("height", RADIO, time[count > 0], above)]}
 
 
@@ -249,7 +248,6 @@ def _rate(time: Array) -> str:
 
 ESTIMATED, PRIOR_KEPT = "estimated", "not observable from this walk; prior kept"
 OWN_TABLE = ("fixes", "beacons", "headings")  # kinds of measurement with a table of their own
-OPEN_ROWS = 30  # rows up to which a table is shown open
 MAXIMUM_REPORTS = 200  # rows shown of a kind of measurement
 HALF = 0.5  # weight below which a measurement is mostly ignored
 Table = dict[str, Any]
@@ -264,7 +262,7 @@ def table(
     note: str = "",
 ) -> Table:
     """A table of text cells; moments: time of each row for the slider [s]; closed: folded at first; note: above it."""
-    closed = closed or len(rows) > OPEN_ROWS
+    closed = closed or len(rows) > 30  # open rows: rows up to which a table is shown open
     return {"title": title, "note": note, "head": head, "rows": rows, "moments": moments, "open": not closed}
 
 

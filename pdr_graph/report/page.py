@@ -139,7 +139,6 @@ def _pairs(centimetres: Array) -> str:
 
 
 EVERYWHERE, NOWHERE = -1, -2  # instead of a map number: on every map, on none
-SQUARE_CENTIMETRE = 1e-4  # [m²]
 
 
 def maps_of(floors: Sequence[str], labels: Sequence[str]) -> list[int]:
@@ -164,7 +163,8 @@ def track(name: str, colour: str, path: Trajectory, on: Sequence[int], **style: 
     }
     if path.covariance is not None:
         covariance = path.covariance[rows]
-        drawn["covariance"] = [column(covariance[:, i, j], SQUARE_CENTIMETRE) for i, j in ((0, 0), (0, 1), (1, 1))]
+        # square centimetre [m²]
+        drawn["covariance"] = [column(covariance[:, i, j], 1e-4) for i, j in ((0, 0), (0, 1), (1, 1))]
     return drawn | style
 
 

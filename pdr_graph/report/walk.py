@@ -45,11 +45,9 @@ NAMES = {
     "pdr": DEAD_RECKONING,
     "live": "in hindsight, smoothed",
 }  # of the results of each method
-SMALLEST_MARGIN = 5.0  # [m] shown around a walk
 WHOLE_PLAN, EDGE = 1.3, 1.0  # a plan up to this many times as large as what is shown is whole; [m] around it
 USED = 0.5  # weight from which a fix is within the map as it opens
 FEW = 50  # surveyed points up to which they are drawn as markers, not as a line
-MANY = 2000  # rows above which lines are drawn thinner
 
 
 @dataclass(frozen=True)
@@ -195,7 +193,7 @@ def _around(position: Array, floor: FloorPlan | None) -> list[list[float]]:
     A plan that is hardly larger is shown as a whole.
     """
     low, high = position.min(axis=0), position.max(axis=0)
-    margin = max(SMALLEST_MARGIN, SURROUNDINGS * float(np.max(high - low)))
+    margin = max(5.0, SURROUNDINGS * float(np.max(high - low)))  # smallest margin [m]: shown around a walk
     low, high = low - margin, high + margin
     if floor is not None:
         west_south, east_north = np.minimum(low, floor.corners[0] - EDGE), np.maximum(high, floor.corners[1] + EDGE)
@@ -209,7 +207,7 @@ def _tracks(report: WalkReport) -> list[dict[str, Any]]:
     labels, result = report.labels, report.estimate.trajectory
     drawn = []
     for name, (colour, path) in reversed(report.tracks.items()):
-        many = len(path) > MANY
+        many = len(path) > 2000  # many: rows above which lines are drawn thinner
         style = {
             "dash": DASHES.get(colour, "solid"),
             "walker": colour != GREY,

@@ -21,7 +21,6 @@ OWNER = "owner"
 COOKIE = "pdr_graph_token"
 LOCAL = ("127.0.0.1", "localhost", "::1")
 SHORTEST_TOKEN = 16  # characters of a token by hand: those made here have 32 and 192 bits
-BYTES = 24
 
 
 class Access:
@@ -93,7 +92,7 @@ def load_tokens(file: Path, users: Sequence[str], token: str | None) -> dict[str
     for user in (OWNER, *users):
         if not (user.strip() and user.isprintable() and len(user) <= 64):
             raise InputError("--user", "", repr(user), "a name of up to 64 printable characters")
-        wanted.setdefault(user, secrets.token_urlsafe(BYTES))
+        wanted.setdefault(user, secrets.token_urlsafe(24))  # bytes
     if wanted != tokens:
         write(file, json.dumps(wanted, indent=1).encode())
     return wanted

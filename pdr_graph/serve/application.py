@@ -27,7 +27,6 @@ from pdr_graph.serve.study import StudyReports
 from pdr_graph.serve.web_page import WEB, page, settings
 
 HEARTBEAT = 15.0  # [s] after which a silent stream sends a comment, by which proxies and the page know that it lives
-STUCK = 30.0  # [s] after which a subscriber that reads nothing is disconnected
 TOKEN = "a token: ?token=… as in the address that pdr-graph serve printed, or Authorization: Bearer …"
 ENCODE = msgspec.json.encode  # NaN becomes null
 
@@ -215,7 +214,8 @@ async def socket(websocket: WebSocket) -> None:
         while not (hub.closed or reading.done()):
             await subscriber.wait(HEARTBEAT)
             for name, data in subscriber.events():
-                async with asyncio.timeout(STUCK):
+                # stuck [s] after which a subscriber that reads nothing is disconnected
+                async with asyncio.timeout(30.0):
                     await websocket.send_text(ENCODE({"event": name, **data}).decode())
     except (TimeoutError, WebSocketDisconnect, RuntimeError):
         pass

@@ -25,9 +25,7 @@ from pdr_graph.serve.live_walk import LiveWalk, opened, read_session
 from pdr_graph.serve.publishing import PATH_INTERVAL
 from pdr_graph.walk_options import Options
 
-LATEST_PATH = 10.0  # [s] after which a path is published even while messages wait
 LATEST_POSE = 1.0  # [s] the same of a pose
-RETRY = 5.0  # [s] after a failure of a walker
 MOST_FAILURES = 3  # after which a walker is left alone until the next start
 SLOWEST_WAIT = 3600.0  # [s]
 STOP, PING = "stop", "ping"  # actions: ends the process; is answered
@@ -116,7 +114,8 @@ class Estimating:
             done = bool(action(self._tasks[id_]))
         except Exception as error:  # of one walker: the others go on
             failures = self._failed.get(id_, (0, 0.0))[0] + 1
-            again = time.monotonic() + RETRY if failures < MOST_FAILURES else np.inf
+            # retry [s] after a failure of a walker
+            again = time.monotonic() + 5.0 if failures < MOST_FAILURES else np.inf
             self._drop(id_)
             self._failed[id_] = failures, again
             text = str(error) if isinstance(error, InputError | OSError) else f"{type(error).__name__}: {error}"
@@ -135,7 +134,8 @@ class Estimating:
         if not task.posed and (task.walker.due > time.time() or now > task.last_pose + LATEST_POSE):
             self._send("pose", task.walker.pose())
             task.posed, task.last_pose = True, now
-        if task.path_is_due and now > task.last_path + LATEST_PATH:
+        # latest path [s] after which a path is published even while messages wait
+        if task.path_is_due and now > task.last_path + 10.0:
             self._publish_path(task)
         return used
 

@@ -27,7 +27,6 @@ SLOWEST_RESTART = 60.0
 STOPPING = 5.0  # [s] for which the processes may finish their work when the server stops
 PING_PERIOD = 10.0  # [s] between two questions whether a process answers
 LONGEST_SILENCE = 300.0  # [s] without an answer after which a process hangs; one message takes a minute at worst
-LONGEST_ID = 128  # bytes
 Receive = Callable[[str, dict[str, Any]], None]
 
 
@@ -113,7 +112,7 @@ class Estimators:
             return
         own, other = multiprocessing.Pipe()
         context = multiprocessing.get_context("spawn")
-        working: Any = context.RawArray("c", LONGEST_ID)
+        working: Any = context.RawArray("c", 128)  # longest id: bytes
         arguments = (other, *self._arguments, working)
         if self._count:
             runner: Any = context.Process(target=run_process, args=arguments, daemon=True)

@@ -19,7 +19,6 @@ from pdr_graph.serve.sensor_messages import Signs
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Signal
 
 FARTHEST = 1e8  # [s] from the first sample: three years; times beyond are damage
-CLOCK_RESET = 60.0  # [s] by which the times of a message are earlier than those before, if the clock was reset
 SENSOR_LOGGER = "sensorlogger"
 PLATFORMS = ("ios", "android")
 
@@ -109,7 +108,8 @@ class Intake:
         """Hold rows, and return the events of all complete packets."""
         times = [table[:, 0] for name, table in signals.items() if name in INERTIAL and len(table)]
         events: list[Event] = []
-        if times and min(time[0] for time in times) < self.latest - CLOCK_RESET:
+        # clock reset [s] by which the times of a message are earlier than those before, if the clock was reset
+        if times and min(time[0] for time in times) < self.latest - 60.0:
             events = self._released(np.inf)
         for name, table in signals.items():
             earlier = self.held.get(name)

@@ -29,7 +29,6 @@ from pdr_graph.types import Trajectory
 
 PATIENCE = 2.0  # [s] for which a message waits for those before it
 MOST_WAITING = 64  # messages that wait for one; then it is given up
-CLOCK_ERROR = 600.0  # [s] between the phone's clock and this machine's from which it is an issue
 LOG, TURNS, JOURNAL, SESSION, PUBLISHED = "messages.log", "turns.db", "walk.journal", "session.json", "published.json"
 RECORDINGS = ("recording.zip", "recording.gpx")  # of a finished session: of sensors, of positions alone
 TURN = Kind("order of messages", 0x50445254, 2, "delete it: it is made from messages.log")
@@ -270,7 +269,8 @@ class LiveWalk:
         return event | {"steps": navigator.steps, "ignored": dict(intake.ignored), "advice": list(intake.advice)}
 
     def _issues(self) -> Iterator[str]:
-        if abs(self._clock_error) > CLOCK_ERROR:
+        # clock error [s] between the phone's clock and this machine's from which it is an issue
+        if abs(self._clock_error) > 600.0:
             side = "ahead of" if self._clock_error > 0 else "behind"
             yield f"the phone's clock is {abs(self._clock_error) / 3600:.1f} h {side} this machine's"
         if self._refused:

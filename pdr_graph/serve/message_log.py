@@ -22,9 +22,7 @@ from pdr_graph.errors import InputError
 MAGIC = b"PDRGLOG1"
 HEADER = struct.Struct("<IIqd")  # checksum of the rest, bytes of the body, identity, Unix time of arrival [s]
 CHECKSUM = 4  # bytes
-LEVEL = 1  # of zlib: the next ones take twice the time for little
 PACKED = b"x\x01"  # how bytes begin that are compressed at this level
-OWNER_ONLY = 0o600
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ class MessageLog:
 
     def __init__(self, path: Path):
         self._path = path
-        self._file = os.open(path, os.O_CREAT | os.O_RDWR, OWNER_ONLY)
+        self._file = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)  # owner only
         try:
             if os.fstat(self._file).st_size < len(MAGIC):
                 os.ftruncate(self._file, 0)
@@ -85,7 +83,7 @@ class MessageLog:
 
 def pack(identity: int, received: float, body: bytes) -> bytes:
     """The record of a message."""
-    packed = zlib.compress(body, LEVEL)
+    packed = zlib.compress(body, 1)  # level of zlib: the next ones take twice the time for little
     rest = HEADER.pack(0, len(packed), identity, received)[CHECKSUM:] + packed
     return struct.pack("<I", zlib.crc32(rest)) + rest
 

@@ -22,7 +22,6 @@ PASSWORD = "PDR_GRAPH_MQTT_PASSWORD"  # environment variable: an address is seen
 # Messages that wait for this process, and their bytes; further ones are lost, as QoS 0 may
 WAITING, WAITING_BYTES = 500, 32 << 20
 FIRST_RETRY, LAST_RETRY = 1.0, 60.0  # [s] until a lost connection is tried again, doubled each time
-TIMEOUT = 10.0  # [s] for the broker to answer
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ async def subscribe(broker: Broker, receive: Callable[[bytes], None], say: Calla
                 websocket_path=broker.path if broker.websocket else None,
                 max_queued_incoming_messages=WAITING,
                 queue_type=bounded_queue(),
-                timeout=TIMEOUT,
+                timeout=10.0,  # timeout [s] for the broker to answer
             ) as client:
                 await client.subscribe(broker.topic)
                 say(f"mqtt: subscribed to {broker.address}")

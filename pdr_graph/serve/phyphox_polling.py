@@ -32,9 +32,6 @@ from pdr_graph.web_request import FAULTS, TooLongError, answer_to, body_of
 INTERVAL = 1.0  # [s] between two polls
 PATIENCE, LONGEST_ANSWER = 5.0, 60.0  # [s] for the phone to answer or go on; for a whole answer
 HISTORY = 600.0  # [s] of an experiment under way that the first poll asks for
-LARGEST_ANSWER = 2**26  # bytes; ten minutes of three sensors at 400 Hz are 40 MB
-LATEST = 9e9  # [s] Unix time; nanoseconds since 1970 fit into 64 bits until then
-LONGEST_MESSAGE = 20.0  # [s]; at 400 Hz and three sensors 2 MB
 FIRST_RETRY, LAST_RETRY = 2.0, 30.0  # [s] after a fault of the phone, doubled each time
 SENSORS = {  # of phyphox: ours, and its outputs
     "accelerometer": ("accelerometer", "xyz"),
@@ -232,7 +229,8 @@ class PhyphoxPhone:
         request = Request(self.url + path, headers={"Connection": "close"})
         try:
             with answer_to(request, self._timeout, LONGEST_ANSWER, proxies={}) as answer:  # in the same network
-                status, text = answer.status, body_of(answer, LARGEST_ANSWER)
+                # largest answer: bytes; ten minutes of three sensors at 400 Hz are 40 MB
+                status, text = answer.status, body_of(answer, 2**26)
         except TooLongError as error:
             raise PhoneError(f"{self.url}: found {error}, expected less") from None
         except FAULTS as error:
@@ -258,7 +256,7 @@ def _table(each: Input, rows: Array, clock: ExperimentClock) -> Array:
     needed = rows[:, :3] if each.sensor == "location" else rows
     rows = rows[np.isfinite(needed).all(axis=1)]
     rows = np.column_stack([clock(rows[:, 0]), rows[:, 1:]])
-    return rows[np.abs(rows[:, 0]) < LATEST]
+    return rows[np.abs(rows[:, 0]) < 9e9]  # latest [s]: Unix time; nanoseconds since 1970 fit into 64 bits until then
 
 
 def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
@@ -266,7 +264,8 @@ def messages_of(poll: Poll, number: int) -> Iterator[bytes]:
     times = np.concatenate([table[:, 0] for table in poll.tables.values()] or [np.empty(0)])
     if not len(times):
         return
-    part_of = {sensor: np.floor((table[:, 0] - times.min()) / LONGEST_MESSAGE) for sensor, table in poll.tables.items()}
+    # longest message [s]; at 400 Hz and three sensors 2 MB
+    part_of = {sensor: np.floor((table[:, 0] - times.min()) / 20.0) for sensor, table in poll.tables.items()}
     order = {sensor: np.argsort(part, kind="stable") for sensor, part in part_of.items()}
     parts = np.unique(np.concatenate(list(part_of.values())))
     ends = {sensor: np.searchsorted(part[order[sensor]], parts, side="right") for sensor, part in part_of.items()}

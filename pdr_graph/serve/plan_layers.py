@@ -19,7 +19,6 @@ from pdr_graph.frames import Frame
 from pdr_graph.types import Array
 
 METRES_PER_DEGREE = 111_319.49  # at latitude 0 in the map's projection: earth radius 6378137 m times pi / 180
-DECIMALS = 9  # of a degree: 0.1 mm
 CELL_LAYERS = {"room": CLOSED, "door": (DOOR,), "stairs": ("stairs",)}  # layers and the kinds of cells in them
 
 
@@ -75,6 +74,6 @@ def _drawn(floor: FloorPlan) -> Iterator[tuple[dict[str, str], shapely.Geometry]
 
 def _geometry(shape: shapely.Geometry, frame: Frame) -> dict[str, Any]:
     """A shape [m] as a GeoJSON geometry in longitude and latitude."""
-    placed = shapely.transform(shape, lambda points: np.round(lonlat(points, frame), DECIMALS))
+    placed = shapely.transform(shape, lambda points: np.round(lonlat(points, frame), 9))  # decimals of a degree: 0.1 mm
     geometry: dict[str, Any] = json.loads(shapely.to_geojson(placed))
     return geometry

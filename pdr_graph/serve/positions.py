@@ -18,8 +18,6 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.io.validation import float_of, iso_time, receiver_fixes
 from pdr_graph.types import Fixes
 
-MILLISECONDS_FROM = 2**31  # OsmAnd's timestamps from here on are milliseconds
-LATEST = 1e11  # [s] a Unix time beyond is damage
 MOST_POSITIONS = 100_000  # of a message
 Row = tuple[float, float, float, float]  # Unix time [s], latitude, longitude [deg], 68 % radius [m]
 
@@ -29,7 +27,8 @@ def parse(protocol: str, body: bytes) -> tuple[str, Fixes]:
     name, rows = PARSERS[protocol](body)
     if len(rows) > MOST_POSITIONS:
         raise InputError("message", "", f"{len(rows)} positions", f"up to {MOST_POSITIONS}")
-    table = np.array([row for row in rows if abs(row[0]) < LATEST], dtype=float).reshape(-1, 4)
+    # latest [s]: a Unix time beyond is damage
+    table = np.array([row for row in rows if abs(row[0]) < 1e11], dtype=float).reshape(-1, 4)
     return one_line(name)[:64], receiver_fixes(table, [])
 
 
@@ -134,4 +133,5 @@ def _time(value: Any) -> float:
     number = float_of(value)
     if np.isnan(number):
         return iso_time(value)
-    return number / 1000 if number >= MILLISECONDS_FROM else number
+    # milliseconds from: OsmAnd's timestamps from here on are milliseconds
+    return number / 1000 if number >= (2**31) else number

@@ -160,8 +160,6 @@ def _line(part: str, path: Mapping[str, Any], georeferenced: bool) -> dict[str, 
 
 
 FIX, NO_FIX = 0, -1  # sensor_msgs/NavSatStatus: STATUS_FIX, STATUS_NO_FIX
-KNOWN = 2  # sensor_msgs/NavSatFix: COVARIANCE_TYPE_DIAGONAL_KNOWN
-UNKNOWN_HEIGHT = 1e4  # [m²] variance of the altitude, which is not estimated
 
 
 def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
@@ -172,6 +170,7 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
     time, fixed = pose["time"] or 0.0, pose["lon"] is not None
     seconds = int(time)
     variance = pose["sigma"] ** 2 if fixed else 0.0
+    # unknown height [m²]: variance of the altitude, which is not estimated
     return {
         "header": {
             "stamp": {"sec": seconds, "nanosec": round((time - seconds) * 1e9)},
@@ -181,6 +180,6 @@ def nav_sat_fix(pose: Mapping[str, Any]) -> dict[str, Any]:
         "latitude": pose["lat"],
         "longitude": pose["lon"],
         "altitude": None,
-        "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, UNKNOWN_HEIGHT],
-        "position_covariance_type": KNOWN if fixed else 0,
+        "position_covariance": [variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 1e4],
+        "position_covariance_type": 2 if fixed else 0,  # known: sensor_msgs/NavSatFix: COVARIANCE_TYPE_DIAGONAL_KNOWN
     }

@@ -18,11 +18,9 @@ import numpy as np
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.sensor_logger import NANOSECOND, sign_by_gravity
-from pdr_graph.io.signal_checks import GRAVITY_IN_G
-from pdr_graph.io.validation import receiver_fixes, unit_of
+from pdr_graph.io.validation import GRAVITY_IN_G, receiver_fixes, unit_of
 from pdr_graph.types import STANDARD_GRAVITY, Array, Fixes, Sightings, Signal
 
-LARGEST_NUMBER = 1 << 62  # of a messageId
 XYZ = ("x", "y", "z")
 USED = {  # name in a message: name of its columns here
     **{name: XYZ for name in ("accelerometer", "gravity", "gyroscope", "magnetometer")},
@@ -78,7 +76,7 @@ def parse(body: bytes) -> Message:
         message = _DECODER.decode(body)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError, OverflowError) as error:
         raise InputError("message", "", one_line(str(error)), "JSON with messageId, sessionId and payload") from None
-    if not 0 <= message.messageId < LARGEST_NUMBER:
+    if not 0 <= message.messageId < (1 << 62):  # largest number of a messageId
         raise InputError("message", "messageId", f"{message.messageId}", "a number from 0 on")
     if not message.sessionId:
         raise InputError("message", "sessionId", "an empty text", "the app's name of the recording")
@@ -93,14 +91,14 @@ class _Test(msgspec.Struct):
     payload: list[_Named]
 
 
-LONGEST_TEST = 4096  # bytes
 _TEST = msgspec.json.Decoder(_Test)
 
 
 def is_test(body: bytes) -> bool:
     """True for what the app's button "Tap to Test Pushing" sends: samples named ``test``, of no recording."""
     try:
-        names = {sample.name for sample in _TEST.decode(body).payload} if len(body) <= LONGEST_TEST else set()
+        # longest test: bytes
+        names = {sample.name for sample in _TEST.decode(body).payload} if len(body) <= 4096 else set()
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError):
         return False
     return names == {"test"}

@@ -32,7 +32,6 @@ API = "https://sensorlogger.app/api"
 ANY = "any"  # instead of the name of a study: the app's own test of a webhook names another one
 LONGEST_NAME = 200  # characters of an identity
 MOST_PENDING = 1000  # uploads, each a file of 1 kB
-LARGEST_RECORDING = 2**30  # bytes; an hour at 100 Hz is 100 MB
 PATIENCE = 30.0  # [s] for an answer of the cloud to begin or go on
 DOWNLOAD, POST = 600.0, 60.0  # [s] for all of a recording; for a report
 SMOOTHING = 1800.0  # [s] for an estimate
@@ -169,7 +168,7 @@ async def smoothed(recording: Path, out: Path, plan: Path | None, say: Callable[
 def fetch(api: str, upload: Upload, file: Path) -> None:
     """Download a recording. Raises CloudError."""
     with _asked(api, "study/file/v1", upload, DOWNLOAD) as answer, file.open("wb") as out:
-        for piece in pieces_of(answer, LARGEST_RECORDING):
+        for piece in pieces_of(answer, 2**30):  # largest recording: bytes; an hour at 100 Hz is 100 MB
             out.write(piece)
 
 

@@ -17,7 +17,6 @@ from pdr_graph.errors import InputError
 from pdr_graph.serve.access import COOKIE
 
 WEB = Path(__file__).parent / "web"
-COOKIE_LIFE = 10**7  # [s], four months
 HOST = re.compile(r"[A-Za-z0-9.:\[\]-]+")  # of a tile server: nothing that could end a directive of the policy
 
 
@@ -54,7 +53,8 @@ async def page(request: Request) -> Response:
     if "token" in request.query_params:
         response: Response = RedirectResponse("./", 303)  # relative: a proxy may have put a path before it
         token, secure = request.query_params["token"], request.url.scheme == "https"
-        response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=secure, max_age=COOKIE_LIFE)
+        # cookie life [s]: four months
+        response.set_cookie(COOKIE, token, httponly=True, samesite="strict", secure=secure, max_age=10**7)
         return response
     index = WEB / "index.html"
     if not index.exists():

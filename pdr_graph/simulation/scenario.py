@@ -16,7 +16,7 @@ import shapely
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, read_toml
-from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.itinerary import Route, check_keys, number, one_of, pair, route_of, typed
 from pdr_graph.simulation.recorders import RECORDERS

@@ -8,7 +8,6 @@ from walks import drawn_from_the_model
 
 from pdr_graph import WalkGraph
 from pdr_graph.estimation.block_cholesky import Elimination, Factorization
-from pdr_graph.estimation.covariance import CovarianceBlocks
 from pdr_graph.estimation.normal_equations import NormalEquations
 
 COUNT = 300  # variables: several rounds, and a root
@@ -122,11 +121,6 @@ def test_the_step_of_a_walk_and_its_covariance_are_gtsams():
         theirs = [net.optimize().at(key) for key in at.state.keys(symbol).tolist()]
         assert moves == pytest.approx(np.array(theirs), rel=1e-7, abs=1e-9)
     assert solution.log_determinant == pytest.approx(net.logDeterminant(), rel=1e-9)
-    i = np.arange(len(graph.segment))
-    keys = zip(at.state.keys("x", i).tolist(), at.state.keys("x", i + 1).tolist(), strict=True)
-    of_c = at.state.keys("c", graph.segment).tolist()
-    theirs = CovarianceBlocks(net).joint([(*pair, c) for pair, c in zip(keys, of_c, strict=True)])
-    assert solution.joint(("x", i), ("x", i + 1), ("c", graph.segment)) == pytest.approx(theirs, rel=1e-6, abs=1e-9)
 
 
 def test_graphs_with_the_same_factors_share_the_places_of_their_blocks():

@@ -9,7 +9,7 @@ from plans import MAPS
 from pdr_graph import InputError, WalkGraph, detect_steps, smooth
 from pdr_graph.estimation.calibration import BETWEEN_WALKS, calibrate, posterior_profile, prior_of
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.floor.formats import read_route
+from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, interpolate
 from pdr_graph.simulation.scenario import Scenario

@@ -10,8 +10,8 @@ from pdr_graph import Headings, WalkGraph
 from pdr_graph.estimation import particle_filter as particles
 from pdr_graph.estimation.particle_filter import particle_filter
 from pdr_graph.estimation.particle_motion import Walls, stepped
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import WALL_COST
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.types import Fixes
 
 SIGMA = np.array([0.07, 0.25, 0.02])  # of a step's length, sway [m] and turn [rad]

@@ -11,12 +11,13 @@ from evaal.evaal_server import Trial, serving
 from evaal.trials import Echo, assert_same_as_loaded, received, rows_of, run, summary
 from recorders import G, get_sensor_data, sample
 
-from pdr_graph import cli, io
+from pdr_graph import cli
 from pdr_graph.errors import InputError
 from pdr_graph.evaal.client import CSV, TRIES, Api, State
 from pdr_graph.evaal.row_stream import FIRST_SECOND, RowStream
 from pdr_graph.evaal.trial import INTERVAL, Entry, PositionFormat, run_trial
 from pdr_graph.frames import enu
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.types import Fixes
 
@@ -121,7 +122,7 @@ def test_other_separators_and_unknown_tags_are_read(tmp_path, log, separator):
     assert stream.rows["VISO"] == stream.rows["garbage"] == 1
     assert dict(stream.unread) == {"ACCE": 1}
     (tmp_path / "received.txt").write_text("\n".join(row for row in rows if row[-2:] != separator + "x"))
-    assert len(io.load(tmp_path / "received.txt").accelerometer) == stream.rows["ACCE"] - 1
+    assert len(load(tmp_path / "received.txt").accelerometer) == stream.rows["ACCE"] - 1
 
 
 def test_a_slot_without_rows_is_not_the_end(tmp_path, log):

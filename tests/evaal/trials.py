@@ -6,11 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
-from pdr_graph import io
 from pdr_graph.evaal.client import Api
 from pdr_graph.evaal.row_stream import RowStream
 from pdr_graph.evaal.trial import INTERVAL, Entry, PositionFormat, run_trial
 from pdr_graph.frames import Frame, enu
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Pose, Samples, Scan
 from pdr_graph.types import LONLAT, Estimate, Fixes, Trajectory
 
@@ -67,7 +67,7 @@ def summary(out):
 
 
 def assert_same_as_loaded(path, within):
-    walk, stream, events = io.load(path), RowStream(), []
+    walk, stream, events = load(path), RowStream(), []
     rows = sorted(rows_of(path.read_text(errors="replace")), key=lambda row: float(row.split(";")[1]))
     times = np.array([float(row.split(";")[1]) for row in rows])
     ends = np.searchsorted(times, np.arange(times[0], times[-1] + INTERVAL, INTERVAL) + INTERVAL)

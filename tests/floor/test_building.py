@@ -8,8 +8,8 @@ import shapely
 from plans import MAPS
 
 from pdr_graph import FloorPlan, InputError
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 
 FRAME = enu(35.0, 135.0)

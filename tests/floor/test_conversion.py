@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 
 from pdr_graph import InputError
 from pdr_graph.cli import app
-from pdr_graph.floor.building import Building
-from pdr_graph.floor.formats.conversion import convert
-from pdr_graph.floor.formats.georeference import TiePoints, scale_of_two_points
+from pdr_graph.floor.formats.conversion import TiePoints, convert, scale_of_two_points
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, enu
 
 MAPS = Path(__file__).resolve().parents[2] / "maps"

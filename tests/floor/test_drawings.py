@@ -10,14 +10,13 @@ import pytest
 import shapely
 
 from pdr_graph import InputError
-from pdr_graph.floor import formats
-from pdr_graph.floor.building import Building
+from pdr_graph.floor import plan_files
 from pdr_graph.floor.cells import DOOR, WALL
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats.drafting import drawing_of_lines
-from pdr_graph.floor.formats.layers import UNKNOWN
+from pdr_graph.floor.formats.drafting import UNKNOWN, drawing_of_lines
+from pdr_graph.floor.formats.floor_picture import skew_of
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
-from pdr_graph.floor.formats.tracing import skew_of
+from pdr_graph.floor.plan_files import Building
 
 pytest.importorskip("ezdxf")
 pytest.importorskip("skimage")
@@ -98,7 +97,7 @@ def test_a_stated_scale_overrides_a_wrong_unit_of_a_dxf_drawing(tmp_path):
 def test_a_skewed_scan_with_a_gap_of_a_pixel_gives_the_walkable_area(tmp_path, skew, thick):
     path = tmp_path / "scan.png"
     drawn.picture(skew=skew, thick=thick, gap=True).save(path)
-    drawing = formats.read(path, 0.02)
+    drawing = plan_files.read(path, 0.02)
     affine = np.array(drawing.affine).reshape(2, 3)
 
     def place(points):
@@ -126,7 +125,7 @@ def test_a_ros_map_lies_where_its_origin_and_yaw_say(tmp_path, origin):
     turn = np.array([[cos, -sin], [sin, cos]])
     plan = Building.load(path).floors[0]
     assert drawn.agreement(plan.walkable, lambda p: (p + 1.0) @ turn.T + origin[:2]) > 0.95
-    assert len(formats.files_of(path)) == 2, "the fingerprint covers the picture"
+    assert len(plan_files.files_of(path)) == 2, "the fingerprint covers the picture"
 
 
 def test_a_negated_ros_map_is_the_same(tmp_path):

@@ -9,8 +9,9 @@ from plans import MAPS
 from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, WalkGraph
-from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.cells import NOWHERE, Area
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 
 

@@ -8,10 +8,9 @@ import pytest
 import shapely
 
 from pdr_graph import InputError
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
-from pdr_graph.floor.formats import plan_fingerprint
 from pdr_graph.floor.formats.several_files import MOST_FLOORS
+from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import enu
 
 FRAME = enu(48.0, 11.0)

@@ -8,9 +8,9 @@ import pytest
 import shapely
 
 from pdr_graph import InputError
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
 from pdr_graph.floor.formats.osm_indoor import levels_of
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import enu
 
 FRAME = enu(45.0, 5.0)

@@ -8,8 +8,8 @@ import pytest
 import shapely
 
 from pdr_graph import FloorPlan, InputError
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.floor.plan_files import Building
 
 
 def plan(path, rings, **properties):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pdr_graph import io
 from pdr_graph.errors import InputError
+from pdr_graph.io.loading import load
 
 START = 1_574_567_416_839
 
@@ -29,7 +29,7 @@ def written(tmp_path, content):
 
 
 def test_reader_indoor_location(tmp_path):
-    walk = io.load(written(tmp_path, lines()))
+    walk = load(written(tmp_path, lines()))
     assert len(walk.accelerometer) == len(walk.gyroscope) == 100
     assert walk.magnetometer is None
     assert walk.clock_origin == walk.epoch == START / 1000
@@ -47,7 +47,7 @@ def test_an_access_point_is_received_once_at_its_last_seen_time(tmp_path):
     wifi = [f"{START + 1000 * n}\tTYPE_WIFI\tname\taa:00\t-50\t2412\t{START + 300}" for n in (1, 2, 3)]
     wifi.append(f"{START + 2000}\tTYPE_WIFI\tname\tbb:00\t-60\t2412\t7000000")
     others = [line for line in lines() if "WIFI" not in line]
-    received = io.load(written(tmp_path, [*others[:-1], *wifi, others[-1]])).wifi
+    received = load(written(tmp_path, [*others[:-1], *wifi, others[-1]])).wifi
     assert received.time == pytest.approx([0.3, 2.0], abs=1e-6)
     assert received.transmitter == ("aa:00", "bb:00")
     assert received.rssi.tolist() == [-50.0, -60.0]
@@ -77,17 +77,17 @@ def replaced(old, new):
 def test_bad_recordings_raise_one_line(tmp_path, content, message):
     path = written(tmp_path, content)
     with pytest.raises(InputError, match=message) as error:
-        io.load(path)
+        load(path)
     assert "\n" not in str(error.value)
     assert str(path) in str(error.value)
 
 
 def test_lines_that_are_not_rows_are_noted(tmp_path):
-    walk = io.load(written(tmp_path, [*lines()[:5], "a name with a", "line break", *lines()[5:]]))
+    walk = load(written(tmp_path, [*lines()[:5], "a name with a", "line break", *lines()[5:]]))
     assert len(walk.accelerometer) == 100
     assert "2 lines are not rows (the first: line 6)" in walk.notes[0]
 
 
 def test_a_missing_file_raises_no_such_file(tmp_path):
     with pytest.raises(InputError, match="no such file"):
-        io.load(tmp_path / "nothing.txt")
+        load(tmp_path / "nothing.txt")

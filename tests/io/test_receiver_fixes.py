@@ -5,8 +5,9 @@ import random
 import numpy as np
 import pytest
 
-from pdr_graph import InputError, io
+from pdr_graph import InputError
 from pdr_graph.io import gpx as gpx_reader
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.io.validation import RADIUS_68, receiver_fixes
 from pdr_graph.types import LONLAT, Recording, Signal
@@ -38,7 +39,7 @@ def written(tmp_path, text, name="track.gpx"):
 )
 @pytest.mark.parametrize("version", ["1/0", "1/1"])
 def test_reader_gpx(tmp_path, time, version):
-    walk = io.load(written(tmp_path, gpx([point(), point(time, lon=11.2)], version)))
+    walk = load(written(tmp_path, gpx([point(), point(time, lon=11.2)], version)))
     assert walk.epoch == walk.clock_origin == UNIX
     assert walk.fixes.time == pytest.approx([0.0, 5.0])
     assert walk.fixes.position == pytest.approx(np.array([[11.1, 49.45], [11.2, 49.45]]))
@@ -49,7 +50,7 @@ def test_reader_gpx(tmp_path, time, version):
 def test_the_accuracy_of_gpx_is_that_of_an_extension_or_from_hdop(tmp_path):
     extension = "<extensions><x:accuracy xmlns:x='urn:x'>9.06</x:accuracy></extensions>"
     track = gpx([point(more=extension), point("2023-11-14T22:13:25Z", more="<hdop>2</hdop>")])
-    sigma = io.load(written(tmp_path, track)).fixes.sigma
+    sigma = load(written(tmp_path, track)).fixes.sigma
     assert sigma == pytest.approx([9.06 / RADIUS_68, 2 * 5.3 / RADIUS_68])
 
 
@@ -68,7 +69,7 @@ def test_the_accuracy_of_gpx_is_that_of_an_extension_or_from_hdop(tmp_path):
 def test_broken_and_hostile_gpx_raises_one_line(tmp_path, text, message):
     path = written(tmp_path, text)
     with pytest.raises(InputError, match=message) as error:
-        io.load(path)
+        load(path)
     assert "\n" not in str(error.value)
     assert str(path) in str(error.value)
 
@@ -80,7 +81,7 @@ def test_reader_geolife(tmp_path):
     """Days since 1899-12-30: the row in the description of the format, and one five seconds later."""
     rows = "39.9,116.3,0,492,39747.1124074074,2008-10-26,02:41:52\n"
     rows += "39.9,116.4,0,-777,39747.1124652778,2008-10-26,02:41:57\n"
-    walk = io.load(written(tmp_path, PLT + rows, "20081026024152.plt"))
+    walk = load(written(tmp_path, PLT + rows, "20081026024152.plt"))
     assert walk.epoch == 1_224_988_912.0
     assert walk.fixes.time.tolist() == [0.0, 5.0]
     assert walk.fixes.position.tolist() == [[116.3, 39.9], [116.4, 39.9]]
@@ -155,7 +156,7 @@ def test_plain_points_are_found_as_in_the_tree_of_all_elements(tmp_path, monkeyp
 def outcome(path):
     """Times, positions and sigmas of the fixes, or the message."""
     try:
-        fixes = io.load(path).fixes
+        fixes = load(path).fixes
     except InputError as error:
         return str(error)
     return fixes.time.tolist(), fixes.position.tolist(), fixes.sigma.tolist()

@@ -18,7 +18,8 @@ from recorders import (
     xyz,
 )
 
-from pdr_graph import InputError, detect_steps, io
+from pdr_graph import InputError, detect_steps
+from pdr_graph.io.loading import load
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import LONLAT
 
@@ -47,7 +48,7 @@ def assert_is_the_walk(walk, sampled, start, clock_tolerance=1e-6):
     ids=["comma", "semicolon", "tab, decimal comma", "semicolon, decimal comma, no quotes"],
 )
 def test_reader_phyphox(tmp_path, sampled, style):
-    walk = io.load(in_folder(tmp_path / "walk", phyphox(sampled, **style)))
+    walk = load(in_folder(tmp_path / "walk", phyphox(sampled, **style)))
     assert_is_the_walk(walk, sampled, 0.0)
     assert walk.epoch is None, "without meta/time.csv there is no clock"
     assert walk.magnetometer.values[3] == pytest.approx([5, 20, -40])
@@ -58,7 +59,7 @@ def test_reader_phyphox_restores_pauses(tmp_path, sampled):
     """Paused after 8 s for 100 s: the export joins the parts, meta/time.csv has the times of both."""
     events = f'"START",0.0,{UNIX}\n"PAUSE",8.0,{UNIX + 8}\n"START",8.0,{UNIX + 108}\n"PAUSE",20.0,{UNIX + 120}\n'
     files = phyphox(sampled) | {"meta/time.csv": '"event","experiment time","system time"\n' + events}
-    walk = io.load(in_zip(tmp_path / "walk.zip", files, top="Walk 2023-11-14 22-13-20/"))
+    walk = load(in_zip(tmp_path / "walk.zip", files, top="Walk 2023-11-14 22-13-20/"))
     assert walk.clock_origin == walk.epoch == pytest.approx(UNIX)
     expected = np.where(sampled.time >= 8.0, sampled.time + 100.0, sampled.time)
     assert walk.accelerometer.time == pytest.approx(expected, abs=1e-6)
@@ -75,7 +76,7 @@ def test_reader_phyphox_in_other_languages_and_one_table(tmp_path, sampled):
     absolute = np.linalg.norm(sampled.acceleration, axis=1)
     path = tmp_path / "Rohdaten.csv"
     path.write_text(table(names, sampled.time, sampled.acceleration, absolute, sampled.time, half))
-    walk = io.load(path)
+    walk = load(path)
     assert walk.accelerometer.values == pytest.approx(sampled.acceleration, abs=1e-6)
     assert len(walk.gyroscope) == 400
     assert walk.gyroscope.values == pytest.approx(sampled.angular_rate[:400], abs=1e-6)
@@ -84,10 +85,10 @@ def test_reader_phyphox_in_other_languages_and_one_table(tmp_path, sampled):
 def test_reader_phyphox_without_gravity_still_gives_all_steps(tmp_path, sampled):
     user = sampled.acceleration - sampled.gravity
     text = table(xyz("m/s^2", "Linear Acceleration {}"), sampled.time, user)
-    walk = io.load(in_folder(tmp_path / "a", {"Raw Data.csv": text}))
+    walk = load(in_folder(tmp_path / "a", {"Raw Data.csv": text}))
     assert walk.accelerometer is None
     assert walk.linear_acceleration.values == pytest.approx(user, abs=1e-6)
-    complete = io.load(in_folder(tmp_path / "b", phyphox(sampled)))
+    complete = load(in_folder(tmp_path / "b", phyphox(sampled)))
     found = detect_steps(walk)
     assert len(found) == len(detect_steps(complete))
     assert len(found.unknown) == 2, "turns and the vertical"
@@ -100,7 +101,7 @@ def test_reader_sensor_logger(tmp_path, sampled, platform, standardised, without
     files = {n: t for n, t in sensor_logger(sampled, platform, standardised).items() if n not in without}
     if "Gravity.csv" in without:
         del files["Accelerometer.csv"]
-    walk = io.load(in_zip(tmp_path / "walk.zip", files))
+    walk = load(in_zip(tmp_path / "walk.zip", files))
     assert_is_the_walk(walk, sampled, UNIX)
     assert walk.epoch == walk.clock_origin
     assert walk.barometer.values[0] == pytest.approx(1013.25)
@@ -111,7 +112,7 @@ def test_reader_sensor_logger_without_metadata_infers_the_platform_from_gravity(
     """The screen of a carried phone faces up: gravity into the screen is the sign of iOS."""
     left_out = ("Metadata.csv", "TotalAcceleration.csv")
     files = {n: t for n, t in sensor_logger(sampled, platform).items() if n not in left_out}
-    walk = io.load(in_folder(tmp_path / "walk", files))
+    walk = load(in_folder(tmp_path / "walk", files))
     assert_is_the_walk(walk, sampled, UNIX)
     assert any("no Metadata.csv" in note for note in walk.notes)
 
@@ -121,7 +122,7 @@ def test_reader_sensor_logger_leaves_out_invalid_positions(tmp_path, sampled):
     accuracy = sampled.accuracy.copy()
     accuracy[[2, 5]] = -1
     location = nanoseconds("horizontalAccuracy,longitude,latitude", sampled.fix_time, accuracy, sampled.lonlat)
-    walk = io.load(in_folder(tmp_path / "walk", sensor_logger(sampled, "ios") | {"Location.csv": location}))
+    walk = load(in_folder(tmp_path / "walk", sensor_logger(sampled, "ios") | {"Location.csv": location}))
     assert len(walk.fixes) == len(sampled.fix_time) - 2
     assert any(f"2 of {len(sampled.fix_time)} positions are invalid" in note for note in walk.notes)
 
@@ -129,14 +130,14 @@ def test_reader_sensor_logger_leaves_out_invalid_positions(tmp_path, sampled):
 def test_reader_sensor_logger_reads_one_table(tmp_path, sampled):
     path = tmp_path / "walking3.csv"
     path.write_text(nanoseconds("z,y,x", sampled.time, sampled.acceleration[:, ::-1]))
-    assert io.load(path).accelerometer.values == pytest.approx(sampled.acceleration)
+    assert load(path).accelerometer.values == pytest.approx(sampled.acceleration)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1 / G], ids=["IPIN", "xDR, in g"])
 def test_reader_get_sensor_data(tmp_path, sampled, unit):
     path = tmp_path / "logfile.txt"
     path.write_text(get_sensor_data(sampled, unit))
-    walk = io.load(path)
+    walk = load(path)
     # five digits in g are ten times as coarse in m/s²
     assert walk.accelerometer.values == pytest.approx(sampled.acceleration, abs=1e-4)
     assert walk.clock_origin == pytest.approx(0.004, abs=1e-4), "the app's clock, as a whole"
@@ -157,7 +158,7 @@ def test_reader_get_sensor_data_uses_the_apps_clock_if_the_sensors_clock_stands_
     stuck = [line for line in get_sensor_data(sampled).splitlines() if "GYRO" not in line]
     stuck += [f"GYRO;{t:.4f};0.0;0.1;0.2;0.3;3" for t in sampled.time]
     path.write_text("\n".join(stuck) + "\n")
-    walk = io.load(path)
+    walk = load(path)
     assert np.diff(walk.gyroscope.time) == pytest.approx(0.02, abs=1e-3)
     assert any("its clock and the app's differ" in note for note in walk.notes)
 
@@ -167,14 +168,14 @@ def test_reader_gnss_logger(tmp_path, sampled, header):
     """Uncalibrated sensors minus their bias; the fixes of one provider, with columns by the names in the header."""
     path = tmp_path / "gnss_log.txt"
     path.write_text(gnss_logger(sampled, header) if header else gnss_logger(sampled))
-    walk = io.load(path)
+    walk = load(path)
     assert_is_the_walk(walk, sampled, UNIX)
     assert any("other providers" in note for note in walk.notes)
 
 
 def test_the_latency_of_the_receiver_shifts_fixes_only(tmp_path, sampled):
     folder = in_folder(tmp_path / "walk", phyphox(sampled))
-    early, late = io.load(folder, gnss_latency=2.5), io.load(folder)
+    early, late = load(folder, gnss_latency=2.5), load(folder)
     assert early.fixes.time == pytest.approx(late.fixes.time - 2.5)
     assert early.accelerometer.time == pytest.approx(late.accelerometer.time)
 
@@ -184,7 +185,7 @@ def test_the_steps_of_a_walk_are_the_same_from_every_recorder(tmp_path, sampled)
     (tmp_path / "b.txt").write_text(gnss_logger(sampled))
     sources = [tmp_path / "a.txt", tmp_path / "b.txt", in_folder(tmp_path / "c", phyphox(sampled))]
     sources.append(in_zip(tmp_path / "d.zip", sensor_logger(sampled, "ios")))
-    steps = [detect_steps(io.load(source)) for source in sources]
+    steps = [detect_steps(load(source)) for source in sources]
     for other in steps[1:]:
         assert other.time == pytest.approx(steps[0].time, abs=1e-3)
         assert other.length == pytest.approx(steps[0].length, abs=1e-3)
@@ -194,7 +195,7 @@ def test_the_steps_of_a_walk_are_the_same_from_every_recorder(tmp_path, sampled)
 def test_a_folder_of_several_recordings_raises(tmp_path, sampled):
     files = {f"{part}/{name}": text for part in "ab" for name, text in sensor_logger(sampled).items()}
     with pytest.raises(InputError, match="one recording at a time"):
-        io.load(in_folder(tmp_path / "walks", files))
+        load(in_folder(tmp_path / "walks", files))
 
 
 def test_the_walk_starts_at_the_origin_of_its_frame(sampled):

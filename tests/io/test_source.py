@@ -11,7 +11,8 @@ import pytest
 from mutations import mutated
 from recorders import in_folder, in_zip, phyphox, sample
 
-from pdr_graph import InputError, io, source
+from pdr_graph import InputError, source
+from pdr_graph.io.loading import load
 from pdr_graph.source import MAXIMUM_FILES
 
 
@@ -22,7 +23,7 @@ def files():
 
 def refused(path, message):
     with pytest.raises(InputError, match=message) as error:
-        io.load(path)
+        load(path)
     assert "\n" not in str(error.value)
     assert str(path) in str(error.value)
 
@@ -34,10 +35,10 @@ def test_a_zip_bomb_raises_at_the_limit_of_unpacked_bytes(tmp_path, files, monke
     monkeypatch.setenv("PDR_GRAPH_MAX_MB", "2")
     refused(path, "more than 2 MB.*PDR_GRAPH_MAX_MB")
     monkeypatch.setenv("PDR_GRAPH_MAX_MB", "20")
-    assert len(io.load(in_zip(tmp_path / "walk.zip", files)).accelerometer) > 900
+    assert len(load(in_zip(tmp_path / "walk.zip", files)).accelerometer) > 900
     monkeypatch.setenv("PDR_GRAPH_MAX_MB", "lots")
     with pytest.raises(InputError, match="a number of megabytes"):
-        io.load(path)
+        load(path)
 
 
 @pytest.mark.parametrize("name", ["../Accelerometer.csv", "/etc/Accelerometer.csv", "a/../../b.csv", "C:\\b.csv"])
@@ -86,7 +87,7 @@ def test_an_archive_with_a_password_raises(tmp_path, files):
 
 def test_files_that_operating_systems_add_are_ignored(tmp_path, files):
     clutter = {"__MACOSX/._Accelerometer.csv": "\x00", ".DS_Store": "x", "Walk/._Gyroscope.csv": "y"}
-    walk = io.load(in_zip(tmp_path / "walk.zip", {f"Walk/{n}": t for n, t in files.items()} | clutter))
+    walk = load(in_zip(tmp_path / "walk.zip", {f"Walk/{n}": t for n, t in files.items()} | clutter))
     assert len(walk.accelerometer) == len(walk.gyroscope)
 
 
@@ -94,7 +95,7 @@ def test_a_member_without_a_name_is_ignored(tmp_path, files):
     """A name ends at its first zero byte; here that is its first byte."""
     path = in_zip(tmp_path / "walk.zip", files | {"nameless": "x"})
     path.write_bytes(path.read_bytes().replace(b"nameless", b"\0ameless"))
-    assert len(io.load(path).accelerometer) > 900
+    assert len(load(path).accelerometer) > 900
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
@@ -103,7 +104,7 @@ def test_pipes_and_devices_do_not_hang(tmp_path, files):
     refused(tmp_path / "pipe", "neither a file nor a folder")
     folder = in_folder(tmp_path / "walk", files)
     os.mkfifo(folder / "Gravity.csv")
-    assert len(io.load(folder).accelerometer) > 900
+    assert len(load(folder).accelerometer) > 900
 
 
 def test_an_empty_folder_is_named(tmp_path):
@@ -140,7 +141,7 @@ def test_more_lines_than_ten_hours_have_are_refused_before_they_are_split(tmp_pa
     """A row of one digit takes a hundred times its size in memory."""
     path = in_zip(tmp_path / "walk.zip", files)
     monkeypatch.setattr(source, "MOST_LINES", 1000)
-    assert len(io.load(path).accelerometer) > 900
+    assert len(load(path).accelerometer) > 900
     long = files["Accelerometer.csv"] + 1001 * "1\n"
     refused(in_zip(tmp_path / "rows.zip", files | {"Accelerometer.csv": long}), r"\d+ lines, expected at most 1000")
 

@@ -12,8 +12,7 @@ from pdr_graph.errors import InputError
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.frames import enu
 from pdr_graph.io import gpx, writers
-from pdr_graph.io.tables import read_fixes, read_trajectory
-from pdr_graph.io.tum import is_tum
+from pdr_graph.io.tables import is_tum, read_fixes, read_trajectory
 from pdr_graph.types import LONLAT, Recording, Signal
 
 ORIGIN = 1_700_000_000.0

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from recorders import G, get_sensor_data, in_folder, phyphox, sample, table, xyz
 
-from pdr_graph import InputError, io
+from pdr_graph import InputError
+from pdr_graph.io.loading import load
 from pdr_graph.io.validation import build_recording
 
 
@@ -123,14 +124,14 @@ def test_faults_of_a_table_are_repaired_or_raise_one_line(tmp_path, sampled, fau
     text = damage(table(xyz("m/s^2", "Acceleration {}"), sampled.time, sampled.acceleration, form="{:.6f}"))
     folder = in_folder(tmp_path / "walk", phyphox(sampled) | {"Accelerometer.csv": text})
     if message == "":
-        walk = io.load(folder)
+        walk = load(folder)
         assert len(walk.accelerometer) > 400
         return
     if message is None:
-        assert io.load(folder).accelerometer is None, "an empty table is a sensor that was not recorded"
+        assert load(folder).accelerometer is None, "an empty table is a sensor that was not recorded"
         return
     with pytest.raises(InputError, match=message) as error:
-        io.load(folder)
+        load(folder)
     assert "Accelerometer.csv" in str(error.value)
     assert len(str(error.value)) < 400
 
@@ -139,4 +140,4 @@ def test_a_log_cut_in_mid_row_loses_that_row_only(tmp_path, sampled):
     text = get_sensor_data(sampled)
     path = tmp_path / "log.txt"
     path.write_text(text[: text.rindex("GYRO") + 25])
-    assert len(io.load(path).gyroscope) == len(sampled.time) - 1
+    assert len(load(path).gyroscope) == len(sampled.time) - 1

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pdr_graph.io.decimal_text import LARGEST, decimals, text_rows
-from pdr_graph.io.writers import write_tum
+from pdr_graph.io.writers import LARGEST, decimals, text_rows, write_tum
 from pdr_graph.types import Trajectory
 
 PLACES = (1, 2, 3, 4, 5, 6, 8)

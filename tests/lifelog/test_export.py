@@ -16,9 +16,9 @@ from lxml import etree
 from made_days import HERE, NOWHERE, day, outing, stay
 from typer.testing import CliRunner
 
-from pdr_graph import io as recordings
 from pdr_graph.cli import app
 from pdr_graph.errors import InputError
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.day import GAP, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.day_rows import rows_of
@@ -40,7 +40,7 @@ def shown(made):
 
 def test_our_reader_reads_a_gpx_back(tmp_path):
     (tmp_path / "day.gpx").write_bytes(as_gpx([DAY]))
-    walk = recordings.load(tmp_path / "day.gpx")
+    walk = load(tmp_path / "day.gpx")
     track = shown(DAY)
     assert walk.epoch + walk.fixes.time == pytest.approx(DAY.outings[0].epoch + track.time, abs=1e-3)
     assert HERE.from_lonlat(walk.fixes.position) == pytest.approx(track.position, abs=0.002)  # eight decimals

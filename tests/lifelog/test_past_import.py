@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 
 from pdr_graph import InputError
 from pdr_graph.cli import app
-from pdr_graph.io import load
+from pdr_graph.io.loading import load
 from pdr_graph.io.past_day import GOOGLE_PATH, POSITION, from_text, to_text
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.lifelog.build import build

@@ -510,7 +510,7 @@ def test_areas_of_a_file_are_hidden(tmp_path):
 
 def test_places_are_looked_up_on_plans_by_name():
     plan = "maps/mall.geojson"
-    from pdr_graph.floor.building import Building
+    from pdr_graph.floor.plan_files import Building
 
     floor = Building.load(plan).floors[0]
     shop = next(area for area in floor.areas if area.kind == "shop" and area.name)

@@ -8,11 +8,11 @@ import pytest
 import simulated
 from observations import HERE, NOON, observation, positions, walk
 
-from pdr_graph import io
 from pdr_graph.batch import smooth_recording
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Options
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
@@ -51,7 +51,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ranges")
     simulated.indoor_location(folder, ROUTE, seed=4)
     recording = folder / "walk.txt"
-    walk = io.load(recording)
+    walk = load(recording)
     truth = read_trajectory(folder / "truth.csv", walk)
     table = ranges_along(truth.time, truth.position)
     rows = [
@@ -77,7 +77,7 @@ def test_a_walk_with_ranges_and_no_fix_equals_that_of_smooth(files, tmp_path):
     [outing] = built_day(tmp_path / "log").outings
     options = Options(**paths, recorded_fixes=False)
     smooth_recording(recording, tmp_path / "smoothed", options)
-    smoothed = read_trajectory(tmp_path / "smoothed" / "trajectory.csv", io.load(recording))
+    smoothed = read_trajectory(tmp_path / "smoothed" / "trajectory.csv", load(recording))
     assert error(outing.trajectory, truth) < 0.3
     assert interpolate(smoothed.time, outing.trajectory.time, outing.trajectory.position) == pytest.approx(
         smoothed.position, abs=2e-3

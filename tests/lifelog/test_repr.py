@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.floor.building import Building, FloorSequence
+from pdr_graph.floor.building import FloorSequence
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import Day, Outing, Segment, Stay
 from pdr_graph.lifelog.maps import panels

@@ -10,7 +10,7 @@ import pytest
 import shapely
 from simulated import scenario
 
-from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.online.display import Display
 from pdr_graph.online.interface import events_of
 from pdr_graph.online.navigator import Navigator

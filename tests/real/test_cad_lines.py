@@ -9,8 +9,8 @@ import shapely
 
 from pdr_graph import InputError
 from pdr_graph.batch import smooth_recording
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.inputs import Options, read
 from pdr_graph.io.tables import read_trajectory
 

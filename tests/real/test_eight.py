@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes
 
 START_SIGMA = 0.3  # [m] of who stands on a marked place
@@ -14,7 +15,7 @@ START_SIGMA = 0.3  # [m] of who stands on a marked place
 def eight(data):
     """The plan, the truth in its frame, and the walk as the graph has it: one fix, no heading."""
     folder = data / "ipin21_hcu"
-    plan, walk = FloorPlan.load(folder / "map" / "Plan4OG.geojson"), io.load(folder / "eight")
+    plan, walk = FloorPlan.load(folder / "map" / "Plan4OG.geojson"), load(folder / "eight")
     truth, steps = plan.frame.place(walk.truth), detect_steps(walk)
     start = Fixes(np.array([steps.start]), truth.position[:1], np.array([START_SIGMA]), ("",))
     return plan, truth, smooth(WalkGraph(steps, start, floor=plan))

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from pdr_graph import detect_steps, io
+from pdr_graph import detect_steps
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.inertial.barometer import climbs
+from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes, Signal
 
 
 def of(path, start):
-    walk = io.load(path)
+    walk = load(path)
     steps = detect_steps(walk)
     return walk, steps, floors_along(steps, walk.barometer, start, Fixes.none(), None)
 
@@ -33,7 +34,7 @@ def test_the_stairs_of_a_museum(data):
 def test_up_and_down_the_same_stairs_is_as_high(data):
     """Two flights down and two up between the same floors: four measures of one height."""
     (path,) = data.glob("ipin2023_track3/*Trial52*.txt")
-    found = climbs(io.load(path).barometer)
+    found = climbs(load(path).barometer)
     height = np.abs(found.height)
     assert np.all(np.abs(height - height.mean()) < 2 * found.sigma)
 
@@ -61,7 +62,7 @@ def test_who_stays_on_a_floor_is_on_it(data, pattern, start):
 def test_a_storey_added_to_a_real_barometer_is_found(data, pattern):
     """Its noise is real, and its height is known: 3.6 m in 5 to 15 s at any time, each alone."""
     (path,) = data.glob(pattern)
-    barometer = io.load(path).barometer
+    barometer = load(path).barometer
     random, time = np.random.default_rng(0), barometer.time
     errors = []
     for _ in range(40):

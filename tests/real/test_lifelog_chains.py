@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pdr_graph import io
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import wrap_angle
+from pdr_graph.io.loading import load
 from pdr_graph.lifelog.observation import observe
 from pdr_graph.lifelog.reconstruct import estimate_walk
 from pdr_graph.lifelog.sessions import Session, sessions_of, turn_by_field
@@ -26,7 +26,7 @@ def chains(data):
     for name in CHAINS:
         folder = data / "ms_indoor20" / name
         paths = [path for path in folder.glob("*.txt") if NO_PIECE not in path.name]
-        pieces = [(observe(path, RecordingOptions(plan=folder)), io.load(path).truth) for path in paths]
+        pieces = [(observe(path, RecordingOptions(plan=folder)), load(path).truth) for path in paths]
         found[name] = sorted(pieces, key=lambda piece: piece[0].epoch)
     return found
 

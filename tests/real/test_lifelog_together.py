@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from pdr_graph import io
+from pdr_graph.io.loading import load
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.multi_day import estimate_together
@@ -17,7 +17,7 @@ def store(tmp_path, data):
     """Two people on one floor: one walked its chain, the other an hour later, with the first and last waypoint each."""
     log, folder = tmp_path / "days.db", data / "ms_indoor20" / "site1" / "F1"
     for path in sorted(folder.glob("*.txt")):
-        walk, fixes = io.load(path), tmp_path / f"{path.stem}.csv"
+        walk, fixes = load(path), tmp_path / f"{path.stem}.csv"
         truth = walk.truth
         rows = [
             f"{walk.clock_origin + truth.time[n]:.3f},{truth.position[n, 0]},{truth.position[n, 1]},0.5"

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from pdr_graph import detect_steps, io
+from pdr_graph import detect_steps
 from pdr_graph.estimation.floors import floors_along
 from pdr_graph.estimation.live.live_floors import LiveFloors
 from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.types import Fixes
 
@@ -39,7 +40,7 @@ def told_of(walk, start):
 def test_the_stairs_of_a_museum(data):
     """15 s later all but a few steps have the label that they keep; a new one comes within 8 s."""
     (path,) = data.glob("ipin2023_track3/*Trial52*.txt")
-    walk = io.load(path)
+    walk = load(path)
     steps = detect_steps(walk)
     offline = np.array(floors_along(steps, walk.barometer, "0", Fixes.none(), None).labels[1:-1])
     told, changes = told_of(walk, "0")
@@ -61,6 +62,6 @@ def test_the_stairs_of_a_museum(data):
 )
 def test_who_stays_on_a_floor_is_told_no_other(data, pattern, start):
     (path,) = data.glob(pattern)
-    told, changes = told_of(io.load(path), start)
+    told, changes = told_of(load(path), start)
     assert changes == []
     assert {label for _, label in told} == {start}

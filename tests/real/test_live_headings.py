@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from pdr_graph import detect_steps, io
+from pdr_graph import detect_steps
 from pdr_graph.frames import enu
 from pdr_graph.gait.compass import LiveCompass
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.geometry import wrap_angle
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, events_of
 
 HANGZHOU = (30.3, 120.2)  # [deg] about where the Microsoft walks are, for their field
@@ -48,7 +49,7 @@ def test_who_holds_the_phone_before_them_is_told_their_way(data, pattern):
     """Compasses of these phones err by 17 to 21° (5–95 %) over many more walks: 30° and three sigmas are none's."""
     told = 0
     for path in sorted(data.glob(pattern)):
-        walk = io.load(path)
+        walk = load(path)
         frame = enu(*HANGZHOU)
         said = said_of(walk, frame)
         error, sigma = errors(walk, frame.place(walk.truth), said), np.array([one.sigma for one in said])
@@ -61,7 +62,7 @@ def test_who_holds_the_phone_before_them_is_told_their_way(data, pattern):
 def test_in_a_museum_it_is_right_or_says_that_it_is_unsure(data, trial):
     """Trial52's stairs mislead what gait says is ahead; offline too."""
     (path,) = data.glob(f"ipin2023_track3/*{trial}*.txt")
-    walk = io.load(path)
+    walk = load(path)
     frame = enu(*walk.truth.position[0][::-1])
     said = said_of(walk, frame)
     error, sigma = errors(walk, frame.place(walk.truth), said), np.array([one.sigma for one in said])

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, smooth
 from pdr_graph.inputs import read
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, events_of
 from pdr_graph.online.navigator import Navigator
 from pdr_graph.types import Fixes, Signal
@@ -54,7 +55,7 @@ def test_live_is_about_as_good_as_the_batch(data, name, lag):
 
 def test_the_pose_stands_where_its_first_fix_says(data):
     """Before the steps that it lies among are certain: a frame's origin may be far away, UTM's 6000 km."""
-    walk = io.load(data / "ipin21_hcu" / "eight")
+    walk = load(data / "ipin21_hcu" / "eight")
     floor = FloorPlan.load(data / "ipin21_hcu" / "map" / "Plan4OG.geojson")
     truth = floor.frame.place(walk.truth)
     first = Fixes(truth.time[:1], truth.position[:1], np.array([0.3]), ("",))

@@ -5,9 +5,10 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from pdr_graph import detect_steps, io
+from pdr_graph import detect_steps
 from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.gait.step_stream import StepStream
+from pdr_graph.io.loading import load
 
 WALKS = ["ms_indoor20/site1/B1/*.txt", "ms_indoor20/site2/*/*.txt", "ipin2023_track3/*Trial01*.txt", "ipin21_hcu/eight"]
 
@@ -36,7 +37,7 @@ def test_live_steps_are_those_of_the_whole_recording(data, pattern):
     Offline the bias and the vertical are known from both sides, live from before.
     """
     for path in sorted(data.glob(pattern))[:4]:
-        walk = io.load(path)
+        walk = load(path)
         steps, found = detect_steps(walk), live(walk)
         assert len(found) == pytest.approx(len(steps), abs=max(1, 0.015 * len(steps)))
         assert found.length.sum() == pytest.approx(steps.length.sum(), rel=0.02)

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 import shapely
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
+from pdr_graph import FloorPlan, InputError, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.estimation.factors.base import extract
 from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes, Trajectory
 
 LENGTHS = {  # [m] between waypoints, from the data page
@@ -26,7 +27,7 @@ LENGTHS = {  # [m] between waypoints, from the data page
 @pytest.fixture(scope="module")
 def walks(data):
     """All fifteen, by path."""
-    return {p: io.load(p) for p in sorted((data / "ms_indoor20").glob("site*/*/*.txt"))}
+    return {p: load(p) for p in sorted((data / "ms_indoor20").glob("site*/*/*.txt"))}
 
 
 def given(walk, which) -> Fixes:
@@ -124,6 +125,6 @@ def test_damaged_copies_are_refused_in_one_line(walks, tmp_path):
     for n, bad in enumerate(damaged):
         path = tmp_path / f"{n}.txt"
         path.write_bytes(bad)
-        with pytest.raises(io.InputError) as refusal:
-            detect_steps(io.load(path))
+        with pytest.raises(InputError) as refusal:
+            detect_steps(load(path))
         assert "\n" not in str(refusal.value)

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pdr_graph import io
 from pdr_graph.batch import smooth_recording
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 
 
@@ -23,7 +23,7 @@ def smoothed(data, tmp_path_factory):
         out = tmp_path_factory.mktemp(f"trial{trial}")
         assert smooth_recording(path, out) == ()
         summary = json.loads((out / "summary.json").read_text())
-        walk, track = io.load(path), read_trajectory(out / "trajectory.csv")
+        walk, track = load(path), read_trajectory(out / "trajectory.csv")
         frame = enu(summary["frame"]["origin_lat"], summary["frame"]["origin_lon"])
         return circular_error(pair(track, frame.place(walk.truth))), summary
 

@@ -8,8 +8,8 @@ import shapely
 from typer.testing import CliRunner
 
 from pdr_graph import cli, evaluate, read_trajectory
-from pdr_graph.floor.building import Building
 from pdr_graph.floor.check import problems
+from pdr_graph.floor.plan_files import Building
 
 IN_CPC4 = """seed = 3
 plan = "PLAN"

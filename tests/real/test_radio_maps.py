@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
+from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import interpolate
+from pdr_graph.io.loading import load
 from pdr_graph.types import Fixes
 
 
@@ -16,7 +17,7 @@ def floor(data):
     folder = data / "ms_indoor20" / "site1" / "B1"
     plan, walks = FloorPlan.load(folder), []
     for path in sorted(folder.glob("*.txt")):
-        walk = io.load(path)
+        walk = load(path)
         steps, headings, truth = detect_steps(walk), magnetic_headings(walk, plan.frame, np.zeros(2)), walk.truth
         given = Fixes(truth.time, truth.position, np.full(len(truth), 0.5), ("",) * len(truth))
         track = smooth(WalkGraph(steps, given, headings=headings, floor=plan)).trajectory

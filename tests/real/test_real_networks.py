@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
-from pdr_graph import FloorPlan, io
+from pdr_graph import FloorPlan
+from pdr_graph.io.loading import load
 
 FLOORS = ("site1/B1", "site1/F1", "site1/F2", "site2/F1", "site2/F6")
 
@@ -36,7 +37,7 @@ def test_links_lie_where_one_can_walk(floors):
 def test_who_is_surveyed_walks_along_a_link(floors, data):
     """All within 5.5 m, 85 % within 3 m: aisles are up to 11 m wide, and a link is in the middle."""
     apart = [
-        shapely.distance(as_lines(floors[name][0].network), shapely.points(io.load(path).truth.position))
+        shapely.distance(as_lines(floors[name][0].network), shapely.points(load(path).truth.position))
         for name in FLOORS
         for path in sorted((data / "ms_indoor20" / name).glob("*.txt"))
     ]

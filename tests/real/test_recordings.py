@@ -6,10 +6,11 @@ import json
 import numpy as np
 import pytest
 
-from pdr_graph import FloorPlan, WalkGraph, detect_steps, io, magnetic_headings, smooth
+from pdr_graph import FloorPlan, InputError, WalkGraph, detect_steps, magnetic_headings, smooth
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.frames import enu, projected
 from pdr_graph.geometry import interpolate, wrap_angle
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_fixes
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.types import LONLAT
@@ -32,7 +33,7 @@ IPIN = {  # trial: gyroscope [Hz], POSI, BLE rows, floors, GNSS error [m] at 50 
 @pytest.mark.parametrize("trial", IPIN)
 def test_ipin_2023(data, trial):
     rate, landmarks, beacons, floors, error = IPIN[trial]
-    walk = io.load(one(data, f"ipin2023_track3/*{trial}*.txt"))
+    walk = load(one(data, f"ipin2023_track3/*{trial}*.txt"))
     assert walk.accelerometer.rate == pytest.approx(50, rel=0.01)
     assert walk.magnetometer.rate == pytest.approx(50, rel=0.01)
     assert walk.gyroscope.rate == pytest.approx(rate, rel=0.01)
@@ -50,18 +51,18 @@ def test_ipin_2023(data, trial):
 
 
 def test_ipin_beacon_table_is_no_recording(data):
-    with pytest.raises(io.InputError, match="supported recorder"):
-        io.load(data / "ipin2023_track3" / "BLE_Locations.csv")
+    with pytest.raises(InputError, match="supported recorder"):
+        load(data / "ipin2023_track3" / "BLE_Locations.csv")
 
 
 @pytest.mark.parametrize("folder", ["ipin2023_track3", "ms_indoor20", "geolife_sample"])
 def test_folders_of_several_recordings_are_refused(data, folder):
-    with pytest.raises(io.InputError, match="supported recorder"):
-        io.load(data / folder)
+    with pytest.raises(InputError, match="supported recorder"):
+        load(data / folder)
 
 
 def test_nju_phyphox(data):
-    walk = io.load(data / "nju_phyphox_outdoor")
+    walk = load(data / "nju_phyphox_outdoor")
     assert walk.accelerometer.rate == pytest.approx(49.7, abs=0.1)
     assert len(walk.accelerometer) == len(walk.gyroscope) == len(walk.magnetometer) == 29829
     assert len(walk.fixes) == 601
@@ -73,7 +74,7 @@ def test_nju_phyphox(data):
 
 
 def test_ipin21(data):
-    walk = io.load(data / "ipin21_hcu" / "eight")
+    walk = load(data / "ipin21_hcu" / "eight")
     for signal in (walk.accelerometer, walk.gyroscope, walk.magnetometer, walk.barometer):
         assert signal.rate == pytest.approx(100, abs=0.1)
         assert signal.time[-1] == pytest.approx(129, abs=1)
@@ -90,7 +91,7 @@ OXFORD = {"hand": 326, "frontpocket": 327, "bag": 346}
 @pytest.mark.parametrize("held", OXFORD)
 def test_oxford(data, held):
     """An accelerometer alone: the steps are counted to within 2 %, their turns are unknown."""
-    walk = io.load(one(data, f"oxford_steps/validation/user1_{held}_*.csv"))
+    walk = load(one(data, f"oxford_steps/validation/user1_{held}_*.csv"))
     assert walk.accelerometer.rate == pytest.approx(100, abs=1)
     assert walk.gyroscope is None
     steps = detect_steps(walk)
@@ -99,7 +100,7 @@ def test_oxford(data, held):
 
 
 def test_oxford_swinging_arm(data):
-    walk = io.load(data / "oxford_steps" / "Pixel_Jamie_Hard_SwingingArm_1")
+    walk = load(data / "oxford_steps" / "Pixel_Jamie_Hard_SwingingArm_1")
     assert walk.accelerometer.rate == pytest.approx(405, abs=2)
     assert walk.accelerometer.time[-1] == pytest.approx(143, abs=1)
 
@@ -111,7 +112,7 @@ GEOLIFE = {"001/20081024234405": (7075, 11.8), "005/20081024041230": (4298, 11.8
 def test_geolife(data, name):
     """Against the date and time columns, which the reader does not use."""
     path = data / "geolife_sample" / f"{name}.plt"
-    walk = io.load(path)
+    walk = load(path)
     rows = list(csv.reader(path.read_text().splitlines()[6:]))
     stamps = np.array([f"{date}T{time}" for *_, date, time in rows], dtype="datetime64[s]").astype(float)
     fixes, hours = GEOLIFE.get(name, (1004, 5.7))
@@ -122,7 +123,7 @@ def test_geolife(data, name):
 
 
 def test_gpx(data):
-    walk = io.load(data / "gpx_sample" / "cerknicko-jezero.gpx")
+    walk = load(data / "gpx_sample" / "cerknicko-jezero.gpx")
     assert len(walk.fixes) == 296
     assert np.ptp(walk.fixes.time) == pytest.approx(2.0 * 3600, rel=0.02)
     assert np.diff(walk.fixes.time).max() == 894
@@ -145,7 +146,7 @@ def test_ipin21_plan_is_walked_by_its_own_route_network(data):
 def test_ipin21_eight_with_its_simulated_fixes(data, fixes, target):
     """Half of the true steps nearer than the fixes' own error; ``target`` [m] leaves a third above what we measured."""
     folder = data / "ipin21_hcu" / "eight"
-    walk = io.load(folder)
+    walk = load(folder)
     given = read_fixes(folder / "simulated_fixes" / f"{fixes}.csv", walk, projected(UTM_32))
     track = smooth(WalkGraph(detect_steps(walk), given)).trajectory
     error = circular_error(pair(track, projected(UTM_32).place(walk.truth)))
@@ -154,7 +155,7 @@ def test_ipin21_eight_with_its_simulated_fixes(data, fixes, target):
 
 def test_nju_walks_on_through_a_minute_without_gps(data):
     """Fixes withheld for 60 s, of 2.5–3.6 m per axis: half of them within 3.2 m of the walk that never saw them."""
-    walk = io.load(data / "nju_phyphox_outdoor")
+    walk = load(data / "nju_phyphox_outdoor")
     assert walk.fixes.epsg == LONLAT
     fixes = enu(*walk.fixes.position[0, ::-1].tolist()).place(walk.fixes)
     withheld = (fixes.time > 300) & (fixes.time < 360)
@@ -175,7 +176,7 @@ def test_compasses_of_real_walks_are_right_or_silent(data):
     errors, sigmas = [], []
     for pattern, place in PLACES.items():
         for path in sorted(data.glob(pattern)):
-            walk = io.load(path)
+            walk = load(path)
             truth = walk.truth if walk.truth is not None else walk.fixes[::12]
             frame = enu(*(place or truth.position[0][::-1]))
             truth = frame.place(truth)

@@ -5,16 +5,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pdr_graph import Walker, detect_steps, io
+from pdr_graph import Walker, detect_steps
 from pdr_graph.frames import enu
 from pdr_graph.gait.step_detection import walking_steps
 from pdr_graph.inertial.attitude import on_one_grid
+from pdr_graph.io.loading import load
 
 COUNTED = {"user1_hand": 326, "user1_frontpocket": 327, "user1_bag": 346}
 
 
 def landings(path):
-    time, _, (acceleration,) = on_one_grid(io.load(path), "accelerometer")
+    time, _, (acceleration,) = on_one_grid(load(path), "accelerometer")
     return walking_steps(time, acceleration)
 
 
@@ -56,7 +57,7 @@ def test_a_stop_costs_nothing(data):
 def test_strides_of_people_whom_no_constant_was_chosen_on(data, pattern, every):
     """Length by steps over the way between landmarks, without any fix: within 7 %."""
     (path,) = data.glob(pattern)
-    walk = io.load(path)
+    walk = load(path)
     steps, truth = detect_steps(walk, Walker()), walk.truth
     place = truth.position if truth.epsg != 4326 else enu(*truth.position[0][::-1]).place(truth).position
     way = np.hypot(*np.diff(place[::every], axis=0).T).sum()

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from pdr_graph.io import load
+from pdr_graph.io.loading import load
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.past.importing import import_past
 from pdr_graph.lifelog.store import Store

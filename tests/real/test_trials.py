@@ -4,7 +4,7 @@ import pytest
 from evaal.evaal_server import Trial, serving
 from evaal.trials import assert_same_as_loaded, received, rows_of, run, summary
 
-from pdr_graph import io
+from pdr_graph.io.loading import load
 
 LOGS = (
     "IPIN2023_T3_TrainingTrial01_repetition01.txt",
@@ -26,7 +26,7 @@ def test_every_row_of_a_real_log_arrives_once_and_in_order(data, tmp_path, name)
     assert said["unread"] == {}
     assert sum(said["rows"].values()) == len(rows)
     print(f"{name}: {len(rows)} rows, {said['requests']} requests, {said['seconds']}")
-    again, whole = io.load(tmp_path / "received.txt"), io.load(data / "ipin2023_track3" / name)
+    again, whole = load(tmp_path / "received.txt"), load(data / "ipin2023_track3" / name)
     assert again.accelerometer.values == pytest.approx(whole.accelerometer.values, rel=0, abs=0)
 
 

@@ -16,7 +16,7 @@ from colours import lightness
 from made_walks import estimated, laps, recording_of, shown
 
 from pdr_graph.batch import smooth_recording
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.online.replay import replay_recording
 from pdr_graph.pipeline import Options
 from pdr_graph.report.page import page

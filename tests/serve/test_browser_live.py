@@ -15,7 +15,7 @@ import pytest
 from live_page import LivePage, browser_of
 from simulated_phone import SimulatedPhone, fetched
 
-from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.floor.plan_files import FloorPlan
 
 pytestmark = pytest.mark.timeout(120)
 MAP = Path(__file__).parents[2] / "maps" / "arcade.geojson"

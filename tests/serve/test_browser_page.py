@@ -14,7 +14,7 @@ from browser import chromium
 from live_page import PATIENCE, LivePage, browser_of
 from stand_in_server import QuietHandler, served
 
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.serve.access import Access
 from pdr_graph.serve.application import Server, application

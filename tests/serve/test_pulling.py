@@ -13,8 +13,8 @@ from mqtt_broker import Broker, running
 from phyphox_phone import Phone, serving
 from starlette.testclient import TestClient
 
-from pdr_graph import io
 from pdr_graph.frames import enu
+from pdr_graph.io.loading import load
 from pdr_graph.serve.mqtt import TOPIC, broker_of
 from pdr_graph.serve.pulling import Sources
 from pdr_graph.serve.serving import Settings, build
@@ -78,7 +78,7 @@ def test_a_phone_with_phyphox_is_a_walker_and_goes_on_after_a_restart(tmp_path, 
             answer = until(lambda: client.get(f"/walkers/{first['id']}/recording").content[:2] == b"PK")
             assert answer
             (tmp_path / "walk.zip").write_bytes(client.get(f"/walkers/{first['id']}/recording").content)
-    recording = io.load(tmp_path / "walk.zip")
+    recording = load(tmp_path / "walk.zip")
     np.testing.assert_allclose(recording.accelerometer.time, walk.time[:-1], atol=1e-4)
     np.testing.assert_allclose(recording.accelerometer.values, walk.acceleration[:-1], atol=1e-5)
 

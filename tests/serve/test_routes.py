@@ -10,9 +10,9 @@ import simulated
 from starlette.testclient import TestClient
 
 import pdr_graph
-from pdr_graph import io
 from pdr_graph.errors import InputError
 from pdr_graph.frames import enu
+from pdr_graph.io.loading import load
 from pdr_graph.serve import openapi
 from pdr_graph.serve.access import OWNER, is_foreign, load_tokens
 from pdr_graph.serve.reception import Limits
@@ -320,7 +320,7 @@ def test_a_finished_walk_is_a_recording_that_smooth_opens(tmp_path, walk):
             assert time.monotonic() < end
             time.sleep(0.1)
     (tmp_path / "walk.zip").write_bytes(answer.content)
-    loaded = io.load(tmp_path / "walk.zip")
+    loaded = load(tmp_path / "walk.zip")
     for sensor, signal in loaded.signals.items():
         assert np.allclose(signal.values, walk.signals[sensor].values, rtol=0, atol=1e-12)
         assert np.allclose(signal.time, walk.signals[sensor].time, rtol=0, atol=1e-6)

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from pdr_graph import io
 from pdr_graph.errors import InputError
+from pdr_graph.io.loading import load
 from pdr_graph.online.interface import Samples, Scan, events_of
 from pdr_graph.serve.intake import Intake
 from pdr_graph.serve.sensor_messages import parse
@@ -33,7 +33,7 @@ def export(tmp_path_factory):
 @pytest.fixture(scope="module")
 def walk(export):
     """The same as it is read."""
-    return io.load(export)
+    return load(export)
 
 
 def streamed(folder, period):

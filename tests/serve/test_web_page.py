@@ -10,7 +10,7 @@ import pytest
 import shapely
 
 from pdr_graph.errors import InputError
-from pdr_graph.floor.building import Building
+from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame
 from pdr_graph.serve.plan_layers import METRES_PER_DEGREE, plan_layers
 from pdr_graph.serve.web_page import WEB, checked_tiles, security_headers, settings

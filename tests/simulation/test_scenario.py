@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from commands import run
 
-from pdr_graph import InputError, evaluate, io, read_fixes, read_trajectory
+from pdr_graph import InputError, evaluate, read_fixes, read_trajectory
 from pdr_graph.geometry import interpolate
+from pdr_graph.io.loading import load
 from pdr_graph.simulation.recorders import write
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
@@ -44,7 +45,7 @@ def test_an_export_reads_back_as_simulated(tmp_path, recorder, platform, sensors
     phone = {"rate": 50, "lost": 0, "repeated": 0}
     walk = simulate(Scenario.of(SHORT | {"recorder": recorder, "platform": platform, "phone": phone}))
     write(walk, tmp_path)
-    recording = io.load(tmp_path / "walk.txt" if recorder == "indoor_location" else tmp_path)
+    recording = load(tmp_path / "walk.txt" if recorder == "indoor_location" else tmp_path)
     assert recording.epoch == pytest.approx(walk.scenario.start, abs=0.05)
     for name in sensors:
         simulated, read = walk.signals[name], recording.signals[name]
@@ -58,7 +59,7 @@ def test_gnss_beacons_and_access_points_read_back(tmp_path):
     more = {"gnss": {"accuracy": 3}, "beacons": {"a": [6, 2]}, "wifi": {"access_points": 4}}
     walk = simulate(Scenario.of(SHORT | more))
     write(walk, tmp_path)
-    recording = io.load(tmp_path)
+    recording = load(tmp_path)
     assert len(recording.fixes) == len(walk.gnss.fixes)
     assert len(recording.bluetooth.time) == len(walk.bluetooth.time)
     assert len(recording.wifi.time) == len(walk.wifi.time)
@@ -69,7 +70,7 @@ def test_gnss_beacons_and_access_points_read_back(tmp_path):
 def test_the_files_beside_the_recording_have_the_truth(tmp_path):
     walk = simulate(Scenario.of(SHORT | {"fixes": {"period": 3, "sigma": 0.5}}))
     write(walk, tmp_path)
-    recording = io.load(tmp_path)
+    recording = load(tmp_path)
     truth = read_trajectory(tmp_path / "truth.csv")
     assert truth.position[-1] == pytest.approx(walk.body.position[-1], abs=0.1)
     fixes = read_fixes(tmp_path / "fixes.csv", recording)

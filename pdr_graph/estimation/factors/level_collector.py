@@ -9,9 +9,8 @@ import numpy as np
 from pdr_graph.estimation.factors.base import AnyArray
 from pdr_graph.estimation.factors.beacon_rssi import STRETCH, levels_along, mean_levels
 from pdr_graph.estimation.factors.preintegration import DECIMALS
-from pdr_graph.io.beacons import number_of
 from pdr_graph.measurements import Levels
-from pdr_graph.types import Array, Beacons, Index, Sightings, Steps
+from pdr_graph.types import Array, Beacons, Index, Sightings, Steps, minor_number
 
 LONGEST = 6.0  # [s] that a stretch may take
 MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second
@@ -27,7 +26,7 @@ class LevelCollector:
         self._beacons = beacons
         surveyed = np.isfinite(beacons.position[:, 0])
         self._by_name = {name.lower(): m for m, name in enumerate(beacons.name) if surveyed[m]}
-        self._by_minor = {number_of(name): m for name, m in self._by_name.items()}
+        self._by_minor = {minor_number(name): m for name, m in self._by_name.items()}
         self._waiting = np.empty((0, 3))  # time [s], beacon, rssi [dBm] of the stretches that are not complete
         self._window = np.empty((0, 3))  # the same of all advertisements in the window
         self._met = dict[int, int]()  # beacons in the order in which they were first received, and their places in it

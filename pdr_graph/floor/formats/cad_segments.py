@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNKNOWN, drawing_of_lines, holds
 from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.formats.layers import UNKNOWN, holds
-from pdr_graph.floor.formats.prerequisites import check_file_size
+from pdr_graph.floor.plan_limits import check_file_size
 from pdr_graph.types import Array
 
 COLUMNS = ("x1", "y1", "x2", "y2")
 LAYER = "layer"
-LARGEST_FILE = 50_000_000  # [bytes]
 LARGEST_COORDINATE = 1e10  # [unit] northings of a projection in millimetres
 
 
@@ -44,7 +42,7 @@ def read(path: Path, scale: float | None) -> Drawing:
 
 def _rows(path: Path) -> tuple[Array, list[str]]:
     """The segments ``(n, 2, 2)`` [unit], and what the layer of each holds."""
-    check_file_size(path, LARGEST_FILE)
+    check_file_size(path, 50_000_000)  # largest file [bytes]
     try:
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pdr_graph.errors import count
 from pdr_graph.floor.cells import CLOSED, CRACK, DOOR, OPEN, Area
 
-CLEARANCE = 0.3  # [m] between an opening and any third cell, which it would open too; chosen by hand
 NARROWEST = 0.6  # [m] length of border that can have a door
 DOOR_SLACK = 0.2  # [m] from a room within which a door belongs to it
 
@@ -65,7 +64,8 @@ def _borders(shapes: NDArray[np.object_], n: int, others: list[int], near: list[
     for k in others:
         third = shapely.union_all([shapes[j] for j in near if j != k])
         border = shapely.intersection(ring, shapely.buffer(shapes[k], CRACK, join_style="mitre"))
-        border = shapely.difference(border, shapely.buffer(third, CLEARANCE))
+        # clearance [m] between an opening and any third cell, which it would open too; chosen by hand
+        border = shapely.difference(border, shapely.buffer(third, 0.3))
         lines = [line for line in shapely.get_parts(border) if shapely.length(line) > NARROWEST]
         if lines:
             found.append(shapely.line_merge(shapely.union_all(lines)))

@@ -11,20 +11,15 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drafting import IGNORED, MOST_SEGMENTS, UNITS, UNKNOWN, drawing_of_lines, holds
 from pdr_graph.floor.formats.drawing import Drawing
-from pdr_graph.floor.formats.layers import IGNORED, UNKNOWN, holds
-from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
-from pdr_graph.floor.formats.units import UNITS
+from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
 LARGEST_FILE = 100_000_000  # [bytes]
 LARGEST_COORDINATE = 1e10  # [unit]
 CURVES = ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE")
 MOST_BLOCKS = 100_000  # insertions of blocks, those inside blocks among them
-DEEPEST_BLOCK = 16  # blocks in blocks
-ROUNDING = 1e-12  # of a coordinate: chords nearer to their curve than that would be halved without end
-CHORDS_PER_CIRCLE = 24  # enough to recognise the swing of a door
 INSERT_UNITS = {  # $INSUNITS: metres per unit
     **{1: UNITS["inches"], 2: UNITS["feet"], 4: UNITS["millimetres"], 5: UNITS["centimetres"], 6: UNITS["metres"]},
     **{10: 0.9144, 14: 0.1, 21: 1200 / 3937},
@@ -107,7 +102,7 @@ class _Reading:
         """The entities of an inserted block, in the coordinates of the drawing."""
         copies = max(1, int(insert.mcount))
         self.blocks += copies
-        if self.blocks > MOST_BLOCKS or depth > DEEPEST_BLOCK:
+        if self.blocks > MOST_BLOCKS or depth > 16:  # deepest block: blocks in blocks
             raise InputError(self.path, "", "too many blocks in blocks", f"at most {MOST_BLOCKS} insertions")
         for single in insert.multi_insert() if copies > 1 else (insert,):
             try:
@@ -144,7 +139,9 @@ def _points(entity: Any, kind: str) -> Array:
         if not path.has_curves or not largest < LARGEST_COORDINATE:  # `flattening` would not end with no numbers
             return corners
         size = np.hypot(*(corners - corners[0]).T).max()
-        sagitta = max(size * (1 - np.cos(np.pi / CHORDS_PER_CIRCLE)) / 2, 1e-6, ROUNDING * largest)
+        # rounding of a coordinate: chords nearer to their curve than that would be halved without end
+        # chords per circle: enough to recognise the swing of a door
+        sagitta = max(size * (1 - np.cos(np.pi / 24)) / 2, 1e-6, 1e-12 * largest)
         return np.array([(p.x, p.y) for p in path.flattening(sagitta)], dtype=float).reshape(-1, 2)
     except DEGENERATE:
         return np.empty((0, 2))

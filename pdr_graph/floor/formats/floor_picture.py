@@ -1,19 +1,22 @@
-"""Pictures of a floor: PNG and JPEG."""
+"""Pictures of a floor, PNG and JPEG: dark pixels become walls; skew, specks, thin lines and small gaps are removed."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from pdr_graph.errors import InputError
+from pdr_graph.floor.formats import raster
+from pdr_graph.floor.formats.drafting import metres_per_unit
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.line_drawing import Lines, areas_of
-from pdr_graph.floor.formats.prerequisites import required_library
-from pdr_graph.floor.formats.tracing import Picture, opened, traced
-from pdr_graph.floor.formats.units import metres_per_unit
+from pdr_graph.floor.plan_limits import required_library
 from pdr_graph.frames import Frame
+from pdr_graph.types import Array, Mask
 
 
 def recognizes(path: Path, head: bytes) -> bool:
@@ -50,3 +53,153 @@ def drawing_of_picture(path: Path, picture: Picture, scale: float | None, finer:
     return Drawing(
         {"": areas}, Frame(), tuple(notes), affine=(a * finer, b * finer, c, d * finer, e * finer, f), ignored=outside
     )
+
+
+Picture = NDArray[np.uint8]  # brightness ``(rows, columns)``, 0 black, 255 white
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What is a wall in a picture; chosen by hand."""
+
+    skew: float = 12.0  # [deg] largest rotation of a scan that is removed
+    least_skew: float = 0.1  # [deg]
+    clear_skew: float = 1.1  # ratio of the profiles' sharpness by which a rotation must be better than none
+    gap: int = 2  # [pixel] gaps that are closed
+    thick: int = 5  # [pixel] walls from here on are drawn thick, and thinner strokes are other things
+    thick_share: float = 0.6  # of the dark pixels that are in thick strokes, if walls are drawn thick
+    text: float = 0.8  # [m] largest side of a letter or a speck
+    column: tuple[float, float] = (0.2, 0.7)  # [m] smallest side, and share that is dark, of a column
+    rounding: float = 0.75  # [pixel] by which outlines of walls are simplified
+
+
+LIMITS = Limits()
+
+
+def traced(picture: Picture, metres: float, notes: list[str]) -> tuple[shapely.Geometry, Array]:
+    """Polygons of the walls in a picture [m], x right and y up, and the affine ``(2, 3)`` from its pixels to metres.
+
+    metres: per pixel. What was removed is appended to `notes`. The origin is the lower left corner, about which the
+    skew is removed; pixels count from the upper left one, (0, 0), to the right and downwards.
+    """
+    from skimage.filters import threshold_otsu
+
+    threshold = int(threshold_otsu(picture)) if np.ptp(picture) else 0
+    if np.mean(picture <= threshold) > 0.5:
+        picture, threshold = (255 - picture).astype(np.uint8), 254 - threshold
+        notes.append("bright lines on a dark ground: brightness was inverted")
+    skew, rows = skew_of(picture <= threshold), len(picture)
+    cos, sin = np.cos(np.radians(skew)), np.sin(np.radians(skew))
+    turn = np.array([[cos, -sin], [sin, cos]])  # of pixel coordinates
+    affine = metres * np.array([[1.0], [-1.0]]) * turn
+    affine = np.column_stack([affine, -affine @ (-0.5, rows - 0.5)])
+    centre = new_centre = _centre(picture.shape)
+    if abs(skew) > LIMITS.least_skew:
+        notes.append(f"a skew of {abs(skew):.1f}° was removed")
+        picture, new_centre = _turned(picture, turn)
+    polygons = outlines(_cleaned(picture <= threshold, metres, notes))
+
+    def to_metres(pixels: Array) -> Array:
+        return ((pixels - new_centre) @ turn + centre) @ affine[:, :2].T + affine[:, 2]
+
+    return shapely.transform(polygons, to_metres), affine
+
+
+def _turned(picture: Picture, turn: Array) -> tuple[Picture, Array]:
+    """A picture turned about its centre by the rotation ``(2, 2)`` of pixel coordinates, and its new centre."""
+    from skimage.transform import AffineTransform, warp
+
+    size = np.array(picture.shape[::-1])
+    new_size = np.ceil(np.abs(turn) @ size).astype(int)
+    centre, new_centre = _centre(picture.shape), (new_size - 1) / 2
+    back = np.eye(3)
+    back[:2, :2], back[:2, 2] = turn.T, centre - turn.T @ new_centre
+    shape = (int(new_size[1]), int(new_size[0]))
+    turned = warp(picture, AffineTransform(matrix=back), output_shape=shape, order=1, cval=255, preserve_range=True)
+    return np.round(turned).astype(np.uint8), new_centre
+
+
+def _centre(shape: tuple[int, ...]) -> Array:
+    """The centre ``(x, y)`` of a picture of ``(rows, columns)`` [pixel]; centres of pixels are whole numbers."""
+    return (np.array(shape[::-1]) - 1) / 2
+
+
+def skew_of(dark: Mask) -> float:
+    """Rotation [deg] of pixel coordinates that aligns the walls with the axes; 0 if no angle stands out.
+
+    Sums of the dark pixels along rows and columns are sharpest if the walls lie along them.
+    """
+    y, x = np.nonzero(dark)
+    if len(x) < 100:
+        return 0.0
+    chosen = np.random.default_rng(0).permutation(len(x))[:60_000]
+    x, y = x[chosen] - x.mean(), y[chosen] - y.mean()
+
+    def sharpness(angle: float) -> float:
+        cos, sin = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        profiles = (x * cos - y * sin, x * sin + y * cos)
+        return sum(float(np.sum(np.bincount((p - p.min()).astype(int)).astype(float) ** 2)) for p in profiles)
+
+    coarse = np.arange(-LIMITS.skew, LIMITS.skew + 0.1, 0.5)
+    best = coarse[np.argmax([sharpness(a) for a in coarse])]
+    fine = best + np.arange(-0.5, 0.51, 0.05)
+    best = float(fine[np.argmax([sharpness(a) for a in fine])])
+    return best if sharpness(best) > LIMITS.clear_skew * sharpness(0.0) else 0.0
+
+
+def _cleaned(dark: Mask, metres: float, notes: list[str]) -> Mask:
+    """Dark pixels of walls: without specks and letters, without thin strokes beside thick walls, gaps closed."""
+    closed = raster.closing(dark, LIMITS.gap + 1)
+    core = raster.opening(closed, LIMITS.thick)
+    if core.sum() > LIMITS.thick_share * closed.sum():
+        thin = int(closed.sum() - core.sum())
+        closed &= raster.dilation(core)
+        if thin:
+            notes.append(f"lines thinner than {LIMITS.thick} pixels beside thick walls were left out ({thin} pixels)")
+    parts, number = raster.parts(closed, diagonal=True)
+    if not number:
+        return closed
+    sides = raster.sides(parts) * metres
+    filled = raster.sizes(parts, number)[1:] * metres**2 / np.prod(sides, axis=1)
+    column = (sides.min(axis=1) >= LIMITS.column[0]) & (filled >= LIMITS.column[1])
+    speck = (sides.max(axis=1) < LIMITS.text) & ~column
+    if speck.any():
+        notes.append(f"{np.count_nonzero(speck)} specks and letters smaller than {LIMITS.text:g} m were left out")
+    return closed & ~np.append(False, speck)[parts]
+
+
+def outlines(dark: Mask) -> shapely.Geometry:
+    """Polygons around dark pixels, in pixels: x to the right, y downwards, centres of pixels are whole numbers."""
+    from skimage.measure import find_contours
+
+    rings = [ring[:, ::-1] - 1 for ring in find_contours(np.pad(dark, 1).astype(float), 0.5)]
+    lines = [shapely.LineString(ring) for ring in rings if len(ring) > 3]
+    polygons = shapely.build_area(shapely.geometrycollections(lines))
+    return shapely.make_valid(shapely.simplify(polygons, LIMITS.rounding))
+
+
+LARGEST_PICTURE = 80_000_000  # [pixel]
+
+
+def opened(path: object, formats: tuple[str, ...]) -> tuple[Picture, int]:
+    """The brightness of a picture on white ground, and the factor by which it was reduced.
+
+    Raises InputError for a damaged or too large one; its size is read before it is decoded.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(str(path), formats=formats) as image:
+            width, height = image.size
+            if width * height > LARGEST_PICTURE or min(width, height) < 8:
+                raise InputError(str(path), "", f"{width} by {height} pixels", f"8 to {LARGEST_PICTURE} pixels in all")
+            factor = -(-max(width, height) // 5000)  # longest side [pixel]: larger pictures are reduced
+            image = image.convert("RGBA") if "A" in image.getbands() or "transparency" in image.info else image
+            if image.mode == "RGBA":
+                image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
+            grey = image.convert("L")
+            return np.asarray(grey.reduce(factor) if factor > 1 else grey), factor
+    except InputError:
+        raise
+    except Exception as error:  # Pillow's plugins raise all kinds for damaged files
+        raise InputError(str(path), "", f"a damaged picture ({str(error)[:80]})", "a whole one") from None

@@ -13,8 +13,7 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import Area
-from pdr_graph.floor.formats.prerequisites import check_file_size
-from pdr_graph.floor.plan_limits import check_crossings
+from pdr_graph.floor.plan_limits import check_crossings, check_file_size
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array
 
@@ -22,7 +21,6 @@ from pdr_graph.types import Array
 LARGEST_FILE = 200_000_000  # [bytes]
 MOST_FEATURES = 50_000  # of a collection: an airport has 20 000, and 30 000 rooms take 20 s
 MOST_HOLES = 20_000  # of a feature; 10 000 take 4 s, and the time grows with their square
-LARGEST_COORDINATE = 1e8  # [m or deg]
 WIDEST_PLAN = 1.0  # [deg] a wider plan is in metres
 Feature = tuple[int, shapely.Geometry, dict[str, Any]]  # its number in the file, its shape as written, its properties
 
@@ -64,7 +62,7 @@ def features_of(path: Path, collection: dict[str, Any], notes: list[str], repair
         if shapely.is_empty(shape):
             without_geometry.append(n)
             continue
-        if not (np.abs(shapely.get_coordinates(shape)) < LARGEST_COORDINATE).all():
+        if not (np.abs(shapely.get_coordinates(shape)) < 1e8).all():  # largest coordinate [m or deg]
             raise InputError(path, f"feature {n}", "coordinates that are not on Earth", "degrees or metres")
         holes = int(shapely.get_num_interior_rings(shapely.get_parts(shape)).sum())
         if holes > MOST_HOLES:

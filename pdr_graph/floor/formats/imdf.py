@@ -25,7 +25,6 @@ from pdr_graph.frames import Frame
 FILES = ("level.geojson", "unit.geojson")  # without them an archive has no floor
 OPTIONAL = ("opening", "fixture", "kiosk", "amenity", "anchor", "occupant")  # further feature types that are read
 MANIFEST = "manifest.json"
-LARGEST_ORDINAL = 200  # floors above or below the ground: no building has more
 # Categories of units; all others are rooms
 KIND_OF_UNIT = {
     **dict.fromkeys(("walkway", "walkway.island", "footbridge", "movingwalkway", "lobby", "platform"), "corridor"),
@@ -36,8 +35,6 @@ KIND_OF_UNIT = {
     **dict.fromkeys(("nonpublic", "opentobelow", "swimmingpool", "vegetation"), WALL),
 }
 SLOPES = ("steps", "ramp")  # within a floor or between two: stairs where one on another floor overlaps
-OUTER_WALL = 0.5  # [m] thickness of an outer wall: an opening this near to a level's outline leads outside
-WIDEST_CRACK = 0.8  # [m] wider areas of a level outside all its units are corridors; walls are narrower
 
 
 def root_of(path: Path) -> Path:
@@ -93,7 +90,8 @@ def _on_floor(areas: Sequence[Area], label: str, notes: list[str]) -> tuple[Area
     outside = [shapely.boundary(area.shape) for area in areas if area.kind == OUTLINE]
     placed = list[Area]()
     for area in _without_shut_openings(areas, label, notes):
-        leads_outside = area.kind == DOOR and any(shapely.dwithin(ring, area.shape, OUTER_WALL) for ring in outside)
+        # outer wall [m]: thickness of an outer wall: an opening this near to a level's outline leads outside
+        leads_outside = area.kind == DOOR and any(shapely.dwithin(ring, area.shape, 0.5) for ring in outside)
         properties = area.properties | ({ENTRANCE: "yes"} if leads_outside else {})
         placed.append(replace(area, floors=(label,), properties=properties))
     return open_doorless_rooms(placed, label, notes)
@@ -157,7 +155,8 @@ def _ordinals(path: Path, levels: Sequence[Feature]) -> dict[str, int]:
     ordinals = dict[str, int]()
     for n, _, properties in levels:
         ordinal = properties.get("ordinal")
-        if not isinstance(ordinal, int | float) or not abs(ordinal) <= LARGEST_ORDINAL or ordinal != int(ordinal):
+        # largest ordinal: floors above or below the ground: no building has more
+        if not isinstance(ordinal, int | float) or not abs(ordinal) <= 200 or ordinal != int(ordinal):
             found = f"ordinal {ordinal!r}"[:60]
             raise InputError(path, f"feature {n}", found, "a whole number, 0 for the ground floor")
         if not properties["id"] or properties["id"] in ordinals:
@@ -266,7 +265,8 @@ def _add_corridors(areas: dict[int, list[Area]], levels: Iterable[Area], ordinal
     for level in levels:
         here = areas[ordinals[level.properties["id"]]]
         drawn = shapely.union_all([area.shape for area in here if area.kind != OUTLINE and area.is_polygon])
-        half = WIDEST_CRACK / 2
+        # widest crack [m]: wider areas of a level outside all its units are corridors; walls are narrower
+        half = 0.8 / 2
         rest = shapely.buffer(shapely.difference(level.shape, drawn), -half, join_style="mitre")
         for part in shapely.get_parts(rest):
             wide = shapely.buffer(part, half + 0.05, join_style="mitre")  # + 0.05 m: it touches what is around it

@@ -1,32 +1,34 @@
-"""OpenStreetMap's Simple Indoor Tagging, as GeoJSON of osmtogeojson or overpass turbo, or as an ``.osm`` file.
+"""OpenStreetMap: its XML (``.osm``, of JOSM or the API) as features, and indoor tags as floors.
 
-A door that is a node opens the walls of the rooms and corridors on whose outline it lies.
+Indoor tags are those of Simple Indoor Tagging, in an ``.osm`` file or as GeoJSON of osmtogeojson or overpass turbo. A
+door that is a node opens the walls of the rooms and corridors on whose outline it lies. XML is untrusted: document
+types, entities and network access are refused.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import shapely
+from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import CLOSED, CONNECTING, CRACK, DOOR, DOOR_WIDTH, OPEN, OUTLINE, SOLID, WALL, Area
 from pdr_graph.floor.formats.doorless import open_doorless_rooms
 from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
 from pdr_graph.floor.formats.geojson import Feature, check_degrees, repaired
+from pdr_graph.floor.plan_limits import check_file_size
 
 KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
 KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
-HIGHEST_LEVEL = 200.0  # above or below the ground: no building has more
 MOST_AREAS = 100_000  # features times the levels on which each is
 STAIRS_WIDTH, LIFT_WIDTH = 1.5, 1.6  # [m] of stairs drawn as a line, and of a lift drawn as a point
-LARGEST_LIFT = 15.0  # [m²] a larger room around a lift's point is not its cabin
 NUMBER = r"[+-]?\d{1,4}(?:\.\d{1,3})?"
 
 
@@ -101,7 +103,8 @@ def levels_of(text: Any, missing: Iterable[float] = ()) -> tuple[float, ...]:
             raise ValueError(f"level {str(text)[:40]!r}")
         first = float(found[1])
         last = first if found[2] is None else float(found[2])
-        if max(abs(first), abs(last)) > HIGHEST_LEVEL or last < first:
+        # highest level above or below the ground: no building has more
+        if max(abs(first), abs(last)) > 200.0 or last < first:
             raise ValueError(f"level {str(text)[:40]!r}")
         between = np.arange(first, last + 0.5).tolist() if last > first else [first]
         levels += [level for level in between if level not in missing or len(between) == 1]
@@ -220,7 +223,8 @@ def _is_around(polygon: Area, area: Area, middle: shapely.Geometry) -> bool:
 
 def _is_cabin(room: Area, lift: Area) -> bool:
     """True if the point of a lift lies in a room as small as a lift."""
-    is_small = room.kind == "room" and room.is_polygon and bool(shapely.area(room.shape) < LARGEST_LIFT)
+    # largest lift [m²]: a larger room around a lift's point is not its cabin
+    is_small = room.kind == "room" and room.is_polygon and bool(shapely.area(room.shape) < 15.0)
     on_one_floor = bool(set(room.floors) & set(lift.floors))
     return is_small and on_one_floor and bool(shapely.intersects(room.shape, lift.shape))
 
@@ -268,3 +272,121 @@ def _on_walls(door: Area, rings: Sequence[shapely.Geometry], tree: shapely.STRtr
     opening = shapely.buffer(door.shape, _width(door.properties, DOOR_WIDTH) / 2)
     pieces = shapely.intersection(shapely.union_all([rings[int(n)] for n in near]), opening)
     return replace(door, shape=shapely.line_merge(pieces), floors=(label,))
+
+
+AREAS = ("area", "building", "building:part", "indoor", "room")  # tags of closed ways that are polygons
+
+
+def is_osm_xml(path: Path) -> bool:
+    """True if the root element is ``osm``."""
+    with path.open("rb") as stream:
+        return b"<osm" in stream.read(2048).replace(b"\0", b"")
+
+
+def osm_features(path: Path, notes: list[str], repairs: list[str]) -> list[Feature]:
+    """All tagged elements with longitude and latitude. Raises InputError for broken or hostile XML."""
+    root = _parse(path)
+    nodes = _nodes(path, root)
+    ways = {way.get("id", ""): _line(way, nodes) for way in root.iterchildren("way") if _exists(way)}
+    found, broken = list[tuple[shapely.Geometry, dict[str, str]]](), 0
+    for element in root.iterchildren("node", "way", "relation"):
+        tags = {tag.get("k", ""): tag.get("v", "") for tag in element.iterchildren("tag")}
+        if not tags or not _exists(element):
+            continue
+        shape = _shape(element, tags, nodes, ways)
+        if shape is None or shapely.is_empty(shape):
+            broken += element.tag == "way" or tags.get("type") == "multipolygon"
+            continue
+        if not shapely.is_valid(shape):
+            repairs.append(f"{element.tag} {element.get('id')}: its outline crosses itself, and was repaired")
+            shape = repaired(shape)
+        found.append((shape, tags))
+    if broken:
+        notes.append(f"{broken} ways or relations whose nodes or ways are not in the file were left out")
+    return [(n, shape, dict(tags)) for n, (shape, tags) in enumerate(found)]
+
+
+def _parse(path: Path) -> etree._Element:
+    """The root element. Raises InputError for other files."""
+    # largest file [bytes] of text, which takes ten times as much memory as a tree; a station has 2 MB
+    check_file_size(path, 60_000_000, "cut out the building")
+    try:
+        data = path.read_bytes()
+        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+        if b"<!DOCTYPE" in data.replace(b"\0", b"") or b"<!ENTITY" in data.replace(b"\0", b""):
+            raise InputError(path, "", "a document type definition", "plain OSM XML, which has none")
+        root = etree.fromstring(data, parser)
+    except (etree.XMLSyntaxError, OSError) as error:
+        raise InputError(path, "", f"broken XML ({str(error)[:120]})", "a whole .osm file") from None
+    if root.tag != "osm":
+        raise InputError(path, "", f"an element {str(root.tag)[:40]!r}", "OSM XML, whose first element is osm")
+    return root
+
+
+def _exists(element: etree._Element) -> bool:
+    """False for elements that an editor has deleted."""
+    return element.get("action") != "delete" and element.get("visible") != "false"
+
+
+def _nodes(path: Path, root: etree._Element) -> dict[str, tuple[float, float]]:
+    """Longitude and latitude [deg] of each node that has them."""
+    nodes = dict[str, tuple[float, float]]()
+    for node in root.iterchildren("node"):
+        if _exists(node) and node.get("lat") is not None:
+            try:
+                lon, lat = float(node.get("lon", "")), float(node.get("lat", ""))
+            except ValueError:
+                lon = lat = np.nan
+            if not (abs(lon) <= 180 and abs(lat) <= 90):
+                found = f"lat {node.get('lat', '')[:20]!r}, lon {str(node.get('lon'))[:20]!r}"
+                raise InputError(path, f"line {node.sourceline}", found, "lat and lon in degrees")
+            nodes[node.get("id", "")] = lon, lat
+    return nodes
+
+
+def _line(way: etree._Element, nodes: dict[str, tuple[float, float]]) -> shapely.Geometry | None:
+    """The line of a way through its nodes; None if the file has fewer than two of them."""
+    corners = [nodes[ref] for nd in way.iterchildren("nd") if (ref := nd.get("ref", "")) in nodes]
+    return shapely.LineString(corners) if len(corners) > 1 else None
+
+
+def _shape(
+    element: etree._Element,
+    tags: dict[str, str],
+    nodes: dict[str, tuple[float, float]],
+    ways: dict[str, shapely.Geometry | None],
+) -> shapely.Geometry | None:
+    """The point, line or polygon of an element."""
+    identifier = element.get("id", "")
+    if element.tag == "node":
+        return shapely.Point(nodes[identifier]) if identifier in nodes else None
+    if element.tag == "relation":
+        return _multipolygon(element, ways) if tags.get("type") == "multipolygon" else None
+    line = ways.get(identifier)
+    if line is None:
+        return None
+    is_ring = shapely.is_closed(line) and shapely.get_num_coordinates(line) > 3
+    area = tags.get("highway") == "elevator" or any(key in tags for key in AREAS)
+    return shapely.Polygon(shapely.get_coordinates(line)) if is_ring and area and tags.get("area") != "no" else line
+
+
+def _multipolygon(relation: etree._Element, ways: dict[str, shapely.Geometry | None]) -> shapely.Geometry | None:
+    """The outer rings of a relation without its inner rings."""
+    outer, inner = list[shapely.Geometry](), list[shapely.Geometry]()
+    for member in relation.iterchildren("member"):
+        line = ways.get(member.get("ref", "")) if member.get("type") == "way" else None
+        if line is not None:
+            (inner if member.get("role") == "inner" else outer).append(line)
+    return shapely.difference(_filled(outer), _filled(inner))
+
+
+def _filled(lines: Iterable[shapely.Geometry]) -> shapely.Geometry:
+    """The union of the polygons that lines enclose."""
+    return shapely.union_all(list(_rings(shapely.line_merge(shapely.union_all(list(lines))))))
+
+
+def _rings(lines: shapely.Geometry) -> Iterator[shapely.Geometry]:
+    """The polygons of closed lines."""
+    for line in shapely.get_parts(lines):
+        if shapely.is_closed(line) and shapely.get_num_coordinates(line) > 3:
+            yield repaired(shapely.Polygon(line))

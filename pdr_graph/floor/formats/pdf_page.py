@@ -13,20 +13,16 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, drawing_of_lines
+from pdr_graph.floor.formats.drafting import MOST_SEGMENTS, UNKNOWN, drawing_of_lines
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.formats.floor_picture import drawing_of_picture
-from pdr_graph.floor.formats.layers import UNKNOWN
-from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
+from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.types import Array
 
-LARGEST_FILE = 100_000_000  # [bytes]
 LARGEST_CONTENT = 30_000_000  # [bytes] a plan of 200 000 segments has some 5 MB
 PIECE, MOST_UNPACKED = 10_000, 1_000_000  # [bytes] of a stream that are unpacked at a time, and of what comes out
 STREAM = re.compile(rb"\bstream\r?\n")
 LARGEST_PAGE = 15_000  # [point] 5 m of paper
-FEWEST_LINES = 20  # on a page whose plan is drawn with vectors
-RENDERED = 3000  # [pixel] longer side of a page without vectors
 CURVE_STEPS = np.linspace(0, 1, 9)[1:]  # of a Bézier curve: a quarter of a circle in eight chords
 
 
@@ -42,7 +38,7 @@ def read(path: Path, scale: float | None) -> Drawing:
     """
     with required_library(path, "a PDF page", "pypdfium2"):
         import pypdfium2
-    check_file_size(path, LARGEST_FILE)
+    check_file_size(path, 100_000_000)  # largest file [bytes]
     _check_unpacked(path)
     try:
         document = pypdfium2.PdfDocument(path)
@@ -89,8 +85,10 @@ def _read_page(path: Path, document: Any, scale: float | None) -> Drawing:
         width, height = page.get_size()
         if not 0 < max(width, height) <= LARGEST_PAGE:
             raise InputError(path, "", f"a page of {width:g} by {height:g} points", f"at most {LARGEST_PAGE} points")
-        segments, finer = _segments(path, page), RENDERED / max(width, height)
-        picture = None if len(segments) >= FEWEST_LINES else page.render(scale=finer, grayscale=True).to_numpy()
+        # rendered [pixel]: longer side of a page without vectors
+        segments, finer = _segments(path, page), 3000 / max(width, height)
+        # fewest lines on a page whose plan is drawn with vectors
+        picture = None if len(segments) >= 20 else page.render(scale=finer, grayscale=True).to_numpy()
     except (pypdfium2.PdfiumError, IndexError) as error:
         raise InputError(path, "", f"a damaged PDF page ({str(error)[:80]})", "a page with a plan") from None
     if picture is None:

@@ -11,19 +11,17 @@ import shapely
 
 from pdr_graph.errors import InputError
 from pdr_graph.floor.formats import raster
+from pdr_graph.floor.formats.drafting import metres_per_unit
 from pdr_graph.floor.formats.drawing import Drawing
+from pdr_graph.floor.formats.floor_picture import Picture, opened, outlines
 from pdr_graph.floor.formats.line_drawing import areas_within
-from pdr_graph.floor.formats.prerequisites import check_file_size, required_library
-from pdr_graph.floor.formats.tracing import Picture, opened, outlines
-from pdr_graph.floor.formats.units import metres_per_unit
+from pdr_graph.floor.plan_limits import check_file_size, required_library
 from pdr_graph.frames import Frame
 from pdr_graph.types import Array, Mask
 
-LARGEST_FILE = 100_000  # [bytes] of the YAML file
 FORMATS = ("PPM", "PNG", "JPEG", "BMP", "TIFF")  # Pillow's PPM reads PGM too
 OCCUPIED, FREE = 0.65, 0.196  # default thresholds of map_server
 LARGEST_NUMBER = 1e7  # in the file: metres of an origin far away
-SPECK = 0.05  # [m²] smaller occupied or unknown spots in free space are noise of the scanner
 MODES = ("trinary", "scale", "raw")
 
 
@@ -67,7 +65,7 @@ def _settings(path: Path) -> dict[str, Any]:
     with required_library(path, "a ROS map", "PyYAML"):
         import yaml
     try:
-        check_file_size(path, LARGEST_FILE)
+        check_file_size(path, 100_000)  # largest file [bytes] of the YAML file
         values = yaml.safe_load(path.read_text(encoding="utf-8-sig"))
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
@@ -120,7 +118,8 @@ def _cells_of(path: Path, settings: dict[str, Any], picture: Picture, notes: lis
 def _without_specks(free: Mask, pixel: float) -> Mask:
     """Free pixels with small other spots among them filled. pixel: its area [m²]."""
     spots, number = raster.parts(~free)
-    small = raster.sizes(spots, number) * pixel < SPECK
+    # speck [m²]: smaller occupied or unknown spots in free space are noise of the scanner
+    small = raster.sizes(spots, number) * pixel < 0.05
     small[0] = False
     return free | small[spots]
 

@@ -32,7 +32,6 @@ FORMATS = (
     (".pdf", ".png", ".jpg", ".jpeg"),
 )
 MOST_FLOORS = 200
-FARTHEST = 200.0  # [m] between floors of one building
 ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 Reader = Callable[[Path], Drawing]
 
@@ -168,6 +167,6 @@ def _check_distances(
         for label in drawing.floors:
             south_west, north_east = boxes[label].reshape(2, 2)
             apart = float(np.hypot(*np.maximum(np.maximum(south_west - high, low - north_east), 0.0)))
-            if not apart <= FARTHEST:
+            if not apart <= 200.0:  # farthest [m] between floors of one building
                 found = f"{file.name} {apart:.0f} m beside {files[0].name}"
                 raise InputError(folder, "", found, "the floors of one building, in one frame with common axes")

@@ -19,19 +19,16 @@ from pdr_graph.lifelog.past.merging import assumed_accuracy
 from pdr_graph.types import Array, Index
 
 METRES = 111_319.49  # per degree of latitude
-FARTHEST = 400.0  # [m] between two receptions of one access point that stays: twice its reach and the errors outdoors
 GOOD = 60.0  # [m] 68 % radius of a position from which the map is learnt
 BRACKET, BESIDE = 60.0, 20.0  # [s] to a position on both sides, and on one side, of a scan at a known place
 WALKING, CURVED = 1.5, 0.25  # [m/s] of a person beside a position; error of a straight line over its length
 FEWEST = 3  # access points in a scan that agree
-AGREED = 200.0  # [m] from the strongest access point's position within which another agrees
 REACH = 15.0  # [m] error per axis of an access point's position as that of the scan
 UNCHECKED = 2.0  # factor of sigma where there are too few scans to measure it
 ENOUGH, MOST_DAYS = 10, 30  # places, and days at most, from which it is measured
 CELL = 50.0  # [m] size of a place there, all of which have the same weight: most scans are at home
 LARGEST_SIGMA = 200.0  # [m] per axis of a position that is used
 COVERED = np.array([0.683, 0.95]), np.array([2.30, 5.99])  # shares, and the χ² with 2 degrees of freedom they are below
-ALONE = 60.0  # [s] from a measured position within which a scan gives none
 
 # Sums over the receptions of an access point on a day. weight: sum; lat, lon: weighted mean [deg]; spread: weighted
 # variance [m²], mean of both axes; low, high: limits of its receptions [deg]
@@ -118,7 +115,8 @@ def access_points(sums: Sequence[Rows], without: int = -1) -> Rows:
     place = np.stack([rows["lat"], rows["lon"]], axis=1)
     all_days = _combined(rows["mac"], rows["weight"], place, rows["spread"], (rows["low"], rows["high"]), without)
     low, high = all_days["low"].T, all_days["high"].T
-    return all_days[_distance(low[0], low[1], high[0], high[1]) <= FARTHEST]
+    # farthest [m] between two receptions of one access point that stays: twice its reach and the errors outdoors
+    return all_days[_distance(low[0], low[1], high[0], high[1]) <= 400.0]
 
 
 def scan_positions(scans: Scans, points: Rows) -> ScanPositions:
@@ -132,7 +130,8 @@ def scan_positions(scans: Scans, points: Rows) -> ScanPositions:
     lat, lon, spread = (points[name][column] for name in ("lat", "lon", "spread"))
     order = np.lexsort((rssi, scan))
     strongest = order[np.searchsorted(scan[order], scan, side="right") - 1]
-    agrees = _distance(lat, lon, lat[strongest], lon[strongest]) <= AGREED
+    # agreed [m] from the strongest access point's position within which another agrees
+    agrees = _distance(lat, lon, lat[strongest], lon[strongest]) <= 200.0
     weight = np.where(agrees, _strength(rssi) / (spread + REACH**2), 0)
     total, number = np.bincount(scan, weight), np.bincount(scan, agrees)
     chosen = np.flatnonzero(number >= FEWEST)
@@ -177,7 +176,8 @@ def wifi_rows(scans: Scans, positions: Rows, points: Rows, factor: float) -> Row
     time = scans.time[found.scan]
     after = np.searchsorted(measured, time)
     padded = np.concatenate([[-(2**60)], measured, [2**60]])
-    lonely = np.minimum(time - padded[after], padded[after + 1] - time) > ALONE * MS
+    # alone [s] from a measured position within which a scan gives none
+    lonely = np.minimum(time - padded[after], padded[after + 1] - time) > 60.0 * MS
     chosen = lonely & (found.sigma <= LARGEST_SIGMA)
     rows = np.zeros(int(chosen.sum()), POSITION)
     rows["time"], rows["source"] = time[chosen], WIFI

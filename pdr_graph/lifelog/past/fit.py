@@ -15,8 +15,6 @@ from pdr_graph.lifelog.past.past_rows import Batch
 NAME = "FIT"
 LARGEST_FIT = 20_000_000  # [bytes]; a day at 1 Hz has 5 MB
 MOST_MESSAGES = 500_000  # six days at 1 Hz; the library takes 25 µs for each
-FIT_EPOCH = 631_065_600.0  # [s] Unix time of 1989-12-31, where the format counts from
-SEMICIRCLES = 180 / 2**31  # [deg]
 
 
 def recognizes(head: bytes) -> bool:
@@ -61,5 +59,7 @@ def read(stream: BinaryIO, where: str) -> Iterator[Batch]:
 
 def _point(record: Any) -> Point:
     """The point of a record."""
-    lat, lon = (float_of(record.get(name)) * SEMICIRCLES for name in ("position_lat", "position_long"))
-    return FIT_EPOCH + float_of(record.get("timestamp")), (lat, lon), float_of(record.get("gps_accuracy")), TRACK
+    # semicircles [deg]
+    lat, lon = (float_of(record.get(name)) * (180 / 2**31) for name in ("position_lat", "position_long"))
+    # fit epoch [s]: Unix time of 1989-12-31, where the format counts from
+    return 631_065_600.0 + float_of(record.get("timestamp")), (lat, lon), float_of(record.get("gps_accuracy")), TRACK

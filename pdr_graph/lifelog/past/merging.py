@@ -14,7 +14,6 @@ from pdr_graph.io.validation import RECEIVER
 from pdr_graph.lifelog.past.past_rows import PATH_ACCURACY
 from pdr_graph.types import Array, Index, Mask
 
-SHADOW = 300  # [s] from an accurate measurement within which the path is not used; chosen by hand
 SECOND_MS = 1000
 
 
@@ -75,4 +74,5 @@ def _shadowed(path: Rows, measured: Rows) -> Mask:
     second = path["time"] // SECOND_MS
     after = np.searchsorted(times, second)
     gaps = [np.abs(times[np.clip(after + by, 0, len(times) - 1)] - second) for by in (-1, 0)]
-    return np.minimum(*gaps) <= SHADOW
+    # shadow [s] from an accurate measurement within which the path is not used; chosen by hand
+    return np.minimum(*gaps) <= 300

@@ -18,7 +18,6 @@ from pdr_graph.lifelog.facts import Guess
 from pdr_graph.lifelog.observation import LATEST_EPOCH
 from pdr_graph.types import Array, Mask
 
-LARGEST_ACCURACY = 10_000_000.0  # [m]; no two points on earth are farther apart than twice this
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
 
 
@@ -78,7 +77,8 @@ def valid_positions(time: Array, lat: Array, lon: Array, accuracy: Array, source
     rows["time"], rows["lat"], rows["lon"] = (
         np.rint(values[valid] * unit) for values, unit in ((time, MS), (lat, E7), (lon, E7))
     )
-    radius = np.clip(np.rint(np.where(stated, np.minimum(accuracy, LARGEST_ACCURACY), 0)[valid] * CM), 1, None)
+    # largest accuracy [m]: no two points on earth are farther apart than twice this
+    radius = np.clip(np.rint(np.where(stated, np.minimum(accuracy, 10_000_000.0), 0)[valid] * CM), 1, None)
     rows["accuracy"] = np.where(stated[valid], radius, NO_ACCURACY)
     rows["source"] = source[valid] if isinstance(source, np.ndarray) else source
     return Batch(rows, left_out=left_out)
@@ -102,9 +102,6 @@ def unix_time(value: Any) -> float:
     return iso_time(value)
 
 
-LONGEST_NAME = 200  # characters of a guess's name
-
-
 def guess(source: str, kind: str, times: tuple[Any, Any], name: Any, place: tuple[float, float], share: Any) -> Guess:
     """A guess from untrusted values; its times are NaN if they are invalid.
 
@@ -116,7 +113,8 @@ def guess(source: str, kind: str, times: tuple[Any, Any], name: Any, place: tupl
     lat, lon = place if abs(place[0]) <= 90 and abs(place[1]) <= 180 else (math.nan, math.nan)
     probability = float_of(share)
     probability = probability if 0 <= probability <= 1 else math.nan
-    text = "".join(c for c in name if c.isprintable())[:LONGEST_NAME] if isinstance(name, str) else ""
+    # longest name: characters of a guess's name
+    text = "".join(c for c in name if c.isprintable())[:200] if isinstance(name, str) else ""
     return Guess(source, start, stop, kind, text, lat, lon, probability)
 
 
