@@ -22,12 +22,12 @@ from pdr_graph import Prior, WalkGraph, smooth
 from pdr_graph.estimation import optimizer
 from pdr_graph.estimation.factors import fixes as fix_factors
 from pdr_graph.estimation.factors import losses as loss_functions
-from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.start import CorridorUse
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.lifelog import sessions
 from pdr_graph.measurements import Closures
+from pdr_graph.priors import MOTION
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"
 FIRMLY = 1e-3  # of the usual sigmas: a calibration that is not estimated
@@ -167,7 +167,7 @@ def closure():
 
 def gap_row():
     walks = [walk for walk in malls(SECOND) if walk.steps.end - walk.steps.start > 2 * HOLE]
-    stuck = [holed(walk, speed=FIRMLY, sigma_turn=preintegration.SIGMA_STANDING_TURN) for walk in walks]
+    stuck = [holed(walk, speed=FIRMLY, sigma_turn=MOTION.standing_turn) for walk in walks]
     torn, lost = scored(stuck), scored([holed(walk) for walk in walks])
     return (
         f"{len(walks)} mall walks with twenty seconds cut out of the middle, as if the walker had stood: {torn}; with"

@@ -26,20 +26,19 @@ from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
-from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, DOUBTED, FIRM, LoopClosureFactor
-from pdr_graph.estimation.factors.losses import GEMAN_MCCLURE_WIDTH, HUBER_WIDTH
+from pdr_graph.estimation.factors.loop_closure import DOUBTED, FIRM, LoopClosureFactor
 from pdr_graph.estimation.factors.start import CorridorUse, StartFactor
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.estimation.optimizer import _rotated, solutions
-from pdr_graph.gait.compass import COMPASS_SIGMA
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
 from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
 from pdr_graph.lifelog.sessions import STANDING_SIGMA
 from pdr_graph.measurements import Closures, Levels, take
 from pdr_graph.plotting import draw_plan
+from pdr_graph.priors import COMPASS, LOSSES, MOTION
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.types import Fixes, Sightings, Steps, Trajectory
 
@@ -121,7 +120,7 @@ def drawn(steps, R_s=1.0, drift=0.0, seed=0):
     heading = np.cumsum(steps.turn + wander)
     course = heading - (steps.turn + wander) / 2
     along = R_s * steps.length + random.normal(0, steps.sigma_length)
-    aside = random.normal(0, preintegration.SIGMA_LATERAL, n)
+    aside = random.normal(0, MOTION.lateral, n)
     place = np.cumsum(along[:, None] * unit(course) + aside[:, None] * unit(course + np.pi / 2), axis=0)
     rows = np.concatenate([np.zeros((1, 3)), np.column_stack([place, heading])])
     return Trajectory(np.append(0.0, steps.time), rows[:, :2], rows[:, 2], ("",) * (n + 1))
@@ -458,10 +457,10 @@ def losses():
     """What a residual costs, and how much of its weight is left."""
     s, M = np.linspace(0, 10, 400), gtsam.noiseModel.mEstimator
     laws = {
-        f"Huber, {HUBER_WIDTH} σ": (M.Huber.Create(HUBER_WIDTH), BLUE, "-"),
-        f"Geman–McClure, {GEMAN_MCCLURE_WIDTH} σ": (M.GemanMcClure.Create(GEMAN_MCCLURE_WIDTH), ORANGE, "-"),
-        f"Geman–McClure, {CLOSURE_WIDTH} σ (closures)": (
-            M.GemanMcClure.Create(CLOSURE_WIDTH),
+        f"Huber, {LOSSES.huber} σ": (M.Huber.Create(LOSSES.huber), BLUE, "-"),
+        f"Geman–McClure, {LOSSES.geman_mcclure} σ": (M.GemanMcClure.Create(LOSSES.geman_mcclure), ORANGE, "-"),
+        f"Geman–McClure, {LOSSES.closure} σ (closures)": (
+            M.GemanMcClure.Create(LOSSES.closure),
             PURPLE,
             "--",
         ),
@@ -558,8 +557,8 @@ def heading():
     each.set(xlabel="time [s]", ylabel="[deg]", title=f"the {len(told)} headings of a walk")
     each.legend(loc="upper left")
     n, own, ahead = np.arange(1, 25), 0.1, 0.1
-    shared = np.sqrt(own**2 + n * (ahead**2 + COMPASS_SIGMA**2))
-    alone = np.sqrt(own**2 + ahead**2 + COMPASS_SIGMA**2) / np.sqrt(n)
+    shared = np.sqrt(own**2 + n * (ahead**2 + COMPASS.sigma**2))
+    alone = np.sqrt(own**2 + ahead**2 + COMPASS.sigma**2) / np.sqrt(n)
     all_of.plot(n, np.degrees(alone), color=ORANGE, ls="--", label="taken for independent")
     all_of.plot(n, np.degrees(shared / np.sqrt(n)), color=BLUE, label="the shared part, n times")
     all_of.set(xlabel="headings of one walk", ylim=(0, None), title="σ of all together [deg]")
@@ -633,7 +632,7 @@ def closure():
     metres = np.linspace(0, 5, 300)
     for name, firmly, colour in (("Gaussian", True, PALE), ("Geman–McClure", False, BLUE)):
         law.plot(metres, [cost_apart(d, firmly) for d in metres], color=colour, label=name)
-    law.axhline(CLOSURE_WIDTH**2 / 2, color=GREY, lw=1, ls=":", label="8: its upper limit")
+    law.axhline(LOSSES.closure**2 / 2, color=GREY, lw=1, ls=":", label="8: its upper limit")
     law.set(ylim=(0, 14), xlabel=f"distance [m], σ = {STANDING_SIGMA} m", title="cost")
     law.legend(loc="lower right", fontsize=11.5)
 

@@ -9,8 +9,8 @@ from recorded import percentiles
 from tables import publish, table
 
 from pdr_graph import smooth
-from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.priors import MOTION
 
 GIVEN = ("every second waypoint", "first and last")
 SWAYS, STRIDES, TURNS = (0.1, 0.25, 0.4), (0.2, 0.3, 0.4), (0.01, 0.04)  # [m], share of a step, [rad] per step
@@ -20,11 +20,11 @@ WALLS = ((0.8, 1.0), (0.8, 0.5), (0.8, 2.0), (0.2, 1.0), (1.2, 1.0))  # margin a
 def settings(data):
     """The table."""
     walks, rows = [[walk for _, walk in helped_walks(data, given)] for given in GIVEN], []
-    default = preintegration.SIGMA_LATERAL
+    default = MOTION.lateral
     for sway in SWAYS:
-        preintegration.SIGMA_LATERAL = sway
+        MOTION.lateral = sway
         rows += [row(f"sway {sway} m, stride {share:.0%}", walks, partial(strides, share)) for share in STRIDES]
-    preintegration.SIGMA_LATERAL = default
+    MOTION.lateral = default
     rows += [row(f"turn {turn} rad", walks, partial(turns, turn)) for turn in TURNS]
     for margin, sigma in WALLS:
         held = partial(on_plan, Prior(wall_margin=margin, wall_sigma=sigma))

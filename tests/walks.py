@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_graph.geometry import dead_reckon
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 if TYPE_CHECKING:
@@ -64,7 +65,6 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
 
     Returns the measured steps, the fixes and the true trajectory.
     """
-    from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL
     from pdr_graph.estimation.factors.start import Prior
     from pdr_graph.geometry import rotation, row_times, unit
 
@@ -78,7 +78,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
         wander = random.normal(0, steps.sigma_turn[0])
         course = theta + expected / 2 + wander / 2
         move = R_s * length * unit(np.array(course))
-        sway = random.normal(0, [steps.sigma_length[0], SIGMA_LATERAL])
+        sway = random.normal(0, [steps.sigma_length[0], MOTION.lateral])
         position = position + move + rotation(course) @ sway
         theta += expected + wander
         rows.append([*position, theta])

@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import ATTEMPTS, DROPPED, SAME_PATH, STRAINED, Optimum, solutions_near
+from pdr_graph.estimation.optimizer import Optimum, solutions_near
 from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, measurements_at
 from pdr_graph.estimation.path_modes import mode_starts
 from pdr_graph.estimation.wrong_plan import WRONG_PLAN
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array, Mask
 
 # Chosen on 36 simulated walks in malls and offices, of which doors of 0.9 m in small plans need the densest particles
@@ -73,11 +74,11 @@ def localized(graph: WalkGraph) -> Localization:
     """The solutions of a walk on a plan without any position. graph: `unplaced`."""
     free = graph.without_plan()
     runs, optima, paths = list[tuple[Paths, float]](), list[Optimum](), None
-    for attempt in range(ATTEMPTS):
+    for attempt in range(SEARCH.attempts):
         runs += [particles_anywhere(free, RUNS * attempt + n, 2**attempt) for n in range(RUNS)]
         paths = _pooled(runs)
         optima = solutions_near(graph, mode_starts(graph, _drawn(paths)))
-        if not STRAINED <= optima[0].surprise < DROPPED:
+        if not SEARCH.strained <= optima[0].surprise < SEARCH.dropped:
             break  # it fits, or no walk on this plan does
     assert paths is not None, "there is an attempt"
     covered = float(paths.weight[_near_any(paths, optima)].sum())
@@ -130,5 +131,5 @@ def _near_any(paths: Paths, optima: Sequence[Optimum]) -> Mask:
     near = np.zeros(len(paths.weight), dtype=bool)
     for optimum in optima:
         apart = paths.state[:, :2] - optimum.state.poses[:, :2, None]
-        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SAME_PATH
+        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SEARCH.same_path
     return near

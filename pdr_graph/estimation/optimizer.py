@@ -10,28 +10,20 @@ import numpy as np
 from pdr_graph.estimation.factors.base import Hypothesis, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.initialization import AMBIGUOUS
 from pdr_graph.estimation.normal_equations import AnySolution, LinearSystem
 from pdr_graph.estimation.path_modes import alternative_endings, fixes_determine_path, hypotheses
+from pdr_graph.priors import INITIAL, SEARCH
 from pdr_graph.types import Array, Index
 
 MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
 CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an iteration is the last
 ROUGHLY = 1e-2  # the same where only the association with rooms and corridors is needed
-ALIKE = 30.0  # steps in a row with the same position error, between fixes
-LONGEST_MOVE = 2.0  # [m] of any pose in one iteration with walls, whose gradients are valid only nearby
-DROPPED = 12.0  # cost above the best at which another solution is dropped
-USUAL = 1.5  # usual ratio of the cost with walls to that without
-STRAINED = 3.0  # cost above the usual at which further paths are searched
-ATTEMPTS = 2  # of the particle filter
 DIRECTIONS = 8  # initial directions where any is possible
-UNSEEN = 4.5  # cost above the usual of a path that the particles may have missed
 DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
 LEAST_LOGARITHM = (
     -300.0
 )  # of a probability: its square is not 0, as a walk that fits nothing is still the best there is
-SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance between two aisles
 
 
 @dataclass(frozen=True)
@@ -131,9 +123,9 @@ def probabilities(optima: list[Optimum], path: Index) -> Array:
 
 
 def paths(optima: list[Optimum]) -> Index:
-    """The path of each solution ``(n,)``: index of the first solution within SAME_PATH of it on average."""
+    """The path of each solution ``(n,)``: index of the first solution within SEARCH.same_path of it on average."""
     tracks = np.array([optimum.at.ends[:, :2] for optimum in optima])
-    near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SAME_PATH
+    near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SEARCH.same_path
     return np.argmax(near, axis=1)
 
 
@@ -145,7 +137,7 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
     The loop and its linear algebra are not GTSAM's: that passes a copy of all values to each Python callback (quadratic
     in the length of the walk), and takes a Python call for each factor of each iteration.
     """
-    at, damping, longest = graph.evaluate(start), 0.0, LONGEST_MOVE if graph.walled else np.inf
+    at, damping, longest = graph.evaluate(start), 0.0, SEARCH.longest_move if graph.walled else np.inf
     equations = graph.normal_equations(at)
     system = equations.assembled(at)
     for iteration in range(1, MOST_ITERATIONS + 1):
@@ -169,7 +161,7 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:
     """The graph, rotated to DIRECTIONS starts if the measurements do not determine its direction."""
-    if not graph.positions.used.any() or graph.sigma_direction < AMBIGUOUS:
+    if not graph.positions.used.any() or graph.sigma_direction < INITIAL.ambiguous:
         return [graph]
     return [graph, *(graph.rotated(angle) for angle in np.arange(1, DIRECTIONS) * 2 * np.pi / DIRECTIONS)]
 
@@ -200,16 +192,16 @@ def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
 
     Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes.
     """
-    robust, expected = graph.classified_as(without_walls.graph), USUAL * without_walls.cost
+    robust, expected = graph.classified_as(without_walls.graph), SEARCH.usual * without_walls.cost
     optima = _distinct(_paths_of_fixes(robust, without_walls))
-    if optima and optima[0].surprise < expected + STRAINED:
-        return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+    if optima and optima[0].surprise < expected + SEARCH.strained:
+        return [replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima]
     aligned, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
-    for attempt in range(ATTEMPTS):
+    for attempt in range(SEARCH.attempts):
         optima += solutions_near(robust, hypotheses(robust, attempt) + (aligned if attempt == 0 else []))
-        if min(optimum.surprise for optimum in optima) < expected + STRAINED:
+        if min(optimum.surprise for optimum in optima) < expected + SEARCH.strained:
             break
-    return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+    return [replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima]
 
 
 def solutions_near(graph: WalkGraph, starts: Sequence[State]) -> list[Optimum]:
@@ -232,7 +224,7 @@ def _paths_of_fixes(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
 
 def _solve_relaxed(graph: WalkGraph, path: State, sigma: Array) -> Optimum:
     """Approximate optimum near a path with sigma ``(m,)`` [m], with loose walls of the most probable regions."""
-    return _staged(graph.associated_at(path, sigma, ALIKE), path, ROUGHLY)
+    return _staged(graph.associated_at(path, sigma, SEARCH.alike), path, ROUGHLY)
 
 
 def _solve_loose_walls(graph: WalkGraph, path: State) -> Optimum:
@@ -263,13 +255,13 @@ def _negative_log_posterior(optimum: Optimum) -> float:
 
 
 def _distinct(solutions: list[Optimum]) -> list[Optimum]:
-    """Distinct solutions within DROPPED of the best, the most probable first."""
+    """Distinct solutions within SEARCH.dropped of the best, the most probable first."""
     kept: list[Optimum] = []
     for solution in sorted(
         solutions, key=lambda s: round(s.surprise, 3)
     ):  # of equals the first: heading 0 with one fix
         track = solution.at.ends[:, :2]
         apart = [np.abs(track - other.at.ends[:, :2]).max() for other in kept]
-        if all(a > DIFFERENT for a in apart) and (not kept or solution.surprise - kept[0].surprise < DROPPED):
+        if all(a > DIFFERENT for a in apart) and (not kept or solution.surprise - kept[0].surprise < SEARCH.dropped):
             kept.append(solution)
     return kept

@@ -14,8 +14,9 @@ import numpy as np
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.normal_equations import AnySolution
-from pdr_graph.estimation.particle_filter import FEWEST, Paths, particle_filter, particles_from
+from pdr_graph.estimation.particle_filter import Paths, particle_filter, particles_from
 from pdr_graph.geometry import rotation
+from pdr_graph.priors import PARTICLES
 from pdr_graph.types import Array, Index
 
 MOST_MODES = 8
@@ -53,12 +54,12 @@ def alternative_endings(graph: WalkGraph, state: State, solution: AnySolution, l
         return []
     segment = int(graph.segment[last])
     joint = solution.joint(("x", np.array([last])), ("c", np.array([segment])))[0]
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), joint, FEWEST)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), joint, PARTICLES.fewest)
     place = state.poses[last, :2] + drawn[:, :2] @ rotation(state.poses[last, 2]).T
     particles = np.column_stack([place, state.poses[last, 2] + drawn[:, 2], state.c[segment] + drawn[:, 3:]]).T
     assert graph.floor_sequence is not None, "asked for with a plan"
-    at, origin = graph.pieces.last[last:], np.tile(state.poses[last, :2], (FEWEST, 1))
-    inside = np.logical_not(graph.floor_sequence.crossed(origin, place, np.tile(at[0], FEWEST)))
+    at, origin = graph.pieces.last[last:], np.tile(state.poses[last, :2], (PARTICLES.fewest, 1))
+    inside = np.logical_not(graph.floor_sequence.crossed(origin, place, np.tile(at[0], PARTICLES.fewest)))
     if not inside.any():
         return []
     paths, endings = particles_from(graph, last, particles[:, inside]), [state.poses[last + 1 :]]

@@ -14,15 +14,10 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.hypotheses import contradictions, joint_solutions
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
 from pdr_graph.estimation.normal_equations import AnySolution, mixture
-from pdr_graph.estimation.optimizer import SAME_PATH, Optimum, paths, probabilities
-from pdr_graph.estimation.results import (
-    LEAST_REPORTED,
-    calibration_of,
-    contradiction_warnings,
-    stated_probability,
-    warnings,
-)
+from pdr_graph.estimation.optimizer import Optimum, paths, probabilities
+from pdr_graph.estimation.results import calibration_of, contradiction_warnings, stated_probability, warnings
 from pdr_graph.geometry import differences, row_times, wrap_angle
+from pdr_graph.priors import REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, Index, Trajectory
 
 
@@ -93,7 +88,7 @@ def _routes(
     found = list[tuple[float, Trajectory]]()
     for n in np.unique(path).tolist():
         rows, share = poses_of_rows(optima[n]), float(probability[path == n].sum())
-        if n == 0 or share > LEAST_REPORTED:
+        if n == 0 or share > REPORTS.least_reported:
             track = replace(trajectory, position=rows[:, :2], heading=wrap_angle(rows[:, 2]), covariance=None)
             found.append((share, track))
     return tuple([found[0], *sorted(found[1:], key=lambda route: -route[0])])
@@ -107,7 +102,7 @@ def poses_of_rows(optimum: Optimum) -> Array:
 
 def _walks(probability: Array, path: Index) -> int:
     """Number of different walks that are worth a warning. probability, path: ``(n,)`` of each solution."""
-    return sum(float(probability[path == n].sum()) > LEAST_REPORTED for n in np.unique(path).tolist())
+    return sum(float(probability[path == n].sum()) > REPORTS.least_reported for n in np.unique(path).tolist())
 
 
 def _near(covariance: Array) -> float:
@@ -116,7 +111,7 @@ def _near(covariance: Array) -> float:
     Between walls a route is right or wrong. Where a plan does not fit, nothing keeps the walk in one aisle.
     """
     variance = float(np.trace(covariance[:, :2, :2], axis1=1, axis2=2).mean()) / 2
-    return 1 - float(np.exp(-(SAME_PATH**2) / (2 * variance)))
+    return 1 - float(np.exp(-(SEARCH.same_path**2) / (2 * variance)))
 
 
 def _mixture_covariance(optima: list[Optimum], weight: Array) -> Array:

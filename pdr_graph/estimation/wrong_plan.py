@@ -14,15 +14,8 @@ import numpy as np
 from pdr_graph.estimation.factors.base import Hypothesis
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.optimizer import (
-    DROPPED,
-    SAME_PATH,
-    Optimum,
-    corrected_solutions,
-    different_directions,
-    near_walk,
-    optimize,
-)
+from pdr_graph.estimation.optimizer import Optimum, corrected_solutions, different_directions, near_walk, optimize
+from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array
 
 WRONG_PLAN = 6.0  # [nats] least price of a plan that does not fit; between right walls a walk of some minutes costs 0
@@ -48,14 +41,14 @@ def solutions_on_plan(graph: WalkGraph, explained: list[Optimum]) -> list[Optimu
     likely = [other for other in explained if other.surprise < explained[0].surprise + CARRIED]
     optima = [_assuming(optimum, likely[0]) for optimum in corrected_solutions(graph, likely[0])]
     for other in likely[1:]:
-        alike = _apart(other, likely[0]) < SAME_PATH
+        alike = _apart(other, likely[0]) < SEARCH.same_path
         optima.append(_assuming(near_walk(graph, other, optima[0].state if alike else None), other))
     usual = PER_MEASUREMENT * min(_measurements_by_walls(optima[0]), PER_STEP * len(graph.steps))
     if optima[0].surprise > likely[0].surprise + max(MOST_ADDED, usual) and _single_position(graph):
         optima += _displaced(graph, likely[0])
     optima += [free for other in likely for free in _without_walls(other, max(WRONG_PLAN, usual))]
     ordered = sorted(optima, key=lambda optimum: optimum.surprise)
-    return [optimum for optimum in ordered if optimum.surprise < ordered[0].surprise + DROPPED]
+    return [optimum for optimum in ordered if optimum.surprise < ordered[0].surprise + SEARCH.dropped]
 
 
 def _assuming(optimum: Optimum, free: Optimum, price: float = 0.0, *more: Hypothesis) -> Optimum:

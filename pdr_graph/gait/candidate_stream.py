@@ -12,7 +12,6 @@ import numpy as np
 from scipy.ndimage import correlate1d
 
 from pdr_graph.gait.step_detection import (
-    CANDIDATE,
     DURATIONS,
     LAGS,
     NO_CANDIDATES,
@@ -25,6 +24,7 @@ from pdr_graph.gait.step_detection import (
     strong_maxima,
 )
 from pdr_graph.geometry import gaussian_weights
+from pdr_graph.priors import CANDIDATE
 from pdr_graph.types import Array, Index
 
 MARGIN = 1e-6  # [s] rounding of a time that is counted from another sample

@@ -13,11 +13,12 @@ from pdr_graph.gait.heading import Direction
 from pdr_graph.gait.heading_stream import HeadingStream
 from pdr_graph.gait.live_steps import DetectorCheckpoint, StepDetector
 from pdr_graph.gait.signals import GaitSignals
-from pdr_graph.gait.step_detection import LONGEST_STEP, Landings, decimation
-from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, steps_of
+from pdr_graph.gait.step_detection import Landings, decimation
+from pdr_graph.gait.steps import steps_of
 from pdr_graph.gait.walker import Walker
 from pdr_graph.inertial.attitude import NO_GYROSCOPE
 from pdr_graph.inertial.attitude_stream import AttitudeCheckpoint, AttitudeStream, SensorStream
+from pdr_graph.priors import MOTION, STEP
 from pdr_graph.types import Array, Recording, Steps
 
 
@@ -194,7 +195,7 @@ class SegmentStream:
     def _certain_until(self, until: float, count: int) -> float:
         """End of the certain time: the last landing, or, while standing, before any step that may still appear. [s]"""
         landed = self.landed[self.reported :, 0].tolist()
-        earliest = min([until, self.detector.earliest, *landed[count:]]) - LONGEST_STEP
+        earliest = min([until, self.detector.earliest, *landed[count:]]) - STEP.longest
         return max(landed[count - 1] if count else self.end, earliest)
 
     def _steps(self) -> Steps:
@@ -210,7 +211,7 @@ class SegmentStream:
         without_gyroscope = np.diff(at_steps) > 0
         if not without_gyroscope.any():
             return steps
-        sigma_turn = np.where(without_gyroscope, SIGMA_UNMEASURED_TURN, steps.sigma_turn)
+        sigma_turn = np.where(without_gyroscope, MOTION.unmeasured_turn, steps.sigma_turn)
         return replace(steps, sigma_turn=sigma_turn, unknown=(NO_GYROSCOPE,))
 
     def _signals(self, part: slice, landings: Landings) -> GaitSignals:

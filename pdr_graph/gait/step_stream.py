@@ -12,8 +12,9 @@ from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.gait.step_segment import STEP_STREAM, SegmentCheckpoint, SegmentStream
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, SHORTEST_WALK
+from pdr_graph.inertial.attitude import NO_GRAVITY, SHORTEST_WALK
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION, GravityRestorer, Health, SensorStream
+from pdr_graph.priors import REST
 from pdr_graph.types import Array, Steps
 
 
@@ -100,7 +101,7 @@ class StepStream:
         """The remaining steps: no more samples follow."""
         self._ingest()
         accelerometer, gyroscope = self._sensors.values()
-        alone = gyroscope.last < accelerometer.last - LONGEST_BRIDGED
+        alone = gyroscope.last < accelerometer.last - REST.longest_bridged
         until = accelerometer.last if alone else min(accelerometer.last, gyroscope.last)
         return self._advance(until, last=True)
 
@@ -147,7 +148,7 @@ class StepStream:
     def _usable_until(self) -> float:
         """Time up to which both sensors have samples, or the accelerometer if the gyroscope stopped. [s]"""
         accelerometer, gyroscope = self._sensors.values()
-        patience = LONGEST_BRIDGED + max(accelerometer.longest_packet, gyroscope.longest_packet)
+        patience = REST.longest_bridged + max(accelerometer.longest_packet, gyroscope.longest_packet)
         if max(gyroscope.last, accelerometer.start) < accelerometer.last - patience:
             return accelerometer.last
         return min(accelerometer.last, gyroscope.last)
@@ -186,7 +187,7 @@ class StepStream:
     def _end_of_segment(self, until: float) -> tuple[float, bool]:
         """Time up to which the accelerometer has no gap [s], and True if a gap follows before ``until``."""
         time = self._sensors["accelerometer"].time
-        gaps = np.flatnonzero(np.diff(time) > LONGEST_BRIDGED)
+        gaps = np.flatnonzero(np.diff(time) > REST.longest_bridged)
         if len(gaps) and time[gaps[0]] <= until:
             return float(time[gaps[0]]), True
         return until, False

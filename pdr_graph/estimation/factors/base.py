@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.types import Array, Fixes, Index
 
@@ -351,7 +350,7 @@ class Measurement:
         """All factors at one state; the first block is that of the instances."""
         return ()
 
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Associate instances with rooms or corridors along the walk ``at``.
 
         stray: sigma of that walk, everywhere or at the end of each piece ``(m,)`` [m]; alike: number of pieces in a row

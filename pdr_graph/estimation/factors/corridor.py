@@ -18,7 +18,6 @@ from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Me
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.estimation.factors.start import CorridorUse
 from pdr_graph.floor.building import FloorSequence
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.corridor_runs import Run, straight_runs, turns_between
 from pdr_graph.floor.corridor_turns import Turn, range_of_turn
 from pdr_graph.floor.network import Network
@@ -108,7 +107,7 @@ class CorridorFactor(Measurement):
         """The corridors of the floors that a walk is on, associated with none of its runs yet."""
         return cls(floor_sequence, use, Turns.together([]), np.empty(0, dtype=np.intp), Headings.none())
 
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Match the turns and straight runs of the walk ``at``.
 
         Turns need a plan with drawn intersections. A run that begins or ends with a matched turn adds no direction.

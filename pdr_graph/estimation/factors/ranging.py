@@ -4,7 +4,7 @@ A range is the distance to an anchor plus the anchor's bias, noise, and sometime
 signal takes a longer path, so these errors are positive. The noise is a mixture (Jourdan, Dardari, Win, "Position error
 bound for UWB localization in dense cluttered environments", IEEE T-AES 44(2), 2008, Sec. III),
 
-    z = d + b + ε,      p(ε) = (1 − NLOS) N(ε; 0, σ) + NLOS · (N(0, σ) + Exp(DETOUR))
+    z = d + b + ε,      p(ε) = (1 − RANGES.nlos) N(ε; 0, σ) + RANGES.nlos · (N(0, σ) + Exp(RANGES.detour))
 
 whose negative logarithm is the loss: a range too long by many sigmas has almost no weight, one too short has Huber's.
 Position and bias of each anchor are variables (x, y, b) with the survey as prior, so that a walk can correct them.
@@ -21,10 +21,11 @@ import numpy as np
 from scipy.special import erfcx
 
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.losses import HUBER_WIDTH, Loss, RobustLoss, huber_weight
+from pdr_graph.estimation.factors.losses import Loss, RobustLoss, huber_weight
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
 from pdr_graph.measurements import RangeReport, Ranges, take
+from pdr_graph.priors import LOSSES, RANGES, REPORTS
 from pdr_graph.types import Array, Fixes, Index, Steps
 
 if TYPE_CHECKING:
@@ -32,13 +33,7 @@ if TYPE_CHECKING:
 
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-NLOS = 0.2  # prior share of ranges without line of sight
-DETOUR = 3.0  # [m] mean length of a detour
-BIAS_SIGMA = 0.15  # [m] of an anchor's bias: antenna delays, calibrated or not
 FAR = 8.0  # [σ] beyond which the exponential part of the density is used alone, since the exact form overflows
-NEAR = 0.1  # [m] softens the distance at the anchor itself, where it has no gradient
-BIN, FEWEST = 5.0, 3  # [s] of ranges, and least number of anchors in it, for a rough position
-DETOUR_WEIGHT = 0.5  # weight below which a range is reported as one without line of sight
 
 
 @dataclass(frozen=True)
@@ -62,7 +57,7 @@ class LongErrors(Loss):
         line, detour = self._likelihoods(np.maximum(excess, 0.0))
         at_zero = sum(self._likelihoods(np.zeros(len(excess))))
         long = np.log(at_zero) - np.log(line + detour)
-        short = np.where(-excess > HUBER_WIDTH, HUBER_WIDTH * (-excess - HUBER_WIDTH / 2), excess**2 / 2)
+        short = np.where(-excess > LOSSES.huber, LOSSES.huber * (-excess - LOSSES.huber / 2), excess**2 / 2)
         return np.where(excess < 0, short, long)
 
     def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
@@ -76,7 +71,7 @@ class LongErrors(Loss):
         modified = np.exp(-0.5 * near**2) * erfcx((1 / self.scale - near) / np.sqrt(2)) / (2 * self.scale)
         far = (1 / self.scale) * np.exp(np.minimum(0.5 / self.scale**2 - excess / self.scale, 0.0))
         detour = np.where(excess > FAR, far, np.sqrt(2 * np.pi) * modified)
-        return (1 - NLOS) * gauss, NLOS * detour
+        return (1 - RANGES.nlos) * gauss, RANGES.nlos * detour
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +116,7 @@ class RangeFactor(Measurement):
         keyframe, m = self.keyframe[which], np.searchsorted(self._met, self.ranges.anchor[which])
         pose, anchor, sigma = at.state.poses[keyframe], at.state[self.symbol][m], self.ranges.sigma[which]
         gap = anchor[:, :2] - pose[:, :2]
-        distance = np.sqrt(np.sum(gap**2, axis=1) + NEAR**2)
+        distance = np.sqrt(np.sum(gap**2, axis=1) + RANGES.near**2)
         value = (distance + anchor[:, 2] - self.ranges.range[which]) / sigma
 
         def jacobian() -> list[Array]:
@@ -131,14 +126,14 @@ class RangeFactor(Measurement):
             by_anchor = np.column_stack([towards, np.ones(len(pose))]) / sigma[:, None]
             return [by_pose[:, None], by_anchor[:, None]]
 
-        loss = LongErrors(DETOUR / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
+        loss = LongErrors(RANGES.detour / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
         variables = [("x", keyframe), (self.symbol, m)]
         ranges = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
         return [ranges, self._anchors(at)]
 
     def _anchors(self, at: Evaluation) -> FactorBlock:
         every, place = np.arange(len(self._met)), self.ranges.position_sigma[self._met]
-        root = 1 / np.stack([place, place, np.full(len(every), BIAS_SIGMA)], axis=1)
+        root = 1 / np.stack([place, place, np.full(len(every), RANGES.bias)], axis=1)
         return FactorBlock.uniform(
             f"{self.name}.anchor",
             (at.state[self.symbol] - self._surveyed) * root,
@@ -167,14 +162,16 @@ class RangeFactor(Measurement):
         return replace(self, detours=True)
 
     def rough_fixes(self) -> Fixes:
-        """A rough position per BIN seconds: trilaterated with FEWEST anchors or more, else at the nearest anchor."""
-        bins, rough = np.floor(self.ranges.time / BIN), list[tuple[float, float, float, float]]()
+        """A rough position per RANGES.bin seconds: trilaterated with RANGES.fewest anchors or more, else at the
+        nearest anchor.
+        """
+        bins, rough = np.floor(self.ranges.time / RANGES.bin), list[tuple[float, float, float, float]]()
         for bin_number in np.unique(bins):
             ranges = take(self.ranges, np.flatnonzero(bins == bin_number))
             nearest = int(np.argmin(ranges.range))
-            (x, y), sigma = ranges.position[ranges.anchor[nearest]], float(ranges.range[nearest]) + BIN
-            if len(np.unique(ranges.anchor)) >= FEWEST:
-                (x, y), sigma = _trilaterated(ranges), BIN
+            (x, y), sigma = ranges.position[ranges.anchor[nearest]], float(ranges.range[nearest]) + RANGES.bin
+            if len(np.unique(ranges.anchor)) >= RANGES.fewest:
+                (x, y), sigma = _trilaterated(ranges), RANGES.bin
             rough.append((float(ranges.time.mean()), float(x), float(y), sigma))
         time, x, y, sigma = np.array(rough).reshape(-1, 4).T
         return Fixes(time, np.column_stack([x, y]), sigma)
@@ -196,7 +193,7 @@ class RangeFactor(Measurement):
             if number in place:
                 residual, weight = float(block.residual[place[number]]) * sigma, float(block.weight[place[number]])
                 long = "longer" if residual < 0 else "shorter"
-                detour = ": no line of sight" if weight < DETOUR_WEIGHT and residual < 0 else ""
+                detour = ": no line of sight" if weight < REPORTS.detour and residual < 0 else ""
                 reason = f"{abs(residual):.2f} m {long} than from the walk{detour}"
             reports.append(
                 RangeReport(

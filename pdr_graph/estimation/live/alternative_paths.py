@@ -14,9 +14,9 @@ from pdr_graph.estimation.live.live_output import LiveOutput
 from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
 from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Index
 
 

@@ -28,11 +28,11 @@ from pdr_graph.estimation.live.new_fixes import NewFixes, were_rejected
 from pdr_graph.estimation.live.path_trial import Trial
 from pdr_graph.estimation.live.plan_search import SOURCE, Places, PlacesQuestion
 from pdr_graph.estimation.live.review import Excess, Findings, Review
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Estimate, Headings, Index, Sightings, Steps
 
 

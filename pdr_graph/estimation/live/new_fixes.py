@@ -10,8 +10,8 @@ from pdr_graph.estimation.factors.receivers import sourced
 from pdr_graph.estimation.live.alternative_paths import AlternativePaths
 from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.prediction import beyond_gate, predict
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Fixes, Index, Mask
 
 DOUBTED, DOUBTED_BEHIND_WALL = 3.0, 1.0  # [σ] of a fix from the walk, beyond which the batch is asked; chosen by hand

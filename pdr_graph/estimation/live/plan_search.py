@@ -16,8 +16,8 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.batch_start import modes_at_end
 from pdr_graph.estimation.optimizer import paths, probabilities
-from pdr_graph.estimation.results import SURE
 from pdr_graph.geometry import ANY_HEADING, horizontal_sigma
+from pdr_graph.priors import REPORTS
 from pdr_graph.types import Array, Fixes, Headings
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
@@ -60,7 +60,7 @@ class PlacesQuestion:
         share = probabilities(found.optima, path)
         there = 1.0 - found.elsewhere
         ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
-        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > SURE)
+        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
 
 
 def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:
