@@ -78,37 +78,47 @@ def changed(table: Table, **values: Any) -> Iterator[None]:
 class StepPriors(Table):
     """Durations of steps."""
 
-    shortest: float = number(0.25, "s", "shortest duration of a step", JUDGEMENT)
+    shortest: float = number(0.25, "s", "shortest duration of a step", JUDGEMENT, (0.125, 0.5))
     longest: float = number(
-        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", JUDGEMENT
+        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", JUDGEMENT, (1.2, 1.2)
     )
-    usual: float = number(0.54, "s", "typical duration of a step", JUDGEMENT)
+    usual: float = number(0.54, "s", "typical duration of a step", JUDGEMENT, (0.54, 0.54))
 
 
 @dataclass(frozen=True)
 class CandidatePriors(Table):
     """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
 
-    sampling: float = number(0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", JUDGEMENT)
+    sampling: float = number(
+        0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", JUDGEMENT, (0.04, 0.08)
+    )
     slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step", JUDGEMENT)
-    usual_spread: float = number(0.25, "log", "spread of a step's duration over people and paces", JUDGEMENT)
-    usual_weight: float = number(0.3, "correlation", "weight of that prior", JUDGEMENT)
-    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", JUDGEMENT)
-    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", JUDGEMENT)
-    window: float = number(4.0, "s", "over which |a| is correlated with itself", JUDGEMENT)
-    look_ahead: float = number(2.0, "s", "part of the window after a landing", JUDGEMENT)
+    usual_spread: float = number(
+        0.25, "log", "spread of a step's duration over people and paces", JUDGEMENT, (0.125, 0.5)
+    )
+    usual_weight: float = number(0.3, "correlation", "weight of that prior", JUDGEMENT, (0.15, 0.6))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", JUDGEMENT, (0.05, 0.1))
+    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", JUDGEMENT, (0.2, 0.4))
+    window: float = number(4.0, "s", "over which |a| is correlated with itself", JUDGEMENT, (2.0, 8.0))
+    look_ahead: float = number(2.0, "s", "part of the window after a landing", JUDGEMENT, (1.0, 2.0))
     kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", JUDGEMENT)
     weakest: float = number(
         0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less", JUDGEMENT
     )
-    weakest_share: float = number(0.23, "share", "least amplitude among the steps around it: feet shuffle", JUDGEMENT)
+    weakest_share: float = number(
+        0.23, "share", "least amplitude among the steps around it: feet shuffle", JUDGEMENT, (0.23, 0.23)
+    )
     highest_bounce: float = number(
-        0.14, "m", "largest vertical motion, peak to peak: walkers bob by 0.02 to 0.10, shaking arms by 0.15", JUDGEMENT
+        0.14,
+        "m",
+        "largest vertical motion, peak to peak: walkers bob by 0.02 to 0.10, shaking arms by 0.15",
+        JUDGEMENT,
+        (0.14, 0.28),
     )
     tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", JUDGEMENT)
     tilt_window: float = number(1.5, "s", "over which that direction is averaged", JUDGEMENT)
     steadiest_tilt: float = number(
-        0.96, "share", "least length of that mean; else the phone tilts to and fro", JUDGEMENT
+        0.96, "share", "least length of that mean; else the phone tilts to and fro", JUDGEMENT, (0.48, 0.96)
     )
 
     @property
@@ -121,15 +131,17 @@ class CandidatePriors(Table):
 class BoutPriors(Table):
     """When candidate landings become steps."""
 
-    closest_share: float = number(0.55, "steps", "least interval between two landings", JUDGEMENT)
+    closest_share: float = number(0.55, "steps", "least interval between two landings", JUDGEMENT, (0.275, 0.55))
     start: float = number(0.7, "correlation", "least correlation with the step or stride before, to start", JUDGEMENT)
     go_on: float = number(0.1, "correlation", "the same to go on", JUDGEMENT)
     vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing", JUDGEMENT)
-    vigorous_start: float = number(0.5, "correlation", "least correlation to start with such an amplitude", JUDGEMENT)
-    push_off: float = number(
-        0.6, "share", "a first landing weaker than this, of the following ones, is none", JUDGEMENT
+    vigorous_start: float = number(
+        0.5, "correlation", "least correlation to start with such an amplitude", JUDGEMENT, (0.25, 0.5)
     )
-    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", JUDGEMENT)
+    push_off: float = number(
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", JUDGEMENT, (0.6, 0.6)
+    )
+    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", JUDGEMENT, (4, 4))
     late: float = number(6.0, "s", "after which it is too late to report a step", JUDGEMENT)
     past: float = number(8.0, "s", "samples before a landing on which it may depend", JUDGEMENT)
     future: float = number(
@@ -141,17 +153,23 @@ class BoutPriors(Table):
 class StridePriors(Table):
     """Lengths of steps."""
 
-    shortest: float = number(0.2, "m", "shortest length of a step, by any model", JUDGEMENT)
-    longest: float = number(1.2, "m", "longest length of a step, by any model", JUDGEMENT)
+    shortest: float = number(0.2, "m", "shortest length of a step, by any model", JUDGEMENT, (0.1, 0.4))
+    longest: float = number(1.2, "m", "longest length of a step, by any model", JUDGEMENT, (1.2, 2.4))
     sigma: float = number(
-        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings"
+        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", (0.15, 0.6)
     )
-    turn_shortens: float = number(1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)")
+    turn_shortens: float = number(
+        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", (0.562, 1.124)
+    )
     largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more", JUDGEMENT)
     k0: float = number(
-        0.34, "m", "constant part of a step: half of it", "fit: 15 walks in two malls, scripts/reproduce steps"
+        0.34,
+        "m",
+        "constant part of a step: half of it",
+        "fit: 15 walks in two malls, scripts/reproduce steps",
+        (0.34, 0.34),
     )
-    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``")
+    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", (0.29, 0.29))
 
 
 @dataclass(frozen=True)
@@ -173,15 +191,17 @@ class MotionPriors(Table):
     )
     unmeasured_turn: float = number(0.3, "rad", "the same without a gyroscope: a corner every thirty steps", JUDGEMENT)
     lateral: float = number(
-        0.25, "m", "sway of one step to the side", "fit of the 90 % regions: scripts/reproduce settings"
+        0.25, "m", "sway of one step to the side", "fit of the 90 % regions: scripts/reproduce settings", (0.25, 0.25)
     )
-    standing_turn: float = number(0.02, "rad", "change between walking direction and phone in a pause", JUDGEMENT)
+    standing_turn: float = number(
+        0.02, "rad", "change between walking direction and phone in a pause", JUDGEMENT, (0.01, 0.04)
+    )
     gap_speed: float = number(
         1.0, "m/s", "sigma per axis of the displacement in a gap: walker stands or walks", JUDGEMENT
     )
     gap_turn: float = number(1.2, "rad", "sigma of the turn in a gap: nearly unknown, but with a gradient", JUDGEMENT)
     steps_per_keyframe: int = number(
-        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3"
+        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", (5, 20)
     )
 
 
@@ -201,13 +221,17 @@ class ForwardPriors(Table):
     band: float = number(
         0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", JUDGEMENT
     )
-    window_steps: int = number(16, "steps", "length of a window", JUDGEMENT)
-    least_windows: int = number(3, "windows", "least number of windows of walking", JUDGEMENT)
+    window_steps: int = number(16, "steps", "length of a window", JUDGEMENT, (8, 32))
+    least_windows: int = number(3, "windows", "least number of windows of walking", JUDGEMENT, (2, 6))
     least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait", JUDGEMENT)
     gait_sigma: float = number(0.3, "rad", "sigma of the gait axis about the walking direction: hands sway", JUDGEMENT)
-    reading_sigma: float = number(0.17, "rad", "sigma of the y axis of a phone held for reading", JUDGEMENT)
+    reading_sigma: float = number(
+        0.17, "rad", "sigma of the y axis of a phone held for reading", JUDGEMENT, (0.085, 0.34)
+    )
     facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading", JUDGEMENT)
-    steady: float = number(0.95, "share", "least length of the mean direction; a waved phone has less", JUDGEMENT)
+    steady: float = number(
+        0.95, "share", "least length of the mean direction; a waved phone has less", JUDGEMENT, (0.475, 1.9)
+    )
     opposed: float = number(0.6, "rad", "angle of gait axis and y axis from which the phone is not read", JUDGEMENT)
     early_steps: int = number(8, "steps", "length of a window live", JUDGEMENT)
     early_coherence: float = number(0.45, "share", "least coherence in such a window", JUDGEMENT)
@@ -221,7 +245,7 @@ class ForwardPriors(Table):
     )
     confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees with it", JUDGEMENT)
     unconfirmed: float = number(
-        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", JUDGEMENT
+        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", JUDGEMENT, (0.175, 0.7)
     )
 
     @property
@@ -260,14 +284,15 @@ class CompassPriors(Table):
         "rad",
         "error that a walk shares: the phone's own iron, a building's axis",
         "fit: scripts/reproduce compass",
+        (0.1, 0.4),
     )
     longest_stretch: float = number(
         150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
     )
-    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", JUDGEMENT)
-    least_steps: int = number(24, "steps", "least number of steps in a stretch", JUDGEMENT)
+    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", JUDGEMENT, (1.0, 4.0))
+    least_steps: int = number(24, "steps", "least number of steps in a stretch", JUDGEMENT, (12, 48))
     least_certain: float = number(
-        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", JUDGEMENT
+        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", JUDGEMENT, (0.35, 1.4)
     )
 
 
@@ -334,13 +359,19 @@ class MagnetometerPriors(Table):
 class NorthPriors(Table):
     """The filter of north."""
 
-    interval: float = number(1.0, "s", "between observations", JUDGEMENT)
-    drift: float = number(0.004, "rad/√s", "of the attitude's heading after removal of the bias", JUDGEMENT)
-    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", JUDGEMENT)
-    alike: float = number(2.5, "s", "for which a walker stays in the same disturbance: about three metres", JUDGEMENT)
-    disturbed: float = number(0.35, "rad", "largest error in either test; other observations are not used", JUDGEMENT)
+    interval: float = number(1.0, "s", "between observations", JUDGEMENT, (0.5, 2.0))
+    drift: float = number(
+        0.004, "rad/√s", "of the attitude's heading after removal of the bias", JUDGEMENT, (0.002, 0.008)
+    )
+    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", JUDGEMENT, (0.06, 0.24))
+    alike: float = number(
+        2.5, "s", "for which a walker stays in the same disturbance: about three metres", JUDGEMENT, (1.25, 5.0)
+    )
+    disturbed: float = number(
+        0.35, "rad", "largest error in either test; other observations are not used", JUDGEMENT, (0.175, 0.7)
+    )
     weakest: float = number(
-        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", JUDGEMENT
+        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", JUDGEMENT, (0.15, 0.6)
     )
     huber: float = number(2.0, "σ", "deviation at which an innovation is clipped", JUDGEMENT)
     least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", JUDGEMENT)
@@ -393,8 +424,12 @@ class KindPriors(Table):
 class LossPriors(Table):
     """Widths of robust losses."""
 
-    huber: float = number(2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99")
-    geman_mcclure: float = number(2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``")
+    huber: float = number(
+        2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99", (1.225, 2.45)
+    )
+    geman_mcclure: float = number(
+        2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``", (1.225, 4.9)
+    )
     closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres", JUDGEMENT)
 
 
@@ -402,15 +437,22 @@ class LossPriors(Table):
 class WalkerPriors(Table):
     """The walker's calibration (R_s, R_d, b)."""
 
-    mean: tuple[float, float, float] = number((1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition")
+    mean: tuple[float, float, float] = number(
+        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", ((1.0, 1.0, 0.0), (1.0, 1.0, 0.0))
+    )
     sigma: tuple[float, float, float] = number(
         (0.15, 0.03, 0.003),
         "-, -, rad/s",
         "of an unknown walker; b covers all phones",
         "fit of b: scripts/reproduce drift; JUDGEMENT",
+        ((0.15, 0.03, 0.003), (0.15, 0.03, 0.003)),
     )
     change: tuple[float, float, float] = number(
-        (0.03, 0.005, 0.0005), "-, -, rad/s", "sigma of the change from segment to segment", JUDGEMENT
+        (0.03, 0.005, 0.0005),
+        "-, -, rad/s",
+        "sigma of the change from segment to segment",
+        JUDGEMENT,
+        ((0.015, 0.0025, 0.00025), (0.06, 0.01, 0.001)),
     )
     between_walks: tuple[float, float, float] = number(
         (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person", JUDGEMENT
@@ -421,12 +463,14 @@ class WalkerPriors(Table):
 class WallPriors(Table):
     """Walls along a walk: graph and particles."""
 
-    margin: float = number(0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings")
-    sigma: float = number(1.0, "m", "sigma of that margin", JUDGEMENT)
-    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", JUDGEMENT)
-    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", JUDGEMENT)
+    margin: float = number(
+        0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", (0.8, 0.8)
+    )
+    sigma: float = number(1.0, "m", "sigma of that margin", JUDGEMENT, (0.5, 1.0))
+    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", JUDGEMENT, (0.075, 0.3))
+    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", JUDGEMENT, (0.05, 0.2))
     loose: float = number(
-        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", JUDGEMENT
+        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", JUDGEMENT, (1.5, 6.0)
     )
 
 
@@ -436,7 +480,9 @@ class RegionPriors(Table):
 
     stray: float = number(0.5, "m", "sigma of a track", JUDGEMENT)
     outside_cost: float = number(4.0, "nats", "of a point in no region: within 1.4 m it belongs to one", JUDGEMENT)
-    outside_price: float = number(0.15, "log-odds", "of a point in no region: shops are entered, plans end", JUDGEMENT)
+    outside_price: float = number(
+        0.15, "log-odds", "of a point in no region: shops are entered, plans end", JUDGEMENT, (0.075, 0.3)
+    )
     at_door: float = number(1.5, "m", "from a door within which it may be used", JUDGEMENT)
     wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors", JUDGEMENT)
     door_cost: float = number(1.0, "log-odds", "of changing region at a door", JUDGEMENT)
@@ -498,8 +544,10 @@ class RangePriors(Table):
 class InitialPriors(Table):
     """The alignment of dead reckoning with fixes."""
 
-    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", JUDGEMENT)
-    change: float = number(0.2, "rad, ratio", "by which direction and scale change between segments", JUDGEMENT)
+    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", JUDGEMENT, (1.5, 6.0))
+    change: float = number(
+        0.2, "rad, ratio", "by which direction and scale change between segments", JUDGEMENT, (0.1, 0.2)
+    )
     any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown", JUDGEMENT)
     scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", JUDGEMENT)
     huber: float = number(2.0, "σ", "width of Huber's weight", JUDGEMENT)
@@ -513,7 +561,7 @@ class InitialPriors(Table):
 class SearchPriors(Table):
     """The search for other walks that explain the measurements."""
 
-    directions: int = number(12, "directions", "hypotheses of an unknown direction", JUDGEMENT)
+    directions: int = number(8, "directions", "hypotheses of an unknown direction", JUDGEMENT)
     alike: float = number(30.0, "steps", "with the same position error, between fixes", JUDGEMENT)
     longest_move: float = number(2.0, "m", "of a pose in an iteration with walls, whose gradients are local", JUDGEMENT)
     dropped: float = number(12.0, "nats", "above the best at which a solution is dropped", JUDGEMENT)
@@ -529,19 +577,29 @@ class ParticlePriors(Table):
     """The particle filter on a plan."""
 
     fewest: int = number(1000, "particles", "least number", JUDGEMENT)
-    most: int = number(8000, "particles", "largest number, of the batch", JUDGEMENT)
+    most: int = number(8000, "particles", "largest number, of the batch", JUDGEMENT, (4000, 16000))
     per_bin: int = number(
-        20, "particles", "per occupied bin of position and direction; scales with the most", JUDGEMENT
+        20, "particles", "per occupied bin of position and direction; scales with the most", JUDGEMENT, (10, 40)
     )
-    bin: float = number(1.0, "m", "of position", JUDGEMENT)
-    bin_angle: float = number(np.pi / 8, "rad", "of direction", JUDGEMENT)
-    resample: float = number(0.5, "share", "effective share below which they are resampled", JUDGEMENT)
-    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", JUDGEMENT)
-    wide: tuple[float, ...] = number((1.5, 1.5, 2.0), "factor", "of the prior's sigmas: rare calibrations", JUDGEMENT)
+    bin: float = number(1.0, "m", "of position", JUDGEMENT, (0.5, 2.0))
+    bin_angle: float = number(np.pi / 8, "rad", "of direction", JUDGEMENT, (0.1963, 0.7854))
+    resample: float = number(0.5, "share", "effective share below which they are resampled", JUDGEMENT, (0.25, 1.0))
+    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", JUDGEMENT, (0.1, 0.4))
+    wide: tuple[float, ...] = number(
+        (1.5, 1.5, 2.0),
+        "factor",
+        "of the prior's sigmas: rare calibrations",
+        JUDGEMENT,
+        ((0.75, 0.75, 1.0), (3.0, 3.0, 4.0)),
+    )
     calm: tuple[float, ...] = number(
-        (0.7, 0.7, 1.0), "factor", "of length, sway, turn: parts are common errors", JUDGEMENT
+        (0.7, 0.7, 1.0),
+        "factor",
+        "of length, sway, turn: parts are common errors",
+        JUDGEMENT,
+        ((0.35, 0.35, 0.5), (1.4, 1.4, 2.0)),
     )
-    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", JUDGEMENT)
+    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", JUDGEMENT, (0.5, 2.0))
     least_sigma_direction: float = number(0.1, "rad", "at the start", JUDGEMENT)
     far: float = number(4.0, "σ", "of a fix from all particles, from which some move there", JUDGEMENT)
     sought: int = number(5, "particles", "of which one moves to such a fix", JUDGEMENT)

@@ -19,11 +19,9 @@ MOST_ITERATIONS = 60
 LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e6
 CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an iteration is the last
 ROUGHLY = 1e-2  # the same where only the association with rooms and corridors is needed
-DIRECTIONS = 8  # initial directions where any is possible
 DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
-LEAST_LOGARITHM = (
-    -300.0
-)  # of a probability: its square is not 0, as a walk that fits nothing is still the best there is
+# Of a probability: its square is not 0, as a walk that fits nothing is still the best there is
+LEAST_LOGARITHM = -300.0
 
 
 @dataclass(frozen=True)
@@ -160,10 +158,11 @@ def optimize(graph: WalkGraph, start: State, converged: float = CONVERGED) -> Op
 
 
 def _rotated(graph: WalkGraph) -> list[WalkGraph]:
-    """The graph, rotated to DIRECTIONS starts if the measurements do not determine its direction."""
+    """The graph, rotated to SEARCH.directions starts if the measurements do not determine its direction."""
     if not graph.positions.used.any() or graph.sigma_direction < INITIAL.ambiguous:
         return [graph]
-    return [graph, *(graph.rotated(angle) for angle in np.arange(1, DIRECTIONS) * 2 * np.pi / DIRECTIONS)]
+    every = 2 * np.pi / SEARCH.directions
+    return [graph, *(graph.rotated(every * n) for n in range(1, SEARCH.directions))]
 
 
 def solve_robust(graph: WalkGraph) -> Optimum:

@@ -17,8 +17,6 @@ from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.priors import PARTICLES, REGIONS, WALLS
 from pdr_graph.types import Array, Index
 
-BODY = 0.12  # [m] least distance of a walker's centre from any wall
-LOOK = 0.24  # [m] between points of a step that are tested against walls: twice BODY, so that no wall is missed
 MOST_LOOKS = 100  # points of a step, however long
 LOAD_AFTER = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
 
@@ -69,7 +67,7 @@ COMPILED = Compiled()
 
 def costs() -> tuple[float, ...]:
     """The numbers that the compiled functions take: body [m], margin [m], and three prices [log-odds]."""
-    return BODY, WALLS.margin, PARTICLES.clear_price, REGIONS.outside_price, REGIONS.wall_cost
+    return WALLS.body, WALLS.margin, PARTICLES.clear_price, REGIONS.outside_price, REGIONS.wall_cost
 
 
 def stepped(
@@ -81,7 +79,7 @@ def stepped(
     state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
     """
     state = np.ascontiguousarray(state)
-    motion = length, float(turn), float(time), float(min(np.ceil(length / LOOK), MOST_LOOKS))
+    motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
     kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
     errors = _errors(state.shape[1], sigma, random)
     after, price, stopped = (kernels and _first_compiled(kernels, state, errors, motion, walls)) or _first_try(
@@ -123,10 +121,10 @@ def _first_try(state: Array, errors: Array, motion: Motion, walls: Walls) -> tup
     after, way = _moved(state, errors, motion)
     clear = _clearances(state, way, motion, walls)
     price = PARTICLES.clear_price * np.square(np.maximum(0.0, 1 - clear[-1] / WALLS.margin))
-    price[clear[-1] < BODY] = REGIONS.outside_price
-    stopped = np.flatnonzero(clear.min(axis=0) < BODY)
+    price[clear[-1] < WALLS.body] = REGIONS.outside_price
+    stopped = np.flatnonzero(clear.min(axis=0) < WALLS.body)
     if len(stopped):
-        stopped = stopped[walls.distance(state[:2, stopped]) >= BODY]
+        stopped = stopped[walls.distance(state[:2, stopped]) >= WALLS.body]
     return after, price, stopped
 
 
@@ -138,7 +136,7 @@ def _further_tries(
     """
     before = np.repeat(state[:, stopped], PARTICLES.tries, axis=1)
     others, way = _moved(before, errors, motion)
-    free = (_clearances(before, way, motion, walls).min(axis=0) >= BODY).reshape(-1, PARTICLES.tries)
+    free = (_clearances(before, way, motion, walls).min(axis=0) >= WALLS.body).reshape(-1, PARTICLES.tries)
     ways = free.sum(axis=1)
     got = ways > 0
     after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * PARTICLES.tries + free.argmax(axis=1))[got]]

@@ -13,7 +13,7 @@ from pdr_graph.inertial.barometer import STAIRS, Climbs
 from pdr_graph.priors import TREADS
 from pdr_graph.types import Array, Mask, Steps
 
-ALIKE = 0.02  # [m] a length that need not be changed again, live; chosen by hand
+ALIKE = 0.02  # [m] a smaller change of a length is not reported, live
 
 
 def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Steps:

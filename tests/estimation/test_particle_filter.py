@@ -140,10 +140,15 @@ def test_particles_survive_any_turn_of_the_phone(turned):
     turn[at], sigma[at] = turned, 1.2
     plain = steps_of(np.full(n, 0.7), turn)
     steps = type(plain)(**{**plain.__dict__, "sigma_turn": sigma})
-    paths = particle_filter(graph_of(steps, floor, [2.0, 1.2]))
-    x, y = np.average(paths.state[-1, :2], axis=1, weights=paths.weight)
-    assert x == pytest.approx(2 + 0.7 * n, abs=0.15 * 0.7 * n), "as far as strides are known"
-    assert 0 < y < 2.4
+    graph = graph_of(steps, floor, [2.0, 1.2])
+    ends = np.array(
+        [
+            np.average(paths.state[-1, :2], axis=1, weights=paths.weight)
+            for paths in (particle_filter(graph, seed) for seed in range(3))  # the end differs by a metre between seeds
+        ]
+    )
+    assert ends[:, 0].mean() == pytest.approx(2 + 0.7 * n, abs=0.15 * 0.7 * n), "as far as strides are known"
+    assert np.all((ends[:, 1] > 0) & (ends[:, 1] < 2.4))
 
 
 def test_the_same_seed_is_the_same_walk():
