@@ -819,7 +819,7 @@ class LiveFloorPriors(Table):
     """The floors of a walk under way."""
 
     interval: float = number(3.0, "s", "between estimates; a climb is assumed to go on for two", JUDGEMENT)
-    longest: float = number(200.0, "s", "window", JUDGEMENT)
+    longest: float = number(200.0, "s", "longest window", JUDGEMENT)
     shortest: float = number(60.0, "s", "length of the window after a cut", JUDGEMENT)
     most_climbs: int = number(3, "climbs", "in the window", JUDGEMENT)
     too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb", JUDGEMENT)
