@@ -64,7 +64,7 @@ DONE = [  # files whose numbers are in the table
 ]
 
 
-@pytest.mark.parametrize("entry", entries(), ids=str)
+@pytest.mark.parametrize("entry", list(entries()), ids=str)
 def test_a_number_has_unit_meaning_and_source(entry):
     assert entry.unit
     assert len(entry.meaning.split()) > 1
