@@ -23,7 +23,6 @@ from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
 from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors import fixes as fix_factors
 from pdr_graph.estimation.factors import losses as loss_functions
-from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.evaluation import circular_error, pair
@@ -31,6 +30,7 @@ from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.geometry import row_times
 from pdr_graph.lifelog import sessions
 from pdr_graph.measurements import Closures
+from pdr_graph.priors import LOSSES, MOTION, changed
 from pdr_graph.types import Trajectory
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"
@@ -142,7 +142,7 @@ def losses():
     walks = [replace(walk, fixes=scattered(walk.fixes, WILD, random)[0]) for walk in walks]
     robust = scored(walks)
     with (
-        patch.object(loss_functions, "HUBER_WIDTH", NO_WIDTH),
+        changed(LOSSES, huber=NO_WIDTH),
         patch.object(loss_functions, "huber_weight", lambda deviation, _=NO_WIDTH: np.ones_like(deviation)),
         patch.object(fix_factors, "OUTLIER", NO_WIDTH),
         patch.object(fix_factors, "consistent_chains", all_believed),
@@ -204,7 +204,7 @@ def closure():
 
 def gap_row():
     walks = [walk for walk in malls(SECOND) if walk.steps.end - walk.steps.start > 2 * HOLE]
-    stuck = [holed(walk, speed=FIRMLY, sigma_turn=preintegration.SIGMA_STANDING_TURN) for walk in walks]
+    stuck = [holed(walk, speed=FIRMLY, sigma_turn=MOTION.standing_turn) for walk in walks]
     torn, lost = scored(stuck), scored([holed(walk) for walk in walks])
     return (
         f"{len(walks)} mall walks with twenty seconds cut out of the middle, as if the walker had stood: {torn}; with"

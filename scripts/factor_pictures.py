@@ -22,25 +22,24 @@ from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
 from pdr_graph.estimation.ambiguity.path_modes import rotated, solutions
 from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.base import State
-from pdr_graph.estimation.factors.beacon_rssi import LEVEL_SIGMA, PATH_LOSS, PATH_LOSS_SIGMA, BeaconRssiFactor
+from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS, PATH_LOSS_SIGMA, BeaconRssiFactor
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.heading_prior import HeadingFactor
-from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, DOUBTED, FIRM, LoopClosureFactor
-from pdr_graph.estimation.factors.losses import GEMAN_MCCLURE_WIDTH, HUBER_WIDTH
+from pdr_graph.estimation.factors.loop_closure import DOUBTED, FIRM, LoopClosureFactor
 from pdr_graph.estimation.factors.start import first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.multi_walk import smooth_together
-from pdr_graph.gait.compass import COMPASS_SIGMA
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
 from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
 from pdr_graph.lifelog.sessions import STANDING_SIGMA
 from pdr_graph.measurements import Closures, Levels, take
 from pdr_graph.plotting import draw_plan
+from pdr_graph.priors import BEACONS, COMPASS, LOSSES, MOTION
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.types import Fixes, Sightings, Steps, Trajectory
 
@@ -122,7 +121,7 @@ def drawn(steps, R_s=1.0, drift=0.0, seed=0):
     heading = np.cumsum(steps.turn + wander)
     course = heading - (steps.turn + wander) / 2
     along = R_s * steps.length + random.normal(0, steps.sigma_length)
-    aside = random.normal(0, preintegration.SIGMA_LATERAL, n)
+    aside = random.normal(0, MOTION.lateral, n)
     place = np.cumsum(along[:, None] * unit(course) + aside[:, None] * unit(course + np.pi / 2), axis=0)
     rows = np.concatenate([np.zeros((1, 3)), np.column_stack([place, heading])])
     return Trajectory(np.append(0.0, steps.time), rows[:, :2], rows[:, 2], ("",) * (n + 1))
@@ -459,10 +458,10 @@ def losses():
     """What a residual costs, and how much of its weight is left."""
     s, M = np.linspace(0, 10, 400), gtsam.noiseModel.mEstimator
     laws = {
-        f"Huber, {HUBER_WIDTH} σ": (M.Huber.Create(HUBER_WIDTH), BLUE, "-"),
-        f"Geman–McClure, {GEMAN_MCCLURE_WIDTH} σ": (M.GemanMcClure.Create(GEMAN_MCCLURE_WIDTH), ORANGE, "-"),
-        f"Geman–McClure, {CLOSURE_WIDTH} σ (closures)": (
-            M.GemanMcClure.Create(CLOSURE_WIDTH),
+        f"Huber, {LOSSES.huber} σ": (M.Huber.Create(LOSSES.huber), BLUE, "-"),
+        f"Geman–McClure, {LOSSES.geman_mcclure} σ": (M.GemanMcClure.Create(LOSSES.geman_mcclure), ORANGE, "-"),
+        f"Geman–McClure, {LOSSES.closure} σ (closures)": (
+            M.GemanMcClure.Create(LOSSES.closure),
             PURPLE,
             "--",
         ),
@@ -526,7 +525,7 @@ def beacon():
     axes.fill_between(metres, low, high, color=PALE, alpha=0.5, lw=0, label="a phone of which nothing is known, 95 %")
     for name, facing, colour in (("ahead", 0.0, BLUE), ("behind", np.pi, ORANGE)):
         usual = level(metres, facing, PATH_LOSS)
-        axes.fill_between(metres, *(usual + s * LEVEL_SIGMA for s in (-1, 1)), color=colour, alpha=0.15, lw=0)
+        axes.fill_between(metres, *(usual + s * BEACONS.level_sigma for s in (-1, 1)), color=colour, alpha=0.15, lw=0)
         axes.plot(metres, usual, color=colour, label=f"the usual one, the beacon {name}, ±1 σ")
     axes.set(xscale="log", xlabel="distance [m]", ylabel="level [dBm]", xticks=[1, 2, 5, 10, 20, 40])
     axes.set_xticklabels(["1", "2", "5", "10", "20", "40"])
@@ -542,7 +541,7 @@ def level(metres, facing, q):
     silent = Levels(np.zeros(n), np.zeros(n, dtype=np.intp), np.zeros(n), ("a",), np.zeros((1, 2)), np.ones(1))
     factor = replace(BeaconRssiFactor.of(silent, None, Prior()), keyframe=np.arange(n))
     state = State({"x": poses, "b": np.zeros((1, 3)), "q": q[None]})
-    return factor.factors(SimpleNamespace(state=state))[0].residual * LEVEL_SIGMA
+    return factor.factors(SimpleNamespace(state=state))[0].residual * BEACONS.level_sigma
 
 
 def heading():
@@ -559,8 +558,8 @@ def heading():
     each.set(xlabel="time [s]", ylabel="[deg]", title=f"the {len(told)} headings of a walk")
     each.legend(loc="upper left")
     n, own, ahead = np.arange(1, 25), 0.1, 0.1
-    shared = np.sqrt(own**2 + n * (ahead**2 + COMPASS_SIGMA**2))
-    alone = np.sqrt(own**2 + ahead**2 + COMPASS_SIGMA**2) / np.sqrt(n)
+    shared = np.sqrt(own**2 + n * (ahead**2 + COMPASS.sigma**2))
+    alone = np.sqrt(own**2 + ahead**2 + COMPASS.sigma**2) / np.sqrt(n)
     all_of.plot(n, np.degrees(alone), color=ORANGE, ls="--", label="taken for independent")
     all_of.plot(n, np.degrees(shared / np.sqrt(n)), color=BLUE, label="the shared part, n times")
     all_of.set(xlabel="headings of one walk", ylim=(0, None), title="σ of all together [deg]")
@@ -634,7 +633,7 @@ def closure():
     metres = np.linspace(0, 5, 300)
     for name, firmly, colour in (("Gaussian", True, PALE), ("Geman–McClure", False, BLUE)):
         law.plot(metres, [cost_apart(d, firmly) for d in metres], color=colour, label=name)
-    law.axhline(CLOSURE_WIDTH**2 / 2, color=GREY, lw=1, ls=":", label="8: its upper limit")
+    law.axhline(LOSSES.closure**2 / 2, color=GREY, lw=1, ls=":", label="8: its upper limit")
     law.set(ylim=(0, 14), xlabel=f"distance [m], σ = {STANDING_SIGMA} m", title="cost")
     law.legend(loc="lower right", fontsize=11.5)
 

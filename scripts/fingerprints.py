@@ -5,11 +5,12 @@ from recorded import WAYPOINT_NOISE, gaps
 from tables import publish, table
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
-from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
+from pdr_graph.estimation.fingerprinting import RadioMap
 from pdr_graph.evaluation import REGION_90
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate, nearest
 from pdr_graph.io.loading import load
+from pdr_graph.priors import SCANS
 from pdr_graph.types import Fixes
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given to a walk of the map
@@ -58,11 +59,13 @@ def of_floor(folder):
             rows.append([*row, 0 if others else "no other walk", *["—"] * 6])
             continue
         errors = fixes.position - interpolate(fixes.time, track.time, track.position)
-        shares.append(SHARED * errors / fixes.sigma[:, None])
+        shares.append(SCANS.shared * errors / fixes.sigma[:, None])
         found = list(four_ways(walk, steps, headings, floor, fixes))
         results.append(found)
         medians = [f"{np.median(errors):.2f}" for errors, _ in found]
-        rows.append([*row, len(fixes), f"{np.median(fixes.sigma) / SHARED:.1f}", f"{rms(shares[-1]):.2f}", *medians])
+        rows.append(
+            [*row, len(fixes), f"{np.median(fixes.sigma) / SCANS.shared:.1f}", f"{rms(shares[-1]):.2f}", *medians]
+        )
     return rows, results, shares
 
 

@@ -18,10 +18,10 @@ from synthetic_walks import PERIOD, walk_and_truth
 from tables import table
 
 from pdr_graph import WalkGraph, dead_reckon, smooth
-from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.kalman import kalman_filter
 from pdr_graph.geometry import wrap_angle
+from pdr_graph.priors import MOTION
 
 SEEDS = 3  # walks
 LENGTHS = (2000, 7000)  # steps
@@ -156,7 +156,7 @@ def extended_filter(steps, fixes):
         F, G = np.eye(4), np.zeros((4, 4))
         F[:2, 2], F[:2, 3] = scale * length * aside, length * ahead
         G[:2, 0], G[:2, 1], G[:2, 2], G[2, 2], G[3, 3] = ahead, aside, scale * length * aside / 2, 1.0, 1.0
-        sigmas = np.array([steps.sigma_length[k], SIGMA_LATERAL, steps.sigma_turn[k], change])
+        sigmas = np.array([steps.sigma_length[k], MOTION.lateral, steps.sigma_turn[k], change])
         ekf.F, ekf.Q = F, G * sigmas**2 @ G.T
         ekf.predict(u=(length, turn))
         expected.append((ekf.x.copy(), ekf.P.copy()))
@@ -203,7 +203,7 @@ class Problem:
         self.n, self.segment = len(steps), np.arange(len(steps)) // 100
         self.length, self.turn, self.place = steps.length, steps.turn, fixes.position
         self.at, self.weight = _rows(steps, fixes), 1 / fixes.sigma
-        self.scale = 1 / np.stack([steps.sigma_length, np.full(self.n, SIGMA_LATERAL), steps.sigma_turn], axis=1)
+        self.scale = 1 / np.stack([steps.sigma_length, np.full(self.n, MOTION.lateral), steps.sigma_turn], axis=1)
         self.first, self.segments = 3 * (self.n + 1), int(self.segment[-1]) + 1
         track = dead_reckon(steps)
         poses = np.column_stack([track.position, track.heading])[: self.n + 1]
@@ -315,7 +315,7 @@ def _fix_factors(steps, fixes):
 
 
 def _step_noise(steps):
-    sigmas = np.array([steps.sigma_length[0], SIGMA_LATERAL, steps.sigma_turn[0]])
+    sigmas = np.array([steps.sigma_length[0], MOTION.lateral, steps.sigma_turn[0]])
     return gtsam.noiseModel.Diagonal.Sigmas(sigmas)
 
 

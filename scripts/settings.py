@@ -1,55 +1,215 @@
-"""How much the hand-set numbers matter on Microsoft's walks: process noise, and the spring of the walls."""
+"""How much each number of `pdr_graph.priors` matters: halved and doubled, on real and simulated walks.
 
+``scripts/settings.py TABLE... [--write]`` measures some tables, by default all that `CASES` has, and keeps the page's
+figures of the others. ``--write`` writes docs/results/settings.md, and the ranges of the tables measured to priors.py.
+"""
+
+import ast
+import sys
 from dataclasses import replace
-from functools import partial
+from functools import cache
+from pathlib import Path
 
 import numpy as np
-from microsoft import METHODS, graph_of, helped_walks, withheld_errors
-from recorded import percentiles
-from tables import publish, table
+from microsoft import METHODS, graph_of, helped_walks, recording_paths, walk_of, withheld_errors
+from outliers import scattered
+from recorded import gaps, helped, nju_walks
+from simulations import simulated
+from tables import publish, published, table
 
-from pdr_graph import smooth
-from pdr_graph.estimation.factors import preintegration
-from pdr_graph.estimation.factors.start import Prior
+from pdr_graph import FloorPlan, priors, smooth
+from pdr_graph.evaluation import circular_error, pair
+from pdr_graph.io.loading import load
+from pdr_graph.priors import changed, entries, tables
+from pdr_graph.simulation.scenario import Scenario
 
-GIVEN = ("every second waypoint", "first and last")
-SWAYS, STRIDES, TURNS = (0.1, 0.25, 0.4), (0.2, 0.3, 0.4), (0.01, 0.04)  # [m], share of a step, [rad] per step
-WALLS = ((0.8, 1.0), (0.8, 0.5), (0.8, 2.0), (0.2, 1.0), (1.2, 1.0))  # margin and sigma [m]
-
-
-def settings(data):
-    """The table."""
-    walks, rows = [[walk for _, walk in helped_walks(data, given)] for given in GIVEN], []
-    default = preintegration.SIGMA_LATERAL
-    for sway in SWAYS:
-        preintegration.SIGMA_LATERAL = sway
-        rows += [row(f"sway {sway} m, stride {share:.0%}", walks, partial(strides, share)) for share in STRIDES]
-    preintegration.SIGMA_LATERAL = default
-    rows += [row(f"turn {turn} rad", walks, partial(turns, turn)) for turn in TURNS]
-    for margin, sigma in WALLS:
-        held = partial(on_plan, Prior(wall_margin=margin, wall_sigma=sigma))
-        rows.append(row(f"with map: margin {margin} m, sigma {sigma} m", walks, method=held))
-    header = ["setting", "every second: CE50/75/95 [m]", "in 90 %", "first and last: CE50/75/95 [m]", "in 90 %"]
-    publish("results/settings.md", "settings", table(header, rows))
+ROOT = Path(__file__).resolve().parent.parent
+SAME = (0.03, 0.05, 3.0)  # change of CE50 and CE95, as share, and of the coverage, in points, that counts as none
+HEADER = ["number", "value", "unit", "meaning", "source", "halved", "doubled", "same accuracy"]
+NOT_MEASURED, UNUSED, UNCHANGED = "not measured", "no effect on these walks", "0 / 0 / 0"
+SAID_ONLY = "says, does not steer"
 
 
-def row(name, walks, change=lambda steps: steps, method=METHODS["graph"]):
-    """Errors by what was given, the steps' own sigmas changed or the walls'."""
-    cells = []
-    for of in walks:
-        found = [withheld_errors(replace(walk, steps=change(walk.steps)), method) for walk in of]
-        errors, inside = (np.concatenate([one[k] for one in found]) for k in (0, 1))
-        cells += [percentiles(errors), f"{100 * inside.mean():.0f} %"]
-    return [name, *cells]
+@cache
+def malls(data, given):
+    """Walks of Microsoft with some waypoints given."""
+    return [walk for _, walk in helped_walks(data, given)]
 
 
-def strides(share, steps):
-    return replace(steps, sigma_length=share * steps.length)
+@cache
+def outdoors(data):
+    """A campus walk with the phone's fixes, and two simulated walks with a receiver's."""
+    scenario = Scenario.load(ROOT / "scenarios" / "outdoors.toml")
+    return [*nju_walks(data), *(simulated(replace(scenario, seed=seed)) for seed in (1, 2))]
 
 
-def turns(sigma, steps):
-    return replace(steps, sigma_turn=np.full(len(steps), sigma))
+def by_steps(data):
+    """From the sensors' samples: steps are detected again."""
+    for path in recording_paths(data)[::4]:
+        _, walk = walk_of(load(path), _floor(path.parent), path)
+        yield withheld_errors(helped(walk, np.array([0, len(walk.truth) - 1])), METHODS["graph"])
 
 
-def on_plan(prior, walk):
-    return smooth(graph_of(walk, floor=walk.floor, prior=prior)).trajectory
+@cache
+def _floor(folder):
+    return FloorPlan.load(folder)
+
+
+def on_fixes(data, method=METHODS["graph"]):
+    """Without a plan."""
+    for given in ("every second waypoint", "first and last"):
+        for walk in malls(data, given):
+            yield withheld_errors(walk, method)
+
+
+def on_plans(data):
+    """With the plan, between the first and the last waypoint of every fifth walk, and with every second of all."""
+    for walk in malls(data, "first and last")[::5] + malls(data, "every second waypoint")[::3]:
+        yield withheld_errors(walk, METHODS["graph with map"])
+
+
+def on_receivers(data):
+    """With the fixes of a receiver."""
+    yield from on_own_fixes(outdoors(data))
+
+
+def on_outliers(data):
+    """The same, every fifth fix far off."""
+    random = np.random.default_rng(0)
+    yield from on_own_fixes([replace(w, fixes=scattered(w.fixes, 0.2, random)[0]) for w in outdoors(data)])
+
+
+def on_own_fixes(walks):
+    for walk in walks:
+        track = smooth(graph_of(walk)).trajectory
+        yield circular_error(pair(track, walk.truth)), gaps(track, walk.truth)[1]
+
+
+CASES = {
+    by_steps: ("STEP", "CANDIDATE", "BOUT", "STRIDES", "FORWARD", "GRIP", "COMPASS", "REST", "MAGNETOMETER", "NORTH"),
+    on_fixes: ("MOTION", "WALKER"),
+    on_outliers: ("LOSSES", "INITIAL"),
+    lambda data: on_fixes(data, METHODS["filter (causal)"]): ("KALMAN",),
+    on_plans: ("WALLS", "REGIONS", "SEARCH", "PARTICLES"),
+    on_receivers: ("RECEIVERS",),
+}
+
+
+def score(case, data):
+    """CE50, CE95 [m], the share inside the 90 % region [%], and the sum of all errors [m], the same to the last digit
+    where a number is not used; NaN where a walk cannot be estimated.
+    """
+    try:
+        found = list(case(data))
+    except Exception as error:  # an impossible number may fail anywhere
+        print(f"    {type(error).__name__}: {error}", file=sys.stderr)
+        return np.full(4, np.nan)
+    errors, inside = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+    return np.array([*np.percentile(errors, [50, 95]), 100 * inside.mean(), errors.sum()])
+
+
+def scaled(value, factor):
+    """A value times a factor, of its own type."""
+    if isinstance(value, tuple):
+        return tuple(scaled(one, factor) for one in value)
+    return max(1, round(value * factor)) if isinstance(value, int) else value * factor
+
+
+def is_same(before, after):
+    change = np.abs(after - before)[:3] / np.array([before[0], before[1], 1.0])
+    return bool(np.all(change <= SAME))
+
+
+def measured(name, data):
+    """Rows of the table ``name`` by number: its cells from `halved` on, and the range."""
+    case = next(case for case, of in CASES.items() if name in of)
+    instance, before = tables()[name], score(case, data)
+    print(f"{name}: {before[0]:.2f} / {before[1]:.2f} m, {before[2]:.0f} % inside", file=sys.stderr, flush=True)
+    for entry in entries():
+        if entry.table == name:
+            after = []
+            for factor in (0.5, 2.0):
+                with changed(instance, **{entry.name: scaled(entry.value, factor)}):
+                    after.append(score(case, data))
+            if all(one[3] == before[3] for one in after):
+                yield entry, [UNUSED, UNUSED], None
+                continue
+            same = [is_same(before, one) for one in after]
+            ends = tuple(scaled(entry.value, f) if s else entry.value for f, s in zip((0.5, 2.0), same, strict=True))
+            cells = [change(before, one) for one in after]
+            print(f"  {entry}", *cells, ends, file=sys.stderr, flush=True)
+            yield entry, cells, ends
+
+
+def change(before, after):
+    """Changes of CE50, CE95 [m] and coverage [points]."""
+    if np.isnan(after).any():
+        return "fails"
+    if np.all(np.abs(after - before)[:3] < (0.005, 0.005, 0.5)):
+        return UNCHANGED
+    return f"{after[0] - before[0]:+.2f} / {after[1] - before[1]:+.2f} / {after[2] - before[2]:+.0f}"
+
+
+def settings(data, names=None):
+    """The page's table: all numbers, with the figures of the tables ``names``, by default of all that have a case."""
+    cased = [name for of in CASES.values() for name in of]
+    figures = {row["number"]: [row["halved"], row["doubled"]] for row in kept()}
+    ranges = {}
+    for name in cased if names is None else names:
+        for entry, cells, ends in measured(name, data):
+            figures[f"`{entry}`"], ranges[str(entry)] = cells, ends
+    if "--write" in sys.argv:
+        write_ranges(ranges)
+    rows = []
+    for entry in entries():
+        still = ranges.get(str(entry)) or entry.still
+        said = SAID_ONLY if entry.table in ("REPORTS", "VERDICTS") else NOT_MEASURED
+        said = UNUSED if UNUSED in figures.get(f"`{entry}`", []) else said
+        within = said if still is None else f"{shown(still[0])} to {shown(still[1])}"
+        cells = figures.get(f"`{entry}`", ["", ""])
+        rows.append([f"`{entry}`", shown(entry.value), entry.unit, entry.meaning, entry.source, *cells, within])
+    publish("results/settings.md", "settings", table(HEADER, rows).replace("|a|", "abs a"))
+
+
+def kept():
+    """Rows of the page as it is."""
+    parts = published("results/settings.md", "settings")
+    return [row for row in parts[0] if "halved" in row] if parts else []
+
+
+def shown(value):
+    """A number or several, in three digits."""
+    return ", ".join(map(shown, value)) if isinstance(value, tuple) else f"{value:.3g}"
+
+
+def write_ranges(ranges):
+    """Put the ranges ``{"TABLE.name": (low, high)}`` into priors.py, as the last argument of `number`."""
+    path = Path(priors.__file__)
+    text = path.read_text(encoding="utf-8")
+    lines, classes = text.encode().splitlines(keepends=True), {type(t).__name__: name for name, t in tables().items()}
+    places = [
+        (node.value, ranges[name])
+        for table_class in ast.parse(text).body
+        if isinstance(table_class, ast.ClassDef) and table_class.name in classes
+        for node in table_class.body
+        if isinstance(node, ast.AnnAssign) and ranges.get(name := f"{classes[table_class.name]}.{node.target.id}")
+    ]
+    for call, ends in reversed(places):
+        before, last = call.args[3], call.args[-1]
+        assert last.end_lineno == before.lineno or len(call.args) > 4 or last is before
+        row, column = before.end_lineno - 1, before.end_col_offset
+        tail = lines[last.end_lineno - 1][last.end_col_offset :]
+        lines[row : last.end_lineno] = [lines[row][:column] + f", {rounded(ends)}".encode() + tail]
+    path.write_bytes(b"".join(lines))
+
+
+def rounded(ends):
+    return tuple(
+        rounded(one) if isinstance(one, tuple) else one if isinstance(one, int) else float(f"{one:.4g}") for one in ends
+    )
+
+
+if __name__ == "__main__":
+    from reproduce import DATA
+
+    settings(DATA, [name for name in sys.argv[1:] if not name.startswith("-")] or None)

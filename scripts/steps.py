@@ -14,6 +14,7 @@ from pdr_graph.gait.step_length import StepFeatures
 from pdr_graph.inertial.attitude import attitude_of
 from pdr_graph.io.loading import load
 from pdr_graph.papers.step_detectors import peak_pairs, trough_to_peak
+from pdr_graph.priors import STRIDES
 from pdr_graph.types import LONLAT, Fixes
 
 OXFORD = {  # true counts of the data page
@@ -153,10 +154,8 @@ def refitted(walks, walk):
     legs = [(d, share.sum(), share @ bounce(other)) for other in rest for d, share in other.legs]
     distance, count, bounced = np.array(legs).T
     sigma = np.sqrt(2 * 0.47**2 + 0.15**2 * count)
-    k = least_squares(lambda k: (step_length.K0 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[
-        0
-    ]
-    return step_length.K0 + k * bounce(walk)
+    k = least_squares(lambda k: (STRIDES.k0 * count + k[0] * bounced - distance) / sigma, [0.3], loss="soft_l1").x[0]
+    return STRIDES.k0 + k * bounce(walk)
 
 
 def bounce(walk):

@@ -13,6 +13,7 @@ from pdr_graph.estimation import kalman
 from pdr_graph.estimation.factors import beacon_rssi, gnss_bias, losses
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
+from pdr_graph.priors import LOSSES, changed
 
 SEEDS = 120
 STEPS = 90
@@ -25,8 +26,8 @@ def gaussian():
     with ExitStack() as patches:
         patches.enter_context(patch.object(gnss_bias, "WORSE", ()))
         patches.enter_context(patch.object(beacon_rssi, "SUSPICIOUS", np.inf))
+        patches.enter_context(changed(LOSSES, huber=WIDE))
         for module in (losses, kalman):
-            patches.enter_context(patch.object(module, "HUBER_WIDTH", WIDE))
             patches.enter_context(
                 patch.object(module, "huber_weight", lambda deviation, _=WIDE: np.ones_like(deviation))
             )

@@ -12,6 +12,7 @@ import pytest
 from matplotlib.mathtext import MathTextParser
 
 from pdr_graph.estimation.factors.start import Prior
+from pdr_graph.priors import tables
 
 ROOT = Path(__file__).parent.parent
 PAGE = ROOT / "docs" / "factors.md"
@@ -32,11 +33,11 @@ def pictures(monkeypatch, tmp_path):
 
 
 def test_constants_are_the_codes():
-    """Each `module.NAME` = value of the page."""
+    """Each `module.NAME` or `TABLE.name` = value of the page."""
     stated = re.findall(r"`(\w+)\.(\w+)` = (\([^)]*\)|[-\d.]+\d)", TEXT)
     assert len(stated) > 45
     for home, name, value in stated:
-        of = Prior() if home == "Prior" else import_module(MODULES[home])
+        of = tables().get(home) or (Prior() if home == "Prior" else import_module(MODULES[home]))
         found = getattr(of, name)
         found = tuple(found) if isinstance(ast.literal_eval(value), tuple) else found
         assert found == ast.literal_eval(value), f"{home}.{name}: the page says {value}, the code {found}"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_graph.geometry import dead_reckon
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 if TYPE_CHECKING:
@@ -64,7 +65,6 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
 
     Returns the measured steps, the fixes and the true trajectory.
     """
-    from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL
     from pdr_graph.estimation.factors.start import Prior
     from pdr_graph.geometry import rotation, row_times, unit
 
@@ -78,7 +78,7 @@ def drawn_from_the_model(n: int, seed: int, every: int = 15, wrong: float = 1.0)
         wander = random.normal(0, steps.sigma_turn[0])
         course = theta + expected / 2 + wander / 2
         move = R_s * length * unit(np.array(course))
-        sway = random.normal(0, [steps.sigma_length[0], SIGMA_LATERAL])
+        sway = random.normal(0, [steps.sigma_length[0], MOTION.lateral])
         position = position + move + rotation(course) @ sway
         theta += expected + wander
         rows.append([*position, theta])
@@ -128,23 +128,24 @@ def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, 
 
     ``wrong`` scales the errors of the levels.
     """
-    from pdr_graph.estimation.factors.beacon_rssi import HEIGHT, LEVEL_SIGMA, PATH_LOSS, PATH_LOSS_SIGMA, POWER_SIGMA
+    from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS, PATH_LOSS_SIGMA
     from pdr_graph.geometry import unit
     from pdr_graph.measurements import Levels
+    from pdr_graph.priors import BEACONS
 
     steps, fixes, truth = drawn_from_the_model(n, seed, every=30)
     random, count, surveyed = np.random.default_rng([seed, 2]), 4, 0.5
     low, high = truth.position.min(axis=0) - 8, truth.position.max(axis=0) + 8
     listed = random.uniform(low, high, (count, 2))
-    b = np.column_stack([listed + random.normal(0, surveyed, (count, 2)), random.normal(0, POWER_SIGMA, count)])
+    b = np.column_stack([listed + random.normal(0, surveyed, (count, 2)), random.normal(0, BEACONS.power_sigma, count)])
     row = np.repeat(np.arange(8, n, 8), count)
     beacon = np.tile(np.arange(count), len(row) // count)
     gap = b[beacon, :2] - truth.position[row]
-    distance = np.sqrt(np.sum(gap**2, axis=1) + HEIGHT**2)
+    distance = np.sqrt(np.sum(gap**2, axis=1) + BEACONS.height**2)
     facing = np.sum(unit(truth.heading[row]) * gap, axis=1) / distance
     power, exponent, shade = random.normal(PATH_LOSS, PATH_LOSS_SIGMA)
     expected = power + b[beacon, 2] - 10 * exponent * np.log10(distance) + shade * facing
-    rssi = expected + random.normal(0, wrong * LEVEL_SIGMA, len(row))
+    rssi = expected + random.normal(0, wrong * BEACONS.level_sigma, len(row))
     levels = Levels(truth.time[row], beacon, rssi, tuple("abcd"), listed, np.full(count, surveyed))
     return steps, fixes, levels, truth
 

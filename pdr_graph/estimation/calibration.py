@@ -20,9 +20,8 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, unit
+from pdr_graph.priors import LINE, WALKER
 from pdr_graph.types import Array, Estimate, Fixes, Steps
-
-BETWEEN_WALKS = (0.05, 0.01, 0.001)  # sigmas of R_s, R_d, b [rad/s] between two walks of one person
 
 
 def posterior_profile(estimate: Estimate, steps: Steps, applied: Profile | None = None) -> Profile:
@@ -53,20 +52,13 @@ def prior_of(profile: Profile | None) -> Prior:
         return Prior()
     usual = Prior()
     to_graph = np.array([[1, 0, 0], [0, 0, 1], [0, profile.speed, 0]])
-    covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(BETWEEN_WALKS))
+    covariance = to_graph @ profile.covariance @ to_graph.T + np.diag(np.square(WALKER.between_walks))
     sigma = np.sqrt(np.diag(covariance))
     correlation = (covariance / np.outer(sigma, sigma))[np.triu_indices(3, 1)]
     return replace(usual, sigma=tuple(np.minimum(sigma, usual.sigma).tolist()), correlation=tuple(correlation.tolist()))
 
 
-MOST_LAPS = 5
-PLAUSIBLE = 1.5  # largest ratio of stated to true length, or its inverse: 0.86 to 1.4 on real walks
-FARTHEST = 0.8  # [m] rms distance from the line; simulated walkers who follow it are within 0.4
-STRAYS = 2.0  # [m] along the line by which a step may differ from its position in the previous round
-SWAY = 0.3  # [m] lateral sigma of people who follow a line
-SPACING = 3.0  # [m] along the line between the fixes on it
 ROUNDS = 12  # of fitting the walk and matching it to the line
-USUAL = (0.4, 0.05, 0.01)  # sigmas of E_length, E_corner, E_straight [rad/m]; a fit stays within three of the last two
 
 
 @dataclass(frozen=True)
@@ -94,13 +86,13 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
         expected = f"those of a walk along the route, {_line(route, 1).length:.0f} m, give or take a third"
         raise InputError(source, "", f"steps of {steps.length.sum():.0f} m", expected)
     best = min((_follow(steps, route, laps) for laps in likely), key=lambda f: f.apart)
-    if best.apart > FARTHEST:
-        expected = f"a walk from its first to its last point, within {FARTHEST} m"
+    if best.apart > LINE.farthest:
+        expected = f"a walk from its first to its last point, within {LINE.farthest} m"
         raise InputError(source, "", f"steps that leave the route by {best.apart:.1f} m (rms)", expected)
     line = _line(route, best.laps)
-    along = np.linspace(0, line.length, max(4, round(line.length / SPACING)))
+    along = np.linspace(0, line.length, max(4, round(line.length / LINE.spacing)))
     time = np.interp(along, best.along, np.append(steps.time[0] - steps.duration[0], steps.time))
-    fixes = Fixes(time, _at(line, along), np.full(len(along), SWAY), ("",) * len(along))
+    fixes = Fixes(time, _at(line, along), np.full(len(along), LINE.sway), ("",) * len(along))
     estimate = smooth(WalkGraph(steps, fixes))
     if not (judged := verdict(estimate)).ok:
         raise InputError(
@@ -111,10 +103,14 @@ def calibrate(steps: Steps, route: Array, source: str = "") -> tuple[Profile, Es
 
 
 def _possible_laps(steps: Steps, route: Array) -> list[int]:
-    """Numbers of laps that fit the length of the steps: up to MOST_LAPS on a closed line, else one or none."""
-    closes = np.hypot(*(route[-1] - route[0])) < STRAYS
+    """Numbers of laps that fit the length of the steps: up to LINE.most_laps on a closed line, else one or none."""
+    closes = np.hypot(*(route[-1] - route[0])) < LINE.strays
     reached = steps.length.sum() / _line(route, 1).length
-    return [n for n in range(1, MOST_LAPS + 1 if closes else 2) if reached / PLAUSIBLE < n < reached * PLAUSIBLE]
+    return [
+        n
+        for n in range(1, LINE.most_laps + 1 if closes else 2)
+        if reached / LINE.plausible < n < reached * LINE.plausible
+    ]
 
 
 def _follow(steps: Steps, route: Array, laps: int) -> Followed:
@@ -124,14 +120,14 @@ def _follow(steps: Steps, route: Array, laps: int) -> Followed:
     line = _line(route, laps)
     walked = np.append(0.0, np.cumsum(steps.length))
     along = walked * line.length / walked[-1]
-    first = _at(line, np.array([0.0, min(SPACING, line.length)]))
+    first = _at(line, np.array([0.0, min(LINE.spacing, line.length)]))
     scale = np.clip(line.length / walked[-1] - 1, -0.5, 0.5)
     fit = np.array([*first[0], np.arctan2(*(first[1] - first[0])[::-1]), scale, 0.0, 0.0])
-    widest = np.array([np.inf, np.inf, np.inf, 0.6, 3 * USUAL[1], 3 * USUAL[2]])
+    widest = np.array([np.inf, np.inf, np.inf, 0.6, 3 * np.array(LINE.usual)[1], 3 * np.array(LINE.usual)[2]])
     for _ in range(ROUNDS):
         place, across = _at(line, along), _normals(line, along)
         solution = least_squares(
-            _misfit, fit, bounds=(-widest, widest), args=(steps, place, across), loss="soft_l1", f_scale=2 * SWAY
+            _misfit, fit, bounds=(-widest, widest), args=(steps, place, across), loss="soft_l1", f_scale=2 * LINE.sway
         )
         fit = solution.x
         along = _nearest_along(line, _track(fit, steps), along)
@@ -142,7 +138,7 @@ def _follow(steps: Steps, route: Array, laps: int) -> Followed:
 def _misfit(fit: Array, steps: Steps, place: Array, across: Array) -> Array:
     """Residuals: distances across the line, of both ends from its ends, and the prior of the coefficients."""
     gap = _track(fit, steps) - place
-    usual = fit[3:] / USUAL * SWAY
+    usual = fit[3:] / np.array(LINE.usual) * LINE.sway
     return np.concatenate([np.sum(gap * across, axis=1), gap[0], gap[-1], usual])
 
 
@@ -168,8 +164,10 @@ def _normals(line: shapely.LineString, along: Array) -> Array:
 
 
 def _nearest_along(line: shapely.LineString, track: Array, along: Array) -> Array:
-    """Distance along the line ``(n,)`` [m] of the point nearest to each position, within STRAYS of ``along (n,)``."""
-    tried = np.linspace(-STRAYS, STRAYS, 41)
+    """Distance along the line ``(n,)`` [m] of the point nearest to each position, within LINE.strays of ``along
+    (n,)``.
+    """
+    tried = np.linspace(-LINE.strays, LINE.strays, 41)
     candidates = np.clip(along[:, None] + tried, 0, line.length)
     apart = _at(line, candidates.ravel()).reshape(len(along), len(tried), 2) - track[:, None]
     best = np.argmin(np.sum(apart**2, axis=2) + 1e-3 * tried**2, axis=1)

@@ -16,25 +16,12 @@ from pdr_graph.estimation.factors import locating_kinds
 from pdr_graph.estimation.factors.fixes import LOUD_BEACON
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.results import FIRST_ONLY, REJECTED, REPEATED, SURE, is_measured, stride_scale, used_fixes
+from pdr_graph.estimation.results import FIRST_ONLY, REPEATED, is_measured, stride_scale, used_fixes
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import distance_to_box
+from pdr_graph.priors import REPORTS, VERDICTS
 from pdr_graph.types import Array, Estimate, FixReport, Trajectory
 
-# Thresholds: chosen on simulated walks with honest and with lying sources (seeds of development) and on the development
-# recordings, so that good walks are "ok"
-HALF, MANY = 0.5, 0.3  # share of rejected fixes of a failed and of a doubtful walk; 0.3 still determine it (outliers)
-MEDIAN, SPREAD = 1.18, 0.85  # [σ] distance of honest fixes (Rayleigh's distribution): median, and sigma of it × √n
-HEADING_MEDIAN, HEADING_SPREAD = 0.67, 0.79  # [σ] the same of the residuals of honest headings, which are normal
-DISTANT = 3.0  # sigmas of the median above the expected one
-ALIKE = 30.0  # [s] in which the errors of fixes are alike, as those of a receiver (STANDING, ALONG in `receivers.py`)
-CHECKED = 3  # fixes that determine a stride scale and check one another
-SELDOM_RIGHT = 0.3  # probability of a route below which it is one of several, or none that fits
-MOVED = 0.5  # share of the beacons, not where the list has them, at which the list is of another place
-CROSSED, LOST = 0.05, 0.5  # share of rows through walls of a doubtful and of a failed walk
-FEWEST_CROSSINGS = 3  # rows: a corner that is cut is no contradiction
-TRUSTED = 0.5  # weight above which a fix is accepted
-FEWEST_TRANSMITTERS = 3  # determine positions
 ROUTE = "route"  # source of a contradiction that only leaves open where the walk went
 STEPS = "steps and the rest"  # what contradicts fixes without another source of positions
 CHECK_FIXES = "the fixes, their sigmas and their clock; the list of beacons"
@@ -82,11 +69,11 @@ def wall_crossings(building: Building, trajectory: Trajectory) -> tuple[Contradi
     """A walk through walls, although these were used."""
     crossed = building.crosses_wall(trajectory.position, trajectory.floor)
     share, number = float(np.mean(crossed)) if len(crossed) else 0.0, int(crossed.sum())
-    if share <= CROSSED or number < FEWEST_CROSSINGS:
+    if share <= VERDICTS.crossed or number < VERDICTS.fewest_crossings:
         return ()
     text = f"the walk leads through walls at {number} of {len(crossed)} rows ({share:.0%})"
     check = "the floor plan (another floor? an older one?), the fixes, and the floor where the walk starts"
-    state = FAILED if share > LOST else DOUBTFUL
+    state = FAILED if share > VERDICTS.lost else DOUBTFUL
     return (Contradiction("plan", "steps and fixes", share, "share", text, check, state),)
 
 
@@ -105,11 +92,11 @@ def _evidence(estimate: Estimate) -> list[FixReport]:
 
 def _rejected_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     used = _evidence(estimate)
-    rejected = sum(fix.weight < REJECTED for fix in used)
+    rejected = sum(fix.weight < REPORTS.rejected for fix in used)
     share, other = rejected / max(len(used), 1), _other_source(estimate)
-    if share > MANY:
+    if share > VERDICTS.doubtful:
         text = f"{rejected} of {count(len(used), 'fix')} contradict the {other}, with weight 0"
-        state = FAILED if share >= HALF and other == STEPS else DOUBTFUL
+        state = FAILED if share >= VERDICTS.failed and other == STEPS else DOUBTFUL
         text += ": where the walk was is a guess" * (state == FAILED)
         yield Contradiction("fixes", other, share, "share", text, CHECK_FIXES, state)
 
@@ -126,9 +113,9 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
     if not used:
         return
     sigmas = np.array([fix.residual / fix.sigma for fix in used])
-    independent = len({int(fix.time // ALIKE) for fix in used})
+    independent = len({int(fix.time // VERDICTS.alike) for fix in used})
     median = float(np.median(sigmas))
-    if median > MEDIAN + DISTANT * SPREAD / np.sqrt(independent):
+    if median > VERDICTS.fix_median + VERDICTS.distant * VERDICTS.fix_spread / np.sqrt(independent):
         other = _other_source(estimate)
         lie = "the fix lies" if len(used) == 1 else "half of the fixes lie more than"
         text = f"{lie} {median:.1f} sigma from the walk, against the {other}"
@@ -140,7 +127,7 @@ def _distant_fixes(estimate: Estimate) -> Iterator[Contradiction]:
 def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
     """A list of beacons of which half are elsewhere."""
     moved = [beacon.label for beacon in estimate.beacons if beacon.misplaced]
-    if estimate.beacons and len(moved) >= MOVED * len(estimate.beacons):
+    if estimate.beacons and len(moved) >= VERDICTS.moved * len(estimate.beacons):
         share = len(moved) / len(estimate.beacons)
         text = f"{len(moved)} of {count(len(estimate.beacons), 'beacon')} are not heard where they are listed"
         yield Contradiction("beacons", "fixes and steps", share, "share", text, CHECK_LIST)
@@ -149,7 +136,9 @@ def _beacons(estimate: Estimate) -> Iterator[Contradiction]:
 def _headings(estimate: Estimate) -> Iterator[Contradiction]:
     """Headings whose median residual is larger than their sigmas allow."""
     sigmas = np.array([abs(report.residual) / report.sigma for report in estimate.reports.get("headings", ())])
-    if len(sigmas) and np.median(sigmas) > HEADING_MEDIAN + DISTANT * HEADING_SPREAD / np.sqrt(len(sigmas)):
+    if len(sigmas) and np.median(
+        sigmas
+    ) > VERDICTS.heading_median + VERDICTS.distant * VERDICTS.heading_spread / np.sqrt(len(sigmas)):
         median = float(np.median(sigmas))
         text = f"half of the headings differ by more than {median:.1f} sigma from the walk"
         yield Contradiction("headings", "steps and fixes", median, "sigma", text, "magnets and iron near the phone")
@@ -163,7 +152,7 @@ def _stride(estimate: Estimate) -> Iterator[Contradiction]:
         calibration is not None
         and scale is not None
         and scale.beyond > scale.sigma
-        and not stride_determined(estimate, CHECKED)
+        and not stride_determined(estimate, VERDICTS.checked)
     ):
         sigmas = (scale.value - 1) / float(calibration.prior_sigma[0, 0])
         text = f"{scale}, and too few fixes confirm it"
@@ -173,7 +162,7 @@ def _stride(estimate: Estimate) -> Iterator[Contradiction]:
 
 def _probability(estimate: Estimate) -> Iterator[Contradiction]:
     """A route that is one of several; on a plan beside all fixes (`plan_placement`) its probability is 0."""
-    limit = SURE if estimate.routes and not is_measured(estimate) else SELDOM_RIGHT
+    limit = REPORTS.sure if estimate.routes and not is_measured(estimate) else VERDICTS.seldom_right
     if 0 < estimate.probability < limit:
         text = f"this route has a probability of {percent(estimate.probability)}: another may be right"
         check = "the report's map; another fix would decide"
@@ -196,10 +185,10 @@ def stride_determined(estimate: Estimate, fewest: int = 2) -> bool:
     calibration, half = estimate.calibration, np.sqrt(0.5) * Prior().sigma[0]
     if calibration is None or calibration.sigma[-1, 0] > half:
         return False
-    accepted = [fix for fix in _evidence(estimate) if fix.weight > TRUSTED]
+    accepted = [fix for fix in _evidence(estimate) if fix.weight > VERDICTS.accepted]
     if len(accepted) >= fewest and _stride_sigma(accepted) <= half:
         return True
-    return len(set(_transmitters(estimate))) >= max(fewest, FEWEST_TRANSMITTERS)
+    return len(set(_transmitters(estimate))) >= max(fewest, VERDICTS.transmitters)
 
 
 def teaches_profile(estimate: Estimate) -> bool:

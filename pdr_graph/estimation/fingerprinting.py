@@ -26,22 +26,18 @@ from pdr_graph.errors import InputError
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, length_along, nearest
 from pdr_graph.measurements import Closures
+from pdr_graph.priors import SCANS
 from pdr_graph.source import Source
 from pdr_graph.types import Array, Fixes, Index, Mask, Recording, Sightings, Trajectory
 from pdr_graph.whole_files import write_file
 
-WINDOW, SCAN_INTERVAL = 4, 1  # [s] of one scan, and from one to the next: a phone needs 2 to 4 s for all channels
-FAINTEST = -100.0  # [dBm] level that counts as not received
-FEWEST = 3  # transmitters in a scan: one or two are received at too many places
-NEIGHBOURS = 8  # fingerprints averaged for a position
-AGREED = 0.8  # share of the neighbours' weight on one floor below which the floor is unknown
-
 
 @dataclass(frozen=True)
 class Scans:
-    """Received levels in windows of `WINDOW` seconds.
+    """Received levels in windows of `SCANS.window` seconds.
 
-    time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` [dB] above `FAINTEST`, 0 if not received.
+    time: ``(n,)`` their middles [s]; transmitter: m names; level: ``(n, m)`` [dB] above `SCANS.faintest`, 0 if not
+    received.
     """
 
     time: Array
@@ -70,24 +66,26 @@ def scans_of(recording: Recording) -> Scans:
 
 def scans_in(parts: Sequence[Sightings]) -> Scans:
     """The mean level of each transmitter in each window, from several radios."""
-    level = np.concatenate([np.empty(0), *(part.rssi for part in parts)]) - FAINTEST
+    level = np.concatenate([np.empty(0), *(part.rssi for part in parts)]) - SCANS.faintest
     time = np.concatenate([np.empty(0), *(part.time for part in parts)])
     names = [name for part in parts for name in part.transmitter]
-    valid = (level > 0) & (level < -FAINTEST)  # recorders write 0 or 127 dBm for unknown levels
+    valid = (level > 0) & (level < -SCANS.faintest)  # recorders write 0 or 127 dBm for unknown levels
     rows = np.flatnonzero(valid & (time >= 0))  # without levels cached from before the recording
     if not len(rows):
         return Scans(np.empty(0), (), np.empty((0, 0)))
     transmitters, column = np.unique([names[n] for n in rows], return_inverse=True)
-    first = np.floor(time[rows] / SCAN_INTERVAL).astype(int)
-    begin, windows = first.min() - WINDOW + 1, int(np.ptp(first)) + WINDOW
+    first = np.floor(time[rows] / SCANS.interval).astype(int)
+    begin, windows = first.min() - SCANS.window + 1, int(np.ptp(first)) + SCANS.window
     total, count = np.zeros((2, windows, len(transmitters)))
-    for earlier in range(0, WINDOW, SCAN_INTERVAL):
+    for earlier in range(0, SCANS.window, SCANS.interval):
         np.add.at(total, (first - earlier - begin, column), level[rows])
         np.add.at(count, (first - earlier - begin, column), 1)
     scans = Scans(
-        (begin + np.arange(windows)) * SCAN_INTERVAL + WINDOW / 2, tuple(transmitters.tolist()), total / count.clip(1)
+        (begin + np.arange(windows)) * SCANS.interval + SCANS.window / 2,
+        tuple(transmitters.tolist()),
+        total / count.clip(1),
     )
-    return scans[(count > 0).sum(axis=1) >= FEWEST]
+    return scans[(count > 0).sum(axis=1) >= SCANS.fewest]
 
 
 @dataclass(frozen=True)
@@ -119,13 +117,13 @@ def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
     distance: ``(q, n)``; position ``(n, 2)`` and floor of the fingerprints. Neighbours that are not on the most
     frequent floor have weight 0.
     """
-    near = np.argsort(distance, axis=1)[:, :NEIGHBOURS]
+    near = np.argsort(distance, axis=1)[:, : SCANS.neighbours]
     alike = np.take_along_axis(distance, near, axis=1)
     weight = np.where(alike < 1, 1 / alike.clip(1e-3) ** 2, 0)
     labels, code = np.unique(np.asarray(floor, dtype=str), return_inverse=True)
     share = np.stack([(weight * (code[near] == n)).sum(axis=1) for n in range(len(labels))], axis=1)
     here = share.argmax(axis=1)
-    agreed = share.max(axis=1) >= AGREED * weight.sum(axis=1)
+    agreed = share.max(axis=1) >= SCANS.agreed * weight.sum(axis=1)
     weight = weight * (code[near] == here[:, None])
     weight /= weight.sum(axis=1, keepdims=True).clip(1e-12)
     return Matches(
@@ -135,13 +133,6 @@ def matched(distance: Array, position: Array, floor: Sequence[str]) -> Matches:
     )
 
 
-LEAST_SURE = 3.0  # [m] largest sigma per axis of a walk at its fingerprints
-NEAR = 5.0  # [m] from a fingerprint within which a place is mapped
-ACCEPTED_SCANS = (0.05, 0.95)  # quantiles of the distance at mapped places: lower bound for sigma, limit for a fix
-FINEST = 0.5  # [m] least σ, since walkers pass a place within seconds
-APART = 10.0  # [s] before and after a scan within which scans of the same walk are left out
-SHARED = 1.5  # factor of the stated σ: the error of a map at a place does not average out during a stay
-ENOUGH = 20  # scans at mapped places needed to estimate the errors of a map
 MOST_CHECKED = 1000  # scans for that, evenly chosen
 ARRAYS = ("transmitter", "level", "position", "floor", "frame", "range", "variance")
 UNREADABLE = (ValueError, KeyError, TypeError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
@@ -185,16 +176,16 @@ class RadioMap:
         floor = tuple(label for _, _, labels in placed for label in labels)
         walk = np.repeat(np.arange(len(placed)), [len(scans) for scans, _, _ in placed])
         time = np.concatenate([np.empty(0), *(scans.time for scans, _, _ in placed)])
-        if len(level) < ENOUGH:
-            raise ValueError(f"found {len(level)} scans along the walks, expected at least {ENOUGH}")
+        if len(level) < SCANS.enough:
+            raise ValueError(f"found {len(level)} scans along the walks, expected at least {SCANS.enough}")
         limits, variance = _calibrated(level, position, floor, walk, time)
         described = Frame().describe() if frame is None else frame
         return cls(tuple(transmitters), level, position, floor, described, limits, variance)
 
     def fixes(self, recording: Recording) -> Fixes:
-        """Fixes of a later walk, at most one per `WINDOW` seconds: of overlapping scans, the most similar to a
-        fingerprint. Scans that resemble none give no fix. Sigmas are `SHARED` times those of a single fix, since the
-        errors of fixes at one place are correlated.
+        """Fixes of a later walk, at most one per `SCANS.window` seconds: of overlapping scans, the most similar to a
+        fingerprint. Scans that resemble none give no fix. Sigmas are `SCANS.shared` times those of a single fix, since
+        the errors of fixes at one place are correlated.
         """
         return self.located(scans_of(recording))
 
@@ -205,11 +196,11 @@ class RadioMap:
         matches = matched(unlikeness(scans.of(self.transmitter), self.level), self.position, self.floor)
         best = [
             block[np.argmin(matches.distance[block])]
-            for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // WINDOW)) + 1)
+            for block in np.split(np.arange(len(scans)), np.flatnonzero(np.diff(scans.time // SCANS.window)) + 1)
         ]
         best = np.array([n for n in best if matches.distance[n] <= self.range[1]], dtype=int)
         variance = self.variance[0] + self.variance[1] * matches.distance[best].clip(self.range[0]) ** 2
-        sigma = SHARED * np.sqrt(variance.clip(FINEST**2))
+        sigma = SCANS.shared * np.sqrt(variance.clip(SCANS.finest**2))
         floor, source = tuple(matches.floor[n] for n in best), (self.source,) * len(best)
         return Fixes(scans.time[best], matches.position[best], sigma, floor, source=source)
 
@@ -253,7 +244,7 @@ def _placed(track: Trajectory, scans: Scans) -> tuple[Scans, Array, list[str]]:
     within = (scans.time >= track.time[0]) & (scans.time <= track.time[-1])
     if track.covariance is not None:
         largest = np.linalg.eigvalsh(track.covariance[:, :2, :2])[:, -1]
-        within &= np.interp(scans.time, track.time, largest) <= LEAST_SURE**2
+        within &= np.interp(scans.time, track.time, largest) <= SCANS.least_sure**2
     scans = scans[within]
     rows = nearest(track.time, scans.time)
     return scans, interpolate(scans.time, track.time, track.position), [track.floor[row] for row in rows]
@@ -266,15 +257,15 @@ def _calibrated(level: Array, position: Array, floor: Sequence[str], walk: Index
     some = np.linspace(0, len(level) - 1, min(len(level), MOST_CHECKED)).astype(int)
     same = walk[some, None] == walk
     distance, apart = unlikeness(level[some], level), np.hypot(*(position[some, None] - position).transpose(2, 0, 1))
-    for left_out in (same, same & (np.abs(time[some, None] - time) < APART)):
+    for left_out in (same, same & (np.abs(time[some, None] - time) < SCANS.apart)):
         without = np.where(left_out, 1.0, distance)
-        near = np.where(left_out, np.inf, apart).min(axis=1) < NEAR
-        if near.sum() >= ENOUGH:
+        near = np.where(left_out, np.inf, apart).min(axis=1) < SCANS.near
+        if near.sum() >= SCANS.enough:
             break
     else:
         near = without.min(axis=1) < 1  # a walk that visits no place twice: all scans with something in common
     matches = matched(without, position, floor)
-    limits = np.quantile(matches.distance[near], ACCEPTED_SCANS) if near.any() else np.zeros(2)
+    limits = np.quantile(matches.distance[near], SCANS.accepted) if near.any() else np.zeros(2)
     accepted = matches.distance <= limits[1]
     at, error = matches.distance[accepted].clip(limits[0]), (matches.position - position[some])[accepted]
     return limits, variance_by_distance(at, error)
@@ -310,13 +301,6 @@ def _check(path: str | Path, arrays: dict[str, Array], frame: Any) -> None:
             raise InputError(path, name, "other values", "texts" if text else "finite numbers")
     if not n or not isinstance(frame, dict) or set(frame) != set(Frame().describe()):
         raise InputError(path, "", "an empty radio map", "fingerprints and their frame")
-
-
-SCAN_SPACING = 3.0  # [m] of a walk between scans that are used: phones report the same levels for seconds
-ALONG = 30.0  # [m] of a walk in which closures to the same other walk have the same error
-LATER = 60.0  # [s] after which a return to a place is a revisit
-ACCEPTED_PAIRS = 0.8  # quantile of the distance of pairs at nearby places, beyond which pairs are dropped
-USUALLY_ALIKE, USUALLY_APART = 0.3, 5.0  # that quantile, and σ [m], for pairs in two malls: defaults for few pairs
 
 
 @dataclass(frozen=True)
@@ -360,15 +344,15 @@ def _accepted(distance: Array, apart: Array) -> tuple[Mask, Array]:
 
     distance: ``(p,)`` between their scans, 0 to 1; apart: ``(p, 2)`` between their positions by the estimates [m].
     """
-    near = np.hypot(*apart.T) < NEAR
-    if near.sum() < ENOUGH:
-        accepted = distance < USUALLY_ALIKE
-        return accepted, np.full(np.count_nonzero(accepted), USUALLY_APART)
-    least, most = np.quantile(distance[near], [1 - ACCEPTED_PAIRS, ACCEPTED_PAIRS])
+    near = np.hypot(*apart.T) < SCANS.near
+    if near.sum() < SCANS.enough:
+        accepted = distance < SCANS.usually_alike
+        return accepted, np.full(np.count_nonzero(accepted), SCANS.usually_apart)
+    least, most = np.quantile(distance[near], [1 - SCANS.accepted_pairs, SCANS.accepted_pairs])
     accepted = distance <= most
     at = distance[accepted].clip(least)
     v_0, v_1 = variance_by_distance(at, apart[accepted])
-    return accepted, np.sqrt((v_0 + v_1 * at**2).clip(FINEST**2))
+    return accepted, np.sqrt((v_0 + v_1 * at**2).clip(SCANS.finest**2))
 
 
 def _alike(pair: Index, way: Array) -> Array:
@@ -379,7 +363,7 @@ def _alike(pair: Index, way: Array) -> Array:
     number = np.zeros(len(pair), dtype=int)
     order = np.argsort(pair, kind="stable")
     for own in np.split(order, np.flatnonzero(np.diff(pair[order])) + 1):
-        number[own] = (np.abs(way[own, None] - way[own]) < ALONG).sum(axis=1)
+        number[own] = (np.abs(way[own, None] - way[own]) < SCANS.along).sum(axis=1)
     return number
 
 
@@ -402,9 +386,9 @@ def _walk_scans(walks: Sequence[tuple[Trajectory, Scans]]) -> _WalkScans:
 
 
 def _thinned(track: Trajectory, scans: Scans) -> Scans:
-    """One scan per SCAN_SPACING of the walk."""
+    """One scan per SCANS.scan_spacing of the walk."""
     scans = scans[(scans.time >= track.time[0]) & (scans.time <= track.time[-1])]
-    return scans[np.unique(np.floor(_way(track, scans) / SCAN_SPACING), return_index=True)[1]]
+    return scans[np.unique(np.floor(_way(track, scans) / SCANS.scan_spacing), return_index=True)[1]]
 
 
 def _way(track: Trajectory, scans: Scans) -> Array:
@@ -420,7 +404,7 @@ def _most_alike(scans: _WalkScans) -> Iterator[tuple[int, int, float]]:
         own = slice(begin, end)
         distance = unlikeness(scans.level, scans.level[own])
         apart = (floor[:, None] != floor[own]) & (floor != "")[:, None] & (floor[own] != "")
-        soon = (scans.walk[:, None] == scans.walk[own]) & (scans.time[own] - scans.time[:, None] < LATER)
+        soon = (scans.walk[:, None] == scans.walk[own]) & (scans.time[own] - scans.time[:, None] < SCANS.later)
         distance[apart | soon | (scans.walk[own] < scans.walk[:, None])] = 1.0
         best = begin + np.argmin(distance, axis=1)
         closest = distance[np.arange(len(best)), best - begin]

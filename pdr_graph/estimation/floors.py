@@ -19,11 +19,10 @@ import numpy as np
 
 from pdr_graph.geometry import row_times, viterbi
 from pdr_graph.inertial.barometer import DRAUGHT, RAMP, Climbs, climb_kinds, climbed_share, climbs
+from pdr_graph.priors import STOREYS
 from pdr_graph.types import Array, Fixes, Index, Signal, Steps
 
-STOREY_HEIGHT, SPREAD = 3.5, 0.2  # [m], and sigma of its logarithm: flats 2.7, offices 3.3–4.2, shops 5
-SCALES, SCALE_SPREAD = np.linspace(0.82, 1.18, 19), 0.08  # candidates and sigma of the scale: nominal heights, warm air
-TRIED: Array = STOREY_HEIGHT * np.exp(SPREAD * np.linspace(-2.5, 2.5, 26))  # [m] candidate heights
+SCALES = np.linspace(0.82, 1.18, 19)  # candidates of the scale of a plan's heights
 # "-2", "0"; "F1", "L2", "1F" and below them "B1", "B2F", with no floor 0 between
 NUMERIC = re.compile(r"(?P<basement>B?)(?P<letter>[FL]?)(?P<number>-?\d+)(?P<behind>F?)", re.IGNORECASE)
 
@@ -59,7 +58,7 @@ def of_building(building: FloorHeights, start: str) -> list[Storeys]:
     """The floors of a plan with several scales of their heights, since plan and barometer have scale errors."""
     labels, heights = building.labels, np.asarray(building.heights, dtype=float)
     begin = labels.index(start) if start in labels else None
-    return [Storeys(labels, s * heights, begin, float(0.5 * ((s - 1) / SCALE_SPREAD) ** 2)) for s in SCALES]
+    return [Storeys(labels, s * heights, begin, float(0.5 * ((s - 1) / STOREYS.scale_spread) ** 2)) for s in SCALES]
 
 
 def unknown(start: str, reported: tuple[str, ...], reach: float) -> list[Storeys]:
@@ -73,13 +72,13 @@ def unknown(start: str, reported: tuple[str, ...], reach: float) -> list[Storeys
     begin = numbers.get(start) if numbers else 0
     numbered = numbers.values() or [0]
     hypotheses = []
-    for height in TRIED:
+    for height in STOREYS.height * np.exp(STOREYS.spread * np.linspace(-2.5, 2.5, 26)):
         margin = int(np.ceil(reach / height)) + 1
         storeys = range(min(numbered) - margin, max(numbered) + margin + 1)
         names = {n: _name(n, named[0]) for n in storeys} if numbers else {0: named[0]}
         names |= {n: label for label, n in numbers.items()}
         first = None if begin is None else begin - storeys[0]
-        unusual = 0.5 * (np.log(height / STOREY_HEIGHT) / SPREAD) ** 2
+        unusual = 0.5 * (np.log(height / STOREYS.height) / STOREYS.spread) ** 2
         labels = tuple(names.get(n, "") for n in storeys)
         hypotheses.append(Storeys(labels, height * np.array(storeys, dtype=float), first, float(unusual)))
     return hypotheses
@@ -111,13 +110,6 @@ def _lettered(match: re.Match[str]) -> bool:
 
 
 LANDINGS = 4  # states per storey
-OFF, SCALE = 0.4, 0.06  # sigma of a storey's height: constant [m], and as share of the height
-CHANGE, STOREY_COST = 0.5, 0.3  # cost of a change of floor, and of each storey of it: short climbs are more frequent
-LANDING, LANDING_TIME, MOST_LANDING = 1.0, 60.0, 2.0  # cost of a stop between floors, its growth time [s], its maximum
-OTHER_FLOOR = 1.4  # cost of a fix on another floor: one in five receives a beacon through the ceiling
-ALIKE = 5  # most fixes on one floor that count, since those at one place have the same error
-START = 5.0  # cost of a floor that differs from the stated start; four fixes that agree outweigh it
-UNSEEN = 10.0  # [m] sigma of the height of a climb without barometer
 
 
 @dataclass(frozen=True)
@@ -196,14 +188,14 @@ def _most_probable(alike: list[Storeys], used: Climbs, fixes: Fixes, steps: Step
     stated, time = _stated_floors(hypothesis, fixes)
     costs = [
         _of_fixes(stated, time, len(hypothesis.labels), a, b)[nearest]
-        + landing * min(LANDING + max(b - a, 0.0) / LANDING_TIME, MOST_LANDING)
+        + landing * min(STOREYS.landing + max(b - a, 0.0) / STOREYS.landing_time, STOREYS.most_landing)
         for a, b in zip(begin, end, strict=True)
     ]
     if hypothesis.begin is not None:
-        costs[0] = costs[0] + START * (nearest != hypothesis.begin)
-    costs[0] = costs[0] + MOST_LANDING * landing  # walks begin on floors
+        costs[0] = costs[0] + STOREYS.start * (nearest != hypothesis.begin)
+    costs[0] = costs[0] + STOREYS.most_landing * landing  # walks begin on floors
     moved, passed = place[:, None] - place[:, :, None], np.abs(nearest[:, None] - nearest[:, :, None])
-    further = CHANGE * (passed > 0) + STOREY_COST * passed
+    further = STOREYS.change * (passed > 0) + STOREYS.further * passed
     moves = [_of_climb(moved, h, s) + further for h, s in zip(used.height, used.sigma, strict=True)]
     states, cost = viterbi(costs, moves)
     total = cost + [s.cost for s in alike]
@@ -213,7 +205,7 @@ def _most_probable(alike: list[Storeys], used: Climbs, fixes: Fixes, steps: Step
 
 def _of_climb(moved: Array, height: float, sigma: float) -> Array:
     """Cost of a height change ``moved`` [m] for a climb of ``height`` with ``sigma`` [m]."""
-    variance = OFF**2 + sigma**2 + (SCALE * moved) ** 2
+    variance = STOREYS.off**2 + sigma**2 + (STOREYS.off_share * moved) ** 2
     return 0.5 * ((height - moved) ** 2 / variance + np.log(variance))
 
 
@@ -221,7 +213,7 @@ def _of_fixes(stated: Index, time: Array, count: int, begin: float, end: float) 
     """Cost ``(f,)`` of each of ``count`` storeys by the floors that fixes state from ``begin`` to ``end`` [s]."""
     fixes = np.bincount(stated[(time >= begin) & (time <= end)], minlength=count)
     total = int(fixes.sum())
-    return OTHER_FLOOR * min(total, ALIKE) * (1 - fixes / max(total, 1))
+    return STOREYS.other_floor * min(total, STOREYS.alike) * (1 - fixes / max(total, 1))
 
 
 def _stated_floors(storeys: Storeys, fixes: Fixes) -> tuple[Index, Array]:
@@ -238,7 +230,7 @@ def _where_fixes_change(fixes: Fixes) -> Climbs:
     label = np.array(fixes.floor, dtype=object)[labelled]
     other = label[:-1] != label[1:]
     start, end = fixes.time[labelled[:-1][other]], fixes.time[labelled[1:][other]]
-    return Climbs(start, end, np.zeros(len(start)), np.full(len(start), UNSEEN))
+    return Climbs(start, end, np.zeros(len(start)), np.full(len(start), STOREYS.unseen))
 
 
 def _floors_and_landings(heights: Array) -> Array:

@@ -20,11 +20,10 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from pdr_graph.estimation.factors.losses import geman_mcclure_weight
-from pdr_graph.estimation.factors.receivers import STANDING as CORRELATED
+from pdr_graph.priors import RECEIVERS, TRACK
 from pdr_graph.types import Array, Index, Mask
 
 SHORTEST = 0.1  # [s] least interval between knots: shorter ones make the information matrix ill-conditioned
-AT_REST = 1.0  # [m/s] sigma of the velocity of a single fix
 NOWHERE = 1e-12  # [1/m²] prior information on the position of the first knot
 P, V, G = range(3)  # position, velocity, offset of the receiver: the state of a knot, for each axis alike
 
@@ -135,7 +134,7 @@ def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     """Information of motion and offset: of each knot ``(n, 3, 3)``, and of each with the one before."""
     span = np.maximum(np.diff(gps.time), SHORTEST)
     leads, kept, noise = _moves(span, motion)
-    still = np.exp(-span / CORRELATED)
+    still = np.exp(-span / RECEIVERS.standing)
     F, inverse = np.zeros((2, len(span), 3, 3))
     F[:, P, P], F[:, P, V], F[:, V, V], F[:, G, G] = 1.0, leads, kept, still
     inverse[:, :2, :2] = np.linalg.inv(noise)
@@ -144,7 +143,7 @@ def _prior(gps: GpsKnots, motion: Motion) -> tuple[Array, Array]:
     diagonal = np.zeros((len(gps.time), 3, 3))
     diagonal[1:] += inverse
     diagonal[:-1] += back @ F
-    diagonal[0] += np.diag([NOWHERE, np.append(motion.speed, AT_REST)[0] ** -2, 1.0])
+    diagonal[0] += np.diag([NOWHERE, np.append(motion.speed, TRACK.at_rest)[0] ** -2, 1.0])
     return diagonal, -back.transpose(0, 2, 1)
 
 

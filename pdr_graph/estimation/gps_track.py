@@ -15,23 +15,14 @@ import numpy as np
 from pdr_graph.estimation.factors.fixes import WITHIN, longest_consistent_chain
 from pdr_graph.estimation.factors.gnss_bias import WHITE
 from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, SmoothTrack, smooth_track
-from pdr_graph.estimation.results import REJECTED, REPEATED
-from pdr_graph.estimation.transport_mode import EPOCH, RIDES, STANDS, STATES, WIDEST, moves, straightness
+from pdr_graph.estimation.results import REPEATED
+from pdr_graph.estimation.transport_mode import RIDES, STANDS, STATES, moves, straightness
 from pdr_graph.geometry import ANY_HEADING, interpolate
+from pdr_graph.priors import REPORTS, TRACK, TRAVEL
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Trajectory
 
 LOST = len(STATES)  # transport mode where there is no data
-FASTEST = 40.0  # [m/s] on the ground
-JUMP = 20.0  # fixes needed on either side to accept a faster jump, such as a flight
-# A gap is longer than this many usual intervals, and than this time [s]: loggers omit a few fixes where they receive
-# few satellites, and in a minute nobody walks round the block
-USUAL_INTERVALS, LONGEST = 5.0, 60.0
 BRIDGE = 4  # parts of a gap: with linear interpolation between their ends, the variance is a seventh too low at most
-# Motion models of STANDS, WALKS, RIDES and LOST: sigma of the speed per axis [m/s], correlation time [s]
-SPEED = np.array([0.05, 0.9, 7.0, 1.0])
-KEEPS = np.array([1.0, 40.0, 100.0, 600.0])
-FREE = 5.0  # times the speed required, at which a stated stay keeps its place; chosen by hand
-FIRST_SCALES, FINAL_SCALES = (8.0, 2.0, 1.0), (1.0, 1.0)  # `scales` of `smooth_track` in the two passes
 
 
 @dataclass(frozen=True)
@@ -63,29 +54,29 @@ def way_through(fixes: Fixes, stated: Stated = ()) -> Way:
 
     # First pass: everything is a ride
     kind = np.where(lost, LOST, RIDES)
-    first = smooth_track(knots, _motion(knots, kind), FIRST_SCALES)
+    first = smooth_track(knots, _motion(knots, kind), TRACK.first_scales)
 
     # Second pass: the motion model of each transport mode, with rows in gaps
     kind, knots = _classified(knots, first.position, lost, stated)
     kind, jumps = _with_stated(knots.time, kind, stated)
     rows, of = _with_rows_in_gaps(knots, kind)
     motion, weight = _motion(knots, kind, jumps), np.interp(rows.time, knots.time, first.weight)
-    way = smooth_track(rows, motion.of(of), FINAL_SCALES, weight)
+    way = smooth_track(rows, motion.of(of), TRACK.final_scales, weight)
     floor = tuple(fixes.floor[k] for k in (*of, len(fixes) - 1))
     is_fix = np.isfinite(rows.position[:, 0])
     return Way(_trajectory(rows.time, way, floor), kind[of], used, way.weight[is_fix])
 
 
 def _plausible(fixes: Fixes) -> Index:
-    """Indices of the best fix at each time, without jumps faster than FASTEST and back.
+    """Indices of the best fix at each time, without jumps faster than TRACK.fastest and back.
 
     Most of a receiver's error is constant from epoch to epoch, and the rest is small, so jumps are outliers.
     """
     order = np.lexsort((fixes.sigma, fixes.time))
     order = order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]
     first = fixes[order]
-    way = FASTEST * (first.time - first.time[0])
-    return order[longest_consistent_chain(first.position, WITHIN * _knots(first).white, way, JUMP)[1]]
+    way = TRACK.fastest * (first.time - first.time[0])
+    return order[longest_consistent_chain(first.position, WITHIN * _knots(first).white, way, TRACK.jump)[1]]
 
 
 def _knots(fixes: Fixes) -> GpsKnots:
@@ -98,16 +89,17 @@ def _knots(fixes: Fixes) -> GpsKnots:
 def without_data(time: Array) -> Mask:
     """True ``(n - 1,)`` between two times of fixes ``(n,)`` [s] with a gap."""
     span = np.diff(time)
-    return span > max(LONGEST, USUAL_INTERVALS * float(np.median(span)) if len(span) else 0.0)
+    return span > max(TRACK.longest, TRACK.usual_intervals * float(np.median(span)) if len(span) else 0.0)
 
 
 def _lost(fixes: Fixes) -> Mask:
     """True ``(n - 1,)`` between two fixes with a gap, a flight, or a stretch shorter than an epoch."""
     time, span = fixes.time, np.diff(fixes.time)
-    flown = np.hypot(*np.diff(fixes.position, axis=0).T) > FASTEST * (span + LONGEST)  # shorter jumps are receivers'
+    # Shorter jumps are receivers'
+    flown = np.hypot(*np.diff(fixes.position, axis=0).T) > TRACK.fastest * (span + TRACK.longest)
     lost = flown | without_data(fixes.time)
     for begin, end in _stretches(lost):
-        if time[end] - time[begin] < EPOCH:
+        if time[end] - time[begin] < TRAVEL.epoch:
             lost[begin:end] = True
     return lost
 
@@ -130,7 +122,7 @@ def _classified(knots: GpsKnots, way: Array, lost: Mask, stated: Stated) -> tupl
     if not len(begins):
         return np.full(len(lost), LOST), knots
     straight = straightness(knots.time, way, begins, ends)
-    wander = np.minimum(np.interp(knots.time, straight.time, straight.wander), WIDEST)
+    wander = np.minimum(np.interp(knots.time, straight.time, straight.wander), TRAVEL.widest)
     more = np.maximum(wander / np.hypot(knots.slow, knots.white), 1.0)
     knots = replace(knots, slow=np.maximum(knots.slow, wander), white=knots.white * more)
     return np.where(lost, LOST, moves(knots, way, begins, ends, straight)), knots
@@ -153,14 +145,14 @@ def _with_stated(time: Array, kind: Index, stated: Stated) -> tuple[Index, Mask]
 def _motion(knots: GpsKnots, kind: Index, jumps: Mask | bool = False) -> Motion:
     """The motion model per interval ``(n - 1,)`` of a mode; over a gap, its speed is at least that required.
 
-    Over a jump it is FREE times as much, so that positions before and after a stated stay do not pull at it.
+    Over a jump it is TRACK.free times as much, so that positions before and after a stated stay do not pull at it.
     """
     takes = np.hypot(*np.diff(knots.position, axis=0).T) / np.diff(knots.time) / np.sqrt(2)
-    speed = np.where(kind == LOST, np.maximum(SPEED[LOST], takes), SPEED[kind])
-    speed = np.where(jumps, np.maximum(speed, FREE * takes), speed)
+    speed = np.where(kind == LOST, np.maximum(np.array(TRACK.speed)[LOST], takes), np.array(TRACK.speed)[kind])
+    speed = np.where(jumps, np.maximum(speed, TRACK.free * takes), speed)
     jumps = jumps & np.ones(len(kind), dtype=bool)
     changed = np.append(False, (kind[1:] != kind[:-1]) | (kind[1:] == LOST) | jumps[:-1])[: len(kind)] | jumps
-    return Motion(speed, np.where(jumps, KEEPS[LOST], KEEPS[kind]), changed)
+    return Motion(speed, np.where(jumps, np.array(TRACK.keeps)[LOST], np.array(TRACK.keeps)[kind]), changed)
 
 
 def _with_rows_in_gaps(knots: GpsKnots, kind: Index) -> tuple[GpsKnots, Index]:
@@ -191,7 +183,7 @@ TOO_FAST = "too far to be reached in time: not used"  # reason in reports
 
 
 def follow(fixes: Fixes) -> Estimate:
-    """The smoothed track with a report of each fix; jumps faster than FASTEST and back are not used.
+    """The smoothed track with a report of each fix; jumps faster than TRACK.fastest and back are not used.
 
     fixes: at least one, in order of time, in the output frame.
     """
@@ -215,13 +207,15 @@ def follow(fixes: Fixes) -> Estimate:
 
 
 def _reason(sigmas: float, weight: float) -> str:
-    trust = "full weight" if weight > TRUSTED else "reduced weight" if weight >= REJECTED else "outlier"
+    trust = (
+        "full weight" if weight > REPORTS.full_weight else "reduced weight" if weight >= REPORTS.rejected else "outlier"
+    )
     return f"{sigmas:.1f} sigma from the smoothed track: {trust}"
 
 
 def _warnings(way: Way, fixes: int, passed: int) -> tuple[str, ...]:
     """Warnings for the user; passed: how many fixes were too far to be reached in time."""
-    lasts, doubted = np.diff(way.trajectory.time), int((way.weight < REJECTED).sum())
+    lasts, doubted = np.diff(way.trajectory.time), int((way.weight < REPORTS.rejected).sum())
     still, recorded = (float(lasts[which].sum()) for which in (way.kind == STANDS, way.kind != LOST))
     holds_for = {
         f"{passed} of {fixes} fixes are too far to be reached in time and were not used": passed,

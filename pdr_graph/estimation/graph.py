@@ -38,7 +38,6 @@ from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
 from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.measurements import Closures, Levels
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
@@ -243,7 +242,7 @@ class WalkGraph:
         start = self.start.rotated(angle, pivot(self.start.poses, self.positions))
         return self._replaced(_measurements=self._restarted(start), start=start, _associated=not self.walled)
 
-    def associated_at(self, start: State, stray: Array | float = STRAY, alike: float = 1.0) -> WalkGraph:
+    def associated_at(self, start: State, stray: Array | float | None = None, alike: float = 1.0) -> WalkGraph:
         """Start the search at ``start`` and associate rooms and corridors along it.
 
         stray, alike: error of ``start``, see `OnPlan.associated`.
@@ -341,7 +340,9 @@ def segments(pieces: Pieces, steps: Steps) -> Index:
     return np.unique(segment + gaps, return_inverse=True)[1]
 
 
-def _associated(kind: Measurement, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Measurement:
+def _associated(
+    kind: Measurement, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0
+) -> Measurement:
     """The kind with its instances associated along the walk ``at``; stray, alike: see `OnPlan.associated`."""
     return kind.associated(at, stray, alike) if isinstance(kind, OnPlan) else kind
 

@@ -24,17 +24,10 @@ from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.protocols import Directions, Positions
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
 from pdr_graph.measurements import take
+from pdr_graph.priors import INITIAL
 from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
 
-SIGMA_JOINT = 3.0  # [m] by which dead reckoning bends within a segment
-SIGMA_CHANGE = 0.2  # [rad, ratio] by which direction and scale change between segments
-ANY_TURN = 1.0  # [rad] sigma of a turn above which it counts as unknown
-SIGMA_SCALE = 3.0  # sigma of a about 0: keeps it finite where no two fixes measure it
 REWEIGHTINGS = 5
-HUBER = 2.0  # [σ] width of Huber's weight
-AMBIGUOUS = 0.35  # [rad] sigma of the direction above which the scale is not fitted, and several starts are used
-LONGER, BEYOND = 1.5, 20.0  # scale and margin [m] of the distance that a walk may lead from its fixes
-ROUGH_TRACK = 0.05  # error of dead reckoning as share of the distance walked, for the sigma of the direction
 
 
 @dataclass(frozen=True)
@@ -71,14 +64,14 @@ def align(
     move = np.diff(track[starts])
     gap = np.zeros(len(move)) if gap is None else gap
     lost = np.zeros(len(move)) if lost is None else lost
-    change = np.where(lost < ANY_TURN, np.hypot(SIGMA_CHANGE, lost), SIGMA_SCALE)
-    joints = np.hypot(SIGMA_JOINT, gap) ** -2, change**-2
+    change = np.where(lost < INITIAL.any_turn, np.hypot(INITIAL.change, lost), INITIAL.scale)
+    joints = np.hypot(INITIAL.joint, gap) ** -2, change**-2
     p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0)
     for _ in range(REWEIGHTINGS):
         residual = np.abs(p[of_fix] + a[of_fix] * z - fix) / sigma
-        if np.all(residual < HUBER):
+        if np.all(residual < INITIAL.huber):
             break
-        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * huber_weight(residual, HUBER))
+        p, a = _solve(move, joints, of_fix, z, fix, sigma**-2.0 * huber_weight(residual, INITIAL.huber))
     return Alignment(p[segment] + a[segment] * offset, np.angle(a)[segment], np.abs(a))
 
 
@@ -99,7 +92,7 @@ def _solve(
     band = np.zeros((3, 2 * segments), dtype=complex)  # lower, of p_0, a_0, p_1, a_1, …
     pp, aa, ap = band[0, 0::2], band[0, 1::2], band[1, 0::2]
     pp += per_segment(weight)
-    aa += per_segment(weight * np.abs(z) ** 2) + SIGMA_SCALE**-2
+    aa += per_segment(weight * np.abs(z) ** 2) + INITIAL.scale**-2
     ap += per_segment(weight * z.conj())
     pp[:-1] += joint
     pp[1:] += joint
@@ -121,7 +114,9 @@ def sigma_direction(chain: Chain, fixes: Positions) -> float:
     closed walk has no direction by its ends, however far the drift of the gyroscope opened its track.
     """
     used, (track, _) = fixes.consistent, chain.track
-    weight = 1.0 / (fixes.independent_sigma[used] ** 2 + (ROUGH_TRACK * float(np.sum(chain.pieces.length))) ** 2)
+    weight = 1.0 / (
+        fixes.independent_sigma[used] ** 2 + (INITIAL.rough_track * float(np.sum(chain.pieces.length))) ** 2
+    )
     at_fixes = track[fixes.keyframe[used]]
     information = min(_spread(at_fixes, weight), _spread(as_complex(fixes.fixes.position[used]), weight))
     return 1.0 / np.sqrt(information) if information > 0 else np.inf
@@ -181,7 +176,7 @@ def initial_walk(
     c: ``(s, 3)`` prior means of the calibrations; sigma_stride: prior sigma of R_s [-].
     """
     start = _on_fixes(chain, fixes, steps, c, sigma_stride)
-    chosen = np.flatnonzero(~of_start(headings.headings) | (start.sigma_direction >= AMBIGUOUS))
+    chosen = np.flatnonzero(~of_start(headings.headings) | (start.sigma_direction >= INITIAL.ambiguous))
     measured = take(headings.headings, chosen)
     if not len(measured):
         return start
@@ -209,7 +204,7 @@ def _on_fixes(chain: Chain, fixes: Positions, steps: Steps, c: Array, sigma_stri
         track = track + (fix - track[at] if len(fix) else 0.0)
         return InitialWalk(np.stack([track.real, track.imag, heading], axis=1), c, uncertain)
     aligned = align(track, np.append(chain.segment[:1], chain.segment), at, fix, sigma, *_gaps(chain, steps))
-    if uncertain < AMBIGUOUS:
+    if uncertain < INITIAL.ambiguous:
         c = c.copy()
         c[:, 0] = np.clip(aligned.scale, *(c[:, 0] + np.array([[-2], [2]]) * sigma_stride))
     poses = np.stack([aligned.position.real, aligned.position.imag, heading + aligned.turned], axis=1)
@@ -235,5 +230,5 @@ def reach(chain: Chain, fixes: Positions, steps: Steps) -> tuple[Array, Array]:
     at_fixes = np.sort(walked[fixes.keyframe[fixes.used]])
     to_fix = np.abs(walked - at_fixes[nearest(at_fixes, walked)])
     gaps = float(np.sum(steps.sigma_length[steps.is_gap]))
-    far = LONGER * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + BEYOND
+    far = INITIAL.longer * (to_fix.max() + gaps + fixes.sigma[fixes.used].max()) + INITIAL.beyond
     return place.min(axis=0) - far, place.max(axis=0) + far

@@ -36,21 +36,18 @@ import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.consistency import plan_contradictions
-from pdr_graph.estimation.factors.losses import HUBER_WIDTH, huber_weight
+from pdr_graph.estimation.factors.losses import huber_weight
 from pdr_graph.estimation.factors.preintegration import SIGMA_STILL
 from pdr_graph.estimation.factors.start import FRAME_SIGMA
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning
-from pdr_graph.estimation.results import LEAST_REPORTED, calibration_of, stated_probability, warnings
+from pdr_graph.estimation.results import calibration_of, stated_probability, warnings
 from pdr_graph.geometry import differences, interpolate, row_times, wrap_angle
+from pdr_graph.priors import KALMAN, LOSSES, REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, FixReport, Index, Trajectory
 
-DIRECTIONS = 12  # hypotheses for an unknown direction
 FAR = 1e3  # [m, rad] standard deviation of an unknown position or direction
-GATE = 5.0  # [σ] of a measurement, χ² of 25, beyond which it is rejected, as outliers in the graph
-HOPELESS = 1e-6  # probability below which a hypothesis is dropped
 EXACT = 1e-3  # [rad] least sigma for the weights of directions
-SAME = 1.0  # [σ] from the best within which hypotheses are merged
 
 
 @dataclass(frozen=True)
@@ -121,7 +118,7 @@ def measured(
     expected = cross @ H.T
     S = expected + R
     sigmas = np.sqrt(np.einsum("hi,hij,hj->h", gap, np.linalg.inv(S), gap))
-    weight = np.where(sigmas < GATE, huber_weight(sigmas, HUBER_WIDTH), 0.0)
+    weight = np.where(sigmas < KALMAN.gate, huber_weight(sigmas, LOSSES.huber), 0.0)
     log_weight = bank.log_weight - _cost(sigmas) - 0.5 * np.log(np.linalg.det(S))
 
     weighted = expected + R / np.where(weight > 0, share * weight, 1.0)[:, None, None]
@@ -145,8 +142,8 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
         return bank
     pose = differences(bank.mean, bank.mean[bank.best])[:, :3]
     apart = np.einsum("hi,ij,hj->h", pose, np.linalg.inv(bank.covariance[bank.best, :3, :3]), pose)
-    same = apart < SAME**2
-    keep = ~same & (bank.log_weight > np.log(HOPELESS))
+    same = apart < KALMAN.same**2
+    keep = ~same & (bank.log_weight > np.log(KALMAN.hopeless))
     keep[bank.best] = True
     log_weight = bank.log_weight.copy()
     log_weight[bank.best] = np.logaddexp.reduce(log_weight[same])
@@ -154,29 +151,30 @@ def thinned(bank: GaussianMixture) -> GaussianMixture:
 
 
 def by_direction(wide: GaussianMixture) -> GaussianMixture:
-    """Split one hypothesis of uncertain direction into DIRECTIONS narrow ones around the circle.
+    """Split one hypothesis of uncertain direction into SEARCH.directions narrow ones around the circle.
 
     Together they have its Gaussian with Huber's tails: directions far from a compass heading keep a small probability.
     The first has the direction of ``wide``.
     """
-    V, width = wide.covariance[0, 2, 2], np.pi / DIRECTIONS
-    off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, DIRECTIONS, endpoint=False)))
+    V, width = wide.covariance[0, 2, 2], np.pi / SEARCH.directions
+    off = np.asarray(wrap_angle(np.linspace(0, 2 * np.pi, SEARCH.directions, endpoint=False)))
     wider, by_heading = max(V - width**2, 0.0), wide.covariance[0, 2] / V
     narrow = wide.covariance[0] - wider * np.outer(by_heading, by_heading)
-    all_round = np.zeros(DIRECTIONS, dtype=np.intp)
+    all_round = np.zeros(SEARCH.directions, dtype=np.intp)
     log_weight = -_cost(np.abs(off) / np.sqrt(max(wider, EXACT**2)))
     log_weight -= np.logaddexp.reduce(log_weight)
     return GaussianMixture(
-        wide.mean + off[:, None] * by_heading, np.tile(narrow, (DIRECTIONS, 1, 1)), log_weight, all_round
+        wide.mean + off[:, None] * by_heading, np.tile(narrow, (SEARCH.directions, 1, 1)), log_weight, all_round
     )
 
 
 def _cost(sigmas: Array) -> Array:
     """Cost of an innovation [σ]: Huber's loss, constant beyond the gate."""
-    return 0.5 * np.minimum(sigmas, HUBER_WIDTH) ** 2 + HUBER_WIDTH * (np.clip(sigmas, HUBER_WIDTH, GATE) - HUBER_WIDTH)
+    return 0.5 * np.minimum(sigmas, LOSSES.huber) ** 2 + LOSSES.huber * (
+        np.clip(sigmas, LOSSES.huber, KALMAN.gate) - LOSSES.huber
+    )
 
 
-PATIENCE = 5  # rejected fixes in a row after which the filter is re-initialised
 OF_POSITION, OF_HEADING = np.eye(2, 6), np.eye(1, 6, 2)
 
 
@@ -234,7 +232,10 @@ def estimate_of(
     position, heading = means[rows, :2], wrap_angle(means[rows, 2])
     of_segment = graph.pieces.last[np.append(np.flatnonzero(np.diff(graph.segment)), -1)] + 1
     calibration = calibration_of(graph, means[of_segment, 3:], covariances[of_segment, 3:, 3:])
-    probability, walks = float(np.exp(last.log_weight.max())), int(np.sum(last.log_weight > np.log(LEAST_REPORTED)))
+    probability, walks = (
+        float(np.exp(last.log_weight.max())),
+        int(np.sum(last.log_weight > np.log(REPORTS.least_reported))),
+    )
     estimate = Estimate(
         trajectory=Trajectory(row_times(graph.steps), position, heading, graph.floors, covariances[rows, :3, :3]),
         dead_reckoning=lay_dead_reckoning(graph.steps, graph.positions.fixes[graph.positions.consistent]),
@@ -362,7 +363,7 @@ def _fixed(moment: Moment, graph: WalkGraph, n: int, refused: int) -> tuple[Mome
     updated, surprise = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
     meeting = _meeting(n, np.hypot(*(place - bank.mean[updated.best, :2])), surprise, updated.best)
     refused = refused + 1 if meeting.weight == 0.0 else 0
-    if refused == PATIENCE:
+    if refused == KALMAN.patience:
         moment, refused = _reinitialised(moment), 0
         bank = moment.posterior
         updated, _ = measured(bank, OF_POSITION, place - bank.mean[:, :2], R, share)
@@ -410,7 +411,7 @@ def _lost(graph: WalkGraph, met: list[Meeting]) -> tuple[str, ...]:
     refused = sum(meeting.weight == 0.0 for meeting in met)
     resets = [f"{graph.positions.fixes.time[meeting.fix]:.1f} s" for meeting in met if meeting.reset]
     holds_for = {
-        f"{count(refused, 'fix')} rejected: more than {GATE:.0f} sigma from the expected position": refused > 0,
+        f"{count(refused, 'fix')} rejected: more than {KALMAN.gate:.0f} sigma from the expected position": refused > 0,
         f"the filter was lost and re-initialised at {', '.join(resets)}": bool(resets),
     }
     return tuple(text for text, holds in holds_for.items() if holds)

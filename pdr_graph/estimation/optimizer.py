@@ -13,6 +13,7 @@ from pdr_graph.estimation.factors.base import POSE, Stage, State
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.normal_equations import LinearSystem, NormalEquations, Solution
+from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array
 
 MOST_ITERATIONS = 60
@@ -21,8 +22,6 @@ CONVERGED = 3e-5  # decrease of the cost, relative and absolute, below which an 
 EXACTLY = 1e-8  # the same for the walk that is returned, if it converges slowly
 AT_OPTIMUM = 5e-3  # [m] of any pose from the optimum, from which the walk that is returned is searched on
 ROUGHLY = 1e-2  # the same where only the association with rooms and corridors is needed
-ALIKE = 30.0  # steps in a row with the same position error, between fixes
-LONGEST_MOVE = 2.0  # [m] of any pose in one iteration with walls, whose gradients are valid only nearby
 
 
 @dataclass(frozen=True)
@@ -96,7 +95,7 @@ class Descent:
         if not np.isfinite(self.at.cost):
             bad = sorted({block.name for block in self.at.blocks if not np.isfinite(block.cost)})
             raise RuntimeError(f"the cost is not finite, of the factors of {', '.join(bad)}")
-        self._least, self._damping, self._longest = converged, 0.0, LONGEST_MOVE if graph.walled else np.inf
+        self._least, self._damping, self._longest = converged, 0.0, SEARCH.longest_move if graph.walled else np.inf
         self._equations = graph.normal_equations(self.at)
         self.system, self._moved = self._equations.assembled(self.at), False
 
@@ -185,7 +184,7 @@ def continued(start: State, optimum: State, fresh: Collection[str] = ()) -> Stat
 
 def solve_relaxed(graph: WalkGraph, path: State, sigma: Array) -> Optimum:
     """Approximate optimum near a path with sigma ``(m,)`` [m], with loose walls of the most probable regions."""
-    return _staged(graph.associated_at(path, sigma, ALIKE), path, ROUGHLY)
+    return _staged(graph.associated_at(path, sigma, SEARCH.alike), path, ROUGHLY)
 
 
 def solve_loose_walls(graph: WalkGraph, path: State) -> Optimum:

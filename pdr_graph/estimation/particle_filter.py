@@ -21,21 +21,13 @@ from pdr_graph.estimation.factors.likelihood import LimitsSteps, PoseCosts, pose
 from pdr_graph.estimation.factors.preintegration import Pieces
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, WalkGraph
-from pdr_graph.estimation.particle_motion import RARE, Walls, changed_floor, stepped, stood
+from pdr_graph.estimation.particle_motion import Walls, changed_floor, stepped, stood
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.priors import PARTICLES
 from pdr_graph.types import Array, Index
 
-PER_BIN, BIN, BIN_ANGLE = 20, 1.0, np.pi / 8  # particles per occupied bin of position [m] and direction [rad]
-AMONG = 8000  # particles at most for which PER_BIN holds; it scales with the largest number of particles
-RESAMPLE = 0.5  # effective share of particles below which they are resampled
-KERNEL = 0.2  # width of the kernel of (R_s, R_d, b), as share of their spread
-WIDE = np.array([1.5, 1.5, 2.0])  # scale of the prior's sigmas, so that rare calibrations are not missed
-CALM = np.array([0.7, 0.7, 1.0])  # scale of the sigmas of length, sway and turn, which include common errors
 LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
-
-LEAST_SIGMA_DIRECTION = 0.1  # [rad] at the start
-SOUGHT, LOST_PRICE = 5, 4.0  # one in so many particles moves to a place that is sought; its log-odds
 
 KeyframeMeasurements = Sequence[PoseCosts]  # the measurements at a keyframe, kind by kind
 
@@ -69,12 +61,12 @@ class ParticleFilter:
         per_bin: float | None = None,
     ):
         self.prior, self.fewest, self.most, self.at_once = prior, fewest, most, at_once
-        self.per_bin = PER_BIN * most / AMONG if per_bin is None else per_bin
+        self.per_bin = PARTICLES.per_bin * most / PARTICLES.most if per_bin is None else per_bin
         self.evidence = 0.0  # logarithm of the measurements' probability
         self.random = np.random.default_rng(seed)
         self.state, self.weight = np.empty((6, 0)), np.empty(0)  # weight: its logarithm ``(n,)``
         self._change = np.array(prior.change)[:, None]
-        self._information = np.linalg.inv(prior.covariance * np.outer(WIDE, WIDE)).astype(float)
+        self._information = np.linalg.inv(prior.covariance * np.outer(PARTICLES.wide, PARTICLES.wide)).astype(float)
         self._steps = 0  # since the last keyframe
         self._tiles = dict[int, Index]()  # by field
         self._states, self._origins = list[Array](), list[Index]()
@@ -94,11 +86,13 @@ class ParticleFilter:
         displacement from the keyframe to the place, for that heading, complex [m]; measured: at the keyframe.
         """
         n, random = self.most, self.random
-        spread = max(sigma_heading, LEAST_SIGMA_DIRECTION)
+        spread = max(sigma_heading, PARTICLES.least_sigma_direction)
         turned = spread * random.standard_normal(n)
-        anyhow = slice(None) if spread > np.pi / 2 else slice(None, None, RARE)  # fixes lay a walk as a whole
+        anyhow = slice(None) if spread > np.pi / 2 else slice(None, None, PARTICLES.rare)  # fixes lay a walk as a whole
         turned[anyhow] = 2 * np.pi * np.arange(n)[anyhow] / n
-        drawn = random.multivariate_normal(np.zeros(3), self.prior.covariance * np.outer(WIDE, WIDE), n).T
+        drawn = random.multivariate_normal(
+            np.zeros(3), self.prior.covariance * np.outer(PARTICLES.wide, PARTICLES.wide), n
+        ).T
         c = _calibrated(drawn, self.prior)
         led = way * c[0] * np.exp(1j * turned)
         start = place[:, None] + sigma * random.standard_normal((2, n)) - [led.real, led.imag]
@@ -144,7 +138,7 @@ class ParticleFilter:
 
     def step(self, length: float, turn: float, time: float, variance: Array, floor: DistanceField) -> None:
         """Move by a piece [m, rad, s], with the walls of a floor. variance: ``(3,)`` as of ``Pieces``."""
-        sigma = CALM * np.sqrt(variance)
+        sigma = np.array(PARTICLES.calm) * np.sqrt(variance)
         if length > 0:
             tiles = None if self.at_once is None else self._own_tiles(floor)
             walls = Walls(floor, self.at_once, tiles)
@@ -175,7 +169,7 @@ class ParticleFilter:
         self.evidence += total
         weight -= total
         origin = np.arange(len(weight))
-        if share.sum() ** 2 < RESAMPLE * len(weight) * (share @ share):
+        if share.sum() ** 2 < PARTICLES.resample * len(weight) * (share @ share):
             origin = _resampled(weight, self._needed(), random)
             self.state, weight = self.state.take(origin, axis=1), np.full(len(origin), -np.log(len(origin)))
             self.state[3:] = _varied(self.state[3:], self.prior, self._information, random)
@@ -199,25 +193,27 @@ class ParticleFilter:
         del self._states[:count], self._origins[:count]
 
     def _seek(self, position: Array, sigma: float) -> None:
-        """Move one in SOUGHT particles to a place [m] at a price; later measurements decide whether they survive."""
+        """Move one in PARTICLES.sought particles to a place [m] at a price; later measurements decide if they stay."""
         state, weight, n = self.state.copy(), self.weight.copy(), self.state.shape[1]
-        put = np.arange(0, n, SOUGHT)
+        put = np.arange(0, n, PARTICLES.sought)
         place = self.random.standard_normal((2, len(put))) * sigma
         state[:2, put] = position[:, None] + place
         state[2, put] += self.random.uniform(-np.pi, np.pi, len(put))
-        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - LOST_PRICE
+        weight[put] = np.logaddexp.reduce(weight) - np.log(n) - PARTICLES.lost_price
         self.state, self.weight = state, weight
 
     def _needed(self) -> int:
         """Number of particles needed: some for each bin of place and direction that they occupy."""
-        x, y, angle = np.floor(self.state[:3] / np.array([BIN, BIN, BIN_ANGLE])[:, None]).astype(np.int64)
+        x, y, angle = np.floor(
+            self.state[:3] / np.array([PARTICLES.bin, PARTICLES.bin, PARTICLES.bin_angle])[:, None]
+        ).astype(np.int64)
         bins = np.sort((x << 40) + (y << 16) + angle)
         occupied = 1 + np.count_nonzero(bins[1:] != bins[:-1])
         return int(min(max(self.per_bin * occupied, self.fewest), self.most))
 
 
 def _likelihood(measured: KeyframeMeasurements, state: Array) -> Array:
-    """Log-likelihood ``(n,)`` of the measurements; an outlier costs OUTLIER_PRICE at most."""
+    """Log-likelihood ``(n,)`` of the measurements; an outlier costs PARTICLES.outlier_price at most."""
     total = np.zeros(state.shape[1])
     for kind in measured:
         for cost in kind.costs(state):
@@ -237,7 +233,7 @@ def _varied(c: Array, prior: Prior, information: Array, random: np.random.Genera
     apart = before - before.mean(axis=1, keepdims=True)
     covariance = apart @ apart.T.copy() * (1 / (len(apart.T) - 1))  # np.cov's to the last bit, in half its time
     root = np.linalg.cholesky(covariance + 1e-12 * np.eye(3))
-    after = before + KERNEL * root @ random.standard_normal(c.shape)
+    after = before + PARTICLES.kernel * root @ random.standard_normal(c.shape)
     rise = 0.5 * (np.sum(after * (information @ after), axis=0) - np.sum(before * (information @ before), axis=0))
     return np.where(random.exponential(size=c.shape[1]) > rise, _calibrated(after, prior), c)
 
@@ -256,15 +252,12 @@ def _errors(c: Array, prior: Prior) -> Array:
     return np.stack([np.log(c[0] / stride), c[1] - turn, c[2] - drift])
 
 
-FEWEST, MOST = 1000, 8000  # particles
-
-
 def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
     """The possible paths by plan and measurements.
 
     graph: with walls, and at least one used fix. times: multiple of the usual number of particles.
     """
-    particles = ParticleFilter(graph.prior, seed, fewest=times * FEWEST, most=times * MOST)
+    particles = ParticleFilter(graph.prior, seed, fewest=times * PARTICLES.fewest, most=times * PARTICLES.most)
     _begin(particles, graph)
     advance_through(particles, graph, 0)
     return particles.paths()
@@ -272,7 +265,7 @@ def particle_filter(graph: WalkGraph, seed: int = 0, times: int = 1) -> Paths:
 
 def particles_from(graph: WalkGraph, keyframe: int, state: Array) -> Paths:
     """As `particle_filter`, from a keyframe with particles ``state (6, n)``."""
-    particles = ParticleFilter(graph.prior, 0, fewest=FEWEST, most=MOST)
+    particles = ParticleFilter(graph.prior, 0, fewest=PARTICLES.fewest, most=PARTICLES.most)
     particles.begin_at(state)
     advance_through(particles, graph, keyframe)
     return particles.paths()

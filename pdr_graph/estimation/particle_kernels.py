@@ -15,7 +15,7 @@ from pdr_graph.types import Array, Index
 WALLS = "Tuple((f8[::1], f8, i8[:,::1], i8, i8, i8[::1], f8[::1], i8))"  # of `DistanceField.pixel_table`
 ERRORS = "f8[:,::1], f4[::1], f4[::1]"  # random errors, cosine and sine of the course
 MOTION = "UniTuple(f8, 4)"  # `particle_motion.Motion`
-COSTS = "UniTuple(f8, 5)"  # `particle_motion.COSTS`
+COSTS = "UniTuple(f8, 5)"  # `particle_motion.costs`
 
 
 @njit(f"f4[::1](f8[:,::1], i8[::1], f8[:,::1], {MOTION})", cache=True)

@@ -13,19 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdr_graph.floor.cells import OUTSIDE_PRICE, WALL_COST
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.priors import PARTICLES, REGIONS, WALLS
 from pdr_graph.types import Array, Index
 
-BODY = 0.12  # [m] least distance of a walker's centre from any wall
-LOOK = 0.24  # [m] between points of a step that are tested against walls: twice BODY, so that no wall is missed
 MOST_LOOKS = 100  # points of a step, however long
-DOUBTED, RARE = 0.2, 4  # [rad] sigma of a turn that may be the phone's; one in so many particles draws any turn
-TRIES = 4  # further draws of a step that would cross a wall
-ODDS = np.log((TRIES + 1) / np.maximum(np.arange(TRIES + 1), 1))  # log-odds of a step, by how many of them are free
-CLEAR, CLEAR_PRICE = 0.8, 0.1  # [m] that people keep from walls; log-odds of a step along one
-STAIRS_SIGMA = 1.0  # [m] distance from stairs or a lift at a floor change, whose time a barometer measures roughly
-COSTS = (BODY, CLEAR, CLEAR_PRICE, OUTSIDE_PRICE, WALL_COST)
 LOAD_AFTER = 2_500_000  # particles moved by NumPy, at 0.25 µs more each, after which loading numba would have paid
 
 Motion = tuple[float, float, float, float]  # of a step: length [m], turn [rad], time [s], points tested against walls
@@ -73,23 +65,28 @@ class Compiled:
 COMPILED = Compiled()
 
 
+def costs() -> tuple[float, ...]:
+    """The numbers that the compiled functions take: body [m], margin [m], and three prices [log-odds]."""
+    return WALLS.body, WALLS.margin, PARTICLES.clear_price, REGIONS.outside_price, REGIONS.wall_cost
+
+
 def stepped(
     state: Array, length: float, turn: float, time: float, sigma: Array, walls: Walls, random: np.random.Generator
 ) -> tuple[Array, Array]:
     """States ``(6, n)`` after a step, and its cost ``(n,)`` for each particle.
 
-    A particle that would cross a wall draws its errors again, up to TRIES times, at the cost of the log-odds.
+    A particle that would cross a wall draws its errors again, up to PARTICLES.tries times, at the cost of the log-odds.
     state: ``(6, n)`` x, y [m], θ [rad], R_s, R_d, b; sigma: ``(3,)`` of length, sway [m] and turn [rad].
     """
     state = np.ascontiguousarray(state)
-    motion = length, float(turn), float(time), float(min(np.ceil(length / LOOK), MOST_LOOKS))
+    motion = length, float(turn), float(time), float(min(np.ceil(length / (2 * WALLS.body)), MOST_LOOKS))
     kernels = COMPILED.for_particles(state.shape[1], may_load=walls.at_once is None)
     errors = _errors(state.shape[1], sigma, random)
     after, price, stopped = (kernels and _first_compiled(kernels, state, errors, motion, walls)) or _first_try(
         state, errors, motion, walls
     )
     if len(stopped):
-        errors = _errors(TRIES * len(stopped), sigma, random)
+        errors = _errors(PARTICLES.tries * len(stopped), sigma, random)
         further = state, stopped, errors, motion, walls, after, price
         if not (kernels and _further_compiled(kernels, *further)):
             _further_tries(*further)
@@ -106,15 +103,15 @@ def changed_floor(state: Array, ways: Sequence[DistanceField]) -> Array:
     if not ways:
         return np.zeros(state.shape[1])
     outside = -np.max([way.approximate(state[:2]) for way in ways], axis=0)
-    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / STAIRS_SIGMA), WALL_COST)
+    return np.minimum(0.5 * np.square(np.maximum(0.0, outside) / PARTICLES.stairs_sigma), REGIONS.wall_cost)
 
 
 def _errors(count: int, sigma: Array, random: np.random.Generator) -> Array:
     """Random errors ``(3, count)`` of length, sway [m] and turn [rad]; of some any turn, if it may be the phone's."""
     errors = random.standard_normal((3, count))
     errors *= sigma[:, None]
-    if sigma[2] > DOUBTED:
-        any_turn = errors[2, ::RARE]
+    if sigma[2] > PARTICLES.doubted:
+        any_turn = errors[2, :: PARTICLES.rare]
         any_turn[:] = random.uniform(-np.pi, np.pi, len(any_turn))
     return errors
 
@@ -123,25 +120,27 @@ def _first_try(state: Array, errors: Array, motion: Motion, walls: Walls) -> tup
     """States ``(6, n)`` after a step, its cost ``(n,)``, and which particles a wall stopped that were not in one."""
     after, way = _moved(state, errors, motion)
     clear = _clearances(state, way, motion, walls)
-    price = CLEAR_PRICE * np.square(np.maximum(0.0, 1 - clear[-1] / CLEAR))
-    price[clear[-1] < BODY] = OUTSIDE_PRICE
-    stopped = np.flatnonzero(clear.min(axis=0) < BODY)
+    price = PARTICLES.clear_price * np.square(np.maximum(0.0, 1 - clear[-1] / WALLS.margin))
+    price[clear[-1] < WALLS.body] = REGIONS.outside_price
+    stopped = np.flatnonzero(clear.min(axis=0) < WALLS.body)
     if len(stopped):
-        stopped = stopped[walls.distance(state[:2, stopped]) >= BODY]
+        stopped = stopped[walls.distance(state[:2, stopped]) >= WALLS.body]
     return after, price, stopped
 
 
 def _further_tries(
     state: Array, stopped: Index, errors: Array, motion: Motion, walls: Walls, after: Array, price: Array
 ) -> None:
-    """Replace ``after`` and ``price`` of stopped particles by the first of TRIES further steps that is free."""
-    before = np.repeat(state[:, stopped], TRIES, axis=1)
+    """Replace ``after`` and ``price`` of stopped particles by the first of PARTICLES.tries further steps that is
+    free.
+    """
+    before = np.repeat(state[:, stopped], PARTICLES.tries, axis=1)
     others, way = _moved(before, errors, motion)
-    free = (_clearances(before, way, motion, walls).min(axis=0) >= BODY).reshape(-1, TRIES)
+    free = (_clearances(before, way, motion, walls).min(axis=0) >= WALLS.body).reshape(-1, PARTICLES.tries)
     ways = free.sum(axis=1)
     got = ways > 0
-    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * TRIES + free.argmax(axis=1))[got]]
-    price[stopped] = np.where(got, ODDS[ways], WALL_COST)
+    after[:, stopped[got]] = others[:, (np.arange(len(stopped)) * PARTICLES.tries + free.argmax(axis=1))[got]]
+    price[stopped] = np.where(got, PARTICLES.odds[ways], REGIONS.wall_cost)
 
 
 def _moved(state: Array, errors: Array, motion: Motion) -> tuple[Array, Array]:
@@ -173,7 +172,7 @@ def _first_compiled(
     course = kernels.courses(state, np.arange(state.shape[1]), errors, motion)
     table = walls.field.pixel_table(walls.tiles)
     after, price, stopped, complete = kernels.first_try(
-        state, errors, np.cos(course), np.sin(course), motion, COSTS, table
+        state, errors, np.cos(course), np.sin(course), motion, costs(), table
     )
     return (after, price, stopped) if complete else None
 
@@ -189,6 +188,6 @@ def _further_compiled(
     price: Array,
 ) -> bool:
     """As `_further_tries`; False where tiles of the distance field are missing."""
-    course = kernels.courses(state, np.repeat(stopped, TRIES), errors, motion)
+    course = kernels.courses(state, np.repeat(stopped, PARTICLES.tries), errors, motion)
     cos, sin, table = np.cos(course), np.sin(course), walls.field.pixel_table(walls.tiles)
-    return kernels.further_tries(state, stopped, errors, cos, sin, motion, COSTS, table, ODDS, after, price)
+    return kernels.further_tries(state, stopped, errors, cos, sin, motion, costs(), table, PARTICLES.odds, after, price)

@@ -14,16 +14,11 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.priors import REPORTS
 from pdr_graph.types import Array, Calibration, Estimate, FixReport, Index
 
-SURE = 0.9  # probability below which a user is warned
-LEAST_REPORTED = 0.01  # probability below which another walk is not reported
-REJECTED = 0.1  # weight below which a fix counts as rejected
-MANY = 0.1  # share of rejected fixes at which a user is warned
-STRIDE = (0.8, 1.2)  # stride scale R_s of usual walkers
 FIRST_ONLY = "not used: dead reckoning takes the first fix only"  # reason in reports
 REPEATED = "a better fix at the same time: not used"  # reason in reports
-CROSSED_ANYWAY = 0.01  # share of rows, beside one, through walls on right routes: at most 1 of 15 to 222 real rows
 POSITIONS_ALONE = "positions alone: the recording has no accelerometer; the track is its smoothed fixes, without steps"
 PRIOR_KEPT = " not observable from this walk: prior kept"  # end of a line about coefficients
 NAMES = {"R_s": "stride scale R_s", "R_d": "turn scale R_d", "b": "gyro drift b"}
@@ -77,7 +72,7 @@ def warnings(
         f"{walks} different walks explain the measurements, this route with a probability of {percent(probability)}; "
         "the covariance spans them": walks > 1,
         f"the walk fits the plan poorly, this route with a probability of {percent(probability)}: "
-        "another is possible": (walks == 1 and probability < SURE),
+        "another is possible": (walks == 1 and probability < REPORTS.sure),
         "the optimiser had not converged": not converged,
     }
     outside, frozen = fixes.fixes.time[~fixes.used & ~fixes.duplicate & ~fixes.still], int(fixes.still.sum())
@@ -129,10 +124,10 @@ class StrideScale:
     @property
     def beyond(self) -> float:
         """Difference to the nearest stride scale of usual walkers."""
-        return max(STRIDE[0] - self.value, self.value - STRIDE[1], 0.0)
+        return max(REPORTS.stride[0] - self.value, self.value - REPORTS.stride[1], 0.0)
 
     def __str__(self) -> str:
-        low, high = STRIDE
+        low, high = REPORTS.stride
         return f"the {NAMES['R_s']} is {self.value:.2f} ± {self.sigma:.2f}, that of usual walkers {low} to {high}"
 
 
@@ -146,7 +141,7 @@ def stride_scale(calibration: Calibration) -> StrideScale | None:
 def contradiction_warnings(fixes: Sequence[FixReport]) -> tuple[str, ...]:
     """Warn of fixes that the steps and the other fixes contradict; see `is_a_guess`."""
     rejected, used = _rejected(fixes), len(used_fixes(fixes))
-    if rejected <= MANY * used:
+    if rejected <= REPORTS.many * used:
         return ()
     guess = ": where the walk was is a guess" if is_a_guess(fixes) else ""
     return (f"{rejected} of {used} fixes contradict the steps and the other fixes and have weight 0{guess}",)
@@ -175,7 +170,7 @@ def is_a_guess(fixes: Sequence[FixReport]) -> bool:
 
 def _rejected(fixes: Sequence[FixReport]) -> int:
     """Number of used fixes that were rejected, without the rough fixes of beacons, which are always dropped."""
-    return sum(fix.weight < REJECTED and fix.reason != LOUD_BEACON for fix in used_fixes(fixes))
+    return sum(fix.weight < REPORTS.rejected and fix.reason != LOUD_BEACON for fix in used_fixes(fixes))
 
 
 def is_located(estimate: Estimate) -> bool:
@@ -206,4 +201,4 @@ def stated_probability(estimate: Estimate, floor: FloorPlan | Building | None, *
         return 0.0
     track = estimate.trajectory
     crossed = int(building.crosses_wall(track.position, track.floor).sum())
-    return estimate.probability * float(np.exp(-max(0.0, crossed - 1 - CROSSED_ANYWAY * len(track))))
+    return estimate.probability * float(np.exp(-max(0.0, crossed - 1 - REPORTS.crossed_anyway * len(track))))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.errors import expect
-from pdr_graph.estimation.ambiguity.bank import SAME_PATH, contradictions, paths, probabilities
+from pdr_graph.estimation.ambiguity.bank import contradictions, paths, probabilities
 from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, joint_solutions, localized
 from pdr_graph.estimation.consistency import plan_contradictions
 from pdr_graph.estimation.covariance import covariance_of_ends
@@ -15,13 +15,13 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import lay_dead_reckoning, positions_of
 from pdr_graph.estimation.optimizer import Optimum, fully_optimized
 from pdr_graph.estimation.results import (
-    LEAST_REPORTED,
     calibration_of,
     contradiction_warnings,
     stated_probability,
     warnings,
 )
 from pdr_graph.geometry import differences, row_times, wrap_angle
+from pdr_graph.priors import REPORTS, SEARCH
 from pdr_graph.types import Array, Estimate, Index, Trajectory
 
 
@@ -94,7 +94,7 @@ def _routes(
     found = list[tuple[float, Trajectory]]()
     for n in np.unique(path).tolist():
         rows, share = poses_of_rows(optima[n]), float(probability[path == n].sum())
-        if n == 0 or share > LEAST_REPORTED:
+        if n == 0 or share > REPORTS.least_reported:
             track = replace(trajectory, position=rows[:, :2], heading=wrap_angle(rows[:, 2]), covariance=None)
             found.append((share, track))
     return tuple([found[0], *sorted(found[1:], key=lambda route: -route[0])])
@@ -108,16 +108,16 @@ def poses_of_rows(optimum: Optimum) -> Array:
 
 def _walks(probability: Array, path: Index) -> int:
     """Number of different walks that are worth a warning. probability, path: ``(n,)`` of each solution."""
-    return sum(float(probability[path == n].sum()) > LEAST_REPORTED for n in np.unique(path).tolist())
+    return sum(float(probability[path == n].sum()) > REPORTS.least_reported for n in np.unique(path).tolist())
 
 
 def _near(covariance: Array) -> float:
-    """Probability that a walk is within SAME_PATH of its estimate, by its covariances ``(n, 3, 3)``.
+    """Probability that a walk is within SEARCH.same_path of its estimate, by its covariances ``(n, 3, 3)``.
 
     Between walls a route is right or wrong. Where a plan does not fit, nothing keeps the walk in one aisle.
     """
     variance = float(np.trace(covariance[:, :2, :2], axis1=1, axis2=2).mean()) / 2
-    return 1 - float(np.exp(-(SAME_PATH**2) / (2 * variance)))
+    return 1 - float(np.exp(-(SEARCH.same_path**2) / (2 * variance)))
 
 
 def _mixture_covariance(optima: list[Optimum], weight: Array) -> Array:

@@ -13,12 +13,12 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.estimation.factors import kind_of, locating_kinds
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.initialization import AMBIGUOUS
 from pdr_graph.estimation.optimizer import solve_robust
-from pdr_graph.estimation.results import REJECTED, used_fixes
+from pdr_graph.estimation.results import used_fixes
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, row_times, wrap_angle
+from pdr_graph.priors import INITIAL, REPORTS
 from pdr_graph.types import Array, Estimate, Fixes, Trajectory
 
 FIXES, PLAN = "fixes", "plan"  # names of sources: fixes without a receiver, and the floor plan
@@ -90,7 +90,7 @@ def _alone(graph: WalkGraph, table: Any, shown: Trajectory) -> Trajectory | None
     alone = WalkGraph(graph.steps, fixes, headings=headings, measurements=others, prior=graph.prior)
     if not alone.positions.used.any():
         return None
-    if alone.sigma_direction > AMBIGUOUS:
+    if alone.sigma_direction > INITIAL.ambiguous:
         alone = alone.associated_at(alone.start.replaced(x=_poses_at(alone.keyframe_time, shown)))
     try:
         rows = poses_of_rows(solve_robust(alone))
@@ -110,10 +110,10 @@ def _use(name: str, reports: list[Any], estimate: Estimate) -> tuple[int, float,
     weight = np.array([getattr(report, "weight", float(not getattr(report, "misplaced", False))) for report in reports])
     if not size.sum():
         return 0, 0.0, "not used"
-    rejected = [report for report, used in zip(reports, (weight >= REJECTED).tolist(), strict=True) if not used]
+    rejected = [report for report, used in zip(reports, (weight >= REPORTS.rejected).tolist(), strict=True) if not used]
     remark = "used"
     if rejected:
-        share = size[weight < REJECTED].sum() / size.sum()
+        share = size[weight < REPORTS.rejected].sum() / size.sum()
         verb = "overruled" if share > OVERRULED else "used in part"
         remark = f"{verb}: {len(rejected)} of {len(reports)} rejected, {_reason(rejected)}"
     stated = [reason.text for reason in estimate.contradictions if reason.source == name]

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count, expect
-from pdr_graph.floor.cells import CONNECTING, NOWHERE, STRAY, Area, overlap
+from pdr_graph.floor.cells import CONNECTING, NOWHERE, Area, overlap, stray_of
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.types import Array, Index, Mask
@@ -226,7 +226,7 @@ class FloorSequence(OneLineRepr):
         return found
 
     def walls_along(
-        self, track: Array, moved: Mask, stray: Array | float = STRAY, alike: float = 1.0
+        self, track: Array, moved: Mask, stray: Array | float | None = None, alike: float = 1.0
     ) -> tuple[tuple[DistanceField, ...], Index, float]:
         """Associate each piece with the walls of the region that it is in.
 
@@ -237,7 +237,7 @@ class FloorSequence(OneLineRepr):
         the field of each piece ``(m,)``, −1 for none, and the cost of all changes of region.
         """
         number, of_piece, total = dict[DistanceField, int](), np.full(len(track), NOWHERE), 0.0
-        stray = np.broadcast_to(stray, len(track))
+        stray = np.broadcast_to(stray_of(stray), len(track))
         for floor, begin, end in self.spans:
             fields, which, price = floor.regions.walls_along(track[begin:end], stray[begin:end], alike)
             numbers = np.array([*(number.setdefault(field, len(number)) for field in fields), NOWHERE])

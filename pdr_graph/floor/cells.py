@@ -25,6 +25,7 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import viterbi
+from pdr_graph.priors import PLANS, REGIONS
 from pdr_graph.types import Array, Index
 
 OUTLINE = "floor"
@@ -66,10 +67,6 @@ class Area(OneLineRepr):
 
 
 # Tolerances of a drawing, chosen by hand
-CRACK = 0.1  # [m] widest gap between neighbours that were meant to touch
-DOOR_REACH = 0.15  # [m] by which a door drawn as a line opens the walls on either side
-DOOR_WIDTH = 0.9  # [m] of a door drawn as a point
-NARROWEST_PASSAGE = 0.3  # [m] of open border that is a passage
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,7 @@ class Cells(OneLineRepr):
         lines = [a.shape for a in areas if a.kind == WALL and not a.is_polygon]
         if doors:
             lines += [shapely.boundary(c.polygon) for c in cells if c.is_closed]
-        return cls(tuple(cells), shapely.difference(shapely.union_all(lines), shapely.buffer(opened, CRACK / 2)))
+        return cls(tuple(cells), shapely.difference(shapely.union_all(lines), shapely.buffer(opened, PLANS.crack / 2)))
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -144,7 +141,7 @@ class Cells(OneLineRepr):
         if not self.cells:
             return np.empty((0, 2), dtype=np.intp)
         polygons = [c.polygon for c in self.cells]
-        one, other = self._tree.query(polygons, predicate="dwithin", distance=CRACK)
+        one, other = self._tree.query(polygons, predicate="dwithin", distance=PLANS.crack)
         pairs = [(i, j) for i, j in zip(one.tolist(), other.tolist(), strict=True) if i < j and self._has_passage(i, j)]
         return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
@@ -155,9 +152,9 @@ class Cells(OneLineRepr):
             return True
         if self._has_doors and (one.is_closed or other.is_closed):
             return False
-        reach = shapely.buffer(one.polygon, CRACK, cap_style="flat", join_style="mitre")
+        reach = shapely.buffer(one.polygon, PLANS.crack, cap_style="flat", join_style="mitre")
         border = shapely.intersection(reach, shapely.boundary(other.polygon))
-        return float(shapely.length(shapely.difference(border, self._wide_barriers))) > NARROWEST_PASSAGE
+        return float(shapely.length(shapely.difference(border, self._wide_barriers))) > PLANS.narrowest
 
     @cached_property
     def _has_doors(self) -> bool:
@@ -165,7 +162,7 @@ class Cells(OneLineRepr):
 
     @cached_property
     def _wide_barriers(self) -> shapely.Geometry:
-        return shapely.buffer(self.barriers, CRACK, cap_style="flat")
+        return shapely.buffer(self.barriers, PLANS.crack, cap_style="flat")
 
 
 def _drawn(areas: tuple[Area, ...]) -> list[Area]:
@@ -180,8 +177,8 @@ def _drawn(areas: tuple[Area, ...]) -> list[Area]:
 
 def without_cracks(polygons: Sequence[shapely.Geometry] | NDArray[np.object_]) -> shapely.Geometry:
     """Union of polygons, with gaps of up to 0.1 m between neighbours closed."""
-    wider = shapely.buffer(shapely.union_all(polygons), CRACK / 2, join_style="mitre")
-    return shapely.buffer(wider, -CRACK / 2, join_style="mitre")
+    wider = shapely.buffer(shapely.union_all(polygons), PLANS.crack / 2, join_style="mitre")
+    return shapely.buffer(wider, -PLANS.crack / 2, join_style="mitre")
 
 
 def overlap(one: shapely.Geometry, other: shapely.Geometry) -> bool:
@@ -196,18 +193,17 @@ def _opening(door: Area) -> shapely.Geometry:
     if dimensions == 2:
         return door.shape
     if dimensions == 1:
-        return shapely.buffer(door.shape, DOOR_REACH, cap_style="flat")
-    return shapely.buffer(door.shape, DOOR_WIDTH / 2)
+        return shapely.buffer(door.shape, PLANS.door_reach, cap_style="flat")
+    return shapely.buffer(door.shape, PLANS.door_width / 2)
 
 
 # Association of a walk with regions; chosen by hand
-STRAY = 0.5  # [m] standard deviation of a track
-OUTSIDE_COST = 4.0  # of a point in no region: within 1.4 m of a region it is assigned to that region
-OUTSIDE_PRICE = 0.15  # log-odds of a point in no region: shops are entered, plans end
-AT_DOOR = 1.5  # [m] from a door within which it may be used
-WALL_COST = 12.0  # log-odds of passing a wall: plans have errors, and fixes may prove them
-DOOR_COST, LEAVE_COST = 1.0, 6.0  # log-odds of changing region at a door, and of entering or leaving all regions
 NOWHERE = -1  # index of no region
+
+
+def stray_of(stray: Array | float | None) -> Array | float:
+    """Sigma of a track [m]: as stated, else the usual one."""
+    return REGIONS.stray if stray is None else stray
 
 
 @dataclass(frozen=True)
@@ -254,30 +250,30 @@ class Regions(OneLineRepr):
         area = float(np.sum(shapely.area(self.polygons)))
         return [count(len(self), "region"), f"{area:.0f} m²", count(len(self.doors), "door")]
 
-    def along(self, track: Array, stray: Array | float = STRAY, alike: float = 1.0) -> tuple[Index, float]:
+    def along(self, track: Array, stray: Array | float | None = None, alike: float = 1.0) -> tuple[Index, float]:
         """Most probable sequence of regions (Viterbi) along points ``(n, 2)`` [m], and its cost.
 
         Returns the region of each point ``(n,)``, NOWHERE far from all, and the cost of changes of region and of points
         in none. stray: standard deviation of the track, scalar or ``(n,)`` [m]; alike: number of consecutive points
         with the same error.
         """
-        points, stray = np.asarray(shapely.points(track), dtype=object), np.broadcast_to(stray, len(track))
+        points, stray = np.asarray(shapely.points(track), dtype=object), np.broadcast_to(stray_of(stray), len(track))
         near = np.unique(self._tree.query(points, predicate="dwithin", distance=2 * stray)[1])
         if not len(near):
-            return np.full(len(track), NOWHERE), OUTSIDE_PRICE * len(track)
-        cost = np.full((len(track), len(near) + 1), OUTSIDE_COST)
+            return np.full(len(track), NOWHERE), REGIONS.outside_price * len(track)
+        cost = np.full((len(track), len(near) + 1), REGIONS.outside_cost)
         for column, r in enumerate(near):
             cost[:, column] = 0.5 * (shapely.distance(self.polygons[r], points) / stray) ** 2 / alike
         states = np.append(near, NOWHERE)
-        if len(near) == 1 and cost[:, 0].max() < OUTSIDE_COST:
+        if len(near) == 1 and cost[:, 0].max() < REGIONS.outside_cost:
             return np.full(len(track), near[0]), 0.0
         changes = self._changes(near, points)
         likeliest, _ = viterbi(cost, changes[1:])
         price = changes[np.arange(1, len(track)), likeliest[:-1], likeliest[1:]].sum()
-        return states[likeliest], float(price + OUTSIDE_PRICE * np.sum(likeliest == len(near)))
+        return states[likeliest], float(price + REGIONS.outside_price * np.sum(likeliest == len(near)))
 
     def walls_along(
-        self, track: Array, stray: Array | float = STRAY, alike: float = 1.0
+        self, track: Array, stray: Array | float | None = None, alike: float = 1.0
     ) -> tuple[list[DistanceField], Index, float]:
         """Associate each point ``(n, 2)`` [m] of a track with the walls of its region.
 
@@ -310,17 +306,17 @@ class Regions(OneLineRepr):
     def _changes(self, near: Index, points: NDArray[np.object_]) -> Array:
         """Cost ``(n, s, s)`` of changing from one of the regions ``near``, or none, to another at each point."""
         s = len(near) + 1
-        usual = np.full((s, s), WALL_COST)
-        usual[:, -1] = usual[-1] = LEAVE_COST
+        usual = np.full((s, s), REGIONS.wall_cost)
+        usual[:, -1] = usual[-1] = REGIONS.leave_cost
         np.fill_diagonal(usual, 0.0)
         changes = np.tile(usual, (len(points), 1, 1))
         for door, joined in zip(self.doors, self.joins[:, near], strict=True):
             which = np.flatnonzero(joined)
             if len(which) > 1:
-                at = np.flatnonzero(shapely.dwithin(door, points, AT_DOOR))
+                at = np.flatnonzero(shapely.dwithin(door, points, REGIONS.at_door))
                 pairs = [(i, j) for i in which for j in which if i != j]
                 for i, j in pairs if len(at) else []:
-                    changes[at, i, j] = DOOR_COST
+                    changes[at, i, j] = REGIONS.door_cost
         return changes
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from pdr_graph.priors import PLANS
 from pdr_graph.types import Array, Index
 
 NODE_SPACING = 0.25  # [m] between grid nodes: bilinear error of 0.05 m at the 99th percentile
@@ -15,7 +16,6 @@ NODES = 33  # per side of a tile, whose border nodes it shares with its neighbou
 BLOCKS = 3  # per side of a tile, for each of which the walls nearby are sought
 AT_ONCE = 1000  # pairs of a block and a wall
 TILE = NODE_SPACING * (NODES - 1)
-NARROWEST_GAP = 0.3  # [m] narrower gaps are not walkable: slits between neighbouring shop polygons; chosen by hand
 DENSEST = 20.0  # corners per metre of walls: a finer outline is a curve that was cut into pieces
 SIMPLIFIED = 0.01  # [m] by which such an outline may change
 PIXEL_BITS = 6
@@ -35,12 +35,12 @@ class DistanceField:
 
     def __init__(self, walkable: shapely.Geometry, barriers: shapely.Geometry | None = None):
         """walkable: (multi)polygon where one can walk; barriers: lines in it that are walls. [m]"""
-        half = NARROWEST_GAP / 2
+        half = PLANS.narrowest / 2
         if shapely.get_num_coordinates(walkable) > DENSEST * shapely.length(walkable):
             walkable = shapely.simplify(walkable, SIMPLIFIED)
         self._walkable = shapely.buffer(shapely.buffer(walkable, -half), half, join_style="mitre")
         if shapely.is_empty(self._walkable):
-            raise ValueError(f"no walkable area wider than {NARROWEST_GAP} m")
+            raise ValueError(f"no walkable area wider than {PLANS.narrowest} m")
         lines = shapely.get_rings(shapely.get_parts(self._walkable))
         if barriers is not None:
             lines = np.concatenate([lines, shapely.get_parts(shapely.line_merge(barriers))])

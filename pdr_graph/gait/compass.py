@@ -21,28 +21,14 @@ from scipy.spatial.transform import Rotation
 from pdr_graph import storage
 from pdr_graph.errors import expect
 from pdr_graph.frames import EarthField, Frame, earth_field
-from pdr_graph.gait.heading import UNCONFIRMED, Direction, Forward, forward_axis, live_forward_axis
+from pdr_graph.gait.heading import Direction, Forward, forward_axis, live_forward_axis
 from pdr_graph.gait.signals import GaitSignals, gait_signals
-from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
-from pdr_graph.inertial.magnetometer import (
-    MAGNETOMETER,
-    NORTH,
-    MagnetometerStream,
-    North,
-    fit_iron,
-    magnetic_north,
-    measured_field,
-)
+from pdr_graph.inertial.magnetometer import MagnetometerStream, North, fit_iron, magnetic_north, measured_field
+from pdr_graph.priors import COMPASS, FORWARD, LIVE_COMPASS, MAGNETOMETER, MOTION, NORTH
 from pdr_graph.types import Array, Headings, Index, Mask, Recording
-
-COMPASS_SIGMA = 0.2  # [rad] error that a whole walk shares: the phone's own iron, a building's axis, a plan's axis
-LONGEST_STRETCH = 150.0  # [s] of the walk per heading: in that time a gyroscope with 0.002 rad/s errs by as much
-STRAIGHT = 2.0  # [s] before and after the moment of a heading, in which the walker should not turn; chosen by hand
-LEAST_STEPS = 24  # least number of steps in a stretch; chosen by hand
-LEAST_CERTAIN = 0.7  # [rad] of north or of the forward axis, beyond which there is no heading; chosen by hand
 
 
 def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, near: Array) -> Headings:
@@ -63,23 +49,23 @@ def magnetic_headings(recording: Recording | list[GaitSignals], frame: Frame, ne
     found = [row for gait in gait_signals(recording) for row in _headings_of_part(gait, earth)]
     time, from_east, north_sigma, ahead_sigma = np.array(found).reshape(-1, 4).T
     heading = wrap_angle(from_east + frame.bearing_of_east(near))
-    return Headings(time, heading, np.sqrt(north_sigma**2 + len(time) * (ahead_sigma**2 + COMPASS_SIGMA**2)))
+    return Headings(time, heading, np.sqrt(north_sigma**2 + len(time) * (ahead_sigma**2 + COMPASS.sigma**2)))
 
 
 def _headings_of_part(gait: GaitSignals, earth: EarthField) -> list[tuple[float, float, float, float]]:
     """Rows of time [s], heading from true east, and the sigmas of north and of the forward axis [rad]."""
     attitude, walking, step = gait.attitude, gait.walking, gait.landings.usual_step
     north = _north(attitude, gait.recording, earth)
-    if not len(north) or len(gait.landings) < LEAST_STEPS:
+    if not len(north) or len(gait.landings) < COMPASS.least_steps:
         return []
     rows = []
     for stretch in _stretches(gait.direction, attitude.time):
         part, heading, here = attitude[stretch], gait.direction.heading[stretch], walking[stretch]
-        if np.sum(here) * attitude.period < LEAST_STEPS * step:
+        if np.sum(here) * attitude.period < COMPASS.least_steps * step:
             continue
         walked = np.flatnonzero(here)
         middle = walked[len(walked) // 4 : max(1, len(walked) - len(walked) // 4)]
-        straight = straightest(heading, middle, round(STRAIGHT / attitude.period))
+        straight = straightest(heading, middle, round(COMPASS.straight / attitude.period))
         found = course_from_east(part, heading, here, step, north, straight)
         if found is not None:
             rows.append((float(part.time[straight]), *found))
@@ -103,7 +89,7 @@ def course_along(
     """The same, for a forward axis."""
     moment = float(attitude.time[sample])
     sigma = float(np.interp(moment, north.time, north.sigma))
-    if not max(ahead.sigma, sigma) < LEAST_CERTAIN:
+    if not max(ahead.sigma, sigma) < COMPASS.least_certain:
         return None
     east = np.interp(moment, north.time, north.direction) - np.pi / 2
     return float(wrap_angle(heading[sample] + ahead.angle - east)), sigma, ahead.sigma
@@ -132,40 +118,12 @@ def _stretches(direction: Direction, time: Array) -> list[slice]:
     changing = np.diff(direction.variance, prepend=direction.variance[0]) > 0
     stretches = []
     for first, after in zip(*runs(~changing), strict=True):
-        count = max(1, int(np.ceil((time[after - 1] - time[first]) / LONGEST_STRETCH)))
+        count = max(1, int(np.ceil((time[after - 1] - time[first]) / COMPASS.longest_stretch)))
         cuts = np.linspace(first, after, count + 1).round().astype(int).tolist()
         stretches += [slice(*span) for span in pairwise(cuts)]
     return stretches
 
 
-@dataclass(frozen=True)
-class LiveCompassSettings:
-    """Constants of the live compass, chosen by hand.
-
-    sampling: interval of the stored samples [s].
-    early_steps: steps of a stretch at its first evaluations.
-    evaluation: time of walking between two evaluations of a stretch [s].
-    recent: time of walking before the end of a stretch that may have its heading [s]: a graph with a lag of a minute
-        still contains it.
-    out_of_reach: age after which a heading has left such a graph [s]: a new stretch begins.
-    unconfirmed: sigma of the forward axis until the gait confirms it [rad]: in a bag, a phone may lie as it is held for
-        reading.
-    least_added: largest sigma of a heading that is reported [rad].
-    offsets: number of earlier results of a stretch whose differences widen the sigma: on stairs, or beside steel at the
-        start.
-    """
-
-    sampling: float = 0.04
-    early_steps: tuple[int, ...] = (8, 12, 16, 24)
-    evaluation: float = 10.0
-    recent: float = 20.0
-    out_of_reach: float = 40.0
-    unconfirmed: float = 0.6
-    least_added: float = 1.0
-    offsets: int = 3
-
-
-LIVE_COMPASS = LiveCompassSettings()
 ATTITUDE, ACCELERATION, FIELD = slice(0, 4), slice(4, 7), slice(10, 13)
 HEADING, WALKING, TURN_VARIANCE = 7, 8, 9  # columns of samples; the variance is that of all turns so far
 SAMPLE_COLUMNS = 13
@@ -264,7 +222,7 @@ class LiveCompass:
             return
         if not (attitude.period == self.period and time[0] - self.end < 1.5 * self.period):
             self._start_stretch()
-            self.turn_variance += GAP_SIGMA_TURN**2
+            self.turn_variance += MOTION.gap_turn**2
             self.period, self.direction_variance = attitude.period, float(variance[0])
         rows = self._rows(gait)
         steady = ~(np.diff(variance, prepend=self.direction_variance) > 0) & (not attitude.unknown)
@@ -328,7 +286,7 @@ class LiveCompass:
             if walked >= self._due(step):
                 self._fill_field()
                 self._evaluate(self._earth, step, self.samples, self.begin, walked)
-        long = len(self.samples) * self.spacing >= LONGEST_STRETCH
+        long = len(self.samples) * self.spacing >= COMPASS.longest_stretch
         if long or (len(self.current) and self.end - self.current[0, 0] > LIVE_COMPASS.out_of_reach):
             self._start_stretch()
 
@@ -389,23 +347,23 @@ class LiveCompass:
 
         # The direction by this stretch alone
         north = magnetic_north(part, self.field.without_iron(samples[:, FIELD], earth.magnitude), earth)
-        late = np.flatnonzero(walking)[-round(LIVE_COMPASS.recent / spacing) : -round(STRAIGHT / spacing)]
+        late = np.flatnonzero(walking)[-round(LIVE_COMPASS.recent / spacing) : -round(COMPASS.straight / spacing)]
         if not len(north) or not len(late):
             return self._retract()
-        sample = straightest(heading, late, round(STRAIGHT / spacing))
+        sample = straightest(heading, late, round(COMPASS.straight / spacing))
         ahead = live_forward_axis(part, heading, walking, step)
         found = course_along(ahead, part, heading, north, sample)
         if found is None:
             return self._retract()
         course, north_sigma, ahead_sigma = found
-        ahead_sigma = LIVE_COMPASS.unconfirmed if ahead_sigma == UNCONFIRMED else ahead_sigma
+        ahead_sigma = LIVE_COMPASS.unconfirmed if ahead_sigma == FORWARD.unconfirmed else ahead_sigma
 
         # The information that it adds to the earlier stretches
         offset, turn_variance = course - heading[sample], float(samples[sample, TURN_VARIANCE])
         changed = wrap_angle(offset - self.offsets)
         self.offsets = np.append(self.offsets, offset)[-LIVE_COMPASS.offsets :]
         earlier = 1 / (self.previous[0] + turn_variance - self.previous[1])
-        shared = 1 / max(1 / (ahead_sigma**2 + COMPASS_SIGMA**2) - earlier, 1e-9)
+        shared = 1 / max(1 / (ahead_sigma**2 + COMPASS.sigma**2) - earlier, 1e-9)
         variance = north_sigma**2 + shared + float(np.sum(changed**2)) / max(1, len(changed))
         if variance > LIVE_COMPASS.least_added**2:
             return self._retract()

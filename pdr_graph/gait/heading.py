@@ -21,52 +21,8 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.attitude import Attitude, runs
+from pdr_graph.priors import FORWARD, GRIP
 from pdr_graph.types import Array, Complex, Mask
-
-
-@dataclass(frozen=True)
-class ForwardSettings:
-    """Constants of the forward axis; ``scripts/reproduce compass`` scores them. Chosen by hand unless stated.
-
-    lead: phase by which the forward acceleration leads the vertical one [rad]: 33–119° in sixteen of eighteen real
-        walks with the phone in hand; 51–106°, or half a turn from that, with the phone in hand, pocket, bag and on a
-        swinging arm (docs/results/heading.md).
-    band: half width of the filter at the step frequency, as a share of it: excludes the stride's frequency (half of it)
-        and one and a half times it.
-    window_steps, least_windows: length of a window, and the least number of windows of walking.
-    least_coherence: of forward and vertical acceleration in a typical window; without gait it is lower.
-    gait_sigma: of the gait axis about the walking direction [rad]: hands sway with their arm.
-    reading_sigma: of the y axis of a phone held for reading about the walking direction [rad].
-    facing_up: least mean vertical component of the screen's normal of a phone held for reading.
-    steady: least length of the mean direction relative to the walker; that of a waved phone is shorter.
-    opposed: angle between gait axis and y axis from which the phone is not held for reading [rad].
-    early_steps: length of a window live; early_coherence: least coherence in them; surely_facing_up: as ``facing_up``,
-        where the gait does not confirm it; overruling_steps: least number where the gait contradicts the y axis.
-    early_sigma: of the gait axis of one such window [rad]: errors of 4 to 20° (median), 9 to 42° (90 %) in hands,
-        pockets, bags and on swinging arms, simulated and real. confirmed_sigma: of the y axis, if one agrees with it.
-    """
-
-    lead: float = 1.1
-    band: float = 0.5
-    window_steps: int = 16
-    least_windows: int = 3
-    least_coherence: float = 0.3
-    gait_sigma: float = 0.3
-    reading_sigma: float = 0.17
-    facing_up: float = 0.4
-    steady: float = 0.95
-    opposed: float = 0.6
-    early_steps: int = 8
-    early_coherence: float = 0.45
-    surely_facing_up: float = 0.55
-    overruling_steps: int = 80
-    early_sigma: float = 0.4
-    confirmed_sigma: float = 0.25
-
-
-FORWARD = ForwardSettings()
-EARLY_SPREAD = float(np.sqrt(FORWARD.early_sigma**2 - FORWARD.gait_sigma**2))  # [rad] of windows about their mean
-UNCONFIRMED = 0.35  # [rad] sigma of the y axis of a phone that faces up, if the gait does not confirm it; by hand
 
 
 @dataclass(frozen=True)
@@ -108,7 +64,7 @@ def reading_axis(attitude: Attitude, heading: Array, walking: Mask, step: float)
     along = _level(attitudes.apply([0.0, 1.0, 0.0])) * np.exp(-1j * heading[walking])
     if abs(along.mean()) < FORWARD.steady * np.abs(along).mean():
         return UNKNOWN
-    return Forward(float(np.angle(along.mean())), UNCONFIRMED)
+    return Forward(float(np.angle(along.mean())), FORWARD.unconfirmed)
 
 
 def _screen_up(attitude: Attitude, walking: Mask) -> float:
@@ -147,7 +103,7 @@ def live_forward_axis(attitude: Attitude, heading: Array, walking: Mask, step: f
     if abs(mean) < FORWARD.early_coherence:
         facing_up = _screen_up(attitude, walking) > FORWARD.surely_facing_up
         return reading if facing_up else UNKNOWN
-    sigma = float(np.hypot(FORWARD.gait_sigma, EARLY_SPREAD / np.sqrt(len(pushes))))
+    sigma = float(np.hypot(FORWARD.gait_sigma, FORWARD.early_spread / np.sqrt(len(pushes))))
     gait = Forward(float(np.angle(mean)), sigma)
     if not reading.determined:
         return gait
@@ -200,36 +156,6 @@ def _level(vectors: Array) -> Complex:
 def forward_acceleration(attitude: Attitude, heading: Array, forward: Forward) -> Array:
     """Acceleration along the walking direction ``(n,)``. [m/s²]"""
     return (level_and_vertical(attitude, heading)[0] * np.exp(-1j * forward.angle)).real
-
-
-@dataclass(frozen=True)
-class GripSettings:
-    """Constants of grip changes; ``scripts/reproduce compass`` scores them. Chosen by hand unless stated.
-
-    tilting: rate of the vertical in the device, over a stride, above that of a carried phone [rad/s].
-    new_tilt: change of the vertical in the device that makes it a grip change [rad].
-    fast, within: a turn by this angle [rad] within this time [s] is a corner or a wrist.
-    steps_beside: steps before and after a turn that determine the forward axis.
-    clear_change: of the forward axis in the device [rad]; up to 1.0 on real walks without a grip change.
-    turned: least turn of the walker by gait during a grip change [rad]; less counts as straight on.
-    coherent, less_coherent: least coherence of forward and vertical acceleration to decide whether the phone turned,
-        and to determine the walker's turn during it.
-    sigma: standard deviation of the walker's turn during a grip change [rad].
-    """
-
-    tilting: float = 0.25
-    new_tilt: float = 0.5
-    fast: float = 0.7
-    within: float = 1.0
-    steps_beside: int = 8
-    clear_change: float = 1.1
-    turned: float = 0.6
-    coherent: float = 0.65
-    less_coherent: float = 0.45
-    sigma: float = 0.35
-
-
-GRIP = GripSettings()
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from pdr_graph.gait.heading import (
-    GRIP,
     GripChange,
     Spans,
     confirmed_grip_changes,
@@ -19,14 +18,17 @@ from pdr_graph.gait.heading import (
     vertical_in_device,
     without_grip_changes,
 )
-from pdr_graph.gait.step_detection import USUAL_STEP
 from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.priors import GRIP, STEP
 from pdr_graph.types import Array, Mask
 
-LONGEST_UNDECIDED = 14.0  # [s] after the start of a turn, when it is decided whether the phone or the walker turned
 FILTER_EDGE = 3  # [steps] at the end of the samples, where the filter at the step frequency is inaccurate
-CONTEXT_STEPS = 2 * GRIP.steps_beside + FILTER_EDGE  # before the first sample that is not final
 SERIES = ("quaternion", "acceleration", "unmeasured", "rate_integral", "up", "turned", "heading", "course", "variance")
+
+
+def _context_steps() -> int:
+    """Number of steps before the first sample that is not final."""
+    return 2 * GRIP.steps_beside + FILTER_EDGE
 
 
 @dataclass
@@ -46,7 +48,7 @@ class HeadingStream:
     origin: float
     period: float
     first: int = 0
-    step: float = USUAL_STEP
+    step: float = STEP.usual
     heading_final: int = 0
     course_final: int = 0
     quaternion: Array = field(default_factory=lambda: np.empty((0, 4)))
@@ -91,7 +93,7 @@ class HeadingStream:
     def forget(self, before: float) -> None:
         """Drop samples that no later step depends on; steps before the time ``before`` [s] are final."""
         final = min(self.course_final, int((before - self.origin) / self.period) - self.first)
-        drop = max(0, final - round(CONTEXT_STEPS * self.step / self.period))
+        drop = max(0, final - round(_context_steps() * self.step / self.period))
         self.first += drop
         self.heading_final -= drop
         self.course_final -= drop
@@ -161,14 +163,14 @@ class HeadingStream:
             undecided = end >= self.heading_final - 2 or end + steps * step > now
             if undecided or end >= until:
                 until = min(until, begin)
-        until = max(until, now - round(LONGEST_UNDECIDED / self.period), self.course_final)
+        until = max(until, now - round(GRIP.longest_undecided / self.period), self.course_final)
         return until, ([s for s in tilted if s[1] < until], [s for s in fast if s[1] < until])
 
     def _confirmed_changes(self, tilted: Spans, fast: Spans) -> list[GripChange]:
         """The grip changes among decided spans."""
         if not tilted and not fast:
             return []
-        begin = max(0, min(span[0] for span in tilted + fast) - round(CONTEXT_STEPS * self.step / self.period))
+        begin = max(0, min(span[0] for span in tilted + fast) - round(_context_steps() * self.step / self.period))
         attitude, heading = self.attitude(slice(begin, None)), self.heading[begin:]
         found = confirmed_grip_changes(attitude, heading, self.step, _later(tilted, -begin), _later(fast, -begin))
         return [GripChange(change.first + begin, change.last + begin, change.turn) for change in found]

@@ -13,8 +13,6 @@ from scipy.ndimage import correlate1d
 
 from pdr_graph import storage
 from pdr_graph.gait.step_detection import (
-    BOUT,
-    CANDIDATE,
     DURATIONS,
     LAGS,
     NO_CANDIDATES,
@@ -30,6 +28,7 @@ from pdr_graph.gait.step_detection import (
     strong_maxima,
 )
 from pdr_graph.geometry import gaussian_weights
+from pdr_graph.priors import BOUT, CANDIDATE
 from pdr_graph.types import Array, Index
 
 
@@ -61,8 +60,9 @@ class StepDetector:
     Candidates are evaluated only when one of them may have become certain, and for `provisional`.
     """
 
-    def __init__(self, period: float, start: float = 0.0, look_ahead: float = CANDIDATE.look_ahead):
-        self.period, self.start, self.look_ahead = period, start, look_ahead
+    def __init__(self, period: float, start: float = 0.0, look_ahead: float | None = None):
+        self.period, self.start = period, start
+        self.look_ahead = CANDIDATE.look_ahead if look_ahead is None else look_ahead
         self.decided = -np.inf  # time since the start up to which steps are certain [s]
         self.bout = Bout()
         self.samples, self.first, self.count = np.empty((0, 3)), 0, 0  # the last ones, number of the first, and of all

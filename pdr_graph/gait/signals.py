@@ -13,7 +13,8 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_detection import Landings, walking_steps
-from pdr_graph.inertial.attitude import LONGEST_BRIDGED, SHORTEST_WALK, Attitude, attitude_of
+from pdr_graph.inertial.attitude import SHORTEST_WALK, Attitude, attitude_of
+from pdr_graph.priors import REST
 from pdr_graph.types import Array, Mask, Recording, Signal
 
 
@@ -43,7 +44,7 @@ def uninterrupted(recording: Recording) -> list[Recording]:
 
 def _gaps(signal: Signal) -> Array:
     """Begin and end ``(g, 2)`` of each gap in a signal. [s]"""
-    long = np.flatnonzero(np.diff(signal.time) > LONGEST_BRIDGED)
+    long = np.flatnonzero(np.diff(signal.time) > REST.longest_bridged)
     return np.stack([signal.time[long], signal.time[long + 1]], axis=1)
 
 

@@ -10,12 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_graph.inertial.barometer import STAIRS, Climbs
+from pdr_graph.priors import TREADS
 from pdr_graph.types import Array, Mask, Steps
 
-BLONDEL = 0.63  # [m] two rises and one going: Blondel's rule
-SHORTEST_GOING, LONGEST_GOING = 0.22, 0.38  # [m] depths of treads that are built
-SIGMA_GOING = 0.1  # [m] of a step on stairs: landings are among them; chosen by hand
-ALIKE = 0.02  # [m] a length that need not be changed again, live; chosen by hand
+ALIKE = 0.02  # [m] a smaller change of a length is not reported, live
 
 
 def with_stair_lengths(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Steps:
@@ -32,7 +30,13 @@ def goings_of(steps: Steps, climbs: Climbs, kinds: tuple[str, ...]) -> Array:
     for start, end, height, kind in zip(climbs.start, climbs.end, climbs.height, kinds, strict=True):
         count = np.count_nonzero(_during(steps, start, end))
         if kind == STAIRS and count:
-            rows.append((start, end, np.clip(BLONDEL - 2 * abs(height) / count, SHORTEST_GOING, LONGEST_GOING)))
+            rows.append(
+                (
+                    start,
+                    end,
+                    np.clip(TREADS.blondel - 2 * abs(height) / count, TREADS.shortest_going, TREADS.longest_going),
+                )
+            )
     return np.array(rows).reshape(-1, 3)
 
 
@@ -46,8 +50,8 @@ def with_goings(steps: Steps, goings: Array, alike: float = ALIKE) -> Steps:
     length, sigma = steps.length.copy(), steps.sigma_length.copy()
     for start, end, going in goings.tolist():
         on = _during(steps, start, end)
-        on &= (np.abs(length - going) > alike) | (sigma != SIGMA_GOING)
-        length[on], sigma[on] = going, SIGMA_GOING
+        on &= (np.abs(length - going) > alike) | (sigma != TREADS.sigma)
+        length[on], sigma[on] = going, TREADS.sigma
     if np.array_equal(length, steps.length) and np.array_equal(sigma, steps.sigma_length):
         return steps
     return replace(steps, length=length, sigma_length=sigma)

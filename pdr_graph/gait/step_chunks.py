@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Steps
-
-GAP_SPEED = 1.0  # [m/s] standard deviation per axis of the displacement in a gap: the walker stands or walks
-GAP_SIGMA_TURN = 1.2  # [rad] of the heading change in a gap: nearly unknown, but the optimiser still has a gradient
 
 
 def gap(
-    start: float, end: float, turn: float = 0.0, sigma_turn: float = GAP_SIGMA_TURN, speed: float = GAP_SPEED
+    start: float, end: float, turn: float = 0.0, sigma_turn: float | None = None, speed: float | None = None
 ) -> Steps:
     """One row of length 0 for the time between two parts of a recording [s].
 
@@ -22,6 +20,8 @@ def gap(
     per second and axis [m/s].
     """
     long, nothing = np.array([end - start]), np.zeros(1)
+    sigma_turn = MOTION.gap_turn if sigma_turn is None else sigma_turn
+    speed = MOTION.gap_speed if speed is None else speed
     return Steps(
         start,
         end,

@@ -15,11 +15,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d, uniform_filter1d
 
+from pdr_graph.priors import BOUT, CANDIDATE, STEP
 from pdr_graph.types import Array, Complex, Index, Mask
-
-SHORTEST_STEP = 0.25  # [s]
-LONGEST_STEP = 1.2  # [s]; a longer interval between landings is a stop
-USUAL_STEP = 0.54  # [s] typical duration of a step
 
 
 @dataclass(frozen=True)
@@ -44,7 +41,7 @@ class Landings:
     @property
     def usual_step(self) -> float:
         """Median duration of a step. [s]"""
-        return float(np.median(self.period)) if len(self) else USUAL_STEP
+        return float(np.median(self.period)) if len(self) else STEP.usual
 
     def under_way(self, time: Array) -> Mask:
         """``(m,)`` True at times ``(m,)`` [s] during a step."""
@@ -60,9 +57,9 @@ def _step_durations(landed: Array, start: float) -> Array:
     if not len(landed):
         return np.empty(0)
     intervals = np.diff(landed, prepend=start)
-    walking = np.clip(intervals, SHORTEST_STEP, LONGEST_STEP)
+    walking = np.clip(intervals, STEP.shortest, STEP.longest)
     walking[0] = walking[min(1, len(walking) - 1)]
-    alone = intervals >= LONGEST_STEP
+    alone = intervals >= STEP.longest
     alone[0] = True
     rows = np.flatnonzero(alone)
     beside = np.clip(rows[:, None] + np.arange(-2, 3), 0, len(walking) - 1)
@@ -70,53 +67,8 @@ def _step_durations(landed: Array, start: float) -> Array:
     return intervals
 
 
-@dataclass(frozen=True)
-class CandidateSettings:
-    """Constants by which candidate landings are found in |a|.
-
-    One set for all phones and grips; ``scripts/reproduce steps`` scores it. Chosen by hand unless a source is stated.
-
-    sampling: longest interval at which the rhythm is evaluated [s]: 25 Hz; slowest: longest interval between samples
-        [s]: four samples in a usual step.
-    usual_spread: spread of the logarithm of a step's duration over people and paces; usual_weight: weight of that prior
-        in units of a correlation.
-    smoothing, level: Gaussians between which |a| is gait [s]: neither a knock nor the sway of a stride.
-    window: over which |a| is correlated with itself [s]; look_ahead: the part of it after a landing [s].
-    kernel: width of the Gaussian at the frequency of the steps, as a share of a step's duration.
-    weakest: least amplitude of a step, peak to peak [m/s²]: a phone in a standing person's hand stays below it;
-    weakest_share: least amplitude as a share of the steps around it: feet shuffle while turning.
-    highest_bounce: largest vertical motion, peak to peak [m]: walkers bob by 0.02 to 0.10, arms that shake a phone move
-        it by 0.15.
-    tilt_smoothing, tilt_window, steadiest_tilt: the direction of gravity is smoothed by a Gaussian [s] and averaged
-        over a window [s]; the length of the mean must be larger, or the phone tilts to and fro.
-    """
-
-    sampling: float = 0.04
-    slowest: float = 0.14
-    usual_spread: float = 0.25
-    usual_weight: float = 0.3
-    smoothing: float = 0.05
-    level: float = 0.2
-    window: float = 4.0
-    look_ahead: float = 2.0
-    kernel: float = 0.7
-    weakest: float = 0.35
-    weakest_share: float = 0.23
-    highest_bounce: float = 0.14
-    tilt_smoothing: float = 0.2
-    tilt_window: float = 1.5
-    steadiest_tilt: float = 0.96
-
-    @property
-    def reach(self) -> float:
-        """Time to either side of a sample on which its smoothed |a| and tilt depend. [s]"""
-        return 4 * self.tilt_smoothing + self.tilt_window / 2 + 0.1
-
-
-CANDIDATE = CandidateSettings()
 DURATIONS: Array = 0.36 * 1.1 ** np.arange(12, dtype=float)  # [s] durations of a step that are tried, up to 1.03 s
 LAGS: Array = np.concatenate([DURATIONS, 2 * DURATIONS])  # [s] at which |a| is correlated with itself
-UNUSUAL: Array = CANDIDATE.usual_weight * ((np.log(DURATIONS / USUAL_STEP) / CANDIDATE.usual_spread) ** 2 / 2)[:, None]
 WINDOWS_AT_ONCE = 2_000  # copied to be correlated with a kernel
 SHORTEST_SIGNAL = 2.5 * float(DURATIONS[-1])  # [s] in which the rhythm can be found
 
@@ -211,7 +163,8 @@ def best_duration(once: Array, twice: Array) -> tuple[Index, Array]:
     a stride, and fits better if it repeats itself after a step too: this excludes half and double the true duration. An
     unusual duration must fit better.
     """
-    which = np.argmax(twice + once / 2 - UNUSUAL, axis=0)
+    unusual = CANDIDATE.usual_weight * (np.log(DURATIONS / STEP.usual) / CANDIDATE.usual_spread) ** 2 / 2
+    which = np.argmax(twice + once / 2 - unusual[:, None], axis=0)
     samples = np.arange(len(which))
     return which, np.maximum(once[which, samples], twice[which, samples])
 
@@ -294,42 +247,15 @@ def decimation(period: float) -> int:
     return max(1, int(CANDIDATE.sampling / period + 1e-6))
 
 
-@dataclass(frozen=True)
-class BoutSettings:
-    """Constants by which candidates become steps. Chosen by hand with `CandidateSettings`.
-
-    closest_share: least interval between two landings, as a share of a step's duration.
-    start, go_on: least correlation with the step or stride before, to start walking and to go on.
-    vigorous, vigorous_start: from this amplitude on [m/s²] a lower correlation is enough to start: people who browse
-        walk irregularly.
-    push_off: a first landing weaker than this share of the following ones is none yet.
-    fewest: least number of steps; fewer are a gesture.
-    late: time after which it is too late to report a step [s].
-    past, future: duration of the samples that a landing may depend on [s], before it and, beyond the look-ahead, after.
-    """
-
-    closest_share: float = 0.55
-    start: float = 0.7
-    go_on: float = 0.1
-    vigorous: float = 1.5
-    vigorous_start: float = 0.5
-    push_off: float = 0.6
-    fewest: int = 4
-    late: float = 6.0
-    past: float = 8.0
-    future: float = 3.0
-
-
-BOUT = BoutSettings()
-
-
-def walking_steps(time: Array, acceleration: Array, look_ahead: float = CANDIDATE.look_ahead) -> Landings:
+def walking_steps(time: Array, acceleration: Array, look_ahead: float | None = None) -> Landings:
     """The landings of a whole recording.
 
     time ``(n,)`` [s] uniform; acceleration ``(n, 3)`` with gravity [m/s²]; look_ahead: see `StepDetector`.
     """
     start, period = float(time[0]), float(time[-1] - time[0]) / (len(time) - 1)
-    landed, amplitude = Bout().steps(candidates(acceleration, period, look_ahead))
+    landed, amplitude = Bout().steps(
+        candidates(acceleration, period, CANDIDATE.look_ahead if look_ahead is None else look_ahead)
+    )
     return Landings.at(start + landed, amplitude, start)
 
 
@@ -361,7 +287,7 @@ class Bout:
             return []
         if regularity < BOUT.go_on or time - self.last < BOUT.closest_share * step:
             return []
-        if time - self.last > LONGEST_STEP:
+        if time - self.last > STEP.longest:
             self.walking, self.waiting = False, []
         self.last = time
         self.waiting = [(t, a) for t, a in self.waiting if t > time - BOUT.late] + [(time, amplitude)]

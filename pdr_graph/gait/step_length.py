@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pdr_graph.priors import STRIDES
 from pdr_graph.types import Array
 
 if TYPE_CHECKING:
@@ -96,14 +97,7 @@ class StepFeatures:
 
 
 REFERENCE_HEIGHT = 1.70  # [m] stature for which models without stature were fitted
-SHORTEST_LENGTH, LONGEST_LENGTH = 0.2, 1.2  # [m] limits of all models; chosen by hand
-SIGMA_SHARE = 0.3  # standard deviation as a share of a step's length; docs/results/settings.md
-TURN_SHORTENS, LARGEST_TURN = 1.124, 89.0  # [% per degree], [deg]: [map-matching] Eq. (2)
-
 Lengths = tuple[Array, Array]
-
-
-K0, K1 = 0.34, 0.29  # [m], [√(m/s²)·s → m] of `inverted_pendulum`
 
 
 def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> Lengths:
@@ -115,7 +109,7 @@ def inverted_pendulum(steps: StepFeatures, height: float = REFERENCE_HEIGHT) -> 
     on shoes, floor and pocket, so that only half of the length follows it. Both scale with stature. In bends steps are
     shorter by [map-matching] Eq. (2), which real walks confirm (1.1 % per degree; ``scripts/reproduce steps``).
     """
-    straight_on = K0 + K1 * np.sqrt(steps.amplitude) * steps.period
+    straight_on = STRIDES.k0 + STRIDES.k1 * np.sqrt(steps.amplitude) * steps.period
     return _plausible(_in_turns(steps.bend) * straight_on * height / REFERENCE_HEIGHT)
 
 
@@ -140,7 +134,7 @@ def by_cadence(
 
 def _in_turns(turn: Array) -> Array:
     """[map-matching] Eq. (2): length of steps that turn by ``turn (n,)`` [rad], as a share of that straight on."""
-    return 1 - TURN_SHORTENS / 100 * np.minimum(np.degrees(np.abs(turn)), LARGEST_TURN)
+    return 1 - STRIDES.turn_shortens / 100 * np.minimum(np.degrees(np.abs(turn)), STRIDES.largest_turn)
 
 
 def by_amplitude(
@@ -212,5 +206,5 @@ MODELS: dict[str, Callable[..., Lengths]] = {
 
 def _plausible(length: Array) -> Lengths:
     """Lengths clipped to 0.2–1.2 m, and their standard deviation."""
-    length = np.clip(length, SHORTEST_LENGTH, LONGEST_LENGTH)
-    return length, SIGMA_SHARE * length
+    length = np.clip(length, STRIDES.shortest, STRIDES.longest)
+    return length, STRIDES.sigma * length

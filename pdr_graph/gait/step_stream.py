@@ -17,10 +17,10 @@ from pdr_graph.gait.heading_stream import HeadingStream
 from pdr_graph.gait.live_steps import DetectorCheckpoint, StepDetector
 from pdr_graph.gait.signals import GaitSignals
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
-from pdr_graph.gait.step_detection import LONGEST_STEP, Landings, decimation
-from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, steps_of
+from pdr_graph.gait.step_detection import Landings, decimation
+from pdr_graph.gait.steps import steps_of
 from pdr_graph.gait.walker import Walker
-from pdr_graph.inertial.attitude import LONGEST_BRIDGED, NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
+from pdr_graph.inertial.attitude import NO_GRAVITY, NO_GYROSCOPE, SHORTEST_WALK
 from pdr_graph.inertial.attitude_stream import (
     SENSOR_VALIDATION,
     AttitudeCheckpoint,
@@ -29,6 +29,7 @@ from pdr_graph.inertial.attitude_stream import (
     Health,
     SensorStream,
 )
+from pdr_graph.priors import MOTION, REST, STEP
 from pdr_graph.types import Array, Recording, Steps
 
 
@@ -115,7 +116,7 @@ class StepStream:
         """The remaining steps: no more samples follow."""
         self._ingest()
         accelerometer, gyroscope = self._sensors.values()
-        alone = gyroscope.last < accelerometer.last - LONGEST_BRIDGED
+        alone = gyroscope.last < accelerometer.last - REST.longest_bridged
         until = accelerometer.last if alone else min(accelerometer.last, gyroscope.last)
         return self._advance(until, last=True)
 
@@ -162,7 +163,7 @@ class StepStream:
     def _usable_until(self) -> float:
         """Time up to which both sensors have samples, or the accelerometer if the gyroscope stopped. [s]"""
         accelerometer, gyroscope = self._sensors.values()
-        patience = LONGEST_BRIDGED + max(accelerometer.longest_packet, gyroscope.longest_packet)
+        patience = REST.longest_bridged + max(accelerometer.longest_packet, gyroscope.longest_packet)
         if max(gyroscope.last, accelerometer.start) < accelerometer.last - patience:
             return accelerometer.last
         return min(accelerometer.last, gyroscope.last)
@@ -201,7 +202,7 @@ class StepStream:
     def _end_of_segment(self, until: float) -> tuple[float, bool]:
         """Time up to which the accelerometer has no gap [s], and True if a gap follows before ``until``."""
         time = self._sensors["accelerometer"].time
-        gaps = np.flatnonzero(np.diff(time) > LONGEST_BRIDGED)
+        gaps = np.flatnonzero(np.diff(time) > REST.longest_bridged)
         if len(gaps) and time[gaps[0]] <= until:
             return float(time[gaps[0]]), True
         return until, False
@@ -402,7 +403,7 @@ class SegmentStream:
     def _certain_until(self, until: float, count: int) -> float:
         """End of the certain time: the last landing, or, while standing, before any step that may still appear. [s]"""
         landed = self.landed[self.reported :, 0].tolist()
-        earliest = min([until, self.detector.earliest, *landed[count:]]) - LONGEST_STEP
+        earliest = min([until, self.detector.earliest, *landed[count:]]) - STEP.longest
         return max(landed[count - 1] if count else self.end, earliest)
 
     def _steps(self) -> Steps:
@@ -418,7 +419,7 @@ class SegmentStream:
         without_gyroscope = np.diff(at_steps) > 0
         if not without_gyroscope.any():
             return steps
-        sigma_turn = np.where(without_gyroscope, SIGMA_UNMEASURED_TURN, steps.sigma_turn)
+        sigma_turn = np.where(without_gyroscope, MOTION.unmeasured_turn, steps.sigma_turn)
         return replace(steps, sigma_turn=sigma_turn, unknown=(NO_GYROSCOPE,))
 
     def _signals(self, part: slice, landings: Landings) -> GaitSignals:

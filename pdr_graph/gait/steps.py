@@ -12,9 +12,8 @@ from pdr_graph.gait.signals import GaitSignals, gait_signals
 from pdr_graph.gait.step_chunks import join
 from pdr_graph.gait.step_length import MODELS, StepFeatures
 from pdr_graph.gait.walker import Walker
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Recording, Steps
-
-SIGMA_UNMEASURED_TURN = 0.3  # [rad] per step without a gyroscope: a corner every thirty steps; chosen by hand
 
 
 def detect_steps(recording: Recording | list[GaitSignals], walker: Walker | None = None) -> Steps:
@@ -73,6 +72,6 @@ def steps_of(gait: GaitSignals, walker: Walker, start: float | None = None) -> S
 
 def _sigma_turn(gait: GaitSignals, walker: Walker, start: float) -> Array:
     """Standard deviation ``(n,)`` of each step's turn. [rad]"""
-    usual = walker.sigma_turn if gait.attitude.angular_rate is not None else SIGMA_UNMEASURED_TURN
+    usual = walker.sigma_turn if gait.attitude.angular_rate is not None else MOTION.unmeasured_turn
     variance = np.interp(np.append(start, gait.landings.time), gait.attitude.time, gait.direction.variance)
     return np.sqrt(usual**2 + np.diff(variance))

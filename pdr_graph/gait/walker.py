@@ -12,6 +12,7 @@ import numpy as np
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, one_line, read_toml
 from pdr_graph.gait.step_length import MODELS, REFERENCE_HEIGHT
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Steps
 from pdr_graph.whole_files import write_file
 
@@ -68,7 +69,7 @@ class Walker(OneLineRepr):
     """
 
     height: float = REFERENCE_HEIGHT
-    sigma_turn: float = 0.02
+    sigma_turn: float = field(default_factory=lambda: MOTION.turn)
     stride: str = DEFAULT_STRIDE
     constants: dict[str, float] = field(default_factory=dict)
     profile: Profile | None = None

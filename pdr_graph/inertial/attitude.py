@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import interpolate
+from pdr_graph.priors import REST
 from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, Recording, Signal
 
 SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
-LONGEST_BRIDGED = 1.0  # [s] of missing samples that are interpolated: a step or two; longer ones are a gap
 LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|: walking raises it a little, a wrong unit far more
 MOST_GRID_SAMPLES = 40_000_000  # a day at 400 Hz
 
@@ -79,28 +79,6 @@ def runs(mask: Mask) -> tuple[Index, Index]:
     return np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
 
 
-@dataclass(frozen=True)
-class RestSettings:
-    """Constants of rest detection and of the gyroscope's bias at rest.
-
-    window: over which the spread of the samples is taken [s].
-    rate, acceleration: largest spread at rest [rad/s, m/s²]: twice the noise of cheap sensors on a table.
-    shortest: least duration of a rest [s]: any phone is at rest for a moment.
-    largest_bias: largest mean rate at rest [rad/s]: a steadier turn is that of a turntable or a car.
-    drift_time: over which the bias is averaged [s]: it follows the temperature.
-    """
-
-    window: float = 0.5
-    rate: float = 0.012
-    acceleration: float = 0.10
-    shortest: float = 1.5
-    largest_bias: float = 0.2
-    drift_time: float = 60.0
-
-
-REST = RestSettings()
-
-
 def at_rest(angular_rate: Array, acceleration: Array, period: float) -> Mask:
     """``(n,)`` True where the phone lies still: neither sensor's samples spread more than on a table.
 
@@ -145,7 +123,6 @@ def _spread(values: Array, samples: int) -> Array:
 
 # VQF's options [°/s, s]: a phone has calibrated its gyroscope and warms up in minutes. VQF's defaults (0.5 °/s, doubled
 # within 100 s) estimate a false bias from a swinging arm.
-PHONE = {"biasSigmaInit": 0.2, "biasForgettingTime": 1000.0}
 NO_GYROSCOPE = "turns: there is no gyroscope"
 NO_GRAVITY = "the vertical: the recorder removed gravity; the axis of the largest motion is used instead"
 
@@ -198,7 +175,7 @@ def vqf_offline(recording: Recording) -> Attitude:
     time, period, (acceleration, angular_rate) = on_one_grid(recording, "accelerometer", "gyroscope")
     rest = at_rest(angular_rate, acceleration, period)
     angular_rate = angular_rate - bias_from_rests(angular_rate, rest, period)
-    out = vqf.offlineVQF(angular_rate, acceleration, None, period, PHONE)
+    out = vqf.offlineVQF(angular_rate, acceleration, None, period, REST.vqf)
     return Attitude(
         time=time,
         period=period,

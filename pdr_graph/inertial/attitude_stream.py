@@ -9,7 +9,8 @@ import numpy as np
 import vqf
 
 from pdr_graph.geometry import interpolate
-from pdr_graph.inertial.attitude import LONGEST_BRIDGED, PHONE, REST, vertical_of
+from pdr_graph.inertial.attitude import vertical_of
+from pdr_graph.priors import REST
 from pdr_graph.types import STANDARD_GRAVITY, Array, Mask
 
 
@@ -141,7 +142,7 @@ class SensorStream:
         """Start of the segment [s]: first sample within 1 s of ``begin`` if the sensor starts there, else ``begin``."""
         time = np.array([begin])
         later = self.time[self.time >= begin]
-        soon = len(later) > 0 and later[0] - begin <= LONGEST_BRIDGED
+        soon = len(later) > 0 and later[0] - begin <= REST.longest_bridged
         return float(later[0]) if soon and not self.covers(time)[0] else begin
 
     def at(self, time: Array) -> Array:
@@ -153,18 +154,18 @@ class SensorStream:
         edges = np.concatenate([[-np.inf], self.time, [np.inf]])
         after = np.searchsorted(self.time, time, side="right")
         since = time - edges[after]
-        return (edges[after + 1] - edges[after] <= LONGEST_BRIDGED) | (since <= SENSOR_VALIDATION.hold)
+        return (edges[after + 1] - edges[after] <= REST.longest_bridged) | (since <= SENSOR_VALIDATION.hold)
 
     def _follows(self, time: Array) -> bool:
         """True if times increase from the last sample on without a gap."""
         apart = time[1:] - time[:-1]
-        first = float(time[0] - self.time[-1]) if len(self.time) else LONGEST_BRIDGED
+        first = float(time[0] - self.time[-1]) if len(self.time) else REST.longest_bridged
         least, most = (float(apart.min()), float(apart.max())) if len(apart) else (first, first)
-        return min(first, least) > 0 and max(first, most) <= LONGEST_BRIDGED
+        return min(first, least) > 0 and max(first, most) <= REST.longest_bridged
 
     def _accept(self, time: Array, values: Array) -> None:
         """Append valid samples."""
-        self.gaps += int(len(self.time) > 0 and time[0] - self.last > LONGEST_BRIDGED)
+        self.gaps += int(len(self.time) > 0 and time[0] - self.last > REST.longest_bridged)
         self.start = min(self.start, float(time[0]))
         self.samples += len(time)
         self.time, self.values = np.concatenate([self.time, time]), np.concatenate([self.values, values])
@@ -175,11 +176,11 @@ class SensorStream:
             self._discard_suspects()
             self._accept(np.array([time + self.offset]), value[None])
             return
-        since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else LONGEST_BRIDGED
+        since = time - float(self.suspect_time[-1]) if len(self.suspect_time) else REST.longest_bridged
         if -SENSOR_VALIDATION.clock_reset < since <= 0:
             self.dropped += 1
             return
-        if not 0 < since <= LONGEST_BRIDGED:
+        if not 0 < since <= REST.longest_bridged:
             self._discard_suspects()
         self.suspect_time = np.append(self.suspect_time, time)
         self.suspect_values = np.concatenate([self.suspect_values, value[None]])
@@ -195,7 +196,7 @@ class SensorStream:
     def _reset_clock(self, offset: float) -> None:
         """Continue where the samples ended, or with the other sensor's ``offset`` [s] if it is plausible."""
         begin, end = self.suspect_time[[0, -1]]
-        if not (end + offset > self.last and begin + offset <= self.last + LONGEST_BRIDGED):
+        if not (end + offset > self.last and begin + offset <= self.last + REST.longest_bridged):
             offset = self.last - begin + float(np.median(np.diff(self.suspect_time)))
         self.offset, self.clock_resets = float(offset), self.clock_resets + 1
 
@@ -247,7 +248,7 @@ class AttitudeStream:
         self.rest_bias = np.zeros(3)  # [rad/s] mean rate of the last rest
         self.recent = np.empty((0, 6))  # last samples of gyroscope and accelerometer
         self._samples = max(3, round(REST.shortest / period))
-        options: dict[str, Any] = PHONE
+        options: dict[str, Any] = REST.vqf
         self._vqf: Any = vqf.VQF(period, **options)  # its stubs lack the setter of its state
         if bias is not None:
             self._vqf.setBiasEstimate(np.array(bias))

@@ -16,49 +16,10 @@ from scipy.ndimage import gaussian_filter1d, median_filter
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.inertial.attitude import runs
+from pdr_graph.priors import CLIMB, KIND
 from pdr_graph.types import Array, Index, Mask, Signal, Steps
 
 SCALE_HEIGHT = 287.05 * 293.15 / 9.80665  # [m] R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C
-
-
-@dataclass(frozen=True)
-class ClimbSettings:
-    """Constants by which climbs are found in a height. Chosen by hand; ``scripts/reproduce floors`` scores them.
-
-    grid: interval of the height samples [s]; longest_gap: a longer gap in the recording counts as this long [s].
-    gust: longest spike that is removed, half the median's window [s]: a lift takes four seconds for a storey and stays.
-    rate: least width of the Gaussian over which a rate is taken [s].
-    slow, fast: low and high threshold of the rate [m/s]: weather has 0.002, a ramp of 6 % on foot 0.08, stairs and
-        escalators 0.2 to 0.5, lifts 0.5 to 5.
-    quiet: noise of a rate that does not exceed the high threshold [σ].
-    pause: within a climb, to turn on a landing [s].
-    level: time before and after a climb over which the heights of its ends are taken [s].
-    least: least height of a climb [m]: a phone taken from a pocket to the ear rises by 0.6.
-    certain: least height of a climb in its own sigmas: to miss a climb costs more than to invent one.
-    edge: distance from the levels at which a climb begins and ends [m]; at most an eighth of its height.
-    correlated: time over which errors of a height are alike [s].
-    placement: standard deviation of the phone's height above the floor, or of a draught as long as ``level`` [m].
-    weather: drift of the height with the weather [m/s]: 1 hPa an hour.
-    """
-
-    grid: float = 0.5
-    longest_gap: float = 5.0
-    gust: float = 4.5
-    rate: float = 2.0
-    slow: float = 0.03
-    fast: float = 0.06
-    quiet: float = 3.0
-    pause: float = 4.0
-    level: float = 10.0
-    least: float = 0.8
-    certain: float = 2.0
-    edge: float = 0.3
-    correlated: float = 3.0
-    placement: float = 0.2
-    weather: float = 8.5 / 3600
-
-
-CLIMB = ClimbSettings()
 
 
 @dataclass(frozen=True)
@@ -211,27 +172,6 @@ def _level(height: Array) -> tuple[float, float]:
 
 
 STAIRS, LIFT, ESCALATOR, RAMP, DRAUGHT = "stairs", "lift", "escalator", "ramp", "draught"
-
-
-@dataclass(frozen=True)
-class KindSettings:
-    """Limits between kinds of climbs, from building practice.
-
-    walked: least share of a climb's time spent on steps, to count as on foot; chosen by hand.
-    steepest_ramp, highest_stairs, highest_step: rise per step [m]: the steepest ramp for wheelchairs (1 in 12) gives
-        0.055; treads are 0.14 to 0.20, flights with their landings half of that, two treads at a time 0.36. Two treads
-        at a time are not distinguished from walking on an escalator.
-    slowest_lift: vertical speed [m/s]: escalators of 0.5 to 0.65 m/s at 30 to 35° rise by 0.25 to 0.37.
-    """
-
-    walked: float = 0.5
-    steepest_ramp: float = 0.055
-    highest_stairs: float = 0.25
-    highest_step: float = 0.5
-    slowest_lift: float = 0.42
-
-
-KIND = KindSettings()
 
 
 def climb_kinds(steps: Steps, climbs: Climbs) -> tuple[str, ...]:

@@ -14,39 +14,11 @@ from scipy.spatial.transform import Rotation
 
 from pdr_graph.frames import EarthField
 from pdr_graph.geometry import gaussian_weights, interpolate, nearest
-from pdr_graph.inertial.attitude import LONGEST_BRIDGED, Attitude
+from pdr_graph.inertial.attitude import Attitude
 from pdr_graph.inertial.attitude_stream import SensorStream
+from pdr_graph.priors import MAGNETOMETER, NORTH, REST
 from pdr_graph.types import Array, Signal
 
-
-@dataclass(frozen=True)
-class MagnetometerSettings:
-    """Constants of the calibration and of the field's tests, chosen by hand.
-
-    smoothing: Gaussian over the field's noise and the gait [s]; prediction: time over which the gyroscope predicts the
-        field [s].
-    fit_samples, fit_evaluations: most of a calibration fit: it converges slowly where the phone was hardly turned.
-    hard_spread, soft_spread: standard deviations of a phone's hard iron [µT] and soft iron [-] before any calibration.
-    field_spread: of the field's magnitude about the ellipsoid in a building [µT]: the width of the fit's robust loss.
-    independent: number of independent samples in a building, where consecutive samples share the building's field.
-    hard_sigma: largest standard deviation of a hard iron that is worth subtracting [µT].
-    tilted: a mean of the vertical in the device that is longer than this means that the phone was hardly tilted, which
-        leaves its iron undetermined.
-    """
-
-    smoothing: float = 0.5
-    prediction: float = 1.0
-    fit_samples: int = 600
-    fit_evaluations: int = 60
-    hard_spread: float = 300.0
-    soft_spread: float = 0.1
-    field_spread: float = 3.0
-    independent: int = 100
-    hard_sigma: float = 3.0
-    tilted: float = 0.8
-
-
-MAGNETOMETER = MagnetometerSettings()
 UPPER = np.triu_indices(3)
 
 
@@ -138,7 +110,7 @@ def measured_field(magnetometer: Signal, time: Array) -> Array:
     """The field ``(n, 3)`` in device axes at times ``(n,)`` [s]; 0 more than a second from any sample. [µT]"""
     field = interpolate(time, magnetometer.time, magnetometer.values)
     apart = np.abs(magnetometer.time[nearest(magnetometer.time, time)] - time)
-    return np.where((apart > LONGEST_BRIDGED)[:, None], 0.0, field)
+    return np.where((apart > REST.longest_bridged)[:, None], 0.0, field)
 
 
 def predicted_field(field: Array, angular_rate: Array, period: float) -> Array:
@@ -180,33 +152,6 @@ def field_in_world(attitude: Attitude, device: Array, every: int = 1) -> Array:
     reach = len(weights) // 2
     world = np.pad(attitude.R_world_device.apply(device), ((reach, reach), (0, 0)), mode="edge")
     return sliding_window_view(world, len(weights), axis=0)[::every] @ weights
-
-
-@dataclass(frozen=True)
-class NorthSettings:
-    """Constants of the filter of north, chosen by hand.
-
-    interval: between observations [s].
-    drift: of the attitude's heading after removal of the gyroscope's bias [rad per root second].
-    undisturbed: standard deviation of an observation that passes both tests [rad].
-    alike: time for which a walker stays in the same disturbance [s]: about three metres.
-    disturbed: largest error in either test [rad]: other observations are not used.
-    weakest: least level field as a share of the earth's: the direction of a weaker one is noise.
-    huber: deviation at which an observation's innovation is clipped [σ].
-    least_valid: least share of the observations that pass the tests, or none is used.
-    """
-
-    interval: float = 1.0
-    drift: float = 0.004
-    undisturbed: float = 0.12
-    alike: float = 2.5
-    disturbed: float = 0.35
-    weakest: float = 0.3
-    huber: float = 2.0
-    least_valid: float = 0.3
-
-
-NORTH = NorthSettings()
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ import numpy as np
 from pdr_graph.estimation.factors.fixes import DRIVEN, STRETCHED, WITHIN
 from pdr_graph.estimation.gps_track import LOST, way_through
 from pdr_graph.estimation.transport_mode import RIDES, STANDS, WALKS
-from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN
 from pdr_graph.geometry import distance_walked, interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, Segment
 from pdr_graph.lifelog.observation import StatedActivity
+from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Steps, Trajectory
 
 # A bout of walking ends with a rest of 3 s and has at least two strides of either foot (Kluge et al., "Consensus based
@@ -156,7 +156,7 @@ def without_rides(steps: Steps, spans: Array) -> Steps:
         "turn": nothing,
         "pause_turn": nothing,
         "sigma_length": RIDE_SPEED * long,
-        "sigma_turn": np.full(len(spans), GAP_SIGMA_TURN),
+        "sigma_turn": np.full(len(spans), MOTION.gap_turn),
     }
     columns = {name: np.append(getattr(steps, name)[~ridden], row) for name, row in rows.items()}
     order = np.argsort(columns["time"], kind="stable")

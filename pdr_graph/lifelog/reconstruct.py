@@ -15,7 +15,6 @@ from pdr_graph.estimation.consistency import ROUTE, teaches_profile, verdict
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.plan_files import Building, plan_fingerprint
 from pdr_graph.frames import Frame
-from pdr_graph.gait.step_chunks import GAP_SPEED
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog.activities import detect_rides, follow_positions, segments_of, with_stated_rides, without_rides
 from pdr_graph.lifelog.day import Day, Outing
@@ -32,6 +31,7 @@ from pdr_graph.lifelog.sessions import (
 )
 from pdr_graph.lifelog.stays import stays_of, stays_of_positions
 from pdr_graph.pipeline import Evidence, estimate, with_beacon_levels, with_floors, with_measurements
+from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes
 
 
@@ -152,7 +152,7 @@ def _with_start_after(last: EstimatedWalk | Outing | None, joined: JoinedRecordi
     if gap > LONGEST_GAP or not (before.frame.georeferenced or before.frame == frame):
         return joined
     place = frame.from_frame(before.frame, before.trajectory.position[-1:])
-    variance = np.trace(before.trajectory.covariance[-1, :2, :2]) / 2 + (GAP_SPEED * max(gap, 0.0)) ** 2
+    variance = np.trace(before.trajectory.covariance[-1, :2, :2]) / 2 + (MOTION.gap_speed * max(gap, 0.0)) ** 2
     fix = Fixes(np.zeros(1), place, np.array([np.sqrt(variance)]), (before.trajectory.floor[-1],))
     return replace(joined, frame=frame, fixes=fix)
 

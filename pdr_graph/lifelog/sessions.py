@@ -18,9 +18,10 @@ import numpy as np
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
-from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, append_steps, gap, shifted
+from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation, StatedActivity
 from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Beacons, Fixes, Headings, Index, Sightings, Signal, Steps
 
 # Chosen by hand
@@ -270,7 +271,7 @@ def _gap_between(before: Observation, after: Observation, start: float, end: flo
     if end - start > LONGEST_RESTART:
         return gap(start, end)
     turn = turn_by_field(before, after)
-    turn_and_sigma = (0.0, GAP_SIGMA_TURN) if turn is None else (turn, TURN_SIGMA)
+    turn_and_sigma = (0.0, MOTION.gap_turn) if turn is None else (turn, TURN_SIGMA)
     return gap(start, end, *turn_and_sigma)
 
 

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, GAP_SPEED, concatenate_steps, gap
+from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
 from pdr_graph.measurements import Levels, last_time, row_columns, take
+from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, SENSORS, Array, Fixes, Limits, Mask, Sightings, Steps, unknown_sensor
 
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
@@ -173,9 +174,9 @@ def _within(data: Any, limits: Limits) -> Mask:
 
 def _as_gaps(steps: Steps, which: Mask) -> Steps:
     """The steps, with some rows as gaps."""
-    unknown = {"length": 0.0, "turn": 0.0, "pause_turn": 0.0, "sigma_turn": GAP_SIGMA_TURN}
+    unknown = {"length": 0.0, "turn": 0.0, "pause_turn": 0.0, "sigma_turn": MOTION.gap_turn}
     columns = {name: np.where(which, value, getattr(steps, name)) for name, value in unknown.items()}
-    sigma_length = np.where(which, GAP_SPEED * steps.duration, steps.sigma_length)
+    sigma_length = np.where(which, MOTION.gap_speed * steps.duration, steps.sigma_length)
     final_turn = steps.final_turn if abs(steps.final_turn) <= STEPS["turn"][1] else 0.0
     return replace(steps, sigma_length=sigma_length, final_turn=final_turn, **columns)
 

@@ -1,6 +1,6 @@
 """The navigator of a live walk: takes samples, fixes and scans; returns the current pose and the walk smoothed so far.
 
-    samples ─► StepStream ─► certain steps ─► LiveSmoother (iSAM2) ─┐ pose of the last keyframe
+    samples ─► StepStream ─► certain steps ─► LiveSmoother ─────────┐ pose of the last keyframe
                    └─────► provisional steps ──► prediction ◄───────┘ ──► current pose
 
 No data can end the walk: unusable data are counted, and the status states the problem.

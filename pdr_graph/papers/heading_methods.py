@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_graph.gait.heading import (
-    FORWARD,
     UNKNOWN,
     Direction,
     Forward,
@@ -20,6 +19,7 @@ from pdr_graph.gait.heading import (
     push,
 )
 from pdr_graph.inertial.attitude import Attitude, running_mean
+from pdr_graph.priors import FORWARD
 from pdr_graph.types import Array, Mask
 
 PRINCIPAL_WINDOW = 2.6  # [s] of the principal components: [heading] has N = 65 samples at 25 Hz

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from pdr_graph.errors import InputError, install
-from pdr_graph.gait.step_detection import LONGEST_STEP, SHORTEST_STEP, Landings
+from pdr_graph.gait.step_detection import Landings
 from pdr_graph.inertial.attitude import Attitude
+from pdr_graph.priors import STEP
 from pdr_graph.types import Array, Index
 
 # [s] standard deviation of the Gaussian over |a|: half power at 1.9 Hz, where people walk; heel strikes ring at 10 Hz
@@ -56,7 +57,7 @@ def without_closing(attitude: Attitude, forward: Array, threshold: float = RISE)
     candidates = trough_to_peak(attitude, threshold)
     shapes = forward_shapes(attitude, forward, candidates)
     walking, together = templates().T
-    on = np.diff(candidates.time, append=np.inf) < LONGEST_STEP
+    on = np.diff(candidates.time, append=np.inf) < STEP.longest
     for n in np.flatnonzero(~on):
         on[n] = _warped_distance(shapes[n], walking) <= _warped_distance(shapes[n], together)
     return Landings.at(candidates.time[on], candidates.amplitude[on], float(attitude.time[0]))
@@ -125,7 +126,7 @@ def _peaks_of_magnitude(attitude: Attitude) -> tuple[Array, Index]:
 
 def _peaks(smooth: Array, period: float) -> Index:
     """Maxima that are the highest for half the shortest step to either side."""
-    highest = maximum_filter1d(smooth, 2 * round(SHORTEST_STEP / 2 / period) + 1) == smooth
+    highest = maximum_filter1d(smooth, 2 * round(STEP.shortest / 2 / period) + 1) == smooth
     return 1 + np.flatnonzero(highest[1:-1] & (np.diff(smooth)[:-1] > 0))
 
 

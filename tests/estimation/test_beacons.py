@@ -8,7 +8,7 @@ from test_live_smoother import some
 from walks import dead_reckon, fixes_at, steps_of
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.factors.beacon_rssi import HEIGHT, BeaconRssiFactor, levels_along
+from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor, levels_along
 from pdr_graph.estimation.factors.level_collector import LevelCollector
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
@@ -16,6 +16,7 @@ from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.beacons import beside, read_beacons
+from pdr_graph.priors import BEACONS
 from pdr_graph.types import Beacons, Recording, Sightings
 
 POWER, EXPONENT, NOISE, WEAKEST = -60.0, 2.0, 4.0, -95.0
@@ -42,7 +43,7 @@ def heard(track, place, seed=0):
     time = np.repeat(np.arange(0.5, track.time[-1], 1.0), 6)
     at = interpolate(time, track.time, track.position)
     which = np.tile(np.arange(6), len(time) // 6)
-    distance = np.sqrt(np.sum((at - place[which]) ** 2, axis=1) + HEIGHT**2)
+    distance = np.sqrt(np.sum((at - place[which]) ** 2, axis=1) + BEACONS.height**2)
     rssi = POWER - 10 * EXPONENT * np.log10(distance) + random.normal(0, NOISE, len(time))
     loud = rssi > WEAKEST
     return Sightings(time[loud], tuple(NAMES[m] for m in which[loud]), rssi[loud])

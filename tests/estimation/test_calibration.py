@@ -7,11 +7,12 @@ import pytest
 from plans import MAPS
 
 from pdr_graph import InputError, WalkGraph, detect_steps, smooth
-from pdr_graph.estimation.calibration import BETWEEN_WALKS, calibrate, posterior_profile, prior_of
+from pdr_graph.estimation.calibration import calibrate, posterior_profile, prior_of
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.floor.plan_files import read_route
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import dead_reckon, interpolate
+from pdr_graph.priors import WALKER
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Fixes, Steps
@@ -137,7 +138,7 @@ def test_profiles_accumulate():
 def test_the_next_walk_has_at_least_the_variance_between_walks():
     """A profile widens by BETWEEN_WALKS, up to the prior without any profile."""
     exact = Profile(0.1, 0.0, 0.0, 1e-12 * np.eye(3), 0.1, 1.3)
-    assert prior_of(exact).sigma == pytest.approx(BETWEEN_WALKS, rel=1e-3)
+    assert prior_of(exact).sigma == pytest.approx(WALKER.between_walks, rel=1e-3)
     vague = Profile(0.1, 0.0, 0.0, np.eye(3), 0.1, 1.3)
     assert prior_of(vague).sigma == Prior().sigma
     assert prior_of(None) == Prior()

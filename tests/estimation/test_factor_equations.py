@@ -12,11 +12,11 @@ import pytest
 import shapely
 from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, square_walk, wandering_walk
 
-from pdr_graph.estimation.factors import losses, receivers
+from pdr_graph.estimation.factors import losses
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
-from pdr_graph.estimation.factors.loop_closure import CLOSURE_WIDTH, LoopClosureFactor
+from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
@@ -26,10 +26,11 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait import compass
-from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN, GAP_SPEED, append_steps, gap, shifted
+from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog import multi_day
 from pdr_graph.measurements import Closures, Levels
+from pdr_graph.priors import LOSSES, MOTION, RECEIVERS
 from pdr_graph.types import Headings, Sightings
 
 MARGIN, LOOSE = 0.8, 1.0  # [m] of walls, as the page has them
@@ -195,7 +196,7 @@ def test_a_gap_has_a_wide_covariance():
     (factor,) = factors_with(graph, state, "steps", ("x", i), ("x", i + 1), ("c", int(graph.segment[i])))
     whitened = factor.residual
     assert whitened @ whitened == pytest.approx(np.sum(np.append(away, turned) ** 2 / variances), rel=1e-3)
-    assert (GAP_SPEED, GAP_SIGMA_TURN) == (1.0, 1.2)
+    assert (MOTION.gap_speed, MOTION.gap_turn) == (1.0, 1.2)
 
 
 # The plan
@@ -315,7 +316,7 @@ def test_losses_are_those_of_the_page():
         "L2WithDeadZone": (lambda k: np.maximum(0, s - k) ** 2 / 2, lambda k: np.maximum(0, 1 - k / np.maximum(s, k))),
     }
     for name, (rho, weight) in laws.items():
-        for width in (losses.HUBER_WIDTH, CLOSURE_WIDTH):
+        for width in (LOSSES.huber, LOSSES.closure):
             gtsams = getattr(gtsam.noiseModel.mEstimator, name).Create(width)
             assert [gtsams.loss(v) for v in s] == pytest.approx(rho(width)), name
             assert [gtsams.weight(v) for v in s] == pytest.approx(weight(width), abs=1e-9), name
@@ -326,7 +327,7 @@ def test_losses_are_those_of_the_page():
     for loss, name, width in (
         (losses.RobustLoss(none), "Huber", 2.45),
         (losses.RobustLoss(every), "GemanMcClure", 2.45),
-        (losses.RobustLoss(every, CLOSURE_WIDTH), "GemanMcClure", CLOSURE_WIDTH),
+        (losses.RobustLoss(every, LOSSES.closure), "GemanMcClure", LOSSES.closure),
         (losses.RobustLoss(none, flat=2.0), "L2WithDeadZone", 2.0),
     ):
         assert loss.cost(s) == pytest.approx(laws[name][0](width)), name
@@ -416,7 +417,7 @@ def test_an_offset_is_a_gauss_markov_process(seed):
         (factor,) = factors_with(graph, state, "gnss_bias.change", ("g", m), ("g", m - 1), ("o", receiver))
         assert factor.residual == pytest.approx(r, rel=1e-6)
     assert receiver == 1
-    assert (receivers.STANDING, receivers.ALONG) == (120.0, 30.0)
+    assert (RECEIVERS.standing, RECEIVERS.along) == (120.0, 30.0)
 
 
 def beside_beacons(seed=0):

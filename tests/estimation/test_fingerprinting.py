@@ -9,9 +9,10 @@ import pytest
 
 from pdr_graph.errors import InputError
 from pdr_graph.estimation import fingerprinting
-from pdr_graph.estimation.fingerprinting import SHARED, RadioMap, scans_of
+from pdr_graph.estimation.fingerprinting import RadioMap, scans_of
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate
+from pdr_graph.priors import SCANS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, Transmitter, receptions
 from pdr_graph.simulation.simulate import simulate
@@ -66,7 +67,7 @@ def test_later_walks_are_placed_within_metres(learnt, later):
 
 def test_sigmas_are_honest(learnt, later):
     """Over ten walks that the map does not know, two thirds of the errors per axis are within a single fix's sigma."""
-    ratios = [SHARED * errors(fixes, t) / fixes.sigma[:, None] for t, r in later for fixes in [learnt.fixes(r)]]
+    ratios = [SCANS.shared * errors(fixes, t) / fixes.sigma[:, None] for t, r in later for fixes in [learnt.fixes(r)]]
     ratios = np.concatenate(ratios)
     assert np.mean(np.abs(ratios) < 1) == pytest.approx(0.68, abs=0.12)
     assert np.mean((ratios**2).sum(axis=1) < 4.605) == pytest.approx(0.9, abs=0.08)
@@ -87,7 +88,7 @@ def test_an_unmapped_place_gives_no_fix(learnt):
 def test_the_errors_of_a_single_walks_map_are_learnt_from_its_neighbourhoods(later):
     """The errors of other walks stay within twice the sigma of a map of one walk."""
     alone = RadioMap.learn([walked([*ROUND, {"to": [[40, 0], [40, 20], [0, 20], [0, 0]]}], 1)])
-    ratios = [SHARED * errors(f, t) / f.sigma[:, None] for t, r in later for f in [alone.fixes(r)]]
+    ratios = [SCANS.shared * errors(f, t) / f.sigma[:, None] for t, r in later for f in [alone.fixes(r)]]
     assert np.sqrt(np.mean(np.concatenate(ratios) ** 2)) < 2.0
 
 
@@ -100,7 +101,7 @@ def test_a_walk_of_the_map_is_no_more_certain_than_others(learnt, later):
 def test_a_map_of_one_place_has_a_sigma_of_half_a_metre_at_least():
     track, recording = walked([[0, 0], {"stand": 60}, {"to": [[2, 0]]}], 1)
     still = replace(track, position=np.zeros_like(track.position))
-    assert RadioMap.learn([(still, recording)]).fixes(recording).sigma.min() >= 0.5 * SHARED
+    assert RadioMap.learn([(still, recording)]).fixes(recording).sigma.min() >= 0.5 * SCANS.shared
 
 
 def test_a_moving_hotspot_does_little_harm(learnt, later):

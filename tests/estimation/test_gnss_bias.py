@@ -9,12 +9,13 @@ from walks import PERIOD, dead_reckon, fixes_at, steps_of
 from pdr_graph.estimation.factors import gnss_bias
 from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.gnss_bias import NODE, THROUGHOUT, WHITE, GnssBias
-from pdr_graph.estimation.factors.receivers import STANDING, drift, independent_sigmas
+from pdr_graph.estimation.factors.receivers import drift, independent_sigmas
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.geometry import interpolate
+from pdr_graph.priors import RECEIVERS
 from pdr_graph.types import Fixes, Steps
 
 
@@ -55,7 +56,7 @@ def test_a_minute_of_correlated_fixes_is_worth_a_few(monkeypatch):
     errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
     estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
 
-    alike = np.exp(-np.abs(time[:, None] - time) / STANDING)
+    alike = np.exp(-np.abs(time[:, None] - time) / RECEIVERS.standing)
     weight = np.linalg.solve(sigma**2 * (alike + WHITE**2 * np.eye(len(time))), np.ones(len(time)))
     assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
     variance = 1 / weight.sum() + (THROUGHOUT * sigma) ** 2
@@ -137,7 +138,7 @@ def test_sigmas_grow_with_the_number_of_correlated_fixes():
     fixes = named(fixes_at(np.arange(600.0), np.zeros((600, 2)), 3.0))
     standing, used = Steps(0.0, 600.0, *np.empty((6, 0)), sigma_turn=np.empty(0)), np.ones(600, dtype=bool)
     sigma = independent_sigmas(fixes, fixes.sigma, used, standing)
-    assert sigma[300] == pytest.approx(3.0 * np.sqrt(2 * STANDING), rel=0.02)
+    assert sigma[300] == pytest.approx(3.0 * np.sqrt(2 * RECEIVERS.standing), rel=0.02)
     independent = replace(fixes, source=())
     assert (independent_sigmas(independent, independent.sigma, used, standing) == 3.0).all()
 
@@ -145,7 +146,7 @@ def test_sigmas_grow_with_the_number_of_correlated_fixes():
 def test_errors_decorrelate_sooner_while_walking():
     steps = meander(300)
     walking = drift(steps, np.array([10.0, 70.0]))
-    assert np.diff(walking)[0] > 2 * 60.0 / STANDING
+    assert np.diff(walking)[0] > 2 * 60.0 / RECEIVERS.standing
 
 
 def test_worse_fixes_beside_a_good_one_share_its_error():

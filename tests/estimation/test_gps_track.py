@@ -6,8 +6,9 @@ from scipy.stats import chi2
 from streets import SIGMA, gauss_markov
 
 from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, smooth_track
-from pdr_graph.estimation.gps_track import KEEPS, LOST, SPEED, way_through
+from pdr_graph.estimation.gps_track import LOST, way_through
 from pdr_graph.estimation.transport_mode import WALKS
+from pdr_graph.priors import TRACK
 from pdr_graph.types import Fixes
 
 
@@ -43,7 +44,9 @@ def drawn(seed, kind, worse=1.0):
     """A walk drawn from the model, and its fixes; worse: times the noise that is said."""
     random = np.random.default_rng(seed)
     time = np.arange(0, 600, 5.0)
-    root = np.linalg.cholesky(kernel(time, SPEED[kind], KEEPS[kind]) + 1e-6 * np.eye(len(time)))
+    root = np.linalg.cholesky(
+        kernel(time, np.array(TRACK.speed)[kind], np.array(TRACK.keeps)[kind]) + 1e-6 * np.eye(len(time))
+    )
     truth = root @ random.normal(size=(len(time), 2))
     noise = gauss_markov(600, 4.8, 120, random)[::5] + random.normal(0, 1.5, (len(time), 2))
     return time, truth, truth + worse * noise
@@ -55,7 +58,11 @@ def test_the_covariance_of_a_track_is_honest(worse, honest):
     for seed in range(seeds):
         time, truth, z = drawn(seed, WALKS, worse)
         n = len(time)
-        motion = Motion(np.full(n - 1, SPEED[WALKS]), np.full(n - 1, KEEPS[WALKS]), np.zeros(n - 1, dtype=bool))
+        motion = Motion(
+            np.full(n - 1, np.array(TRACK.speed)[WALKS]),
+            np.full(n - 1, np.array(TRACK.keeps)[WALKS]),
+            np.zeros(n - 1, dtype=bool),
+        )
         way = smooth_track(GpsKnots(time, z, np.full(n, 4.8), np.full(n, 1.5)), motion, ())
         nees += np.sum((way.position[row] - truth[row]) ** 2) / way.variances()[row, 0]
     low, high = chi2.ppf([0.005, 0.995], 2 * seeds)
@@ -66,7 +73,9 @@ def test_the_covariance_of_a_gap_is_honest():
     """Walkers drawn from the model, without fixes for half an hour: at the rows, and linear between them."""
     time = np.r_[np.arange(0, 600, 5.0), np.arange(700, 2400, 100.0), np.arange(2400, 3000, 5.0)]
     received = (time < 600) | (time >= 2400)
-    root = np.linalg.cholesky(kernel(time, SPEED[LOST], KEEPS[LOST]) + 1e-6 * np.eye(len(time)))
+    root = np.linalg.cholesky(
+        kernel(time, np.array(TRACK.speed)[LOST], np.array(TRACK.keeps)[LOST]) + 1e-6 * np.eye(len(time))
+    )
     inside = []
     for seed in range(60):
         truth = root @ np.random.default_rng(seed).normal(size=(len(time), 2))

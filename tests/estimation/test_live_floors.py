@@ -7,7 +7,8 @@ import pytest
 from test_floors import Plan, along, fixes, flights, in_order
 
 from pdr_graph.estimation.floors import floors_along
-from pdr_graph.estimation.live.live_floors import LONGEST, FloorsCheckpoint, LiveFloors
+from pdr_graph.estimation.live.live_floors import FloorsCheckpoint, LiveFloors
+from pdr_graph.priors import LIVE_FLOORS
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import Fixes, Steps
 
@@ -70,7 +71,7 @@ def test_a_long_walk_equals_the_batch_in_bounded_memory():
     floors._estimate = lambda *arguments: (sizes.append(max(len(floors.time), len(floors.pressure))), look(*arguments))
     rows = second_by_second(steps, barometer, floors)
     assert labels_of(rows) == ["F1", "F2", "F3", "F2", "F1", "B1", "B2", "B1"] * 3
-    assert max(sizes) < 1.6 * LONGEST / 0.5
+    assert max(sizes) < 1.6 * LIVE_FLOORS.longest / 0.5
 
 
 def test_without_a_barometer_fixes_determine_the_floor():

@@ -11,10 +11,10 @@ from pdr_graph import FloorPlan
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.path_trial import TrialQuestion, move_to
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
+from pdr_graph.priors import SCHEDULE
 
 STRIDE, STEPS, EVERY = 0.7, 60, 10
 RIGHT, OTHER, SHOP = 1.0, 9.0, -2.0  # y of the middle of the aisles and a shop; fixes are along the first [m]

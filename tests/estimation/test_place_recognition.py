@@ -1,12 +1,10 @@
 """Place recognition by radio scans."""
 
-from unittest.mock import patch
-
 import numpy as np
 import pytest
 
-from pdr_graph.estimation import fingerprinting as module
-from pdr_graph.estimation.fingerprinting import FAINTEST, Scans, revisits
+from pdr_graph.estimation.fingerprinting import Scans, revisits
+from pdr_graph.priors import SCANS, changed
 from pdr_graph.types import Trajectory
 
 ACCESS_POINTS = np.random.default_rng(0).uniform(0, 60, (40, 2))
@@ -17,7 +15,7 @@ def heard_along(track, seed=0):
     distance = np.hypot(*(track.position[:, None] - ACCESS_POINTS).transpose(2, 0, 1))
     level = -40 - 25 * np.log10(distance.clip(1)) + np.random.default_rng(seed).normal(0, 3, distance.shape)
     names = tuple(f"ap{n}" for n in range(len(ACCESS_POINTS)))
-    return Scans(track.time, names, np.maximum(level - FAINTEST - 20, 0.0))
+    return Scans(track.time, names, np.maximum(level - SCANS.faintest - 20, 0.0))
 
 
 def along(start, end, seconds=60, floor=""):
@@ -73,7 +71,7 @@ def test_correlated_links_count_as_one():
     """Twice as many closures of a stretch have the information of half of them, within a third."""
     walks, worth = [along((5, 5), (55, 5)), along((5, 6), (55, 6))], []
     for every in (1.0, 2.0):
-        with patch.object(module, "SCAN_SPACING", every):
+        with changed(SCANS, scan_spacing=every):
             closures = found(walks)
             worth.append((len(closures), np.sum(closures.sigma**-2.0)))
     (many, of_many), (few, of_few) = worth

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from walks import PERIOD, wandering_walk
 
-from pdr_graph.estimation.factors.preintegration import SIGMA_LATERAL, SIGMA_STILL, bridge, cut, preintegrate
+from pdr_graph.estimation.factors.preintegration import SIGMA_STILL, bridge, cut, preintegrate
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Steps
 
 C = np.array([1.12, 0.97, 0.004])
@@ -77,7 +78,7 @@ def drawn_partial_sums(steps: Steps, draws: int) -> np.ndarray:
         wander = random.normal(0, steps.sigma_turn[k], draws)
         course = theta + (steps.turn[k] + wander) / 2
         along = steps.length[k] + random.normal(0, np.hypot(steps.sigma_length[k], SIGMA_STILL), draws)
-        across = random.normal(0, np.hypot(SIGMA_LATERAL, SIGMA_STILL), draws)
+        across = random.normal(0, np.hypot(MOTION.lateral, SIGMA_STILL), draws)
         c, s = np.cos(course), np.sin(course)
         position = position + np.stack([along * c - across * s, along * s + across * c], axis=1)
         theta = theta + steps.turn[k] + wander

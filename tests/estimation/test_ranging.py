@@ -7,12 +7,12 @@ import pytest
 from walks import drawn_from_the_model
 
 from pdr_graph.estimation.ambiguity.path_modes import solutions
-from pdr_graph.estimation.factors import ranging
 from pdr_graph.estimation.factors.ranging import LongErrors, RangeFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.measurements import Ranges, take
+from pdr_graph.priors import RANGES
 from pdr_graph.types import Steps
 
 SIGMA, NLOS, DETOUR = 0.3, 0.2, 3.0  # [m], share, [m]
@@ -90,7 +90,7 @@ def test_an_anchors_bias_is_estimated():
 def test_long_errors_cost_little_and_short_ones_huber_loss():
     """The cost rises on both sides, is steeper for ranges too short, and its slope is w(s) s everywhere."""
     deviation = np.linspace(-15, 15, 301)
-    loss = LongErrors(np.full(301, ranging.DETOUR / SIGMA))
+    loss = LongErrors(np.full(301, RANGES.detour / SIGMA))
     cost, weight = loss.cost(deviation), loss.weight(deviation)
     assert cost[150] == pytest.approx(0.0, abs=1e-9)
     assert (np.diff(cost[150:]) > 0).all()

@@ -16,10 +16,12 @@ from derivatives import assert_derivatives, assert_gtsam_agrees, random_state
 from walks import drawn_from_the_model
 
 import pdr_graph as pdr
-from pdr_graph import io, outputs
+from pdr_graph import outputs
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import read
+from pdr_graph.io.loading import load
+from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
@@ -225,7 +227,7 @@ def recorded(tmp_path_factory):
     """A simulated recording with two fixes 2 m off; its truth and lines along it."""
     folder = tmp_path_factory.mktemp("lines")
     simulated.indoor_location(folder, np.array([(40.0, 30.0), (65.0, 30.0), (65.0, 42.0), (40.0, 42.0)]), seed=4)
-    walk = io.load(folder / "walk.txt")
+    walk = load(folder / "walk.txt")
     truth = read_trajectory(folder / "truth.csv", walk)
     rows = [(t, *(p + 2.0), 3.0) for t, p in zip(truth.time[[20, -20]], truth.position[[20, -20]], strict=True)]
     lines = [",".join(f"{value:.3f}" for value in (row[0] + walk.clock_origin, *row[1:])) for row in rows]
@@ -236,7 +238,7 @@ def recorded(tmp_path_factory):
 def test_report_and_summary_list_the_lines(recorded, tmp_path):
     folder, truth, lines = recorded
     options = Options(fixes=folder / "fixes.csv")
-    walk = replace(io.load(folder / "walk.txt"), measurements=(lines,))
+    walk = replace(load(folder / "walk.txt"), measurements=(lines,))
     inputs = read(folder / "walk.txt", options, walk=walk)
     result = estimate(evidence_of(inputs, options))
     assert error(result.estimate.trajectory, truth) < 0.4

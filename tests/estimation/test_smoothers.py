@@ -26,6 +26,7 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.priors import MOTION, changed
 
 EXACTLY = 1e-12  # of the cost: the optimiser ends there
 
@@ -96,7 +97,7 @@ def test_linear_case_is_kalman():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_keyframes_keep_the_optimum(seed, monkeypatch):
+def test_keyframes_keep_the_optimum(seed):
     """Ten steps per keyframe give the walk that a keyframe per step gives, within a tenth of its own uncertainty.
 
     Measured: 2 to 5 cm, where a position is uncertain by 1 m. It is not exact, since between keyframes the bridge is
@@ -104,8 +105,8 @@ def test_keyframes_keep_the_optimum(seed, monkeypatch):
     """
     steps, fixes, _ = drawn_from_the_model(150, seed)
     coarse = smooth(WalkGraph(steps, fixes))
-    monkeypatch.setattr(preintegration, "PIECES_PER_KEYFRAME", 1)
-    fine = smooth(WalkGraph(steps, fixes))
+    with changed(MOTION, steps_per_keyframe=1):
+        fine = smooth(WalkGraph(steps, fixes))
     assert coarse.cost == pytest.approx(fine.cost, rel=0.02)
     sigma = np.sqrt(fine.trajectory.covariance[:, 0, 0]).min()
     assert apart(coarse.trajectory.position, fine.trajectory.position) < 0.1 * sigma

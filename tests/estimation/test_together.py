@@ -1,7 +1,6 @@
 """Several walks in one graph, bound by closures."""
 
 from dataclasses import replace
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -9,9 +8,9 @@ from nees import gaussian, interval, normalised_errors
 from walks import drawn_from_the_model, fixes_at
 
 from pdr_graph import WalkGraph, smooth
-from pdr_graph.estimation.factors import loop_closure
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.measurements import Closures
+from pdr_graph.priors import LOSSES, changed
 from pdr_graph.types import Estimate
 
 SIGMA_CLOSURE = 1.0  # [m]
@@ -107,11 +106,11 @@ def test_a_wrong_link_loses_its_weight():
 def test_covariance_is_honest():
     """NEES of a random row of one of two walks that met, with Gaussian closures and fixes."""
     low, high = interval(SEEDS)
-    with gaussian(), patch.object(loop_closure, "CLOSURE_WIDTH", 1e6):
+    with gaussian(), changed(LOSSES, closure=1e6):
         assert low < np.mean(normalised_errors(one_that_met, first_of_both, SEEDS)) < high
 
 
 def test_links_five_times_as_bad_as_stated_fail_the_test():
-    with gaussian(), patch.object(loop_closure, "CLOSURE_WIDTH", 1e6):
+    with gaussian(), changed(LOSSES, closure=1e6):
         _, high = interval(FEWER)
         assert np.mean(normalised_errors(one_that_met_far_off, first_of_both, FEWER)) > high

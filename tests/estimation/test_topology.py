@@ -9,11 +9,12 @@ from walks import fixes_at, steps_of
 
 from pdr_graph import Headings, smooth
 from pdr_graph.estimation.ambiguity.bank import paths, probabilities
-from pdr_graph.estimation.ambiguity.path_modes import UNSEEN, solutions
+from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
+from pdr_graph.priors import SEARCH
 
 WIDTH = 3.0  # [m] of every aisle
 
@@ -72,12 +73,12 @@ def test_missed_paths_have_a_probability_only_on_a_plan():
     optima = solutions(straight(28, None))
     assert probabilities(optima, paths(optima)).sum() == pytest.approx(1.0)
     optima = solutions(straight(28, aisles((50, 0))))
-    assert 0 < 1 - probabilities(optima, paths(optima)).sum() < 2 * np.exp(-UNSEEN)
+    assert 0 < 1 - probabilities(optima, paths(optima)).sum() < 2 * np.exp(-SEARCH.unseen)
 
 
 def test_a_walk_that_fits_nothing_at_all_has_a_probability():
     """The live search for a place divides by it: `replay` of a real walk on a plan without a position ended there."""
-    optima = [SimpleNamespace(surprise=surprise, unseen=UNSEEN) for surprise in (6e8, 7e8)]
+    optima = [SimpleNamespace(surprise=surprise, unseen=SEARCH.unseen) for surprise in (6e8, 7e8)]
     share = probabilities(optima, np.array([0, 1]))
     assert (share > 0).all()
     assert share.sum() < 1e-9

@@ -11,11 +11,12 @@ from walks import PERIOD, fixes_at, steps_of
 from pdr_graph import FloorPlan, Prior
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
-from pdr_graph.estimation.live.particles import SPREAD, ParallelParticleFilter, ways_elsewhere
+from pdr_graph.estimation.live.particles import ParallelParticleFilter, ways_elsewhere
 from pdr_graph.estimation.particle_filter import Paths
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
+from pdr_graph.priors import LIVE_PATHS
 
 STRIDE, Y = 0.7, 1.0  # [m] of a step; y of the middle of the aisle
 
@@ -92,5 +93,5 @@ def test_particles_begin_where_the_graph_is():
     root = np.sqrt(np.diag(covariance))
     assert np.abs((state.mean(axis=1) - mean) / root).max() < 0.2
     assert np.cov(state) / np.outer(root, root) == pytest.approx(
-        SPREAD**2 * covariance / np.outer(root, root), abs=0.35
+        LIVE_PATHS.spread**2 * covariance / np.outer(root, root), abs=0.35
     )

@@ -5,7 +5,8 @@ import pytest
 import shapely
 from plans import plan
 
-from pdr_graph.floor.cells import DOOR_COST, NOWHERE, OUTSIDE_PRICE, WALL_COST
+from pdr_graph.floor.cells import NOWHERE
+from pdr_graph.priors import REGIONS
 
 HALL = ("corridor", "hall", shapely.box(0, 0, 20, 3))
 AISLE = ("corridor", "aisle", shapely.box(8, -6, 11, 0))
@@ -42,7 +43,7 @@ def test_a_walk_through_a_door_has_the_cost_of_a_door(regions):
     assert region[0] == HALLS_REGION
     assert region[-1] == A
     assert np.count_nonzero(np.diff(region)) == 1
-    assert price == pytest.approx(DOOR_COST)
+    assert price == pytest.approx(REGIONS.door_cost)
 
 
 def test_one_step_into_a_room_does_not_change_the_region(regions):
@@ -57,19 +58,19 @@ def test_one_step_into_a_room_does_not_change_the_region(regions):
 def test_a_walk_deep_into_a_room_without_a_door_has_the_cost_of_a_wall(regions):
     region, price = regions.along(track((15, 1.5), (15, 8)))
     assert (region[0], region[-1]) == (HALLS_REGION, B)
-    assert price == pytest.approx(WALL_COST)
+    assert price == pytest.approx(REGIONS.wall_cost)
 
 
 def test_the_door_of_one_room_does_not_join_two_rooms(regions):
     """Between the room with a door and the one without is only a wall."""
     _, price = regions.along(track((4.5, 6), (18, 6)))
-    assert price == pytest.approx(WALL_COST)
+    assert price == pytest.approx(REGIONS.wall_cost)
 
 
 def test_a_walk_far_from_all_regions_is_in_none_at_low_cost(regions):
     region, price = regions.along(track((100, 100), (110, 100)))
     assert set(region) == {NOWHERE}
-    assert price == pytest.approx(OUTSIDE_PRICE * len(region))
+    assert price == pytest.approx(REGIONS.outside_price * len(region))
 
 
 def test_the_field_of_a_region_is_negative_beyond_a_thin_wall(regions):
@@ -90,7 +91,7 @@ def test_the_field_of_two_regions_is_open_at_their_door(regions):
 def test_the_walls_at_a_change_of_region_are_those_of_both(regions):
     points = track((4.5, 1.0), (4.5, 6))
     fields, which, price = regions.walls_along(points)
-    assert price == pytest.approx(DOOR_COST)
+    assert price == pytest.approx(REGIONS.door_cost)
     used = [fields[w] for w in which]
     assert used[0] is regions.field((HALLS_REGION,))
     assert used[-1] is regions.field((A,))

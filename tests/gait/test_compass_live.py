@@ -8,12 +8,13 @@ import pytest
 
 from pdr_graph import magnetic_headings
 from pdr_graph.frames import Frame
-from pdr_graph.gait.compass import COMPASS_SIGMA, LIVE_COMPASS, LONGEST_STRETCH, CompassCheckpoint, LiveCompass
+from pdr_graph.gait.compass import CompassCheckpoint, LiveCompass
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.inertial.magnetometer import fit_iron, initial_iron, refined_iron
 from pdr_graph.online.interface import Samples, events_of
+from pdr_graph.priors import COMPASS, LIVE_COMPASS
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
@@ -158,7 +159,7 @@ def test_all_headings_together_are_less_certain_than_the_shared_error():
     for one in kept:
         variance += drift * (one.time - now)
         variance, now = 1 / (1 / variance + one.sigma**-2.0), one.time
-        assert variance > COMPASS_SIGMA**2
+        assert variance > COMPASS.sigma**2
 
 
 def test_a_stretch_ends_at_a_grip_change_or_after_minutes():
@@ -262,7 +263,7 @@ def test_the_state_does_not_grow():
         )
         gait.advance()
         sizes = [len(v) for v in vars(compass.checkpoint()).values() if isinstance(v, np.ndarray)]
-        assert max(sizes) <= 1.2 * LONGEST_STRETCH / LIVE_COMPASS.sampling
+        assert max(sizes) <= 1.2 * COMPASS.longest_stretch / LIVE_COMPASS.sampling
 
 
 @pytest.mark.parametrize("when", ["early", "late"])

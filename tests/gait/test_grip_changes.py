@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from pdr_graph.gait.heading import GRIP, walking_direction
+from pdr_graph.gait.heading import walking_direction
 from pdr_graph.inertial.attitude import attitude_of
+from pdr_graph.priors import GRIP
 from pdr_graph.simulation.carrying import with_grip_change
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

@@ -5,12 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pdr_graph import detect_steps
-from pdr_graph.gait.heading import (
-    GRIP,
-    walking_direction,
-)
+from pdr_graph.gait.heading import walking_direction
 from pdr_graph.inertial.attitude import Attitude, attitude_of
 from pdr_graph.papers.heading_methods import acceleration_axis, accumulate_turn, angular_rate_axis
+from pdr_graph.priors import GRIP
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 

@@ -8,6 +8,7 @@ import pytest
 from pdr_graph.gait import step_length
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.step_length import StepFeatures
+from pdr_graph.priors import STRIDES
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 
@@ -44,7 +45,7 @@ def test_by_cadence():
     normal = {"normal_step": 0.7, "normal_cadence": 100.0}
     assert step_length.by_cadence(straight, **normal)[0] == pytest.approx(0.84)
     assert step_length.by_cadence(turning, **normal)[0] == pytest.approx(0.84 * (1 - 0.01124 * 30))
-    assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == step_length.SHORTEST_LENGTH, "clipped at 89°"
+    assert step_length.by_cadence(features(turn=[3.0]), **normal)[0] == STRIDES.shortest, "clipped at 89°"
 
 
 def test_the_default_model_is_shorter_in_bends():
@@ -92,7 +93,7 @@ def test_taller_people_take_longer_steps():
 def test_every_model_gives_plausible_lengths_and_a_sigma(walked, name):
     found, sigma = step_length.MODELS[name](walked[1])
     assert found.shape == sigma.shape == walked[1].period.shape
-    assert np.all((found >= step_length.SHORTEST_LENGTH) & (found <= step_length.LONGEST_LENGTH))
+    assert np.all((found >= STRIDES.shortest) & (found <= STRIDES.longest))
     assert np.all((sigma > 0.02) & (sigma < 0.5))
 
 

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from pdr_graph.gait.step_chunks import append_steps
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
-from pdr_graph.gait.steps import SIGMA_UNMEASURED_TURN, detect_steps
+from pdr_graph.gait.steps import detect_steps
 from pdr_graph.gait.walker import Profile, Walker
 from pdr_graph.geometry import interpolate
 from pdr_graph.inertial.attitude import NO_GRAVITY, attitude_of
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
+from pdr_graph.priors import MOTION
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
@@ -275,7 +276,7 @@ def test_turns_are_unknown_while_the_gyroscope_pauses():
     found, steps = whole(live(packets)[0]), detect_steps(walk())
     assert len(found) == len(steps)
     blind = (found.time > lost[0] + 0.7) & (found.time < lost[1] - 0.1)
-    assert np.all(found.sigma_turn[blind] == SIGMA_UNMEASURED_TURN)
+    assert np.all(found.sigma_turn[blind] == MOTION.unmeasured_turn)
     assert np.abs(found.turn[blind]).max() < 0.1
     later = found.time > lost[1] + 0.7
     assert np.all(found.sigma_turn[later] < 0.1)
@@ -288,7 +289,7 @@ def test_steps_are_found_without_a_gyroscope():
     steps = detect_steps(walk())
     assert len(found) == len(steps)
     assert np.abs(found.turn).max() < 0.05
-    assert np.all(found.sigma_turn == SIGMA_UNMEASURED_TURN)
+    assert np.all(found.sigma_turn == MOTION.unmeasured_turn)
 
 
 def test_steps_are_found_without_gravity_in_the_samples():

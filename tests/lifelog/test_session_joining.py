@@ -8,8 +8,8 @@ from observations import HERE, NOON, cut_in_two, observation, positions, walk
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.frames import Frame, enu
-from pdr_graph.gait.step_chunks import GAP_SIGMA_TURN
 from pdr_graph.lifelog.sessions import LONGEST_RESTART, TURN_SIGMA, join, turn_by_field
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Beacons
 
 
@@ -54,7 +54,7 @@ def test_the_field_of_another_place_determines_no_turn():
     stronger = replace(two, ends=replace(two.ends, field=2 * two.ends.field))
     assert turn_by_field(one, stronger) is None
     both = join([one, stronger])
-    assert both.steps.sigma_turn[both.steps.is_gap] == pytest.approx([GAP_SIGMA_TURN])
+    assert both.steps.sigma_turn[both.steps.is_gap] == pytest.approx([MOTION.gap_turn])
 
 
 def test_a_recording_without_fixes_is_located_by_the_restart_and_the_field():

@@ -7,10 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from observations import NOON, walk
 
-from pdr_graph.estimation.fingerprinting import ALONG, _alike
+from pdr_graph.estimation.fingerprinting import _alike
 from pdr_graph.lifelog import multi_day, walk_blocks
 from pdr_graph.lifelog.multi_day import PersonDay, reconstruct_together
 from pdr_graph.lifelog.walk_blocks import CONTEXT, MAX_CONTEXT_STEPS, MAX_STEPS, MAX_WALKS, WalkPlace, blocks
+from pdr_graph.priors import SCANS
 from pdr_graph.types import Sightings
 
 DAY = 86_400.0
@@ -66,7 +67,7 @@ def test_a_crowd_has_limits():
 @given(st.lists(st.tuples(st.integers(0, 3), st.floats(0, 300)), max_size=60))
 def test_closures_with_one_error_are_counted_pair_by_pair(rows):
     pair, way = np.array([p for p, _ in rows], dtype=int), np.array([w for _, w in rows], dtype=float)
-    near = (pair[:, None] == pair) & (np.abs(way[:, None] - way) < ALONG)
+    near = (pair[:, None] == pair) & (np.abs(way[:, None] - way) < SCANS.along)
     assert _alike(pair, way).tolist() == near.sum(axis=1).tolist()
 
 

@@ -13,11 +13,11 @@ import pytest
 from pdr_graph.estimation.factors import beacon_rssi
 from pdr_graph.estimation.live import live_ambiguity, scan_collector
 from pdr_graph.estimation.live.measurement_log import WAITING
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.gait.step_stream import StepStream
 from pdr_graph.online.event_checks import SPAN
 from pdr_graph.online.interface import Samples, Scan
 from pdr_graph.online.navigator import Navigator
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import Beacons, Fixes, Headings, Sightings, Steps
 

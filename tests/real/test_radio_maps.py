@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from pdr_graph import FloorPlan, WalkGraph, detect_steps, magnetic_headings, smooth
-from pdr_graph.estimation.fingerprinting import SHARED, RadioMap
+from pdr_graph.estimation.fingerprinting import RadioMap
 from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import interpolate
 from pdr_graph.io.loading import load
+from pdr_graph.priors import SCANS
 from pdr_graph.types import Fixes
 
 
@@ -42,7 +43,7 @@ def test_fixes_are_as_good_as_they_say(floor):
     errors, sigma = [], []
     for _, _, _, track, fixes in held_out(floor[1]):
         errors.append(fixes.position - interpolate(fixes.time, track.time, track.position))
-        sigma.append(fixes.sigma / SHARED)
+        sigma.append(fixes.sigma / SCANS.shared)
     errors, ratios = np.concatenate(errors), np.concatenate(errors) / np.concatenate(sigma)[:, None]
     assert np.median(np.hypot(*errors.T)) < 5.0
     assert np.mean(np.abs(ratios) < 1) == pytest.approx(0.68, abs=0.1)

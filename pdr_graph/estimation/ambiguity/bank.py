@@ -27,13 +27,12 @@ from pdr_graph.estimation.factors.base import AnyArray
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.protocols import Doubted, decisions_of
 from pdr_graph.estimation.optimizer import Optimum, continued, optimize
+from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array, Index
 
 UNLIKELY = 5.0  # [nats] above the best from which a hypothesis is not carried on: 0.7 %
-DROPPED = 12.0  # [nats] above the best from which another path is dropped: rough costs may be off by some nats
 PROBABLE = 0.5  # probability above which a user is told what a source gets wrong
 DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
-SAME_PATH = 4.0  # [m] mean distance of solutions on one path: half the distance between two aisles
 LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that fits nothing is still the best there is
 
 # Live: what was adopted holds for the whole walk, and a review sees two minutes of it
@@ -152,12 +151,12 @@ def weighed(optimum: Optimum, base: Optimum, *hypotheses: Hypothesis, informatio
     return replace(optimum, assumed=(*base.assumed, *hypotheses), burden=burden)
 
 
-def pruned(optima: Iterable[Optimum], within: float = DROPPED) -> list[Optimum]:
-    """Distinct solutions within some nats of the best, the most probable first.
+def pruned(optima: Iterable[Optimum], within: float | None = None) -> list[Optimum]:
+    """Distinct solutions within some nats of the best, by default those of other paths, the most probable first.
 
     Of equal solutions the first is first: it has heading 0 if a walk has one fix.
     """
-    kept = list[Optimum]()
+    kept, within = list[Optimum](), SEARCH.dropped if within is None else within
     for new in sorted(optima, key=lambda optimum: round(optimum.surprise, 3)):
         if kept and new.surprise - kept[0].surprise >= within:
             break
@@ -195,9 +194,9 @@ def probabilities(optima: Sequence[Optimum], path: Index) -> Array:
 
 
 def paths(optima: Sequence[Optimum]) -> Index:
-    """The path of each solution ``(n,)``: index of the first solution within SAME_PATH of it on average."""
+    """The path of each solution ``(n,)``: index of the first solution within SEARCH.same_path of it on average."""
     tracks = np.array([optimum.at.ends[:, :2] for optimum in optima])
-    near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SAME_PATH
+    near = np.hypot(*(tracks[:, None] - tracks).transpose(3, 0, 1, 2)).mean(axis=2) < SEARCH.same_path
     return np.argmax(near, axis=1)
 
 

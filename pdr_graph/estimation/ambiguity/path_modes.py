@@ -17,7 +17,6 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import pruned
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.initialization import AMBIGUOUS
 from pdr_graph.estimation.normal_equations import Solution
 from pdr_graph.estimation.optimizer import (
     Optimum,
@@ -29,15 +28,10 @@ from pdr_graph.estimation.optimizer import (
     solve_robust,
     solve_tight_walls,
 )
-from pdr_graph.estimation.particle_filter import FEWEST, Paths, particle_filter, particles_from
+from pdr_graph.estimation.particle_filter import Paths, particle_filter, particles_from
 from pdr_graph.geometry import rotation
+from pdr_graph.priors import INITIAL, PARTICLES, SEARCH
 from pdr_graph.types import Array, Index
-
-USUAL = 1.5  # usual ratio of the cost with walls to that without
-STRAINED = 3.0  # [nats] above the usual cost from which further paths are searched
-UNSEEN = 4.5  # [nats] above the usual cost of a path that the particles may have missed
-ATTEMPTS = 2  # of the particle filter
-DIRECTIONS = 8  # initial directions where any is possible
 
 # Modes of the paths of particles
 MOST_MODES = 8
@@ -90,10 +84,11 @@ def different_directions(optimum: Optimum) -> list[Optimum]:
 
 
 def rotated(graph: WalkGraph) -> list[WalkGraph]:
-    """The graph, rotated to DIRECTIONS starts if the measurements do not determine its direction."""
-    if not graph.positions.used.any() or graph.sigma_direction < AMBIGUOUS:
+    """The graph, rotated to SEARCH.directions starts if the measurements do not determine its direction."""
+    if not graph.positions.used.any() or graph.sigma_direction < INITIAL.ambiguous:
         return [graph]
-    return [graph, *(graph.rotated(angle) for angle in np.arange(1, DIRECTIONS) * 2 * np.pi / DIRECTIONS)]
+    angles = np.arange(1, SEARCH.directions) * 2 * np.pi / SEARCH.directions
+    return [graph, *(graph.rotated(angle) for angle in angles)]
 
 
 def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
@@ -101,16 +96,16 @@ def _in_the_building(graph: WalkGraph, without_walls: Optimum) -> list[Optimum]:
 
     Outliers are classified by the walk without walls: a walk in the wrong aisle would reject good fixes.
     """
-    robust, expected = graph.classified_as(without_walls.graph), USUAL * without_walls.cost
+    robust, expected = graph.classified_as(without_walls.graph), SEARCH.usual * without_walls.cost
     optima = pruned(_paths_of_fixes(robust, without_walls))
-    if optima and optima[0].surprise < expected + STRAINED:
-        return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+    if optima and optima[0].surprise < expected + SEARCH.strained:
+        return [replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima]
     aligned, optima = [robust.start, continued(robust.start, without_walls.state)], list[Optimum]()
-    for attempt in range(ATTEMPTS):
+    for attempt in range(SEARCH.attempts):
         optima += solutions_near(robust, path_starts(robust, attempt) + (aligned if attempt == 0 else []))
-        if min(optimum.surprise for optimum in optima) < expected + STRAINED:
+        if min(optimum.surprise for optimum in optima) < expected + SEARCH.strained:
             break
-    return [replace(optimum, unseen=expected + UNSEEN) for optimum in optima]
+    return [replace(optimum, unseen=expected + SEARCH.unseen) for optimum in optima]
 
 
 def solutions_near(graph: WalkGraph, starts: Sequence[State]) -> list[Optimum]:
@@ -153,12 +148,12 @@ def alternative_endings(graph: WalkGraph, state: State, solution: Solution, last
         return []
     segment = int(graph.segment[last])
     joint = solution.joint(("x", np.array([last])), ("c", np.array([segment])))[0]
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), joint, FEWEST)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), joint, PARTICLES.fewest)
     place = state.poses[last, :2] + drawn[:, :2] @ rotation(state.poses[last, 2]).T
     particles = np.column_stack([place, state.poses[last, 2] + drawn[:, 2], state.c[segment] + drawn[:, 3:]]).T
     assert graph.floor_sequence is not None, "asked for with a plan"
-    at, origin = graph.pieces.last[last:], np.tile(state.poses[last, :2], (FEWEST, 1))
-    inside = np.logical_not(graph.floor_sequence.crossed(origin, place, np.tile(at[0], FEWEST)))
+    at, origin = graph.pieces.last[last:], np.tile(state.poses[last, :2], (PARTICLES.fewest, 1))
+    inside = np.logical_not(graph.floor_sequence.crossed(origin, place, np.tile(at[0], PARTICLES.fewest)))
     if not inside.any():
         return []
     paths, endings = particles_from(graph, last, particles[:, inside]), [state.poses[last + 1 :]]

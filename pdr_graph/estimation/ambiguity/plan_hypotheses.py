@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.bank import DROPPED, SAME_PATH, UNLIKELY, HypothesisBank, pruned, weighed
+from pdr_graph.estimation.ambiguity.bank import UNLIKELY, HypothesisBank, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import (
     ADDED_BY_WALLS,
     DISPLACED_PLAN,
@@ -27,8 +27,6 @@ from pdr_graph.estimation.ambiguity.hypothesis import (
     wording_of,
 )
 from pdr_graph.estimation.ambiguity.path_modes import (
-    ATTEMPTS,
-    STRAINED,
     corrected_solutions,
     different_directions,
     mode_starts,
@@ -41,6 +39,7 @@ from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
 from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, measurements_at
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
+from pdr_graph.priors import SEARCH
 from pdr_graph.types import Array, Mask
 
 PLAN = "plan"  # the kind of hypotheses about it
@@ -77,7 +76,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
     if not graph.walled:
         first, *others = solutions(graph)
         bank = HypothesisBank(first).explain()
-        bank.add(others, DROPPED)
+        bank.add(others, SEARCH.dropped)
         return bank.members
     free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
     between = list(_between_walls(graph, free))
@@ -93,7 +92,7 @@ def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
     first, *more = corrected_solutions(graph, best)
     yield from (_assuming(walk, best) for walk in (first, *more))
     for other in others:
-        same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SAME_PATH
+        same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
         yield _assuming(near_walk(graph, other, first.state if same_path else None), other)
 
 
@@ -194,11 +193,11 @@ def localized(graph: WalkGraph) -> Localization:
     """The solutions of a walk on a plan without any position. graph: `unplaced`."""
     free = graph.without_plan()
     runs, optima, paths = list[tuple[Paths, float]](), list[Optimum](), None
-    for attempt in range(ATTEMPTS):
+    for attempt in range(SEARCH.attempts):
         runs += [particles_anywhere(free, RUNS * attempt + n, 2**attempt) for n in range(RUNS)]
         paths = _pooled(runs)
         optima = solutions_near(graph, mode_starts(graph, _drawn(paths)))
-        if not STRAINED <= optima[0].surprise < DROPPED:
+        if not SEARCH.strained <= optima[0].surprise < SEARCH.dropped:
             break  # it fits, or no walk on this plan does
     assert paths is not None, "there is an attempt"
     covered = float(paths.weight[_near_any(paths, optima)].sum())
@@ -251,5 +250,5 @@ def _near_any(paths: Paths, optima: Sequence[Optimum]) -> Mask:
     near = np.zeros(len(paths.weight), dtype=bool)
     for optimum in optima:
         apart = paths.state[:, :2] - optimum.state.poses[:, :2, None]
-        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SAME_PATH
+        near |= np.hypot(apart[:, 0], apart[:, 1]).mean(axis=0) < SEARCH.same_path
     return near

@@ -28,7 +28,6 @@ from pdr_graph.estimation.live.batch_start import modes_at_end
 from pdr_graph.estimation.live.measurement_log import Decisions, MeasurementLog, TableCheckpoint, numbered
 from pdr_graph.estimation.live.step_buffer import later_steps
 from pdr_graph.estimation.optimizer import Optimum, solve_robust
-from pdr_graph.estimation.results import SURE
 from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.geometry import (
@@ -40,6 +39,7 @@ from pdr_graph.geometry import (
     pose_rotation,
     rotation,
 )
+from pdr_graph.priors import REPORTS
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
 SPAN = 120.0  # [s] of the walk in which sources are compared: twice the usual lag; chosen by hand
@@ -271,7 +271,7 @@ class PlacesQuestion:
         share = probabilities(found.optima, path)
         there = 1.0 - found.elsewhere
         ways = _with_elsewhere(modes_at_end(found.optima, share), found, 1.0 - there * float(share.sum()))
-        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > SURE)
+        return Places(float(graph.keyframe_time[-1]), ways, there * float(share[path == 0].sum()) > REPORTS.sure)
 
 
 def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:

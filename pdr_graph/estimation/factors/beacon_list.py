@@ -11,15 +11,9 @@ import numpy as np
 from scipy.special import log_ndtr
 
 from pdr_graph.measurements import Levels
+from pdr_graph.priors import BEACONS
 from pdr_graph.types import Array, Index
 
-LEVEL_SIGMA = 7.0  # [dB] of such a mean: reflections, people, furniture
-HEIGHT = 1.5  # [m] of a beacon above the phone
-POWER_SIGMA = 4.0  # [dB] of a beacon's power
-WEAKEST = -97.0  # [dBm] that phones receive
-MOST_EVIDENCE = 4.5  # log-odds of one level at most
-RELOCATED, APART = 8.0, 15.0  # log-odds at which a beacon counts as relocated; [m] by which it must be elsewhere
-GRID, BESIDE = 5.0, 20.0  # [m] spacing of candidate positions; [m] of their area beside the walk
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a kilometre; more repeat the same fading
 MOST_AT_ONCE = 1_000_000  # costs of places, powers and stretches in memory
@@ -33,8 +27,8 @@ def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: 
     surveyed, places, cost = placement_costs(levels, keyframe_time, position, q)
     relocated = list[int]()
     for m, of_beacon in zip(surveyed.tolist(), cost, strict=True):
-        near = np.hypot(*(places - levels.position[m]).T) < APART
-        if of_beacon[near].min() - of_beacon.min() > RELOCATED:
+        near = np.hypot(*(places - levels.position[m]).T) < BEACONS.apart
+        if of_beacon[near].min() - of_beacon.min() > BEACONS.relocated:
             relocated.append(m)
     return relocated
 
@@ -49,7 +43,7 @@ def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Ar
     track, table = track[::every], table[:, ::every]
     surveyed = np.flatnonzero(np.isfinite(levels.position[:, 0]))
     places = np.concatenate([levels.position[surveyed], _grid(track)])
-    square = np.sum((track - places[:, None]) ** 2, axis=2) + HEIGHT**2
+    square = np.sum((track - places[:, None]) ** 2, axis=2) + BEACONS.height**2
     expected = q[0] - 5 * q[1] * np.log10(square)
     parts = np.array_split(expected, 1 + expected.size * len(POWERS) // MOST_AT_ONCE)
     return surveyed, places, np.concatenate([_negative_log_likelihood(table[surveyed], part) for part in parts], axis=1)
@@ -66,8 +60,8 @@ def level_table(levels: Levels, keyframe_time: Array, position: Array) -> tuple[
 
 def _grid(track: Array) -> Array:
     """Candidate positions ``(n, 2)`` [m] around a walk."""
-    low, high = track.min(axis=0) - BESIDE, track.max(axis=0) + BESIDE
-    axes = (np.arange(a, b, GRID) for a, b in zip(low, high, strict=True))
+    low, high = track.min(axis=0) - BEACONS.beside, track.max(axis=0) + BEACONS.beside
+    axes = (np.arange(a, b, BEACONS.grid) for a, b in zip(low, high, strict=True))
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
 
 
@@ -76,16 +70,16 @@ def _negative_log_likelihood(levels: Array, expected: Array) -> Array:
 
     levels: ``(m, s)`` of each stretch, NaN where not received; expected: ``(p, s)``.
     """
-    silent = _bounded(-log_ndtr((WEAKEST - expected[:, None] - POWERS[:, None]) / LEVEL_SIGMA))
+    silent = _bounded(-log_ndtr((BEACONS.weakest - expected[:, None] - POWERS[:, None]) / BEACONS.level_sigma))
     least = np.empty((len(levels), len(expected)))
     for m, received in enumerate(np.isfinite(levels)):
         expected_here = np.compress(received, expected, axis=1)[:, None]
-        off = (levels[m, received] - expected_here - POWERS[:, None]) / LEVEL_SIGMA
+        off = (levels[m, received] - expected_here - POWERS[:, None]) / BEACONS.level_sigma
         total = _bounded(0.5 * off**2).sum(axis=2) + np.compress(~received, silent, axis=2).sum(axis=2)
-        least[m] = np.min(total + 0.5 * (POWERS / POWER_SIGMA) ** 2, axis=1)
+        least[m] = np.min(total + 0.5 * (POWERS / BEACONS.power_sigma) ** 2, axis=1)
     return least
 
 
 def _bounded(cost: Array) -> Array:
     """Costs of levels, each at most MOST_EVIDENCE."""
-    return np.minimum(cost, MOST_EVIDENCE)
+    return np.minimum(cost, BEACONS.most_evidence)

@@ -29,15 +29,13 @@ from pdr_graph.estimation.ambiguity.hypothesis import (
 )
 from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.beacon_list import (
-    HEIGHT,
-    LEVEL_SIGMA,
-    POWER_SIGMA,
     placement_costs,
     relocated_beacons,
 )
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.measurements import Levels, take
+from pdr_graph.priors import BEACONS
 from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps
 
 if TYPE_CHECKING:
@@ -159,7 +157,7 @@ class BeaconRssiFactor(Measurement):
         keyframe, m = self.keyframe[which], self.listed.beacon[which]
         pose, beacon, q = at.state.poses[keyframe], at.state["b"][m], at.state["q"][0]
         gap = beacon[:, :2] - pose[:, :2]
-        square = np.sum(gap**2, axis=1) + HEIGHT**2
+        square = np.sum(gap**2, axis=1) + BEACONS.height**2
         ahead = np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=1)
         left = ahead[:, ::-1] * [-1, 1]
         along, aside, distance = np.sum(ahead * gap, axis=1), np.sum(left * gap, axis=1), np.sqrt(square)
@@ -171,12 +169,12 @@ class BeaconRssiFactor(Measurement):
             by_place = (np.sum(v * by_beacon[:, :2], axis=1) for v in (ahead, left))
             by_pose = -np.stack([*by_place, -q[2] * aside / distance], axis=1)
             by_loss = np.stack([np.ones(len(pose)), -5 * np.log10(square), along / distance], axis=1)
-            return [by[:, None] / LEVEL_SIGMA for by in (by_pose, by_beacon, by_loss)]
+            return [by[:, None] / BEACONS.level_sigma for by in (by_pose, by_beacon, by_loss)]
 
         def curvature() -> Array:
             """Of 10 n log₁₀ d, across and along the direction to the beacon, where it adds to the cost."""
-            pull = -10 * q[1] / np.log(10) / LEVEL_SIGMA * value[:, 0]
-            bend = np.maximum(0.0, pull / square), np.maximum(0.0, pull * (2 * HEIGHT**2 / square - 1) / square)
+            pull = -10 * q[1] / np.log(10) / BEACONS.level_sigma * value[:, 0]
+            bend = np.maximum(0.0, pull / square), np.maximum(0.0, pull * (2 * BEACONS.height**2 / square - 1) / square)
             towards = np.stack([along, aside], axis=1) / np.maximum(np.hypot(along, aside), 1e-9)[:, None]
             across = towards[:, ::-1] * [-1, 1]
             parts = [np.sqrt(size)[:, None] * way for size, way in zip(bend, (across, towards), strict=True)]
@@ -185,7 +183,7 @@ class BeaconRssiFactor(Measurement):
             nothing = np.zeros((len(pose), 2, 1))
             return np.concatenate([by_pose, nothing, by_beacon, nothing, *[nothing] * 3], axis=2)
 
-        value = (expected - self.listed.rssi[which])[:, None] / LEVEL_SIGMA
+        value = (expected - self.listed.rssi[which])[:, None] / BEACONS.level_sigma
         variables = [("x", keyframe), ("b", m), ("q", np.zeros(len(which), dtype=np.intp))]
         loss = RobustLoss(np.zeros(len(which), dtype=bool))
         number = self.number[which]
@@ -194,7 +192,7 @@ class BeaconRssiFactor(Measurement):
     def _priors(self, at: Evaluation) -> list[FactorBlock]:
         b, q = at.state["b"], at.state["q"]
         place = np.where(np.isnan(self.position[:, 0]), ANYWHERE, self.listed.sigma)
-        root = 1 / np.stack([place, place, np.full(len(b), POWER_SIGMA)], axis=1)
+        root = 1 / np.stack([place, place, np.full(len(b), BEACONS.power_sigma)], axis=1)
         beacons, single = np.arange(len(b)), np.zeros(1, dtype=np.intp)
         moved = [] if self.origin is None else [self._displacement(at)]
         displacement = at.state["d"][0] * PLANE if moved else np.zeros(3)
@@ -279,7 +277,7 @@ class BeaconRssiFactor(Measurement):
         """Estimated position and mean residual of each beacon received on the walk."""
         [block] = at.blocks_of(self.name)
         reached = self.keyframe >= 0
-        off, of_beacon = np.abs(LEVEL_SIGMA * block.residual), self.listed.beacon[reached]
+        off, of_beacon = np.abs(BEACONS.level_sigma * block.residual), self.listed.beacon[reached]
         place = at.state["b"][:, :2]
         away = np.hypot(*(at.state.poses[self.keyframe[reached], :2] - place[of_beacon]).T)
         received = [(m, of_beacon == m) for m in np.unique(of_beacon).tolist()]

@@ -16,7 +16,6 @@ from pdr_graph.columns import OneLineRepr
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.types import Array, Headings, Index
@@ -115,7 +114,7 @@ class CorridorFactor(Measurement):
         """The corridors of the floors that a walk is on, associated with none of its runs yet."""
         return cls(floor_sequence, np.empty(0, dtype=np.intp), Headings.none())
 
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Match the straight runs of the walk ``at``."""
         rows = list[tuple[int, float, float]]()
         for floor, begin, end in self.floor_sequence.spans:

@@ -16,11 +16,11 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import WRONG_FIX, Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
-from pdr_graph.estimation.factors.likelihood import LEAST_SIGMA, OUTLIER_PRICE
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import distance_walked, pose_rotation
+from pdr_graph.priors import PARTICLES
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -44,7 +44,6 @@ FROZEN = "the receiver held its position while the walk went on: not used"
 DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, below which one may be wrong
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
 SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
-FAR = 4.0  # [σ] of a fix from all particles, from which some of them are moved there
 RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
@@ -368,17 +367,19 @@ class FixCosts:
     def costs(self, state: Array) -> Iterable[Array]:
         """Half the squared distance in sigmas from each fix."""
         for position, sigma in zip(self.position, self.sigma, strict=True):
-            yield np.minimum(_squares(state, position) / (2 * max(sigma, LEAST_SIGMA) ** 2), OUTLIER_PRICE)
+            yield np.minimum(
+                _squares(state, position) / (2 * max(sigma, PARTICLES.least_sigma) ** 2), PARTICLES.outlier_price
+            )
 
     def place_sought(self, state: Array) -> tuple[Array, float] | None:
-        """The fix farthest from all states if beyond FAR: an outlier, or all states are wrong."""
+        """The fix farthest from all states if beyond PARTICLES.far: an outlier, or all states are wrong."""
         fixes = np.flatnonzero(~self.outlier)
         distance = [np.sqrt(_squares(state, self.position[f]).min()) for f in fixes]
         apart = np.divide(distance, self.sigma[fixes])
-        if np.max(apart, initial=0.0) <= FAR:
+        if np.max(apart, initial=0.0) <= PARTICLES.far:
             return None
         farthest = int(fixes[np.argmax(apart)])
-        return self.position[farthest], max(self.sigma[farthest], LEAST_SIGMA)
+        return self.position[farthest], max(self.sigma[farthest], PARTICLES.least_sigma)
 
 
 def _squares(state: Array, place: Array) -> Array:

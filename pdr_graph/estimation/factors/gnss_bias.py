@@ -27,9 +27,10 @@ from pdr_graph.estimation.ambiguity.hypothesis import LARGER, WORSE, Hypothesis,
 from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
-from pdr_graph.estimation.factors.receivers import ALONG, alike, by_source, drift
+from pdr_graph.estimation.factors.receivers import alike, by_source, drift
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
+from pdr_graph.priors import RECEIVERS
 from pdr_graph.types import Array, Complex, Index, Steps
 
 if TYPE_CHECKING:
@@ -294,7 +295,7 @@ def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index,
     grid = np.unique([before, before + 1]).astype(np.intp)
     at = (NODE * grid).astype(np.float64)
     node = np.searchsorted(grid, before)
-    beyond = np.maximum(at - steps.end, 0.0) * AMBLE / ALONG
+    beyond = np.maximum(at - steps.end, 0.0) * AMBLE / RECEIVERS.along
     kept = np.exp(-np.diff(drift(steps, at) + beyond, prepend=0.0))
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)

@@ -18,11 +18,11 @@ from pdr_graph.estimation.ambiguity.hypothesis import (
     wording_of,
 )
 from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Measurement
-from pdr_graph.estimation.factors.likelihood import OUTLIER_PRICE
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.measurements import take
+from pdr_graph.priors import PARTICLES
 from pdr_graph.types import Array, Headings, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class HeadingCosts:
         """Half the squared difference in sigmas from each heading."""
         for heading, sigma in zip(self.heading, self.sigma, strict=True):
             apart = wrap_angle(heading - state[2]) / sigma
-            yield np.minimum(0.5 * apart**2, OUTLIER_PRICE)
+            yield np.minimum(0.5 * apart**2, PARTICLES.outlier_price)
 
     def place_sought(self, state: Array) -> None:
         """Headings determine no place."""

@@ -10,16 +10,16 @@ from pdr_graph.estimation.factors.base import AnyArray
 from pdr_graph.estimation.factors.beacon_rssi import STRETCH, levels_along, mean_levels
 from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.measurements import Levels
+from pdr_graph.priors import BEACONS
 from pdr_graph.types import Array, Beacons, Index, Sightings, Steps, minor_number
 
-LONGEST = 6.0  # [s] that a stretch may take
 MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second
 
 
 class LevelCollector:
     """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
 
-    A stretch ends after STRETCH metres, or after LONGEST seconds.
+    A stretch ends after STRETCH metres, or after BEACONS.longest_stretch seconds.
     """
 
     def __init__(self, beacons: Beacons):
@@ -57,7 +57,7 @@ class LevelCollector:
         if not len(time) or time.min() > until:
             return
         stretch, now = walked(time) // STRETCH, float(walked(np.array([until]))[0] // STRETCH)
-        complete = (time <= until) & ((stretch < now) | (time < until - LONGEST))
+        complete = (time <= until) & ((stretch < now) | (time < until - BEACONS.longest_stretch))
         if complete.any():
             time, beacon, rssi = self._waiting[complete].T
             for m in beacon.astype(int).tolist():

@@ -19,17 +19,18 @@ from pdr_graph.estimation.factors.chain import Chain, Evaluation
 from pdr_graph.estimation.factors.preintegration import Increments
 from pdr_graph.estimation.factors.protocols import Structural
 from pdr_graph.measurements import take
+from pdr_graph.priors import PARTICLES
 from pdr_graph.types import Array, Index
-
-LEAST_SIGMA = 1.0  # [m] of a position: particles are no denser
-OUTLIER_PRICE = 8.0  # largest log-odds of an outlier
 
 
 class PoseCosts(Protocol):
     """Measurements of one kind at a keyframe."""
 
     def costs(self, state: Array) -> Iterable[Array]:
-        """Negative log-likelihoods ``(n,)`` of states ``(6, n)`` x, y, θ, R_s, R_d, b, each OUTLIER_PRICE at most."""
+        """Negative log-likelihoods ``(n,)`` of states ``(6, n)`` x, y, θ, R_s, R_d, b.
+
+        Each is PARTICLES.outlier_price at most.
+        """
         ...
 
     def place_sought(self, state: Array) -> tuple[Array, float] | None:
@@ -116,7 +117,7 @@ class Residuals:
             poses = [rows for symbol, rows in block.variables if symbol == POSE]
             if len(poses) == 1 and not block.prior:
                 deviation = block.deviation / _widening(block, priors)
-                cost = np.minimum(block.loss.cost(deviation), OUTLIER_PRICE)
+                cost = np.minimum(block.loss.cost(deviation), PARTICLES.outlier_price)
                 yield np.asarray(np.bincount(poses[0], cost, n), dtype=np.float64)
 
     def place_sought(self, state: Array) -> None:
@@ -138,7 +139,7 @@ def _prior_variances(at: Evaluation) -> dict[str, Array]:
 
 
 def _widening(block: FactorBlock, priors: dict[str, Array]) -> Array:
-    """Factors ``(n,)`` by which sigmas are wider, by the errors of other variables and by LEAST_SIGMA."""
+    """Factors ``(n,)`` by which sigmas are wider, by the errors of other variables and by PARTICLES.least_sigma."""
     variance, slope = np.ones(len(block.residual)), np.zeros(len(block.residual))
     for (symbol, rows), by in zip(block.variables, block.jacobian(), strict=True):
         if symbol == POSE:
@@ -146,5 +147,5 @@ def _widening(block: FactorBlock, priors: dict[str, Array]) -> Array:
         elif symbol in priors and symbol != CALIBRATION:
             variance += np.einsum("mi,mi->m", by**2, priors[symbol][rows[block.row_of]])
     widest = np.zeros(len(block))
-    np.maximum.at(widest, block.row_of, np.maximum(variance, LEAST_SIGMA**2 * slope))
+    np.maximum.at(widest, block.row_of, np.maximum(variance, PARTICLES.least_sigma**2 * slope))
     return np.sqrt(np.maximum(widest, 1.0))

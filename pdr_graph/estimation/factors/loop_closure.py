@@ -16,12 +16,12 @@ from pdr_graph.estimation.factors.losses import GAUSSIAN, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.measurements import Closures
+from pdr_graph.priors import LOSSES
 from pdr_graph.types import Array, Index, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-CLOSURE_WIDTH = 4.0  # [σ] of Geman and McClure's loss, at most 8: one in ten may be wrong by metres
 FIRM, DOUBTED, UNBOUND = "firm", "doubted", "unbound"  # without robust loss, with it, without factors
 
 
@@ -75,7 +75,7 @@ class LoopClosureFactor(Measurement):
             R_i, R_j = (pose_rotation(pose[:, 2])[:, :2] / sigma[:, None, None] for pose in (i, j))
             return [-R_i, R_j]
 
-        loss = GAUSSIAN if self.hold == FIRM else RobustLoss(np.ones(len(which), dtype=bool), CLOSURE_WIDTH)
+        loss = GAUSSIAN if self.hold == FIRM else RobustLoss(np.ones(len(which), dtype=bool), LOSSES.closure)
         value = (j - i)[:, :2] / sigma[:, None]
         variables = [("x", keyframe[:, 0]), ("x", keyframe[:, 1])]
         return [FactorBlock.uniform(self.name, value, variables, jacobian, self.number[which], loss=loss)]

@@ -7,28 +7,27 @@ used only for outliers from a first optimum.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pdr_graph.priors import LOSSES
 from pdr_graph.types import Array, Mask
 
 if TYPE_CHECKING:
     import gtsam
 
-HUBER_WIDTH = 2.45  # [σ] 95 % of inliers in the plane lie within (χ² of 2 degrees: 5.99), at full weight
-GEMAN_MCCLURE_WIDTH = 2.45  # [σ] where an outlier has a quarter of its weight; far off it has next to none
 
-
-def huber_weight(deviation: Array, width: float = HUBER_WIDTH) -> Array:
+def huber_weight(deviation: Array, width: float | None = None) -> Array:
     """Huber's weight ``(n,)`` at deviations ``(n,)`` [σ]: full up to ``width``."""
-    return np.minimum(1.0, width / np.maximum(np.abs(deviation), 1e-9))
+    return np.minimum(1.0, (width or LOSSES.huber) / np.maximum(np.abs(deviation), 1e-9))
 
 
-def geman_mcclure_weight(deviation: Array, width: float = GEMAN_MCCLURE_WIDTH) -> Array:
+def geman_mcclure_weight(deviation: Array, width: float | None = None) -> Array:
     """Geman and McClure's weight ``(n,)`` at deviations ``(n,)`` [σ]: it tends to 0 far off."""
-    return (width**2 / (width**2 + deviation**2)) ** 2
+    square = (width or LOSSES.geman_mcclure) ** 2
+    return (square / (square + deviation**2)) ** 2
 
 
 def dead_zone_weight(deviation: Array, flat: float) -> Array:
@@ -67,7 +66,7 @@ class RobustLoss(Loss):
     """
 
     outlier: Mask
-    width: float = GEMAN_MCCLURE_WIDTH
+    width: float = field(default_factory=lambda: LOSSES.geman_mcclure)
     flat: float = 0.0
 
     def weight(self, deviation: Array) -> Array:
@@ -81,7 +80,7 @@ class RobustLoss(Loss):
         if self.flat:
             inlier = 0.5 * np.maximum(0.0, far - self.flat) ** 2
         else:
-            inlier = np.where(far > HUBER_WIDTH, HUBER_WIDTH * (far - HUBER_WIDTH / 2), square / 2)
+            inlier = np.where(far > LOSSES.huber, LOSSES.huber * (far - LOSSES.huber / 2), square / 2)
         return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
 
     def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
@@ -91,5 +90,5 @@ class RobustLoss(Loss):
         robust, estimator = gtsam.noiseModel.Robust, gtsam.noiseModel.mEstimator
         if self.outlier[n]:
             return robust.Create(estimator.GemanMcClure.Create(self.width), noise)
-        loss = estimator.L2WithDeadZone.Create(self.flat) if self.flat else estimator.Huber.Create(HUBER_WIDTH)
+        loss = estimator.L2WithDeadZone.Create(self.flat) if self.flat else estimator.Huber.Create(LOSSES.huber)
         return robust.Create(loss, noise)

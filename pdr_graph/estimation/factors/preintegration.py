@@ -20,14 +20,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Index, Steps
 
 DECIMALS = 6  # of time [s]: see INSTANT
 MOST_AT_ONCE = 10_000  # pieces whose sums fit into a processor's cache
-PIECES_PER_KEYFRAME = 10  # reproduces the per-step optimum
-SIGMA_LATERAL = 0.25  # [m] of one step to the side: walkers weave about the phone's heading
 SIGMA_STILL = 0.002  # [m] of any piece; keeps covariances invertible where nobody moved
-SIGMA_STANDING_TURN = 0.02  # [rad] change between walking direction and phone during a pause
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ class Pieces:
 def cut(steps: Steps, at: Array) -> Pieces:
     """Cut a walk into pieces, with a keyframe at the start, the end and each of the times ``at`` [s] within.
 
-    Between these, a keyframe follows at least every ``PIECES_PER_KEYFRAME`` pieces.
+    Between these, a keyframe follows at least every ``MOTION.steps_per_keyframe`` pieces.
     """
     start, whole = round(steps.start, DECIMALS), whole_pieces(steps)
     required = np.round(np.clip(np.append(at, steps.end), start, steps.end), DECIMALS)
@@ -178,10 +176,10 @@ def whole_pieces(steps: Steps) -> Array:
     pauses, moves = rows[0:-1:2], rows[1::2]
     pauses[:, 0], pauses[:, 2] = steps.time - steps.duration, steps.pause_turn
     moves[:, :3] = np.stack([steps.time, steps.length, steps.turn - steps.pause_turn], axis=1)
-    sigma_lateral = np.where(~steps.is_gap, SIGMA_LATERAL, steps.sigma_length)  # the direction of a gap is unknown
+    sigma_lateral = np.where(~steps.is_gap, MOTION.lateral, steps.sigma_length)  # the direction of a gap is unknown
     moves[:, 3:] = np.stack([steps.sigma_length, sigma_lateral, steps.sigma_turn], axis=1) ** 2
     rows[-1, :3] = steps.end, 0.0, steps.final_turn
-    rows[0::2, 5] = SIGMA_STANDING_TURN**2
+    rows[0::2, 5] = MOTION.standing_turn**2
     rows[:, 0] = np.round(rows[:, 0], DECIMALS)
     return rows[np.diff(rows[:, 0], prepend=round(steps.start, DECIMALS)) > 0]
 
@@ -193,7 +191,7 @@ def _intervals(gap: Index) -> tuple[Index, Index]:
     """
     size = np.bincount(gap)
     starts = np.concatenate([[0], np.cumsum(size)[:-1]])
-    parts = -(-size // PIECES_PER_KEYFRAME)
+    parts = -(-size // MOTION.steps_per_keyframe)
     offset = np.concatenate([[0], np.cumsum(parts)[:-1]])
     within = np.arange(len(gap)) - starts[gap]
     interval = offset[gap] + within * parts[gap] // size[gap]

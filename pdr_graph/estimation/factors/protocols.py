@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.types import Array, Fixes, FixReport, Headings, Index, Mask
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ class OnPlan(Structural):
     """A kind whose instances belong to rooms or corridors of the floor plan."""
 
     @abstractmethod
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Associate instances with rooms or corridors along the walk ``at``.
 
         stray: sigma of that walk, everywhere or at the end of each piece ``(m,)`` [m]; alike: number of pieces in a row

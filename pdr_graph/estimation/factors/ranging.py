@@ -4,10 +4,11 @@ A range is the distance to an anchor plus the anchor's bias, noise, and sometime
 signal takes a longer path, so these errors are positive. The noise is a mixture (Jourdan, Dardari, Win, "Position error
 bound for UWB localization in dense cluttered environments", IEEE T-AES 44(2), 2008, Sec. III),
 
-    z = d + b + ε,      p(ε) = (1 − NLOS) N(ε; 0, σ) + NLOS · exp(1 − √(1 + (ε / DETOUR)²)) / (MASS DETOUR)
+    z = d + b + ε,      p(ε) = (1 − ν) N(ε; 0, σ) + ν · exp(1 − √(1 + (ε / D)²)) / (MASS D)
 
-whose negative logarithm is the loss: a range too long by many sigmas has almost no weight, one too short has Huber's.
-Their detours are exponential; ours are so far off, and level at 0, so that the expected range is the most probable.
+with ν = RANGES.nlos and D = RANGES.detour. Its negative logarithm is the loss: a range too long by many sigmas has
+almost no weight, one too short has Huber's. Their detours are exponential; ours are so far off, and level at 0, so that
+the expected range is the most probable.
 Position and bias of each anchor are variables (x, y, b) with the survey as prior, so that a walk can correct them.
 """
 
@@ -21,22 +22,17 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.losses import HUBER_WIDTH, Loss, RobustLoss, huber_weight
+from pdr_graph.estimation.factors.losses import Loss, RobustLoss, huber_weight
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
 from pdr_graph.measurements import RangeReport, Ranges, take
+from pdr_graph.priors import LOSSES, RANGES, REPORTS
 from pdr_graph.types import Array, Fixes, Index, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-NLOS = 0.2  # prior share of ranges without line of sight
-DETOUR = 3.0  # [m] mean length of a detour
 MASS = 1.636  # integral of exp(1 − √(1 + x²)) from 0 on
-BIAS_SIGMA = 0.15  # [m] of an anchor's bias: antenna delays, calibrated or not
-NEAR = 0.1  # [m] softens the distance at the anchor itself, where it has no gradient
-BIN, FEWEST = 5.0, 3  # [s] of ranges, and least number of anchors in it, for a rough position
-DETOUR_WEIGHT = 0.5  # weight below which a range is reported as one without line of sight
 
 
 @dataclass(frozen=True)
@@ -60,14 +56,14 @@ class LongErrors(Loss):
         sight, detour, _ = self._log_likelihoods(deviation)
         sight_at_zero, detour_at_zero, _ = self._log_likelihoods(np.zeros(len(deviation)))
         long = np.logaddexp(sight_at_zero, detour_at_zero) - np.logaddexp(sight, detour)
-        short = np.where(deviation > HUBER_WIDTH, HUBER_WIDTH * (deviation - HUBER_WIDTH / 2), deviation**2 / 2)
+        short = np.where(deviation > LOSSES.huber, LOSSES.huber * (deviation - LOSSES.huber / 2), deviation**2 / 2)
         return np.where(deviation > 0, short, long)
 
     def _log_likelihoods(self, deviation: Array) -> tuple[Array, Array, Array]:
         """Log-likelihoods of deviations ``(n,)`` [σ] with line of sight and with a detour, and √(1 + (s / scale)²)."""
         stretch = np.sqrt(1 + (deviation / self.scale) ** 2)
-        detour = np.log(NLOS * np.sqrt(2 * np.pi) / (MASS * self.scale)) + 1 - stretch
-        return np.log(1 - NLOS) - 0.5 * deviation**2, detour, stretch
+        detour = np.log(RANGES.nlos * np.sqrt(2 * np.pi) / (MASS * self.scale)) + 1 - stretch
+        return np.log(1 - RANGES.nlos) - 0.5 * deviation**2, detour, stretch
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +108,7 @@ class RangeFactor(Measurement):
         keyframe, m = self.keyframe[which], np.searchsorted(self._met, self.ranges.anchor[which])
         pose, anchor, sigma = at.state.poses[keyframe], at.state[self.symbol][m], self.ranges.sigma[which]
         gap = anchor[:, :2] - pose[:, :2]
-        distance = np.sqrt(np.sum(gap**2, axis=1) + NEAR**2)
+        distance = np.sqrt(np.sum(gap**2, axis=1) + RANGES.near**2)
         value = (distance + anchor[:, 2] - self.ranges.range[which]) / sigma
 
         def jacobian() -> list[Array]:
@@ -122,14 +118,14 @@ class RangeFactor(Measurement):
             by_anchor = np.column_stack([towards, np.ones(len(pose))]) / sigma[:, None]
             return [by_pose[:, None], by_anchor[:, None]]
 
-        loss = LongErrors(DETOUR / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
+        loss = LongErrors(RANGES.detour / sigma) if self.detours else RobustLoss(np.zeros(len(which), dtype=bool))
         variables = [("x", keyframe), (self.symbol, m)]
         ranges = FactorBlock.uniform(self.name, value[:, None], variables, jacobian, self.number[which], loss=loss)
         return [ranges, self._anchors(at)]
 
     def _anchors(self, at: Evaluation) -> FactorBlock:
         every, place = np.arange(len(self._met)), self.ranges.position_sigma[self._met]
-        root = 1 / np.stack([place, place, np.full(len(every), BIAS_SIGMA)], axis=1)
+        root = 1 / np.stack([place, place, np.full(len(every), RANGES.bias)], axis=1)
         return FactorBlock.uniform(
             f"{self.name}.anchor",
             (at.state[self.symbol] - self._surveyed) * root,
@@ -162,14 +158,16 @@ class RangeFactor(Measurement):
         return replace(self, detours=True)
 
     def rough_fixes(self) -> Fixes:
-        """A rough position per BIN seconds: trilaterated with FEWEST anchors or more, else at the nearest anchor."""
-        bins, rough = np.floor(self.ranges.time / BIN), list[tuple[float, float, float, float]]()
+        """A rough position per RANGES.bin seconds: trilaterated with RANGES.fewest anchors or more, else at the
+        nearest anchor.
+        """
+        bins, rough = np.floor(self.ranges.time / RANGES.bin), list[tuple[float, float, float, float]]()
         for bin_number in np.unique(bins):
             ranges = take(self.ranges, np.flatnonzero(bins == bin_number))
             nearest = int(np.argmin(ranges.range))
-            (x, y), sigma = ranges.position[ranges.anchor[nearest]], float(ranges.range[nearest]) + BIN
-            if len(np.unique(ranges.anchor)) >= FEWEST:
-                (x, y), sigma = _trilaterated(ranges), BIN
+            (x, y), sigma = ranges.position[ranges.anchor[nearest]], float(ranges.range[nearest]) + RANGES.bin
+            if len(np.unique(ranges.anchor)) >= RANGES.fewest:
+                (x, y), sigma = _trilaterated(ranges), RANGES.bin
             rough.append((float(ranges.time.mean()), float(x), float(y), sigma))
         time, x, y, sigma = np.array(rough).reshape(-1, 4).T
         return Fixes(time, np.column_stack([x, y]), sigma)
@@ -191,7 +189,7 @@ class RangeFactor(Measurement):
             if number in place:
                 residual, weight = float(block.residual[place[number]]) * sigma, float(block.weight[place[number]])
                 long = "longer" if residual < 0 else "shorter"
-                detour = ": no line of sight" if weight < DETOUR_WEIGHT and residual < 0 else ""
+                detour = ": no line of sight" if weight < REPORTS.detour and residual < 0 else ""
                 reason = f"{abs(residual):.2f} m {long} than from the walk{detour}"
             reports.append(
                 RangeReport(

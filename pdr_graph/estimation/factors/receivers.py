@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_graph.geometry import as_complex, dead_reckon, distance_walked, interpolate
+from pdr_graph.priors import RECEIVERS
 from pdr_graph.types import Array, Fixes, Index, Mask, Steps
-
-STANDING, ALONG = 120.0, 30.0  # correlation time [s] and distance walked [m] of a receiver's errors
-STILL, AWAY = 1.0, 10.0  # [m] within which a frozen receiver stays, from where the steps lead so far away
 
 
 def duplicates(fixes: Fixes) -> Mask:
@@ -34,9 +32,9 @@ def frozen(fixes: Fixes, steps: Steps) -> Mask:
         walked = as_complex(interpolate(fixes.time[indices], track.time, track.position))
         first = 0
         for n in range(1, len(indices) + 1):
-            if n < len(indices) and abs(place[n] - place[first]) < STILL:
+            if n < len(indices) and abs(place[n] - place[first]) < RECEIVERS.still:
                 continue
-            if n > first + 1 and np.abs(walked[first:n] - walked[first]).max() > AWAY:
+            if n > first + 1 and np.abs(walked[first:n] - walked[first]).max() > RECEIVERS.away:
                 result[indices[first + 1 : n]] = True
             first = n
     return result
@@ -61,7 +59,7 @@ def drift(steps: Steps, time: Array) -> Array:
 
     Signal paths change with the place, and little where nobody moves.
     """
-    return time / STANDING + distance_walked(steps, time) / ALONG
+    return time / RECEIVERS.standing + distance_walked(steps, time) / RECEIVERS.along
 
 
 def alike(drifted: Array) -> tuple[Index, Index]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement
 from pdr_graph.geometry import ANY_HEADING, pose_rotation, rotation, wrap_angle
+from pdr_graph.priors import WALKER, WALLS
 from pdr_graph.types import Array
 
 if TYPE_CHECKING:
@@ -36,12 +37,12 @@ class Prior:
         a radius; the common error of one source is then not modelled.
     """
 
-    mean: tuple[float, float, float] = (1.0, 1.0, 0.0)
-    sigma: tuple[float, float, float] = (0.15, 0.03, 0.003)
-    change: tuple[float, float, float] = (0.03, 0.005, 0.0005)
+    mean: tuple[float, float, float] = field(default_factory=lambda: WALKER.mean)
+    sigma: tuple[float, float, float] = field(default_factory=lambda: WALKER.sigma)
+    change: tuple[float, float, float] = field(default_factory=lambda: WALKER.change)
     correlation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    wall_margin: float = 0.8
-    wall_sigma: float = 1.0
+    wall_margin: float = field(default_factory=lambda: WALLS.margin)
+    wall_sigma: float = field(default_factory=lambda: WALLS.sigma)
     corridors: tuple[Literal["directions", "turns"], ...] = ()
     fix_flat: float = 0.0
 

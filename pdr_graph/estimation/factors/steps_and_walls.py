@@ -11,18 +11,17 @@ import numpy as np
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.floor.building import FloorSequence
-from pdr_graph.floor.cells import NOWHERE, STRAY
+from pdr_graph.floor.cells import NOWHERE
 from pdr_graph.floor.distance_field import DistanceField
+from pdr_graph.priors import WALLS
 from pdr_graph.types import Array, Index
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-BODY, BODY_SIGMA = 0.15, 0.1  # [m] half the width of a body; sigma of that limit, as share of the margin's
 C_TOLERANCE = np.array([0.01, 0.01, 0.002])
 OF_STEPS = {"x": np.array([0.5, 0.5, 0.02]), "c": C_TOLERANCE}  # nearly linear in translations
 OF_WALLS = {"x": np.array([0.15, 0.15, 0.02]), "c": C_TOLERANCE}
-LOOSE = 3.0  # scale of the walls' sigma in a rough search: tight walls keep a walk that starts 3° off in a wrong aisle
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ class WallFactor(Measurement):
     name: ClassVar[str] = "walls"
     on_plan: ClassVar[bool] = True
 
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Associate each piece with the walls of its region along the walk ``at``; stray, alike: see `OnPlan`."""
         if self.floor_sequence is None:
             return self
@@ -79,7 +78,7 @@ class WallFactor(Measurement):
 
     def staged(self, stage: Stage) -> Self:
         """Wider sigma in a rough search."""
-        return replace(self, sigma=LOOSE * self.sigma) if stage is Stage.ROUGH else self
+        return replace(self, sigma=WALLS.loose * self.sigma) if stage is Stage.ROUGH else self
 
     def same_association(self, other: Measurement) -> bool:
         """True if all pieces are in the same regions."""
@@ -97,7 +96,7 @@ class WallFactor(Measurement):
     def residual(self, at: Evaluation) -> tuple[Array, Array]:
         """A spring that keeps steps clear of walls, and a stiff one that keeps bodies out of them, whitened:
 
-            r = max(0, margin − d(p)) / σ + max(0, BODY − d(p)) / σ_body
+            r = max(0, margin − d(p)) / σ + max(0, WALLS.body − d(p)) / σ_body
 
         d is the signed distance to the walls of the piece's own region, negative behind the thinnest wall. A piece in
         which nobody moved adds no evidence. [map-matching] Sec. 3.5 forbids steps through walls; as a hinge on a
@@ -108,7 +107,7 @@ class WallFactor(Measurement):
         distance, gradient = self.distance(at.ends[:, :2])
         moved = at.pieces.length > 0
         r, steepness = np.zeros(len(distance)), np.zeros(len(distance))
-        for keep, sigma in ((self.margin, self.sigma), (BODY, BODY_SIGMA * self.sigma)):
+        for keep, sigma in ((self.margin, self.sigma), (WALLS.body, WALLS.body_sigma * self.sigma)):
             near = moved & (distance < keep)
             r += np.where(near, keep - distance, 0.0) / sigma
             steepness += near / sigma

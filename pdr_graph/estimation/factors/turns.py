@@ -18,7 +18,6 @@ import shapely
 from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Measurement
 from pdr_graph.estimation.factors.corridor import Track, stretches_along
 from pdr_graph.floor.building import FloorSequence
-from pdr_graph.floor.cells import STRAY
 from pdr_graph.floor.network import Network
 from pdr_graph.geometry import length_along, turn_between, wrap_angle
 from pdr_graph.types import Array, Index
@@ -83,7 +82,7 @@ class TurnFactor(Measurement):
     def __len__(self) -> int:
         return len(self.piece)
 
-    def associated(self, at: Evaluation, stray: Array | float = STRAY, alike: float = 1.0) -> Self:
+    def associated(self, at: Evaluation, stray: Array | float | None = None, alike: float = 1.0) -> Self:
         """Match the turns of the walk ``at``."""
         rows = list[tuple[int, int, float, float, int, Array, Array]]()
         for floor, begin, end in self.floor_sequence.spans:

@@ -12,14 +12,14 @@ from pdr_graph.estimation.ambiguity.path_modes import corrected_solutions
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.protocols import decisions_of
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.initialization import AMBIGUOUS, sigma_direction
-from pdr_graph.estimation.kalman import HOPELESS, GaussianMixture
+from pdr_graph.estimation.initialization import sigma_direction
+from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.estimation.live.measurement_log import Decisions, numbered
 from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.prediction import Position, in_output_axes
 from pdr_graph.estimation.optimizer import Optimum
-from pdr_graph.estimation.results import SURE
 from pdr_graph.geometry import horizontal_sigma
+from pdr_graph.priors import INITIAL, KALMAN, REPORTS
 from pdr_graph.types import Array, Index
 
 LEAST_DURATION = 25.0  # [s] on a plan, unless fixes determine the direction: shorter walks fit several aisles
@@ -84,9 +84,9 @@ class BatchQuestion:
         probability = probabilities(optima, path)
         modes = modes_at_end(optima, probability)
         variance = modes.covariance[:, 2, 2]
-        certain = float(probability[path == 0].sum()) > SURE
+        certain = float(probability[path == 0].sum()) > REPORTS.sure
         long = graph.steps.end - graph.steps.start > LEAST_DURATION
-        determined = not walled or sigma_direction(graph.chain, graph.positions) < AMBIGUOUS or long
+        determined = not walled or sigma_direction(graph.chain, graph.positions) < INITIAL.ambiguous or long
         narrow = variance[0] < (MOST_SIGMA_ON_PLAN if walled else MOST_SIGMA) ** 2
         return BatchSolution(
             time=np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1]),
@@ -96,7 +96,7 @@ class BatchQuestion:
             decisions={} if best.graph.positions.approximate else self._decisions(best.graph),
             sure=bool(certain and determined and narrow),
             modes=modes,
-            directed=bool((variance < AMBIGUOUS**2).all()),
+            directed=bool((variance < INITIAL.ambiguous**2).all()),
             headings=self.numbers.get("headings", np.empty(0, dtype=np.intp)),
         )
 
@@ -121,4 +121,4 @@ def modes_at_end(optima: list[Optimum], probability: Array) -> GaussianMixture:
         covariance.append(in_output_axes(joint, float(state.poses[-1, 2])))
     share = probability / probability.max()
     mixture = GaussianMixture(np.array(mean), np.array(covariance), np.log(probability), np.arange(len(mean)))
-    return mixture.take(np.flatnonzero(share > HOPELESS))
+    return mixture.take(np.flatnonzero(share > KALMAN.hopeless))

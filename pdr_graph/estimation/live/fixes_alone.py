@@ -8,10 +8,8 @@ import numpy as np
 
 from pdr_graph.estimation.kalman import OF_POSITION, measured
 from pdr_graph.estimation.live.prediction import single_mode
+from pdr_graph.priors import FIXES_ALONE
 from pdr_graph.types import Array, Fixes
-
-WANDER = 1.0  # [m/√s] growth of the sigma of someone whose steps are unknown: 8 m in a minute; chosen by hand
-GIVEN_UP = 3  # fixes beyond the gate in a row, after which the position restarts
 
 
 @dataclass(frozen=True)
@@ -33,11 +31,11 @@ class FixesAlone:
 
     def at(self, time: float) -> Array:
         """Covariance ``(2, 2)`` at a time [s]."""
-        return self.covariance + WANDER**2 * max(time - self.time, 0.0) * np.eye(2)
+        return self.covariance + FIXES_ALONE.wander**2 * max(time - self.time, 0.0) * np.eye(2)
 
     def after(self, time: float, position: Array, sigma: float) -> FixesAlone:
         """The state after another fix; one beyond the gate is not used, but for the third in a row."""
-        if self.beyond + 1 >= GIVEN_UP:
+        if self.beyond + 1 >= FIXES_ALONE.given_up:
             return FixesAlone.begin(time, position, sigma)
         covariance = np.zeros((6, 6))
         covariance[:2, :2] = self.at(time)

@@ -36,10 +36,10 @@ from pdr_graph.estimation.live.modes import ModesCheckpoint
 from pdr_graph.estimation.live.particles import AlternativePath, ParallelParticleFilter
 from pdr_graph.estimation.live.path_trial import Trial, TrialQuestion, move_to
 from pdr_graph.estimation.live.prediction import beyond_gate, predict
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval
 from pdr_graph.estimation.live.window import ALL
 from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measurements_at
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask
 
 DOUBTED, DOUBTED_BEHIND_WALL = 3.0, 1.0  # [σ] of a fix from the walk, beyond which the batch is asked; chosen by hand

@@ -14,15 +14,10 @@ import numpy as np
 from pdr_graph import storage
 from pdr_graph.estimation.floors import FloorHeights, Floors, floors_along
 from pdr_graph.gait.stair_steps import goings_of
-from pdr_graph.inertial.barometer import CLIMB, Climbs
+from pdr_graph.inertial.barometer import Climbs
+from pdr_graph.priors import CLIMB, LIVE_FLOORS
 from pdr_graph.types import Array, Fixes, Signal, Steps
 
-UPDATE_INTERVAL = 3.0  # [s] between estimates
-AHEAD = 2 * UPDATE_INTERVAL  # [s] for which a climb is assumed to go on: the next estimate may be late
-LONGEST, SHORTEST, MOST_CLIMBS = 200.0, 60.0, 3  # window: longest [s], length after a cut [s], most climbs
-TOO_LONG = 1.5  # multiple of the longest window at which it is cut even within a climb
-REMEMBERED = 90.0  # [s] of labels stored from before the window
-SILENT = 20.0  # [s] without barometer samples after which fixes are used alone
 LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] range of plausible pressures
 APART = 120.0  # [s] between a sample and the steps at which its time stamp is wrong
 MOST_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
@@ -55,8 +50,8 @@ class FloorsCheckpoint:
 class LiveFloors:
     """The floors of a walk under way. building: see `floors_of`; start: label of the first floor, or "".
 
-    goings: ``(k, 3)`` of the stairs in the window, see `goings_of`; a climb that may go on ends AHEAD after its last
-    sample.
+    goings: ``(k, 3)`` of the stairs in the window, see `goings_of`; a climb that may go on ends 2 *
+    LIVE_FLOORS.interval after its last sample.
     """
 
     def __init__(self, building: FloorHeights | None = None, start: str = ""):
@@ -80,7 +75,7 @@ class LiveFloors:
         if np.isfinite(self.end):
             rows = rows[np.abs(rows[:, 0] - self.end) < APART]
         else:
-            self.pressure = self.pressure[-round(LONGEST / CLIMB.grid) :]
+            self.pressure = self.pressure[-round(LIVE_FLOORS.longest / CLIMB.grid) :]
         for sample in rows:
             self._sample(sample)
 
@@ -100,21 +95,23 @@ class LiveFloors:
         self.end = steps.end
 
     def advance(self, tail: Steps | None = None) -> bool:
-        """Estimate floors and stairs again after UPDATE_INTERVAL; False if not due. tail: provisional steps."""
+        """Estimate floors and stairs again after LIVE_FLOORS.interval; False if not due. tail: provisional steps."""
         now = self.end if tail is None else tail.end
-        if not (now > self.begin and abs(now - self.looked) >= UPDATE_INTERVAL):
+        if not (now > self.begin and abs(now - self.looked) >= LIVE_FLOORS.interval):
             return False
         measured = self._is_measured(now)
         named = self.building is None or bool(self.start) or len(self.fix_label) > 0
         if named and (measured or self.heard) and now > self.begin:
             self._estimate(now, tail, measured)
-        elif now - self.begin > LONGEST:
-            self._cut(now - SHORTEST)
+        elif now - self.begin > LIVE_FLOORS.longest:
+            self._cut(now - LIVE_FLOORS.shortest)
         self.looked = now
         return True
 
     def labels(self, time: Array) -> tuple[str, ...]:
-        """Labels of the present estimate at times ``(n,)`` [s] within REMEMBERED of the window; "" where unknown."""
+        """Labels of the present estimate at times ``(n,)`` [s] within LIVE_FLOORS.remembered of the window; "" where
+        unknown.
+        """
         if not len(self.row_time):
             return (self.label,) * len(time)
         row = np.minimum(np.searchsorted(self.row_time, np.asarray(time) - 1e-6), len(self.row_time) - 1)
@@ -135,7 +132,7 @@ class LiveFloors:
         """True if the barometer covers the window; cuts the window where the barometer stops or starts."""
         if not len(self.pressure):
             return False
-        if now - self.pressure[-1, 0] > SILENT:
+        if now - self.pressure[-1, 0] > LIVE_FLOORS.silent:
             self._cut(self.end)
             self.pressure, self.open, self.climbing, self.goings = (
                 self.pressure[:0],
@@ -145,9 +142,9 @@ class LiveFloors:
             )
             return False
         first = float(self.pressure[0, 0])
-        if self.begin + SILENT < first <= self.end:
+        if self.begin + LIVE_FLOORS.silent < first <= self.end:
             self._cut(first)
-        return first <= self.begin + SILENT
+        return first <= self.begin + LIVE_FLOORS.silent
 
     def _sample(self, sample: Array) -> None:
         """Append one sample; complete cells become means."""
@@ -156,7 +153,7 @@ class LiveFloors:
             return  # repeated sample, or clock reset
         if len(self.open) and sample[0] // CLIMB.grid > self.open[0, 0] // CLIMB.grid:
             self.pressure = np.concatenate([self.pressure, self.open.mean(axis=0)[None]])
-            self.pressure = self.pressure[-round(TOO_LONG * LONGEST / CLIMB.grid) :]
+            self.pressure = self.pressure[-round(LIVE_FLOORS.too_long * LIVE_FLOORS.longest / CLIMB.grid) :]
             self.open = self.open[:0]
         if len(self.open) < MOST_IN_CELL:
             self.open = np.concatenate([self.open, sample[None]])
@@ -174,14 +171,14 @@ class LiveFloors:
         self.climbing = measured and bool(np.any(last > self.pressure[-1, 0] - CLIMB.gust))
         self.goings = goings_of(steps, floors.climbs, floors.kinds)
         if self.climbing:
-            self.goings[self.goings[:, 1] == last, 1] = self.pressure[-1, 0] + AHEAD
+            self.goings[self.goings[:, 1] == last, 1] = self.pressure[-1, 0] + 2 * LIVE_FLOORS.interval
         self.heard = False
-        if now - self.begin > LONGEST or len(floors.climbs) > MOST_CLIMBS:
-            level = _level_before(now - SHORTEST, floors.climbs)
+        if now - self.begin > LIVE_FLOORS.longest or len(floors.climbs) > LIVE_FLOORS.most_climbs:
+            level = _level_before(now - LIVE_FLOORS.shortest, floors.climbs)
             if level > self.begin + CLIMB.level:
                 self._cut(level)
-            elif now - self.begin > TOO_LONG * LONGEST:
-                self._cut(now - SHORTEST)
+            elif now - self.begin > LIVE_FLOORS.too_long * LIVE_FLOORS.longest:
+                self._cut(now - LIVE_FLOORS.shortest)
 
     def _steps(self, tail: Steps | None) -> Steps:
         """The steps of the window with those of ``tail``: times and durations."""
@@ -193,7 +190,7 @@ class LiveFloors:
 
     def _remember(self, steps: Steps, floors: Floors, now: float) -> None:
         """Store the labels of the window's rows."""
-        before = (self.row_time < self.begin) & (self.row_time > now - REMEMBERED)
+        before = (self.row_time < self.begin) & (self.row_time > now - LIVE_FLOORS.remembered)
         self.row_time = np.concatenate([self.row_time[before], steps.time, [steps.end]])
         self.row_label = np.append(self.row_label[before], np.array(floors.labels[1:], dtype=object))
         self.label = floors.labels[-1]

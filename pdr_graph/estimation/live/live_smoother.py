@@ -22,9 +22,9 @@ from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.live_ambiguity import AmbiguityCheckpoint, LiveAmbiguity
 from pdr_graph.estimation.live.live_graph import LiveGraph, LiveGraphCheckpoint
 from pdr_graph.estimation.live.live_output import LiveOutput
-from pdr_graph.estimation.live.schedule import SCHEDULE
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.floor.building import Building
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Estimate, Headings, Sightings, Steps
 
 

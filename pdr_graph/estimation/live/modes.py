@@ -18,9 +18,8 @@ from pdr_graph.estimation.live.step_buffer import StepBuffer
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.measurements import take
+from pdr_graph.priors import LIVE_PATHS
 from pdr_graph.types import Array, Headings, Index
-
-WALL_PRICE = 4.0  # largest log-odds of a way whose present position is inside walls; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -106,5 +105,5 @@ def in_walkable_area(mixture: GaussianMixture, field: DistanceField) -> Gaussian
         return mixture
     depth = np.maximum(0.0, -field.exact(mixture.mean[:, :2]))
     sigma = horizontal_sigma(mixture.covariance)
-    price = np.minimum(0.5 * np.square(depth / sigma), WALL_PRICE)
+    price = np.minimum(0.5 * np.square(depth / sigma), LIVE_PATHS.wall_price)
     return replace(mixture, log_weight=mixture.log_weight - price).take(np.arange(len(mixture)))

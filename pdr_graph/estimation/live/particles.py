@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.bank import SAME_PATH
 from pdr_graph.estimation.ambiguity.path_modes import dominant_modes
 from pdr_graph.estimation.factors.base import poses_at
 from pdr_graph.estimation.factors.start import Prior
@@ -22,14 +21,10 @@ from pdr_graph.estimation.particle_filter import LEAST_STRIDE, KeyframeMeasureme
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import differences
+from pdr_graph.priors import LIVE_PATHS, SEARCH
 from pdr_graph.types import Array, Index
 
-FEWEST, MOST = 500, 1000  # particles: more are in the right aisle no more often
 JOBS, BACKLOG = 3, 15  # jobs per call; queue length from which jobs are done even if the graph is busy
-DOMINANT = 0.5  # share of the particles in one mode, whose path is tried; chosen by hand, as is the next
-MOSTLY = 0.7  # share of the particles elsewhere, from which that of the heaviest mode is tried, however small
-SPREAD = 1.5  # sigmas of the first particles, relative to those of the graph, which may be in the wrong aisle
-LEAST_SHARE = 0.02  # of the particles, in a mode that counts
 SEED = 0
 
 
@@ -80,7 +75,7 @@ class ParallelParticleFilter:
         self.plan, self.label, self.times = plan, label, [time]
         self._jobs: deque[_Piece | _Keyframe] = deque()
         self.elsewhere: GaussianMixture | None = None
-        self._filter = ParticleFilter(prior, SEED, fewest=FEWEST, most=MOST, at_once=1)
+        self._filter = ParticleFilter(prior, SEED, fewest=LIVE_PATHS.fewest, most=LIVE_PATHS.most, at_once=1)
         self._filter.begin_at(_drawn(belief, self._filter.random))
 
     def enqueue(self, interval: Interval, measurements: KeyframeMeasurements) -> None:
@@ -116,7 +111,10 @@ class ParallelParticleFilter:
         share, which = modes[0]
         path = paths.state[:, :, which]
         gone = 0.0 if self.elsewhere is None else float(np.exp(self.elsewhere.log_weight).sum())
-        apart = max(share / DOMINANT, gone / MOSTLY) > 1 and np.hypot(*(path[-1, :2] - position)) > SAME_PATH
+        apart = (
+            max(share / LIVE_PATHS.dominant, gone / LIVE_PATHS.mostly) > 1
+            and np.hypot(*(path[-1, :2] - position)) > SEARCH.same_path
+        )
         if not apart:
             return None
         path[:, 3:] = path[-1, 3:]  # the last is the best informed
@@ -141,11 +139,11 @@ def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> Gau
     """
     state, ways = paths.state[-1], list[tuple[Array, Array, float]]()
     apart = np.hypot(*(state[:2, None] - state[:2, middles][:, :, None]))
-    mode = np.where(np.hypot(*(state[:2] - position[:, None])) < SAME_PATH, -1, np.argmin(apart, axis=0))
+    mode = np.where(np.hypot(*(state[:2] - position[:, None])) < SEARCH.same_path, -1, np.argmin(apart, axis=0))
     for k in range(len(middles)):
         own, weight = state[:, mode == k].T, paths.weight[mode == k]
         share = float(weight.sum())
-        if share > LEAST_SHARE:
+        if share > LIVE_PATHS.least_share:
             mean = weight @ own / share
             mean[2] = np.angle(weight @ np.exp(1j * own[:, 2]))
             off = differences(own, mean)
@@ -157,8 +155,9 @@ def ways_elsewhere(paths: Paths, middles: Sequence[int], position: Array) -> Gau
 
 
 def _drawn(belief: GaussianMixture, random: np.random.Generator) -> Array:
-    """Particles ``(6, MOST)`` of a belief, whose sigmas are SPREAD times as large."""
-    wider = SPREAD**2 * belief.covariance[0]
-    state = random.multivariate_normal(belief.mean[0], wider, MOST, check_valid="ignore").T  # to the last digit
+    """Particles ``(6, LIVE_PATHS.most)`` of a belief, whose sigmas are LIVE_PATHS.spread times as large."""
+    wider = LIVE_PATHS.spread**2 * belief.covariance[0]
+    # To the last digit
+    state = random.multivariate_normal(belief.mean[0], wider, LIVE_PATHS.most, check_valid="ignore").T
     state[3] = np.maximum(state[3], LEAST_STRIDE)
     return state

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.fingerprinting import SCAN_INTERVAL, WINDOW, RadioMap, scans_in
+from pdr_graph.estimation.fingerprinting import RadioMap, scans_in
+from pdr_graph.priors import SCANS
 from pdr_graph.types import Array, Fixes, Sightings
 
 MOST_RECEPTIONS = 20_000  # that are stored: some minutes where 100 transmitters are heard
@@ -34,17 +35,18 @@ class ScanCollector:
 
     def due(self, until: float, walked: object) -> Iterator[Fixes]:
         """Yield, once, the fixes of the blocks of scans that are complete until ``until`` [s]."""
-        self.forget(max((self._block + 0.5) * WINDOW, until - LONGEST_SPAN))
-        complete = (until - 1.5 * WINDOW + SCAN_INTERVAL) // WINDOW  # its last scan ends half a window after it
+        self.forget(max((self._block + 0.5) * SCANS.window, until - LONGEST_SPAN))
+        # Its last scan ends half a window after it
+        complete = (until - 1.5 * SCANS.window + SCANS.interval) // SCANS.window
         if complete <= self._block or not len(self._received):
             return
         time, transmitter, rssi = self._received.T
         names = list(self._names)
         scans = scans_in([Sightings(time, tuple(names[n] for n in transmitter.astype(int).tolist()), rssi)])
-        block = scans.time // WINDOW
+        block = scans.time // SCANS.window
         fixes = self._map.located(scans[(block > self._block) & (block <= complete)])
         self._block = min(complete, block.max(initial=self._block))
-        self.forget((self._block + 0.5) * WINDOW)
+        self.forget((self._block + 0.5) * SCANS.window)
         if len(fixes):
             self._listener(fixes)
             yield fixes

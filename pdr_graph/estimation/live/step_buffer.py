@@ -10,7 +10,6 @@ import numpy as np
 from pdr_graph.estimation.factors.fixes import DRIVEN
 from pdr_graph.estimation.factors.preintegration import (
     DECIMALS,
-    PIECES_PER_KEYFRAME,
     Bridge,
     Pieces,
     bridge,
@@ -21,6 +20,7 @@ from pdr_graph.estimation.factors.preintegration import (
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
+from pdr_graph.priors import MOTION
 from pdr_graph.types import INSTANT, Array, Index, Steps
 
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
@@ -124,7 +124,7 @@ class StepBuffer:
     def keyframe_ends(self, last: float, marks: list[float]) -> list[float]:
         """Times [s] of the next keyframes after ``last``: at ``marks``, gaps and each PIECES_PER_KEYFRAME pieces."""
         after = self.whole[:, END] > last + CLOSE
-        if np.count_nonzero(after) < PIECES_PER_KEYFRAME and not marks and not self.whole[after, GAP].any():
+        if np.count_nonzero(after) < MOTION.steps_per_keyframe and not marks and not self.whole[after, GAP].any():
             return []
         gaps = np.flatnonzero(after & (self.whole[:, GAP] > 0))
         begins = [self.whole[n - 1, END] if n else self.start for n in gaps]
@@ -132,11 +132,11 @@ class StepBuffer:
         ends, pieces = list[float](), self.whole[after, END]
         for stop in required.tolist():
             share = np.append(pieces[(pieces > last + CLOSE) & (pieces < stop - CLOSE)], stop)
-            parts = -(-len(share) // PIECES_PER_KEYFRAME)
+            parts = -(-len(share) // MOTION.steps_per_keyframe)
             ends += [float(part[-1]) for part in np.array_split(share, parts)]
             last = stop
         rest = pieces[pieces > last + CLOSE]
-        return ends + rest[PIECES_PER_KEYFRAME - 1 :: PIECES_PER_KEYFRAME].tolist()
+        return ends + rest[MOTION.steps_per_keyframe - 1 :: MOTION.steps_per_keyframe].tolist()
 
     def interval(self, i: int, j: int, begin: float, end: float, segment: int, c: Array, label: str) -> Interval:
         """The interval from keyframe i to j, from ``begin`` to ``end`` [s]; c: prior mean of the calibration."""

@@ -13,7 +13,8 @@ import shapely
 from numpy.typing import NDArray
 
 from pdr_graph.errors import count
-from pdr_graph.floor.cells import CLOSED, CRACK, DOOR, OPEN, Area
+from pdr_graph.floor.cells import CLOSED, DOOR, OPEN, Area
+from pdr_graph.priors import PLANS
 
 NARROWEST = 0.6  # [m] length of border that can have a door
 DOOR_SLACK = 0.2  # [m] from a room within which a door belongs to it
@@ -37,7 +38,7 @@ def open_doorless_rooms(
     for n, cell in enumerate(cells):
         if cell.kind not in CLOSED or len(door_tree.query(cell.shape, predicate="dwithin", distance=DOOR_SLACK)):
             continue
-        near = [int(k) for k in tree.query(cell.shape, predicate="dwithin", distance=CRACK) if k != n]
+        near = [int(k) for k in tree.query(cell.shape, predicate="dwithin", distance=PLANS.crack) if k != n]
         open_ = [k for k in near if cells[k].kind in OPEN]
         borders = _borders(shapes, n, open_, near)
         if not borders and not (from_outside and _has_outer_wall(shapes, n, near)):
@@ -53,7 +54,7 @@ def open_doorless_rooms(
 
 def _has_outer_wall(shapes: NDArray[np.object_], n: int, near: list[int]) -> bool:
     """True if a part of the border of cell n wide enough for a door has no other cell behind it."""
-    around = shapely.buffer(shapely.union_all(shapes[near]), CRACK, join_style="mitre")
+    around = shapely.buffer(shapely.union_all(shapes[near]), PLANS.crack, join_style="mitre")
     return float(shapely.length(shapely.difference(shapely.boundary(shapes[n]), around))) > NARROWEST
 
 
@@ -63,7 +64,7 @@ def _borders(shapes: NDArray[np.object_], n: int, others: list[int], near: list[
     ring = shapely.boundary(shapes[n])
     for k in others:
         third = shapely.union_all([shapes[j] for j in near if j != k])
-        border = shapely.intersection(ring, shapely.buffer(shapes[k], CRACK, join_style="mitre"))
+        border = shapely.intersection(ring, shapely.buffer(shapes[k], PLANS.crack, join_style="mitre"))
         # clearance [m] between an opening and any third cell, which it would open too; chosen by hand
         border = shapely.difference(border, shapely.buffer(third, 0.3))
         lines = [line for line in shapely.get_parts(border) if shapely.length(line) > NARROWEST]

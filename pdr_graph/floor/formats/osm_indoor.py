@@ -19,11 +19,12 @@ import shapely
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
 from pdr_graph.errors import InputError, count
-from pdr_graph.floor.cells import CLOSED, CONNECTING, CRACK, DOOR, DOOR_WIDTH, OPEN, OUTLINE, SOLID, WALL, Area
+from pdr_graph.floor.cells import CLOSED, CONNECTING, DOOR, OPEN, OUTLINE, SOLID, WALL, Area
 from pdr_graph.floor.formats.doorless import open_doorless_rooms
 from pdr_graph.floor.formats.drawing import STOREY, Drawing, frame_about
 from pdr_graph.floor.formats.geojson import Feature, check_degrees, repaired
 from pdr_graph.floor.plan_limits import check_file_size
+from pdr_graph.priors import PLANS
 
 KIND_OF_INDOOR = {"room": "room", "corridor": "corridor", "area": "corridor", "level": OUTLINE, "wall": WALL}
 KIND_OF_INDOOR |= {"column": WALL, "void": WALL, "door": DOOR}
@@ -218,7 +219,7 @@ def _connections(drawn: Sequence[Area], areas: Sequence[Area]) -> list[Area]:
 def _is_around(polygon: Area, area: Area, middle: shapely.Geometry) -> bool:
     """True if a polygon has the middle of stairs or of a lift of its kind inside it, on a common level."""
     same = polygon.kind == area.kind and bool(set(polygon.floors) & set(area.floors))
-    return same and bool(shapely.dwithin(polygon.shape, middle, CRACK))
+    return same and bool(shapely.dwithin(polygon.shape, middle, PLANS.crack))
 
 
 def _is_cabin(room: Area, lift: Area) -> bool:
@@ -266,10 +267,10 @@ def _on_walls(door: Area, rings: Sequence[shapely.Geometry], tree: shapely.STRtr
     """A door with the piece of the outlines that it opens; None if it lies on none and its level is not stated."""
     if shapely.get_dimensions(door.shape) > 0:
         return door
-    near = tree.query(door.shape, predicate="dwithin", distance=CRACK)
+    near = tree.query(door.shape, predicate="dwithin", distance=PLANS.crack)
     if not len(near):
         return None
-    opening = shapely.buffer(door.shape, _width(door.properties, DOOR_WIDTH) / 2)
+    opening = shapely.buffer(door.shape, _width(door.properties, PLANS.door_width) / 2)
     pieces = shapely.intersection(shapely.union_all([rings[int(n)] for n in near]), opening)
     return replace(door, shape=shapely.line_merge(pieces), floors=(label,))
 

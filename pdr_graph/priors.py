@@ -1,0 +1,885 @@
+"""Every number that steers the estimate: value, unit, meaning, source, and the range in which the accuracy is the same.
+
+One table for each subject, a class with one instance; code reads ``WALLS.body`` where it uses it, so that
+``scripts/reproduce settings`` can halve and double each number. That script measures the ranges; its figures are in
+docs/results/settings.md. Sources are a paper with section or equation, a fit with its script, practice, or JUDGEMENT.
+Constants of nature, sizes of caches and numerical tolerances stay in their modules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+JUDGEMENT = "judgement"
+VERDICT_SEEDS = "set on simulated walks with honest and with lying sources (scripts/reproduce integrity)"
+
+
+class Entry(NamedTuple):
+    """One number. table: name of its instance; still: lower and upper end of the range in which the accuracy is the
+    same, None if it was not measured.
+    """
+
+    table: str
+    name: str
+    value: Any
+    unit: str
+    meaning: str
+    source: str
+    still: tuple[Any, Any] | None
+
+    def __str__(self) -> str:
+        return f"{self.table}.{self.name}"
+
+
+def number(value: Any, unit: str, meaning: str, source: str, still: tuple[Any, Any] | None = None) -> Any:
+    """A field with this default and its description. still: see `Entry`; of tuples, factors of the value."""
+    return field(default=value, metadata={"unit": unit, "meaning": meaning, "source": source, "still": still})
+
+
+class Table:
+    """The numbers of one subject."""
+
+
+def tables() -> dict[str, Table]:
+    """The instances of all tables by name, in the order of this file."""
+    return {name: table for name, table in globals().items() if isinstance(table, Table)}
+
+
+def entries() -> Iterator[Entry]:
+    """Yield every number of every table."""
+    for name, table in tables().items():
+        for of in fields(table):  # type: ignore[arg-type]
+            yield Entry(name, of.name, getattr(table, of.name), **of.metadata)
+
+
+@contextmanager
+def changed(table: Table, **values: Any) -> Iterator[None]:
+    """Set some numbers of a table within a ``with`` block, for scripts and tests."""
+    before = {name: getattr(table, name) for name in values}
+    try:
+        for name, value in values.items():
+            object.__setattr__(table, name, value)
+        yield
+    finally:
+        for name, value in before.items():
+            object.__setattr__(table, name, value)
+
+
+# Steps
+
+
+@dataclass(frozen=True)
+class StepPriors(Table):
+    """Durations of steps."""
+
+    shortest: float = number(0.25, "s", "shortest duration of a step", JUDGEMENT, (0.125, 0.5))
+    longest: float = number(
+        1.2, "s", "longest duration of a step; a longer interval between landings is a stop", JUDGEMENT, (1.2, 1.2)
+    )
+    usual: float = number(0.54, "s", "typical duration of a step", JUDGEMENT, (0.54, 0.54))
+
+
+@dataclass(frozen=True)
+class CandidatePriors(Table):
+    """Candidate landings in |a|: one set for all phones and grips; ``scripts/reproduce steps`` scores it."""
+
+    sampling: float = number(
+        0.04, "s", "longest interval at which the rhythm is evaluated: 25 Hz", JUDGEMENT, (0.04, 0.08)
+    )
+    slowest: float = number(0.14, "s", "longest interval between samples: four in a usual step", JUDGEMENT)
+    usual_spread: float = number(
+        0.25, "log", "spread of a step's duration over people and paces", JUDGEMENT, (0.125, 0.5)
+    )
+    usual_weight: float = number(0.3, "correlation", "weight of that prior", JUDGEMENT, (0.15, 0.6))
+    smoothing: float = number(0.05, "s", "narrow Gaussian: |a| above it is a knock", JUDGEMENT, (0.05, 0.1))
+    level: float = number(0.2, "s", "wide Gaussian: |a| below it is the sway of a stride", JUDGEMENT, (0.2, 0.4))
+    window: float = number(4.0, "s", "over which |a| is correlated with itself", JUDGEMENT, (2.0, 8.0))
+    look_ahead: float = number(2.0, "s", "part of the window after a landing", JUDGEMENT, (1.0, 2.0))
+    kernel: float = number(0.7, "steps", "width of the Gaussian at the frequency of the steps", JUDGEMENT)
+    weakest: float = number(
+        0.35, "m/s²", "least amplitude of a step, peak to peak: a standing person's is less", JUDGEMENT
+    )
+    weakest_share: float = number(
+        0.23, "share", "least amplitude among the steps around it: feet shuffle", JUDGEMENT, (0.23, 0.23)
+    )
+    highest_bounce: float = number(
+        0.14,
+        "m",
+        "largest vertical motion, peak to peak: walkers bob by 0.02 to 0.10, shaking arms by 0.15",
+        JUDGEMENT,
+        (0.14, 0.28),
+    )
+    tilt_smoothing: float = number(0.2, "s", "Gaussian that smooths the direction of gravity", JUDGEMENT)
+    tilt_window: float = number(1.5, "s", "over which that direction is averaged", JUDGEMENT)
+    steadiest_tilt: float = number(
+        0.96, "share", "least length of that mean; else the phone tilts to and fro", JUDGEMENT, (0.48, 0.96)
+    )
+
+    @property
+    def reach(self) -> float:
+        """Time to either side of a sample on which its smoothed |a| and tilt depend. [s]"""
+        return 4 * self.tilt_smoothing + self.tilt_window / 2 + 0.1
+
+
+@dataclass(frozen=True)
+class BoutPriors(Table):
+    """When candidate landings become steps."""
+
+    closest_share: float = number(0.55, "steps", "least interval between two landings", JUDGEMENT, (0.275, 0.55))
+    start: float = number(0.7, "correlation", "least correlation with the step or stride before, to start", JUDGEMENT)
+    go_on: float = number(0.1, "correlation", "the same to go on", JUDGEMENT)
+    vigorous: float = number(1.5, "m/s²", "amplitude from which ``vigorous_start`` is enough: browsing", JUDGEMENT)
+    vigorous_start: float = number(
+        0.5, "correlation", "least correlation to start with such an amplitude", JUDGEMENT, (0.25, 0.5)
+    )
+    push_off: float = number(
+        0.6, "share", "a first landing weaker than this, of the following ones, is none", JUDGEMENT, (0.6, 0.6)
+    )
+    fewest: int = number(4, "steps", "least number of steps; fewer are a gesture", JUDGEMENT, (4, 4))
+    late: float = number(6.0, "s", "after which it is too late to report a step", JUDGEMENT)
+    past: float = number(8.0, "s", "samples before a landing on which it may depend", JUDGEMENT)
+    future: float = number(
+        3.0, "s", "samples after a landing, beyond the look-ahead, on which it may depend", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True)
+class StridePriors(Table):
+    """Lengths of steps."""
+
+    shortest: float = number(0.2, "m", "shortest length of a step, by any model", JUDGEMENT, (0.1, 0.4))
+    longest: float = number(1.2, "m", "longest length of a step, by any model", JUDGEMENT, (1.2, 2.4))
+    sigma: float = number(
+        0.3, "share", "sigma of a step's length", "fit of the 90 % regions: scripts/reproduce settings", (0.15, 0.6)
+    )
+    turn_shortens: float = number(
+        1.124, "%/deg", "shortening of a step in a turn", "[map-matching] Eq. (2)", (0.562, 1.124)
+    )
+    largest_turn: float = number(89.0, "deg", "turn beyond which a step shortens no more", JUDGEMENT)
+    k0: float = number(
+        0.34,
+        "m",
+        "constant part of a step: half of it",
+        "fit: 15 walks in two malls, scripts/reproduce steps",
+        (0.34, 0.34),
+    )
+    k1: float = number(0.29, "√(m/s²) s → m", "part that grows with the bounce", "fit: as ``k0``", (0.29, 0.29))
+
+
+@dataclass(frozen=True)
+class TreadPriors(Table):
+    """Lengths of steps on stairs."""
+
+    blondel: float = number(0.63, "m", "two rises and one going", "Blondel's rule")
+    shortest_going: float = number(0.22, "m", "least depth of treads", "building practice")
+    longest_going: float = number(0.38, "m", "largest depth of treads", "building practice")
+    sigma: float = number(0.1, "m", "sigma of a step on stairs: landings are among them", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class MotionPriors(Table):
+    """Errors of dead reckoning."""
+
+    turn: float = number(
+        0.02, "rad", "sigma of the heading error that one step adds: the body sways about the phone", JUDGEMENT
+    )
+    unmeasured_turn: float = number(0.3, "rad", "the same without a gyroscope: a corner every thirty steps", JUDGEMENT)
+    lateral: float = number(
+        0.25, "m", "sway of one step to the side", "fit of the 90 % regions: scripts/reproduce settings", (0.25, 0.25)
+    )
+    standing_turn: float = number(
+        0.02, "rad", "change between walking direction and phone in a pause", JUDGEMENT, (0.01, 0.04)
+    )
+    gap_speed: float = number(
+        1.0, "m/s", "sigma per axis of the displacement in a gap: walker stands or walks", JUDGEMENT
+    )
+    gap_turn: float = number(1.2, "rad", "sigma of the turn in a gap: nearly unknown, but with a gradient", JUDGEMENT)
+    steps_per_keyframe: int = number(
+        10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", (5, 20)
+    )
+
+
+# Directions
+
+
+@dataclass(frozen=True)
+class ForwardPriors(Table):
+    """The forward axis of the phone; ``scripts/reproduce compass`` and ``heading`` score it."""
+
+    lead: float = number(
+        1.1,
+        "rad",
+        "phase by which forward leads vertical acceleration: 33–119° in 16 of 18 real walks",
+        "fit: docs/results/heading.md",
+    )
+    band: float = number(
+        0.5, "share", "half width of the filter at the step frequency: excludes half and 1.5 of it", JUDGEMENT
+    )
+    window_steps: int = number(16, "steps", "length of a window", JUDGEMENT, (8, 32))
+    least_windows: int = number(3, "windows", "least number of windows of walking", JUDGEMENT, (2, 6))
+    least_coherence: float = number(0.3, "share", "of forward and vertical acceleration in a window of gait", JUDGEMENT)
+    gait_sigma: float = number(0.3, "rad", "sigma of the gait axis about the walking direction: hands sway", JUDGEMENT)
+    reading_sigma: float = number(
+        0.17, "rad", "sigma of the y axis of a phone held for reading", JUDGEMENT, (0.085, 0.34)
+    )
+    facing_up: float = number(0.4, "share", "least vertical component of the screen's normal in reading", JUDGEMENT)
+    steady: float = number(
+        0.95, "share", "least length of the mean direction; a waved phone has less", JUDGEMENT, (0.475, 1.9)
+    )
+    opposed: float = number(0.6, "rad", "angle of gait axis and y axis from which the phone is not read", JUDGEMENT)
+    early_steps: int = number(8, "steps", "length of a window live", JUDGEMENT)
+    early_coherence: float = number(0.45, "share", "least coherence in such a window", JUDGEMENT)
+    surely_facing_up: float = number(0.55, "share", "as ``facing_up`` where the gait does not confirm it", JUDGEMENT)
+    overruling_steps: int = number(80, "steps", "least number where the gait contradicts the y axis", JUDGEMENT)
+    early_sigma: float = number(
+        0.4,
+        "rad",
+        "sigma of the gait axis of one early window: errors of 4 to 20° (median)",
+        "simulated and real walks",
+    )
+    confirmed_sigma: float = number(0.25, "rad", "sigma of the y axis if one such window agrees with it", JUDGEMENT)
+    unconfirmed: float = number(
+        0.35, "rad", "sigma of the y axis of a phone that faces up, unconfirmed by gait", JUDGEMENT, (0.175, 0.7)
+    )
+
+    @property
+    def early_spread(self) -> float:
+        """Sigma of the gait axes of early windows about their mean. [rad]"""
+        return float(np.sqrt(self.early_sigma**2 - self.gait_sigma**2))
+
+
+@dataclass(frozen=True)
+class GripPriors(Table):
+    """Grip changes; ``scripts/reproduce compass`` scores them."""
+
+    tilting: float = number(
+        0.25, "rad/s", "rate of the vertical in the device above that of a carried phone", JUDGEMENT
+    )
+    new_tilt: float = number(0.5, "rad", "change of the vertical in the device that makes a grip change", JUDGEMENT)
+    fast: float = number(0.7, "rad", "turn within ``within`` that is a corner or a wrist", JUDGEMENT)
+    within: float = number(1.0, "s", "time of such a turn", JUDGEMENT)
+    steps_beside: int = number(8, "steps", "before and after a turn, to determine the forward axis", JUDGEMENT)
+    clear_change: float = number(
+        1.1, "rad", "change of the forward axis that is clear", "up to 1.0 on real walks without one"
+    )
+    turned: float = number(0.6, "rad", "least turn of the walker by gait; less counts as straight on", JUDGEMENT)
+    coherent: float = number(0.65, "share", "least coherence to decide whether the phone turned", JUDGEMENT)
+    less_coherent: float = number(0.45, "share", "least coherence to determine the walker's turn", JUDGEMENT)
+    sigma: float = number(0.35, "rad", "sigma of the walker's turn during a grip change", JUDGEMENT)
+    longest_undecided: float = number(14.0, "s", "after a turn began, when phone or walker is decided, live", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class CompassPriors(Table):
+    """Walking directions by the compass."""
+
+    sigma: float = number(
+        0.2,
+        "rad",
+        "error that a walk shares: the phone's own iron, a building's axis",
+        "fit: scripts/reproduce compass",
+        (0.1, 0.4),
+    )
+    longest_stretch: float = number(
+        150.0, "s", "walk per heading: a gyroscope with 0.002 rad/s errs by as much in that time", "derived"
+    )
+    straight: float = number(2.0, "s", "beside a heading in which the walker should not turn", JUDGEMENT, (1.0, 4.0))
+    least_steps: int = number(24, "steps", "least number of steps in a stretch", JUDGEMENT, (12, 48))
+    least_certain: float = number(
+        0.7, "rad", "sigma of north or forward axis beyond which there is no heading", JUDGEMENT, (0.35, 1.4)
+    )
+
+
+@dataclass(frozen=True)
+class LiveCompassPriors(Table):
+    """The live compass."""
+
+    sampling: float = number(0.04, "s", "interval of the stored samples", JUDGEMENT)
+    early_steps: tuple[int, ...] = number((8, 12, 16, 24), "steps", "of a stretch at its first evaluations", JUDGEMENT)
+    evaluation: float = number(10.0, "s", "walking between two evaluations of a stretch", JUDGEMENT)
+    recent: float = number(20.0, "s", "end of a stretch that may have its heading: the window contains it", JUDGEMENT)
+    out_of_reach: float = number(
+        40.0, "s", "age at which a heading has left the window: a new stretch begins", JUDGEMENT
+    )
+    unconfirmed: float = number(0.6, "rad", "sigma of the forward axis until the gait confirms it: bags", JUDGEMENT)
+    least_added: float = number(1.0, "rad", "largest sigma of a heading that is reported", JUDGEMENT)
+    offsets: int = number(3, "results", "earlier ones of a stretch whose differences widen the sigma", JUDGEMENT)
+
+
+# Sensors
+
+
+@dataclass(frozen=True)
+class RestPriors(Table):
+    """Phones at rest, and the gyroscope's bias there."""
+
+    window: float = number(0.5, "s", "over which the spread of the samples is taken", JUDGEMENT)
+    rate: float = number(0.012, "rad/s", "largest spread at rest: twice the noise of cheap sensors", JUDGEMENT)
+    acceleration: float = number(0.10, "m/s²", "the same of the acceleration", JUDGEMENT)
+    shortest: float = number(1.5, "s", "least duration of a rest: any phone is at rest for a moment", JUDGEMENT)
+    largest_bias: float = number(0.2, "rad/s", "largest mean rate at rest: else a turntable or a car", JUDGEMENT)
+    drift_time: float = number(60.0, "s", "over which the bias is averaged: it follows the temperature", JUDGEMENT)
+    longest_bridged: float = number(1.0, "s", "missing samples that are interpolated: a step or two", JUDGEMENT)
+    bias_sigma: float = number(
+        0.2, "°/s", "VQF's biasSigmaInit: phones have calibrated gyroscopes; 0.5 follows a swinging arm", JUDGEMENT
+    )
+    bias_forgetting: float = number(1000.0, "s", "VQF's biasForgettingTime: a phone warms up in minutes", JUDGEMENT)
+
+    @property
+    def vqf(self) -> dict[str, float]:
+        """VQF's options."""
+        return {"biasSigmaInit": self.bias_sigma, "biasForgettingTime": self.bias_forgetting}
+
+
+@dataclass(frozen=True)
+class MagnetometerPriors(Table):
+    """Calibration of the magnetometer, and tests of the field."""
+
+    smoothing: float = number(0.5, "s", "Gaussian over the field's noise and the gait", JUDGEMENT)
+    prediction: float = number(1.0, "s", "over which the gyroscope predicts the field", JUDGEMENT)
+    fit_samples: int = number(600, "samples", "most of a calibration fit", JUDGEMENT)
+    fit_evaluations: int = number(60, "evaluations", "most of a fit, slow where the phone was hardly turned", JUDGEMENT)
+    hard_spread: float = number(300.0, "µT", "sigma of a phone's hard iron before any calibration", JUDGEMENT)
+    soft_spread: float = number(0.1, "share", "sigma of its soft iron", JUDGEMENT)
+    field_spread: float = number(3.0, "µT", "magnitude about the ellipsoid in a building: width of the loss", JUDGEMENT)
+    independent: int = number(100, "samples", "independent ones in a building", JUDGEMENT)
+    hard_sigma: float = number(3.0, "µT", "largest sigma of a hard iron that is worth subtracting", JUDGEMENT)
+    tilted: float = number(
+        0.8, "share", "length of the mean vertical above which the phone was hardly tilted", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True)
+class NorthPriors(Table):
+    """The filter of north."""
+
+    interval: float = number(1.0, "s", "between observations", JUDGEMENT, (0.5, 2.0))
+    drift: float = number(
+        0.004, "rad/√s", "of the attitude's heading after removal of the bias", JUDGEMENT, (0.002, 0.008)
+    )
+    undisturbed: float = number(0.12, "rad", "sigma of an observation that passes both tests", JUDGEMENT, (0.06, 0.24))
+    alike: float = number(
+        2.5, "s", "for which a walker stays in the same disturbance: about three metres", JUDGEMENT, (1.25, 5.0)
+    )
+    disturbed: float = number(
+        0.35, "rad", "largest error in either test; other observations are not used", JUDGEMENT, (0.175, 0.7)
+    )
+    weakest: float = number(
+        0.3, "share", "least level field, of the earth's: a weaker one's direction is noise", JUDGEMENT, (0.15, 0.6)
+    )
+    huber: float = number(2.0, "σ", "deviation at which an innovation is clipped", JUDGEMENT)
+    least_valid: float = number(0.3, "share", "least share of observations that pass, or none is used", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class ClimbPriors(Table):
+    """Climbs in a barometer's height; ``scripts/reproduce floors`` scores them."""
+
+    grid: float = number(0.5, "s", "interval of the height samples", JUDGEMENT)
+    longest_gap: float = number(5.0, "s", "a longer gap in the recording counts as this long", JUDGEMENT)
+    gust: float = number(4.5, "s", "longest spike that is removed: a lift takes four seconds for a storey", JUDGEMENT)
+    rate: float = number(2.0, "s", "least width of the Gaussian over which a rate is taken", JUDGEMENT)
+    slow: float = number(0.03, "m/s", "low threshold of the rate: weather has 0.002", JUDGEMENT)
+    fast: float = number(
+        0.06, "m/s", "high threshold: a ramp of 6 % has 0.08, stairs 0.2 to 0.5, lifts 0.5 to 5", JUDGEMENT
+    )
+    quiet: float = number(3.0, "σ", "noise of a rate that does not exceed the high threshold", JUDGEMENT)
+    pause: float = number(4.0, "s", "within a climb, to turn on a landing", JUDGEMENT)
+    level: float = number(10.0, "s", "before and after a climb over which its ends' heights are taken", JUDGEMENT)
+    least: float = number(0.8, "m", "least height of a climb: from pocket to ear a phone rises by 0.6", JUDGEMENT)
+    certain: float = number(2.0, "σ", "least height: to miss a climb costs more than to invent one", JUDGEMENT)
+    edge: float = number(
+        0.3, "m", "from the levels at which a climb begins and ends; at most an eighth of it", JUDGEMENT
+    )
+    correlated: float = number(3.0, "s", "over which errors of a height are alike", JUDGEMENT)
+    placement: float = number(0.2, "m", "sigma of the phone's height above the floor, or of a draught", JUDGEMENT)
+    weather: float = number(8.5 / 3600, "m/s", "drift of the height with the weather: 1 hPa an hour", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class KindPriors(Table):
+    """Limits between kinds of climbs."""
+
+    walked: float = number(0.5, "share", "least share of a climb's time on steps, to count as on foot", JUDGEMENT)
+    steepest_ramp: float = number(0.055, "m/step", "ramps for wheelchairs, 1 in 12", "building practice")
+    highest_stairs: float = number(
+        0.25, "m/step", "treads are 0.14 to 0.20; two at a time are as walking on an escalator", "building practice"
+    )
+    highest_step: float = number(0.5, "m/step", "two treads at a time are 0.36", "building practice")
+    slowest_lift: float = number(
+        0.42, "m/s", "escalators of 0.5 to 0.65 m/s at 30 to 35° rise by 0.25 to 0.37", "building practice"
+    )
+
+
+# The graph
+
+
+@dataclass(frozen=True)
+class LossPriors(Table):
+    """Widths of robust losses."""
+
+    huber: float = number(
+        2.45, "σ", "full weight up to here: 95 % of inliers in the plane", "χ² of 2 degrees: 5.99", (1.225, 2.45)
+    )
+    geman_mcclure: float = number(
+        2.45, "σ", "where an outlier has a quarter of its weight", "as ``huber``", (1.225, 4.9)
+    )
+    closure: float = number(4.0, "σ", "the same of loop closures: one in ten may be wrong by metres", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class WalkerPriors(Table):
+    """The walker's calibration (R_s, R_d, b)."""
+
+    mean: tuple[float, float, float] = number(
+        (1.0, 1.0, 0.0), "-, -, rad/s", "of (R_s, R_d, b)", "by definition", ((1.0, 1.0, 0.0), (1.0, 1.0, 0.0))
+    )
+    sigma: tuple[float, float, float] = number(
+        (0.15, 0.03, 0.003),
+        "-, -, rad/s",
+        "of an unknown walker; b covers all phones",
+        "fit of b: scripts/reproduce drift; JUDGEMENT",
+        ((0.15, 0.03, 0.003), (0.15, 0.03, 0.003)),
+    )
+    change: tuple[float, float, float] = number(
+        (0.03, 0.005, 0.0005),
+        "-, -, rad/s",
+        "sigma of the change from segment to segment",
+        JUDGEMENT,
+        ((0.015, 0.0025, 0.00025), (0.06, 0.01, 0.001)),
+    )
+    between_walks: tuple[float, float, float] = number(
+        (0.05, 0.01, 0.001), "-, -, rad/s", "sigma between two walks of one person", JUDGEMENT
+    )
+
+
+@dataclass(frozen=True)
+class WallPriors(Table):
+    """Walls along a walk: graph and particles."""
+
+    margin: float = number(
+        0.8, "m", "that people keep from walls", "real walks in malls: scripts/reproduce settings", (0.8, 0.8)
+    )
+    sigma: float = number(1.0, "m", "sigma of that margin", JUDGEMENT, (0.5, 1.0))
+    body: float = number(0.15, "m", "least distance of a walker's centre from any wall", JUDGEMENT, (0.075, 0.3))
+    body_sigma: float = number(0.1, "share", "sigma of that limit, as share of the margin's", JUDGEMENT, (0.05, 0.2))
+    loose: float = number(
+        3.0, "factor", "of sigma in a rough search: tight walls keep a walk in a wrong aisle", JUDGEMENT, (1.5, 6.0)
+    )
+
+
+@dataclass(frozen=True)
+class RegionPriors(Table):
+    """Which rooms and corridors a walk leads through."""
+
+    stray: float = number(0.5, "m", "sigma of a track", JUDGEMENT)
+    outside_cost: float = number(4.0, "nats", "of a point in no region: within 1.4 m it belongs to one", JUDGEMENT)
+    outside_price: float = number(
+        0.15, "log-odds", "of a point in no region: shops are entered, plans end", JUDGEMENT, (0.075, 0.3)
+    )
+    at_door: float = number(1.5, "m", "from a door within which it may be used", JUDGEMENT)
+    wall_cost: float = number(12.0, "log-odds", "of passing a wall: plans have errors", JUDGEMENT)
+    door_cost: float = number(1.0, "log-odds", "of changing region at a door", JUDGEMENT)
+    leave_cost: float = number(6.0, "log-odds", "of entering or leaving all regions", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class PlanPriors(Table):
+    """Tolerances of a drawing."""
+
+    crack: float = number(0.1, "m", "widest gap between neighbours that were meant to touch", JUDGEMENT)
+    door_reach: float = number(0.15, "m", "by which a door drawn as a line opens the walls on either side", JUDGEMENT)
+    door_width: float = number(0.9, "m", "of a door drawn as a point", "building practice")
+    narrowest: float = number(0.3, "m", "least width of a passage or gap that is walkable", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class ReceiverPriors(Table):
+    """Fixes of one receiver."""
+
+    standing: float = number(120.0, "s", "correlation time of a receiver's errors", JUDGEMENT)
+    along: float = number(30.0, "m", "distance walked over which they are correlated", JUDGEMENT)
+    still: float = number(1.0, "m", "within which a frozen receiver stays", JUDGEMENT)
+    away: float = number(10.0, "m", "to which the steps must lead meanwhile", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class BeaconPriors(Table):
+    """Levels of beacons, and where beacons are."""
+
+    level_sigma: float = number(7.0, "dB", "of a mean level: reflections, people, furniture", JUDGEMENT)
+    height: float = number(1.5, "m", "of a beacon above the phone", JUDGEMENT)
+    power_sigma: float = number(4.0, "dB", "of a beacon's power", JUDGEMENT)
+    weakest: float = number(-97.0, "dBm", "that phones receive", JUDGEMENT)
+    most_evidence: float = number(4.5, "log-odds", "of one level at most", JUDGEMENT)
+    relocated: float = number(8.0, "log-odds", "at which a beacon counts as relocated", JUDGEMENT)
+    apart: float = number(15.0, "m", "by which it must be elsewhere", JUDGEMENT)
+    grid: float = number(5.0, "m", "spacing of candidate positions", JUDGEMENT)
+    beside: float = number(20.0, "m", "of their area beside the walk", JUDGEMENT)
+    longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class RangePriors(Table):
+    """Ranges to anchors."""
+
+    nlos: float = number(0.2, "share", "of ranges without line of sight", JUDGEMENT)
+    detour: float = number(3.0, "m", "mean length of a detour", JUDGEMENT)
+    bias: float = number(0.15, "m", "sigma of an anchor's bias: antenna delays, calibrated or not", JUDGEMENT)
+    near: float = number(0.1, "m", "softens the distance at the anchor itself, where it has no gradient", JUDGEMENT)
+    bin: float = number(5.0, "s", "of ranges that make a rough position", JUDGEMENT)
+    fewest: int = number(3, "anchors", "for a trilaterated rough position", JUDGEMENT)
+
+
+# Initialisation and search
+
+
+@dataclass(frozen=True)
+class InitialPriors(Table):
+    """The alignment of dead reckoning with fixes."""
+
+    joint: float = number(3.0, "m", "by which dead reckoning bends within a segment", JUDGEMENT, (1.5, 6.0))
+    change: float = number(
+        0.2, "rad, ratio", "by which direction and scale change between segments", JUDGEMENT, (0.1, 0.2)
+    )
+    any_turn: float = number(1.0, "rad", "sigma of a turn above which it counts as unknown", JUDGEMENT)
+    scale: float = number(3.0, "ratio", "sigma of scale and rotation about 0: keeps them finite", JUDGEMENT)
+    huber: float = number(2.0, "σ", "width of Huber's weight", JUDGEMENT)
+    ambiguous: float = number(0.35, "rad", "sigma of the direction from which several starts are used", JUDGEMENT)
+    longer: float = number(1.5, "factor", "of the distance that a walk may lead from its fixes", JUDGEMENT)
+    beyond: float = number(20.0, "m", "margin of that distance", JUDGEMENT)
+    rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class SearchPriors(Table):
+    """The search for other walks that explain the measurements."""
+
+    directions: int = number(8, "directions", "hypotheses of an unknown direction", JUDGEMENT)
+    alike: float = number(30.0, "steps", "with the same position error, between fixes", JUDGEMENT)
+    longest_move: float = number(2.0, "m", "of a pose in an iteration with walls, whose gradients are local", JUDGEMENT)
+    dropped: float = number(12.0, "nats", "above the best at which a solution is dropped", JUDGEMENT)
+    usual: float = number(1.5, "ratio", "usual cost with walls to that without", JUDGEMENT)
+    strained: float = number(3.0, "nats", "above the usual at which further paths are searched", JUDGEMENT)
+    attempts: int = number(2, "runs", "of the particle filter", JUDGEMENT)
+    unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed", JUDGEMENT)
+    same_path: float = number(4.0, "m", "mean distance of solutions on one path: half an aisle's spacing", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class ParticlePriors(Table):
+    """The particle filter on a plan."""
+
+    fewest: int = number(1000, "particles", "least number", JUDGEMENT)
+    most: int = number(8000, "particles", "largest number, of the batch", JUDGEMENT, (4000, 16000))
+    per_bin: int = number(
+        20, "particles", "per occupied bin of position and direction; scales with the most", JUDGEMENT, (10, 40)
+    )
+    bin: float = number(1.0, "m", "of position", JUDGEMENT, (0.5, 2.0))
+    bin_angle: float = number(np.pi / 8, "rad", "of direction", JUDGEMENT, (0.1963, 0.7854))
+    resample: float = number(0.5, "share", "effective share below which they are resampled", JUDGEMENT, (0.25, 1.0))
+    kernel: float = number(0.2, "share", "width of the kernel of (R_s, R_d, b), of their spread", JUDGEMENT, (0.1, 0.4))
+    wide: tuple[float, ...] = number(
+        (1.5, 1.5, 2.0),
+        "factor",
+        "of the prior's sigmas: rare calibrations",
+        JUDGEMENT,
+        ((0.75, 0.75, 1.0), (3.0, 3.0, 4.0)),
+    )
+    calm: tuple[float, ...] = number(
+        (0.7, 0.7, 1.0),
+        "factor",
+        "of length, sway, turn: parts are common errors",
+        JUDGEMENT,
+        ((0.35, 0.35, 0.5), (1.4, 1.4, 2.0)),
+    )
+    least_sigma: float = number(1.0, "m", "of a fix: particles are no denser", JUDGEMENT, (0.5, 2.0))
+    least_sigma_direction: float = number(0.1, "rad", "at the start", JUDGEMENT)
+    far: float = number(4.0, "σ", "of a fix from all particles, from which some move there", JUDGEMENT)
+    sought: int = number(5, "particles", "of which one moves to such a fix", JUDGEMENT)
+    lost_price: float = number(4.0, "log-odds", "of such a move", JUDGEMENT)
+    outlier_price: float = number(8.0, "log-odds", "largest of an outlier", JUDGEMENT)
+    doubted: float = number(0.2, "rad", "sigma of a turn that may be the phone's", JUDGEMENT)
+    rare: int = number(4, "particles", "of which one draws any turn then", JUDGEMENT)
+    tries: int = number(4, "draws", "further ones of a step that would cross a wall", JUDGEMENT)
+    clear_price: float = number(0.1, "log-odds", "of a step along a wall", JUDGEMENT)
+    stairs_sigma: float = number(1.0, "m", "from stairs or a lift at a floor change, whose time is rough", JUDGEMENT)
+
+    @property
+    def odds(self) -> NDArray[np.float64]:
+        """Log-odds of a step, by how many of its tries are free ``(tries + 1,)``."""
+        return np.log((self.tries + 1) / np.maximum(np.arange(self.tries + 1), 1))
+
+
+@dataclass(frozen=True)
+class KalmanPriors(Table):
+    """The causal Kalman filter."""
+
+    gate: float = number(
+        5.0, "σ", "beyond which a measurement is rejected: χ² of 25, as outliers in the graph", JUDGEMENT
+    )
+    hopeless: float = number(1e-6, "probability", "below which a hypothesis is dropped", JUDGEMENT)
+    same: float = number(1.0, "σ", "from the best within which hypotheses are merged", JUDGEMENT)
+    patience: int = number(5, "fixes", "rejected in a row after which the filter is re-initialised", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class LinePriors(Table):
+    """A calibration walk along a known line."""
+
+    most_laps: int = number(5, "laps", "on a closed line", JUDGEMENT)
+    plausible: float = number(1.5, "ratio", "largest of stated to true length, or inverse", "0.86 to 1.4 on real walks")
+    farthest: float = number(0.8, "m", "rms distance from the line; simulated walkers stay within 0.4", JUDGEMENT)
+    strays: float = number(2.0, "m", "along the line by which a step may move from round to round", JUDGEMENT)
+    sway: float = number(0.3, "m", "lateral sigma of people who follow a line", JUDGEMENT)
+    spacing: float = number(3.0, "m", "along the line between the fixes on it", JUDGEMENT)
+    usual: tuple[float, float, float] = number(
+        (0.4, 0.05, 0.01), "-, -, rad/m", "sigmas of E_length, E_corner, E_straight", JUDGEMENT
+    )
+
+
+# Other estimates
+
+
+@dataclass(frozen=True)
+class StoreyPriors(Table):
+    """Floors by barometer and fixes."""
+
+    height: float = number(3.5, "m", "of a storey: flats 2.7, offices 3.3–4.2, shops 5", "building practice")
+    spread: float = number(0.2, "log", "sigma of that height", JUDGEMENT)
+    scale_spread: float = number(0.08, "share", "sigma of a plan's heights: nominal ones, warm air", JUDGEMENT)
+    off: float = number(0.4, "m", "sigma of a storey's height, constant part", JUDGEMENT)
+    off_share: float = number(0.06, "share", "sigma of a storey's height, of the height", JUDGEMENT)
+    change: float = number(0.5, "nats", "cost of a change of floor", JUDGEMENT)
+    further: float = number(0.3, "nats", "cost of each storey of it: short climbs are more frequent", JUDGEMENT)
+    landing: float = number(1.0, "nats", "cost of a stop between floors", JUDGEMENT)
+    landing_time: float = number(60.0, "s", "in which that cost grows by 1", JUDGEMENT)
+    most_landing: float = number(2.0, "nats", "its maximum", JUDGEMENT)
+    other_floor: float = number(1.4, "nats", "cost of a fix on another floor: one in five", JUDGEMENT)
+    alike: int = number(5, "fixes", "on one floor that count at most: at one place they err alike", JUDGEMENT)
+    start: float = number(5.0, "nats", "cost of another floor than the stated start", JUDGEMENT)
+    unseen: float = number(10.0, "m", "sigma of the height of a climb without barometer", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class ScanPriors(Table):
+    """Radio maps, and places recognised by them."""
+
+    window: int = number(4, "s", "of one scan: a phone needs 2 to 4 s for all channels", JUDGEMENT)
+    interval: int = number(1, "s", "from one scan to the next", JUDGEMENT)
+    faintest: float = number(-100.0, "dBm", "level that counts as not received", JUDGEMENT)
+    fewest: int = number(3, "transmitters", "in a scan: one or two are received at too many places", JUDGEMENT)
+    neighbours: int = number(8, "fingerprints", "averaged for a position", JUDGEMENT)
+    agreed: float = number(0.8, "share", "of the neighbours' weight on one floor, else it is unknown", JUDGEMENT)
+    least_sure: float = number(3.0, "m", "largest sigma of a walk at its fingerprints", JUDGEMENT)
+    near: float = number(5.0, "m", "from a fingerprint within which a place is mapped", JUDGEMENT)
+    accepted: tuple[float, float] = number(
+        (0.05, 0.95), "quantile", "of the distance at mapped places: limits of σ and fix", JUDGEMENT
+    )
+    finest: float = number(0.5, "m", "least σ, since walkers pass a place within seconds", JUDGEMENT)
+    apart: float = number(10.0, "s", "beside a scan within which scans of the same walk are left out", JUDGEMENT)
+    shared: float = number(1.5, "factor", "of σ: a map's error at a place does not average out", JUDGEMENT)
+    enough: int = number(20, "scans", "at mapped places, to estimate the errors of a map", JUDGEMENT)
+    scan_spacing: float = number(3.0, "m", "between scans that are used: levels repeat for seconds", JUDGEMENT)
+    along: float = number(30.0, "m", "in which closures to the same other walk have the same error", JUDGEMENT)
+    later: float = number(60.0, "s", "after which a return to a place is a revisit", JUDGEMENT)
+    accepted_pairs: float = number(
+        0.8, "quantile", "of the distance of near pairs, beyond which they are dropped", JUDGEMENT
+    )
+    usually_alike: float = number(0.3, "distance", "that quantile where there are few pairs", "fit: two malls")
+    usually_apart: float = number(5.0, "m", "σ of a closure where there are few pairs", "fit: two malls")
+
+
+@dataclass(frozen=True)
+class TravelPriors(Table):
+    """Walking, standing or riding by positions alone: straightness of the path, and net speed."""
+
+    grid: float = number(15.0, "s", "between samples: shorter ones accumulate the receiver's noise", JUDGEMENT)
+    path: float = number(100.0, "m", "of path for walks", JUDGEMENT)
+    ride_path: float = number(600.0, "m", "of path for rides: about a street block", JUDGEMENT)
+    crooked: float = number(0.6, "share", "below which a path leads nowhere: half a circle is 0.64", "geometry")
+    context: float = number(600.0, "s", "window of the percentile", JUDGEMENT)
+    percentile: float = number(65.0, "%", "of displacements over ``lag``: a third may be turns or errands", JUDGEMENT)
+    lag: float = number(60.0, "s", "over which the wander is measured", JUDGEMENT)
+    widest: float = number(50.0, "m", "per axis: a larger displacement is movement, not error", JUDGEMENT)
+    epoch: float = number(10.0, "s", "of the hidden Markov model", JUDGEMENT)
+    window: float = number(40.0, "s", "over which net speeds are computed for the modes", JUDGEMENT)
+    narrow: float = number(15.0, "s", "the same for the times of their changes", JUDGEMENT)
+    lasts: float = number(300.0, "s", "usual duration of a mode", JUDGEMENT)
+    shuffling: float = number(0.05, "m/s", "speed while standing", JUDGEMENT)
+    walk: float = number(1.2, "m/s", "net speed of walkers, with turns and stops", JUDGEMENT)
+    walk_spread: float = number(0.4, "m/s", "its sigma", JUDGEMENT)
+    ride: float = number(7.0, "m/s", "net speed from bicycles to cars", JUDGEMENT)
+    ride_spread: float = number(0.9, "log", "its sigma", JUDGEMENT)
+    dawdling: float = number(0.1, "share", "of a walk with turns and short stops, at any lower speed", JUDGEMENT)
+    waiting: float = number(0.15, "share", "of a ride in which it hardly moves", JUDGEMENT)
+    creeping: float = number(0.5, "m/s", "speed then", JUDGEMENT)
+    outliers: float = number(0.1, "share", "of larger errors of a receiver", JUDGEMENT)
+    outlier_scale: float = number(3.0, "factor", "of these errors", JUDGEMENT)
+    bends: float = number(0.1, "share", "of paths of any straightness", JUDGEMENT)
+    shortest_ride: int = number(3, "epochs", "shorter ones are jumps of the receiver", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class TrackPriors(Table):
+    """The smoothed track of positions alone; tuples are of standing, walking, riding and gaps."""
+
+    fastest: float = number(40.0, "m/s", "on the ground", JUDGEMENT)
+    jump: float = number(20.0, "fixes", "on either side to accept a faster jump, such as a flight", JUDGEMENT)
+    usual_intervals: float = number(5.0, "intervals", "a gap is longer than this many usual ones", JUDGEMENT)
+    longest: float = number(60.0, "s", "and than this: in a minute nobody walks round the block", JUDGEMENT)
+    speed: tuple[float, ...] = number((0.05, 0.9, 7.0, 1.0), "m/s", "sigma of the speed per axis", JUDGEMENT)
+    keeps: tuple[float, ...] = number((1.0, 40.0, 100.0, 600.0), "s", "correlation time of the velocity", JUDGEMENT)
+    free: float = number(5.0, "factor", "of the speed required, at which a stated stay keeps its place", JUDGEMENT)
+    first_scales: tuple[float, ...] = number(
+        (8.0, 2.0, 1.0), "noise", "widths of the loss in the first pass", JUDGEMENT
+    )
+    final_scales: tuple[float, ...] = number((1.0, 1.0), "noise", "the same in the second", JUDGEMENT)
+    at_rest: float = number(1.0, "m/s", "sigma of the velocity of a single fix", JUDGEMENT)
+
+
+# Live
+
+
+@dataclass(frozen=True)
+class Schedule(Table):
+    """When the live smoother refines, reviews, searches and restarts its estimate."""
+
+    rounds: int = number(4, "rounds", "relinearisations after a keyframe, one with each of the next steps", JUDGEMENT)
+    wall_pieces: int = number(60, "pieces", "last ones whose walls are associated again at a keyframe", JUDGEMENT)
+    final_rounds: int = number(30, "rounds", "most linearisations at the end of the walk", JUDGEMENT)
+    batch_interval: float = number(3.0, "s", "least time until the batch solves an ambiguous walk again", JUDGEMENT)
+    batch_share: float = number(0.2, "share", "of the walk's duration, the same", JUDGEMENT)
+    batch_time: float = number(1.0, "s", "after which the batch's solution is adopted", JUDGEMENT)
+    batch_rounds: int = number(12, "rounds", "most of a path of the batch before it is compared", JUDGEMENT)
+    longest_ambiguous: float = number(180.0, "s", "after which the best path is accepted, with three fixes", JUDGEMENT)
+    longest_open: float = number(
+        900.0, "s", "window from which keyframes leave although the direction is open", JUDGEMENT
+    )
+    comparison_interval: float = number(30.0, "s", "most time until the sources are compared again", JUDGEMENT)
+    comparison_share: float = number(0.5, "share", "of the walk's duration until then", JUDGEMENT)
+    comparison_time: float = number(2.0, "s", "after which the result is adopted", JUDGEMENT)
+    review_after: float = number(50.0, "s", "after which the batch solves a walk on a plan once more", JUDGEMENT)
+    search_after: float = number(20.0, "s", "from which a walk without position is sought on the plan", JUDGEMENT)
+    search_interval: float = number(20.0, "s", "least time until it is sought again", JUDGEMENT)
+    search_share: float = number(0.4, "share", "of the walk's duration, the same", JUDGEMENT)
+    search_time: float = number(10.0, "s", "after which the result is adopted", JUDGEMENT)
+    longest_search: float = number(900.0, "s", "after which the search is given up: all of the walk is kept", JUDGEMENT)
+    cost_interval: int = number(5, "keyframes", "between checks of the cost", JUDGEMENT)
+    cost_base: float = number(8.0, "nats", "limit of the cost: twice that of correct walks", JUDGEMENT)
+    cost_per_keyframe: float = number(0.4, "nats", "the same of each keyframe", JUDGEMENT)
+    cost_per_fix: float = number(3.0, "nats", "the same of each fix", JUDGEMENT)
+
+    def batch_delay(self, duration: float) -> float:
+        """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
+        return max(self.batch_interval, self.batch_share * duration)
+
+    def comparison_delay(self, duration: float) -> float:
+        """Time [s] until the sources of a walk of this duration [s] are compared again."""
+        return min(max(5.0, self.comparison_share * duration), self.comparison_interval)
+
+    def search_delay(self, duration: float) -> float:
+        """Time [s] until a walk of this duration [s] is sought on the plan again."""
+        return max(self.search_interval, self.search_share * duration)
+
+    def cost_limit(self, keyframes: int, fixes: int) -> float:
+        """Cost above which a window with so many keyframes and fixes cannot be on the correct path."""
+        return self.cost_base + self.cost_per_keyframe * keyframes + self.cost_per_fix * fixes
+
+
+@dataclass(frozen=True)
+class LivePathPriors(Table):
+    """Other paths of a walk under way, by particles beside the graph."""
+
+    fewest: int = number(500, "particles", "least number", JUDGEMENT)
+    most: int = number(1000, "particles", "largest; more are in the right aisle no more often", JUDGEMENT)
+    dominant: float = number(0.5, "share", "of the particles in one mode, whose path is tried", JUDGEMENT)
+    mostly: float = number(0.7, "share", "of the particles elsewhere, from which the heaviest mode is tried", JUDGEMENT)
+    spread: float = number(1.5, "factor", "of the graph's sigmas: it may be in the wrong aisle", JUDGEMENT)
+    least_share: float = number(0.02, "share", "of the particles, in a mode that counts", JUDGEMENT)
+    wall_price: float = number(4.0, "log-odds", "largest of a mode whose present position is inside walls", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class FixesAlonePriors(Table):
+    """The current position by fixes alone."""
+
+    wander: float = number(1.0, "m/√s", "growth of sigma without steps: 8 m in a minute", JUDGEMENT)
+    given_up: int = number(3, "fixes", "beyond the gate in a row, after which the position restarts", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class LiveFloorPriors(Table):
+    """The floors of a walk under way."""
+
+    interval: float = number(3.0, "s", "between estimates; a climb is assumed to go on for two", JUDGEMENT)
+    longest: float = number(200.0, "s", "longest window", JUDGEMENT)
+    shortest: float = number(60.0, "s", "length of the window after a cut", JUDGEMENT)
+    most_climbs: int = number(3, "climbs", "in the window", JUDGEMENT)
+    too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb", JUDGEMENT)
+    remembered: float = number(90.0, "s", "labels stored from before the window", JUDGEMENT)
+    silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone", JUDGEMENT)
+
+
+# What is said of an estimate
+
+
+@dataclass(frozen=True)
+class ReportPriors(Table):
+    """When a user is warned."""
+
+    sure: float = number(0.9, "probability", "below which a user is warned", JUDGEMENT)
+    least_reported: float = number(0.01, "probability", "below which another walk is not reported", JUDGEMENT)
+    full_weight: float = number(0.9, "weight", "above which a fix is reported as such", JUDGEMENT)
+    rejected: float = number(0.1, "weight", "below which a fix counts as rejected", JUDGEMENT)
+    many: float = number(0.1, "share", "of rejected fixes at which a user is warned", JUDGEMENT)
+    detour: float = number(0.5, "weight", "below which a range is reported as one without line of sight", JUDGEMENT)
+    stride: tuple[float, float] = number((0.8, 1.2), "ratio", "stride scale R_s of usual walkers", JUDGEMENT)
+    crossed_anyway: float = number(
+        0.01, "share", "of rows, beside one, through walls on right routes", "at most 1 of 15 to 222 rows of real walks"
+    )
+
+
+@dataclass(frozen=True)
+class VerdictPriors(Table):
+    """When a walk is doubtful or failed."""
+
+    failed: float = number(0.5, "share", "of rejected fixes of a failed walk", VERDICT_SEEDS)
+    doubtful: float = number(
+        0.3, "share", "of rejected fixes of a doubtful walk; 0.3 still determine it", VERDICT_SEEDS
+    )
+    fix_median: float = number(1.18, "σ", "median distance of honest fixes", "Rayleigh's distribution")
+    fix_spread: float = number(0.85, "σ", "sigma of that median × √n", "Rayleigh's distribution")
+    heading_median: float = number(0.67, "σ", "median of the residuals of honest headings", "normal distribution")
+    heading_spread: float = number(0.79, "σ", "sigma of that median × √n", "normal distribution")
+    distant: float = number(3.0, "σ", "of the median above the expected one", VERDICT_SEEDS)
+    alike: float = number(30.0, "s", "in which the errors of fixes are alike", VERDICT_SEEDS)
+    checked: int = number(3, "fixes", "that determine a stride scale and check one another", VERDICT_SEEDS)
+    seldom_right: float = number(0.3, "probability", "of a route below which it is one of several", VERDICT_SEEDS)
+    moved: float = number(0.5, "share", "of beacons elsewhere at which the list is of another place", VERDICT_SEEDS)
+    crossed: float = number(0.05, "share", "of rows through walls of a doubtful walk", VERDICT_SEEDS)
+    lost: float = number(0.5, "share", "of rows through walls of a failed walk", VERDICT_SEEDS)
+    fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
+    accepted: float = number(0.5, "weight", "above which a fix is accepted", VERDICT_SEEDS)
+    transmitters: int = number(3, "beacons", "or anchors that determine positions", "geometry")
+
+
+STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()
+STRIDES, TREADS, MOTION = StridePriors(), TreadPriors(), MotionPriors()
+FORWARD, GRIP, COMPASS, LIVE_COMPASS = ForwardPriors(), GripPriors(), CompassPriors(), LiveCompassPriors()
+REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()
+CLIMB, KIND = ClimbPriors(), KindPriors()
+LOSSES, WALKER, WALLS, REGIONS, PLANS = LossPriors(), WalkerPriors(), WallPriors(), RegionPriors(), PlanPriors()
+RECEIVERS, BEACONS, RANGES = ReceiverPriors(), BeaconPriors(), RangePriors()
+INITIAL, SEARCH, PARTICLES, KALMAN = InitialPriors(), SearchPriors(), ParticlePriors(), KalmanPriors()
+LINE, STOREYS, SCANS = LinePriors(), StoreyPriors(), ScanPriors()
+TRAVEL, TRACK = TravelPriors(), TrackPriors()
+SCHEDULE, LIVE_PATHS = Schedule(), LivePathPriors()
+FIXES_ALONE, LIVE_FLOORS = FixesAlonePriors(), LiveFloorPriors()
+REPORTS, VERDICTS = ReportPriors(), VerdictPriors()
