@@ -21,7 +21,6 @@ from pdr_graph.estimation.factors import KINDS
 from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import read
 from pdr_graph.io.loading import load
-from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
 from pdr_graph.lifelog.build import build
 from pdr_graph.lifelog.ingest import add
