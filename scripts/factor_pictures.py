@@ -21,7 +21,7 @@ from tables import DOCS
 from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
 from pdr_graph.estimation.ambiguity.path_modes import rotated, solutions
 from pdr_graph.estimation.factors import preintegration
-from pdr_graph.estimation.factors.base import State
+from pdr_graph.estimation.factors.base import POSE, State
 from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS, PATH_LOSS_SIGMA, BeaconRssiFactor
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.corridor import CorridorFactor
@@ -32,6 +32,7 @@ from pdr_graph.estimation.factors.start import first_heading_prior
 from pdr_graph.estimation.factors.steps_and_walls import WallFactor
 from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
+from pdr_graph.estimation.live.marginal import MarginalFactor
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
@@ -709,12 +710,10 @@ def marginal():
         new = (fixes.time > begin * PERIOD - 1e-6) & (fixes.time <= (begin + 5) * PERIOD)
         if new.any():
             walk.append(take(fixes, np.flatnonzero(new)))
-        window, isam = walk.graph.window, walk.graph.isam
-        if begin % 10 == 5 and isam.marginal:
-            time.append(window.times[-1])
-            last = X(window.keyframes[-1])
-            known.append(spread_of(isam.graph(), isam, last))
-            forgotten.append(spread_of(_held(isam), isam, last))
+        if begin % 10 == 5 and walk.graph.marginals:
+            time.append(walk.graph.window.times[-1])
+            known.append(np.sqrt(np.trace(walk.graph.solved_covariance(-1)[:2, :2]) / 2))
+            forgotten.append(spread_without_marginal(walk.graph.at))
     figure, axes = canvas(1)
     axes.plot(time, known, color=BLUE, label="with the marginal on what was left of the window")
     axes.plot(time, forgotten, color=ORANGE, ls="--", label="without: what left the window is forgotten")
@@ -732,23 +731,22 @@ def some(steps, begin, end):
     return replace(steps, start=start, end=float(rows["time"][-1]), **rows)
 
 
-def _held(isam):
-    """The factors of the window alone, its variables held as loosely as nothing."""
-    alone = gtsam.NonlinearFactorGraph()
-    for one in isam.factors.values():
-        alone.add(one.factor)
-    for key in isam.values.keys():
-        loose = gtsam.noiseModel.Isotropic.Sigma(3, NOTHING)
-        pose = gtsam.Symbol(key).chr() == ord("x")
-        prior = gtsam.PriorFactorPose2 if pose else gtsam.PriorFactorVector
-        alone.add(prior(key, (isam.values.atPose2 if pose else isam.values.atVector)(key), loose))
-    return alone
-
-
-def spread_of(graph, isam, key):
-    """Root of the mean variance of a pose's position. [m]"""
-    covariance = gtsam.Marginals(graph, isam.values).marginalCovariance(key)
-    return np.sqrt(np.trace(covariance[:2, :2]) / 2)
+def spread_without_marginal(at):
+    """Root of the mean variance of the last position, by the window's own factors and a hold as loose as nothing. [m]"""
+    sizes = [len(at.state[symbol]) for symbol in at.state.arrays]
+    first = dict(zip(at.state.arrays, np.cumsum([0, *sizes[:-1]]), strict=True))
+    information = np.eye(3 * sum(sizes)) / NOTHING**2
+    for block in at.blocks:
+        residual, by = block.weighted
+        if block.name != MarginalFactor.name:
+            J = np.zeros((len(residual), sum(sizes), 3))
+            for (symbol, rows), of_variable in zip(block.variables, by, strict=True):
+                J[np.arange(len(residual)), first[symbol] + rows[block.row_of]] += of_variable
+            J = J.reshape(len(residual), 3 * sum(sizes))
+            information += J.T @ J
+    last = 3 * (first[POSE] + len(at.state.poses) - 1)
+    covariance = np.linalg.inv(information)[last : last + 2, last : last + 2]
+    return np.sqrt(np.trace(covariance) / 2)
 
 
 PICTURES = {
