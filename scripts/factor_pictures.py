@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -732,7 +731,7 @@ def some(steps, begin, end):
 
 
 def spread_without_marginal(at):
-    """Root of the mean variance of the last position, by the window's own factors and a hold as loose as nothing. [m]"""
+    """Root of the mean variance of the last position, by the window's factors and a hold as loose as nothing. [m]"""
     sizes = [len(at.state[symbol]) for symbol in at.state.arrays]
     first = dict(zip(at.state.arrays, np.cumsum([0, *sizes[:-1]]), strict=True))
     information = np.eye(3 * sum(sizes)) / NOTHING**2

@@ -17,6 +17,8 @@ def test_the_readme_examples_run_as_printed(tmp_path):
     assert median
     assert 0.3 < float(median[1]) < 1.5
     assert "Pose(" in said
+    verdicts = re.findall(r"^(?:Pose\(.*\) )?(ok|doubtful|failed)\b", said, re.MULTILINE)
+    assert verdicts == ["ok"] * 3  # by the command, in Python and live
 
 
 def test_the_first_block_installs_into_an_environment_and_the_second_needs_nothing_else():

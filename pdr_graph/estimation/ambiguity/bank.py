@@ -119,7 +119,7 @@ class HypothesisBank:
             optimum = replace(optimize(graph, graph.start), unseen=self.first.unseen)
             information = optimum.solution.log_determinant - self.first.solution.log_determinant
             held = weighed(optimum, self.first, *memory.adopted, information=information)
-            self.recalled = replace(held, burden=held.burden - OLDER * len(adopted))
+            self.recalled = replace(held, burden=held.burden - self._older(memory.adopted))
             self.members, kept = [*self.members, self.recalled], [*kept, True]
         lead = [
             member.surprise - LEAD * held if _adoptable(member) else np.inf
@@ -137,8 +137,18 @@ class HypothesisBank:
     def _supported(self, member: Optimum, memory: Memory) -> Optimum:
         """A member with what older evidence says for its hypotheses."""
         known = bool(member.assumed) and set(member.assumed) <= set(memory.possible)
-        older = OLDER * min(len(member.assumed), len(memory.adopted)) if known else 0.0
+        older = min(self._older(member.assumed), self._older(memory.adopted)) if known else 0.0
         return replace(member, burden=member.burden - older)
+
+    def _older(self, hypotheses: Iterable[Hypothesis]) -> float:
+        """What older evidence says for hypotheses [nats]; nothing where all that they are about is in the data."""
+        return sum(OLDER for claim in hypotheses if not self._is_recent(claim))
+
+    def _is_recent(self, claim: Hypothesis) -> bool:
+        """True if a hypothesis is about rows of the data alone."""
+        rows = [n for n in claim.instances if isinstance(n, int)]
+        present = self._numbers.get(claim.kind[0], ())
+        return len(rows) == len(claim.instances) > 0 and bool(np.isin(rows, present).all())
 
 
 def weighed(optimum: Optimum, base: Optimum, *hypotheses: Hypothesis, information: float = 0.0) -> Optimum:
