@@ -72,7 +72,10 @@ def near_start(graph: WalkGraph) -> Optimum:
 class Factors(Protocol):
     """What a search needs of a graph: that of a whole walk, or of a window."""
 
-    walled: bool
+    @property
+    def walled(self) -> bool:
+        """True if walls or corridors of a plan hold the walk."""
+        ...
 
     def evaluate(self, state: State) -> Evaluation:
         """All factors at one state."""

@@ -133,7 +133,7 @@ def measurements_of(
     return made
 
 
-def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[Measurement]:
+def corridors_of(floor_sequence: FloorSequence, prior: Prior) -> list[CorridorFactor | TurnFactor]:
     """The factors of corridors that the prior asks for, not associated with the walk yet."""
     return [CORRIDORS[name].about(floor_sequence) for name in prior.corridors]
 

@@ -74,7 +74,7 @@ class TurnFactor(Measurement):
     on_plan: ClassVar[bool] = True
 
     @classmethod
-    def about(cls, floor_sequence: FloorSequence) -> TurnFactor:
+    def about(cls, floor_sequence: FloorSequence) -> Self:
         """The networks of the floors that a walk is on, associated with none of its turns yet."""
         none, numbers = np.empty(0), np.empty(0, dtype=np.intp)
         return cls(floor_sequence, numbers, numbers, none, none, numbers, np.empty((0, 4, 2)), np.empty((0, 4)))

@@ -54,7 +54,7 @@ class MarginalFactor(Measurement):
             return None
         order = np.concatenate([np.flatnonzero(~there), np.flatnonzero(there)])
         root = self.root.reshape(len(self.offset), -1, 3)[:, order].reshape(len(self.offset), -1)
-        root, offset = _schur_complement(root.T @ root, root.T @ self.offset, 3 * np.count_nonzero(~there))
+        root, offset = _schur_complement(root.T @ root, root.T @ self.offset, 3 * int(np.count_nonzero(~there)))
         symbol = tuple(symbol for symbol, kept in zip(self.symbol, there.tolist(), strict=True) if kept)
         return MarginalFactor(symbol, self.number[there], self.point[there], root, offset)
 
