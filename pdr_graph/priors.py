@@ -827,7 +827,7 @@ class LiveFloorPriors(Table):
     silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone", JUDGEMENT)
 
 
-# What is said of an estimate
+# Reports and verdicts of an estimate
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_after_a_fault_fixes_bring_the_particles_back(fault):
-    """Particles stay finite; after six fixes along the aisle their mean is there."""
+    """Particles stay finite; after six fixes along the aisle they are nearer to the last one than to any other."""
     floor, cloud = aisle(), begun(at_once=1)
     on(cloud, floor, 1)
     with np.errstate(all="raise", under="ignore"):
@@ -143,4 +143,4 @@ def test_after_a_fault_fixes_bring_the_particles_back(fault):
     assert paths.weight.sum() == pytest.approx(1.0)
     assert FEWEST <= len(paths.weight) <= MOST
     assert share > 0.5
-    assert paths.state[-1, :2, middle] == pytest.approx([20.0 + 50 * STRIDE, 1.0], abs=2.0)
+    assert paths.state[-1, :2, middle] == pytest.approx([20.0 + 50 * STRIDE, 1.0], abs=5 * STRIDE)
