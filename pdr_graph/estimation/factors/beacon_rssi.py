@@ -27,7 +27,7 @@ from pdr_graph.estimation.ambiguity.hypothesis import (
     Wording,
     wording_of,
 )
-from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Measurement, Variables
+from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.beacon_list import (
     placement_costs,
     relocated_beacons,
@@ -204,8 +204,6 @@ class BeaconRssiFactor(Measurement):
                 [("b", beacons), *(("d", 0 * beacons) for _ in moved)],
                 lambda: [np.eye(3) * root[:, :, None], *(-np.diag(PLANE) * root[:, :, None] for _ in moved)],
                 self.beacon_number,
-                tolerance=None,
-                signature=EXACT * np.nan_to_num(self.prior[:, :2].sum(axis=1)),
                 prior=True,
             ),
             FactorBlock.uniform(
@@ -214,7 +212,6 @@ class BeaconRssiFactor(Measurement):
                 [("q", single)],
                 lambda: [np.diag(1 / PATH_LOSS_SIGMA)[None]],
                 single,
-                tolerance=None,
                 prior=True,
             ),
         ]
@@ -224,7 +221,7 @@ class BeaconRssiFactor(Measurement):
         single, root = np.zeros(1, dtype=np.intp), np.diag([1 / ORIGIN_SIGMA, 1 / ORIGIN_SIGMA, 1.0])
         off = (at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)) @ root
         name = f"{self.name}.displacement"
-        return FactorBlock.uniform(name, off, [("d", single)], lambda: [root[None]], single, tolerance=None, prior=True)
+        return FactorBlock.uniform(name, off, [("d", single)], lambda: [root[None]], single, prior=True)
 
     def rough_fixes(self) -> Fixes:
         """A rough fix at the strongest surveyed beacon in every BIN seconds."""

@@ -201,10 +201,7 @@ class GnssBias(Measurement):
 
         variables = (("x", keyframe), (self.symbol, node), (self.symbol, node + 1))
         loss = RobustLoss(self.fixes.outlier[fix])
-        tenths = 10 * np.log(white)
-        return FactorBlock.uniform(
-            FixFactor.name, value, variables, jacobian, self.fixes.number[fix], loss=loss, signature=tenths
-        )
+        return FactorBlock.uniform(FixFactor.name, value, variables, jacobian, self.fixes.number[fix], loss=loss)
 
     def _process(self, at: Evaluation) -> list[FactorBlock]:
         """Factors of g, which varies about o, and of o."""
@@ -218,8 +215,6 @@ class GnssBias(Measurement):
             [(self.symbol, first), (self.symbol_throughout, self.receiver[first])],
             lambda: [np.eye(3) / sigma[first, :, None], -np.diag(PLANE) / sigma[first, :, None]],
             self.node_number[first],
-            tolerance=None,
-            signature=10 * np.log(self.sigma[first]),
             prior=True,
         )
         share = self.keep[later, None] * self.sigma[later, None] / self.sigma[later - 1, None] * [1, 1, 0] + [0, 0, 1]
@@ -231,8 +226,6 @@ class GnssBias(Measurement):
             [(self.symbol, later), (self.symbol, later - 1), (self.symbol_throughout, self.receiver[later])],
             lambda: [np.eye(3) * by[:, :, None] for by in (scale, -share * scale, (share - 1) * PLANE * scale)],
             self.node_number[later],
-            tolerance=None,
-            signature=20 * self.keep[later] + 10 * np.log(self.sigma[later]),
             prior=True,
         )
         root = np.stack([1 / (self.throughout * self.usual)] * 2 + [np.ones(len(o))], axis=1)
@@ -242,8 +235,6 @@ class GnssBias(Measurement):
             [(self.symbol_throughout, np.arange(len(o)))],
             lambda: [np.eye(3) * root[:, :, None]],
             self.receiver_number,
-            tolerance=None,
-            signature=10 * np.log(root[:, 0]),
             prior=True,
         )
         return [begin, follow, same]

@@ -17,7 +17,7 @@ from pdr_graph.estimation.ambiguity.hypothesis import (
     Wording,
     wording_of,
 )
-from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Measurement
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
@@ -215,5 +215,4 @@ def heading_block(name: str, at: Evaluation, keyframe: Index, headings: Headings
         number,
         loss=loss,
         native=native,
-        signature=EXACT * (headings.heading + 10 * sigma),
     )

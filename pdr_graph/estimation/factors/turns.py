@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 import shapely
 
-from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Measurement
+from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement
 from pdr_graph.estimation.factors.corridor import Track, stretches_along
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Network
@@ -136,7 +136,6 @@ class TurnFactor(Measurement):
                 [("x", self.before), ("x", self.after)],
                 by_headings,
                 number,
-                signature=EXACT * (self.least + self.most),
             ),
             FactorBlock.uniform(
                 f"{self.name}.place",
@@ -144,7 +143,6 @@ class TurnFactor(Measurement):
                 [("x", interval), ("x", interval + 1), ("c", at.chain.segment[interval])],
                 lambda: [place.by_i, place.by_j, place.by_c],
                 number,
-                signature=EXACT * self.edge.sum(axis=1),
             ),
         ]
 
