@@ -16,7 +16,7 @@ from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
 from pdr_graph.estimation.calibration import calibrate, prior_of
 from pdr_graph.estimation.factors.beacon_rssi import levels_along
-from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA, heading_reports
+from pdr_graph.estimation.factors.heading_prior import START, heading_reports
 from pdr_graph.estimation.floors import Floors, floors_along
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
@@ -37,6 +37,7 @@ from pdr_graph.io.tables import read_trajectory
 from pdr_graph.measurements import by_type
 from pdr_graph.outputs import Result
 from pdr_graph.plausibility import check_floors
+from pdr_graph.priors import INITIAL
 from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Signal, Steps, Trajectory
 from pdr_graph.walk_options import Options
 from pdr_graph.whole_files import write_file
@@ -94,7 +95,7 @@ def observe(inputs: Inputs, options: Options | None = None) -> Evidence:
         steps = detect_steps(gaits, inputs.walker)
         headings = magnetic_headings(gaits, inputs.frame, inputs.near)
         if inputs.start_heading is not None and len(steps):
-            row = (steps.time[:1], np.array([inputs.start_heading]), np.array([START_HEADING_SIGMA]), (START,))
+            row = (steps.time[:1], np.array([inputs.start_heading]), np.array([INITIAL.heading_sigma]), (START,))
             headings = Headings.concatenate([Headings(*row), headings])
     evidence = Evidence(steps, inputs.fixes, headings, inputs.building, profile=inputs.walker.profile)
     evidence = with_measurements(evidence, walk.measurements)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 JUDGEMENT = "judgement"
+SEARCHED = "set on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the densest"
 VERDICT_SEEDS = "set on simulated walks with honest and with lying sources (scripts/reproduce integrity)"
 
 
@@ -203,6 +204,7 @@ class MotionPriors(Table):
     steps_per_keyframe: int = number(
         10, "steps", "most steps between keyframes: the per-step optimum", "design, section 3", (5, 20)
     )
+    steps_per_segment: int = number(100, "steps", "for which the calibration is constant", "design, section 3")
 
 
 # Directions
@@ -294,6 +296,7 @@ class CompassPriors(Table):
     least_certain: float = number(
         0.7, "rad", "sigma of north or forward axis beyond which there is no heading", JUDGEMENT, (0.35, 1.4)
     )
+    off: float = number(float(np.pi / 4), "rad", "of a compass that is off throughout", JUDGEMENT)
 
 
 @dataclass(frozen=True)
@@ -490,6 +493,52 @@ class RegionPriors(Table):
 
 
 @dataclass(frozen=True)
+class CorridorPriors(Table):
+    """Directions of corridors, in runs of steps along their links."""
+
+    side: float = number(
+        0.3,
+        "share",
+        "of the width, sigma of the position at either end of a run; 1/√12 if uniformly distributed",
+        JUDGEMENT,
+    )
+    ahead: float = number(
+        0.03, "rad", "sigma between the line from end to end of a run and the keyframe's heading", JUDGEMENT
+    )
+    on_link: float = number(
+        2.0, "cost", "largest of a step on a link: half a corridor off and askew as in a zigzag", JUDGEMENT
+    )
+    shortest: float = number(3.0, "m", "of the walk along a link", JUDGEMENT)
+    bridged: float = number(
+        6.0, "m", "of the walk between two parts of one run: across an intersection, past an open shop", JUDGEMENT
+    )
+    straight: float = number(float(np.radians(10)), "rad", "between the links of one run", JUDGEMENT)
+    spread: float = number(float(np.radians(4)), "rad", "the same as a standard deviation", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class TurnPriors(Table):
+    """Turns at the intersections of a corridor network."""
+
+    turned: float = number(
+        0.05, "rad", "sigma of a heading change: few steps of a turn are straight in a corridor", JUDGEMENT
+    )
+    place: float = number(
+        0.5,
+        "m",
+        "sigma outside the intersection: corners are cut, the step nearest to the turn is half a step off",
+        JUDGEMENT,
+    )
+    overlap: int = number(
+        6, "places", "at the end or the beginning of a stretch that may belong to the turn", JUDGEMENT
+    )
+    longest: float = number(8.0, "m", "of the walk around an intersection, from one link to the other", JUDGEMENT)
+    least: float = number(float(np.radians(25)), "rad", "turn; less is one corridor", JUDGEMENT)
+    most: float = number(float(np.radians(150)), "rad", "turn; more is a reversal", JUDGEMENT)
+    at_node: float = number(2.0, "m", "between a turn and its intersection", JUDGEMENT)
+
+
+@dataclass(frozen=True)
 class PlanPriors(Table):
     """Tolerances of a drawing."""
 
@@ -500,6 +549,35 @@ class PlanPriors(Table):
 
 
 @dataclass(frozen=True)
+class FixPriors(Table):
+    """Fixes that cannot be right, and losses of fixes."""
+
+    longest_overhang: float = number(5.0, "s", "by which a fix may lie outside the recording", JUDGEMENT)
+    walking_speed: float = number(1.4, "m/s", "at which the sigma of such a fix grows", JUDGEMENT)
+    outlier: float = number(5.0, "σ", "from a first optimum beyond which a fix is an outlier", JUDGEMENT)
+    stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say", JUDGEMENT)
+    within: float = number(5.0, "σ", "of both fixes, within reach of one another", JUDGEMENT)
+    driven: float = number(30.0, "m/s", "reached during a gap in the recording", JUDGEMENT)
+    loosely: float = number(
+        5.0, "factor", "of the sigma in the second factor of a fix that states only a radius", JUDGEMENT
+    )
+    patience: int = number(
+        4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged", JUDGEMENT
+    )
+    rejected: float = number(
+        0.25, "fixes", "value in the longest chain, of one that the walk under way has rejected", JUDGEMENT
+    )
+    doubtful: float = number(
+        0.3, "probability", "that the farthest of honest fixes is as far off, below which one may be wrong", JUDGEMENT
+    )
+    suspicious: float = number(
+        0.7, "share", "of a receiver's sigma that changes in a second, above which its sigmas are too small", JUDGEMENT
+    )
+    fewest_scatter: int = number(10, "triples", "of fixes that measure that share, at least", JUDGEMENT)
+    seconds: float = number(3.0, "s", "longest time of such a triple", JUDGEMENT)
+
+
+@dataclass(frozen=True)
 class ReceiverPriors(Table):
     """Fixes of one receiver."""
 
@@ -507,6 +585,18 @@ class ReceiverPriors(Table):
     along: float = number(30.0, "m", "distance walked over which they are correlated", JUDGEMENT)
     still: float = number(1.0, "m", "within which a frozen receiver stays", JUDGEMENT)
     away: float = number(10.0, "m", "to which the steps must lead meanwhile", JUDGEMENT)
+    white: float = number(0.3, "share", "of white noise in the stated sigma", JUDGEMENT)
+    node: float = number(5.0, "s", "between nodes of the offset", JUDGEMENT)
+    lag: float = number(1.0, "s", "sigma of the lag", JUDGEMENT)
+    lag_change: float = number(0.02, "s/√s", "random walk of the lag", JUDGEMENT)
+    lately: float = number(2.0, "s", "over which the velocity is averaged", JUDGEMENT)
+    amble: float = number(1.0, "m/s", "assumed after the last step, until the next node", JUDGEMENT)
+    usually_worse: float = number(
+        2.0, "factor", "of what it states, up to which a user need not check a receiver", JUDGEMENT
+    )
+    scattered: float = number(
+        1.1, "σ", "root mean square residual from which all errors may be larger than stated", JUDGEMENT
+    )
 
 
 @dataclass(frozen=True)
@@ -523,6 +613,25 @@ class BeaconPriors(Table):
     grid: float = number(5.0, "m", "spacing of candidate positions", JUDGEMENT)
     beside: float = number(20.0, "m", "of their area beside the walk", JUDGEMENT)
     longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live", JUDGEMENT)
+    stretch: float = number(2.0, "m", "of the walk over which levels are averaged", JUDGEMENT)
+    path_loss: tuple[float, float, float] = number((-62.0, 2.2, 3.0), "dBm, -, dB", "(P, n, k) of any phone", JUDGEMENT)
+    path_loss_sigma: tuple[float, float, float] = number((8.0, 0.5, 3.0), "dBm, -, dB", "sigma of (P, n, k)", JUDGEMENT)
+    bin: float = number(15.0, "s", "between rough fixes", JUDGEMENT)
+    nearest: float = number(2.0, "m", "least sigma of a rough fix", JUDGEMENT)
+    range: float = number(
+        60.0, "m", "from which no phone receives a beacon; at half of it the usual level is the weakest", JUDGEMENT
+    )
+    anywhere: float = number(
+        30.0, "m", "sigma of an unsurveyed beacon about the place of its strongest level", JUDGEMENT
+    )
+    most_of_a_kind: int = number(2, "hypotheses", "swaps, and moved beacons, that are assumed and solved", JUDGEMENT)
+    suspicious: float = number(
+        3.0, "nats", "by which a beacon fits better elsewhere along the walk", "of honest lists up to 4, simulated"
+    )
+    origin_sigma: float = number(30.0, "m", "of the displacement of a whole list", JUDGEMENT)
+    displaced: float = number(
+        8.0, "m", "between the walks by the list and by all else, from which that is assumed", JUDGEMENT
+    )
 
 
 @dataclass(frozen=True)
@@ -555,6 +664,7 @@ class InitialPriors(Table):
     longer: float = number(1.5, "factor", "of the distance that a walk may lead from its fixes", JUDGEMENT)
     beyond: float = number(20.0, "m", "margin of that distance", JUDGEMENT)
     rough_track: float = number(0.05, "share", "error of dead reckoning, of the distance walked", JUDGEMENT)
+    heading_sigma: float = number(0.2, "rad", "of the start heading of a user", JUDGEMENT)
 
 
 @dataclass(frozen=True)
@@ -570,6 +680,155 @@ class SearchPriors(Table):
     attempts: int = number(2, "runs", "of the particle filter", JUDGEMENT)
     unseen: float = number(4.5, "nats", "above the usual of a path that the particles may have missed", JUDGEMENT)
     same_path: float = number(4.0, "m", "mean distance of solutions on one path: half an aisle's spacing", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class PricePriors(Table):
+    """Prices of hypotheses about sources: negative log odds of the error, before a measurement is seen."""
+
+    worse: tuple[tuple[float, float], ...] = number(
+        ((2.0, 0.7), (5.0, 2.3)),
+        "factor, nats",
+        "a receiver off throughout by so many times what it states: 1 in 2, 1 in 10",
+        JUDGEMENT,
+    )
+    larger: tuple[tuple[float, float], ...] = number(
+        ((2.0, 1.5), (4.0, 3.0)),
+        "factor, nats",
+        "all errors of a receiver so many times what it states: 1 in 5, 1 in 20",
+        JUDGEMENT,
+    )
+    wrong_list: float = number(
+        5.5, "nats", "two entries of a list of beacons are swapped, one is elsewhere, or all: 1 in 250", JUDGEMENT
+    )
+    wrong_origin: float = number(
+        1.0, "nats", "a list is displaced as a whole: as a receiver that is as far off throughout", JUDGEMENT
+    )
+    wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma", JUDGEMENT)
+    wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10", JUDGEMENT)
+    compass_off: float = number(
+        -float(np.log(0.07)),
+        "nats",
+        "a compass is off to one side throughout: 7 in 100; of 21 real headings none was",
+        JUDGEMENT,
+    )
+    wrong_plan: float = number(
+        6.0, "nats", "a plan does not fit, at least", "right walls add 0 to 4.5 nats on 60 simulated and 45 real walks"
+    )
+    added_by_walls: float = number(
+        0.25,
+        "nats",
+        "the same per measurement: those that the walls amount to, and the cost without walls",
+        "right walls add 0.12 to 0.19 in laps of 12 min, and with fixes at 1 Hz; wrong ones, 3 m off, 0.3 to 2.3",
+    )
+    displaced_plan: float = number(
+        3.0, "nats", "a plan, or the only position on it, is some metres off", "then simulated walks cost 0 to 5 nats"
+    )
+
+
+@dataclass(frozen=True)
+class DoubtPriors(Table):
+    """Which hypotheses about sources are solved, carried on, adopted and reported."""
+
+    unlikely: float = number(5.0, "nats", "above the best from which a hypothesis is not carried on: 0.7 %", JUDGEMENT)
+    probable: float = number(0.5, "probability", "above which a user is told what a source gets wrong", JUDGEMENT)
+    different: float = number(0.5, "m", "largest distance at some step above which two solutions differ", JUDGEMENT)
+    older: float = number(
+        8.0,
+        "nats",
+        "per adopted hypothesis, live: its price, 5.5, and 2.5 of evidence from before the reviewed minutes",
+        JUDGEMENT,
+    )
+    lead: float = number(1.0, "nats", "by which other hypotheses must be better than the adopted ones", JUDGEMENT)
+    misplaced: float = number(
+        6.0, "m", "sigma of the displacement of a plan or of the only position on it, per axis", JUDGEMENT
+    )
+    span: float = number(120.0, "s", "of the walk in which sources are compared: twice the usual lag", JUDGEMENT)
+    spacing: float = number(10.0, "s", "between the times at which the covariance of a review is computed", JUDGEMENT)
+    least_sigma: float = number(1.0, "m", "of a place that is certain: the walls that tell it count again", JUDGEMENT)
+    least_sigma_heading: float = number(0.2, "rad", "of the heading there", JUDGEMENT)
+    nowhere_else: float = number(1e-3, "probability", "below which no other place is kept", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class PathPriors(Table):
+    """Distinct paths of a walk on a plan."""
+
+    most_modes: int = number(8, "modes", "largest number that is solved", JUDGEMENT)
+    most_sought: int = number(
+        300, "modes", "among which the heaviest are chosen: after a long gap particles are all over the plan", JUDGEMENT
+    )
+    apart: float = number(
+        4.0, "m", "largest distance between two modes: nearer ones lead the optimiser to the same walk", JUDGEMENT
+    )
+    moments: int = number(60, "keyframes", "at which paths are compared", JUDGEMENT)
+    live_moments: int = number(8, "keyframes", "the same for a walk under way", JUDGEMENT)
+    live_modes: int = number(5, "modes", "largest number for a walk under way", JUDGEMENT)
+    neglected: float = number(0.01, "share", "of the particles that need not belong to any mode", JUDGEMENT)
+    largest_sigma: float = number(
+        2.7,
+        "m",
+        "in the worst direction, of a path that fixes determine: aisles lie three times as far apart",
+        JUDGEMENT,
+    )
+    fewest_fixes: int = number(3, "fixes", "that determine a path: two do not check one another", JUDGEMENT)
+    most_open: float = number(0.25, "share", "of the walk, at its end, that may be undetermined", JUDGEMENT)
+
+
+@dataclass(frozen=True)
+class AnywherePriors(Table):
+    """Particles all over a plan, for a walk without a position."""
+
+    density: float = number(
+        8.0,
+        "1/m²",
+        "of particles at first, in large plans",
+        SEARCHED,
+    )
+    most_density: float = number(
+        50.0,
+        "1/m²",
+        "the same in small plans",
+        SEARCHED,
+    )
+    fewest: int = number(
+        2000,
+        "particles",
+        "least number",
+        SEARCHED,
+    )
+    fewest_at_first: int = number(
+        50_000,
+        "particles",
+        "least number at first",
+        SEARCHED,
+    )
+    most: int = number(
+        200_000,
+        "particles",
+        "largest number",
+        SEARCHED,
+    )
+    kept: int = number(
+        5000,
+        "paths",
+        "of a run",
+        SEARCHED,
+    )
+    per_bin: float = number(
+        0.1,
+        "m²",
+        "particles per occupied bin of place and direction, times their density at first",
+        SEARCHED,
+    )
+    drawn: int = number(2000, "paths", "among which modes are sought", JUDGEMENT)
+    places: int = number(2000, "places", "that stand for all of a plan", JUDGEMENT)
+    runs: int = number(
+        2,
+        "runs",
+        "independent ones: a run may lose the right place",
+        SEARCHED,
+    )
 
 
 @dataclass(frozen=True)
@@ -775,6 +1034,19 @@ class Schedule(Table):
     cost_base: float = number(8.0, "nats", "limit of the cost: twice that of correct walks", JUDGEMENT)
     cost_per_keyframe: float = number(0.4, "nats", "the same of each keyframe", JUDGEMENT)
     cost_per_fix: float = number(3.0, "nats", "the same of each fix", JUDGEMENT)
+    least_duration: float = number(
+        25.0,
+        "s",
+        "of a first linearisation on a plan, unless fixes determine the direction: shorter walks fit several aisles",
+        JUDGEMENT,
+    )
+    most_sigma: float = number(0.5, "rad", "of the last heading, for a first linearisation", JUDGEMENT)
+    most_sigma_on_plan: float = number(0.35, "rad", "the same on a plan", JUDGEMENT)
+    doubted: float = number(3.0, "σ", "of a fix from the walk, beyond which the batch is asked", JUDGEMENT)
+    doubted_behind_wall: float = number(1.0, "σ", "the same of a fix in an area beyond a wall", JUDGEMENT)
+    covariance_interval: float = number(
+        5.0, "s", "between covariances of the first keyframe; rows between are interpolated", JUDGEMENT
+    )
 
     def batch_delay(self, duration: float) -> float:
         """Time [s] until the batch solves an ambiguous walk of this duration [s] again."""
@@ -804,6 +1076,12 @@ class LivePathPriors(Table):
     spread: float = number(1.5, "factor", "of the graph's sigmas: it may be in the wrong aisle", JUDGEMENT)
     least_share: float = number(0.02, "share", "of the particles, in a mode that counts", JUDGEMENT)
     wall_price: float = number(4.0, "log-odds", "largest of a mode whose present position is inside walls", JUDGEMENT)
+    least_probability: float = number(
+        0.1, "probability", "of the graph's way, however few particles are there", JUDGEMENT
+    )
+    least_gain: float = number(
+        0.1, "nats", "by which an alternative must cost less: else it is the same path", JUDGEMENT
+    )
 
 
 @dataclass(frozen=True)
@@ -825,6 +1103,7 @@ class LiveFloorPriors(Table):
     too_long: float = number(1.5, "factor", "of the longest window at which it is cut even within a climb", JUDGEMENT)
     remembered: float = number(90.0, "s", "labels stored from before the window", JUDGEMENT)
     silent: float = number(20.0, "s", "without barometer samples after which fixes are used alone", JUDGEMENT)
+    apart: float = number(120.0, "s", "between a sample and the steps at which its time stamp is wrong", JUDGEMENT)
 
 
 # Reports and verdicts of an estimate
@@ -868,6 +1147,7 @@ class VerdictPriors(Table):
     fewest_crossings: int = number(3, "rows", "a corner that is cut is no contradiction", VERDICT_SEEDS)
     accepted: float = number(0.5, "weight", "above which a fix is accepted", VERDICT_SEEDS)
     transmitters: int = number(3, "beacons", "or anchors that determine positions", "geometry")
+    overruled: float = number(0.5, "share", "of rejected measurements above which a source is overruled", JUDGEMENT)
 
 
 STEP, CANDIDATE, BOUT = StepPriors(), CandidatePriors(), BoutPriors()
@@ -875,9 +1155,12 @@ STRIDES, TREADS, MOTION = StridePriors(), TreadPriors(), MotionPriors()
 FORWARD, GRIP, COMPASS, LIVE_COMPASS = ForwardPriors(), GripPriors(), CompassPriors(), LiveCompassPriors()
 REST, MAGNETOMETER, NORTH = RestPriors(), MagnetometerPriors(), NorthPriors()
 CLIMB, KIND = ClimbPriors(), KindPriors()
-LOSSES, WALKER, WALLS, REGIONS, PLANS = LossPriors(), WalkerPriors(), WallPriors(), RegionPriors(), PlanPriors()
-RECEIVERS, BEACONS, RANGES = ReceiverPriors(), BeaconPriors(), RangePriors()
-INITIAL, SEARCH, PARTICLES, KALMAN = InitialPriors(), SearchPriors(), ParticlePriors(), KalmanPriors()
+LOSSES, WALKER, WALLS, REGIONS = LossPriors(), WalkerPriors(), WallPriors(), RegionPriors()
+CORRIDOR, TURNS, PLANS = CorridorPriors(), TurnPriors(), PlanPriors()
+FIXES, RECEIVERS, BEACONS, RANGES = FixPriors(), ReceiverPriors(), BeaconPriors(), RangePriors()
+INITIAL, SEARCH = InitialPriors(), SearchPriors()
+PRICES, DOUBTS, PATHS, ANYWHERE = PricePriors(), DoubtPriors(), PathPriors(), AnywherePriors()
+PARTICLES, KALMAN = ParticlePriors(), KalmanPriors()
 LINE, STOREYS, SCANS = LinePriors(), StoreyPriors(), ScanPriors()
 TRAVEL, TRACK = TravelPriors(), TrackPriors()
 SCHEDULE, LIVE_PATHS = Schedule(), LivePathPriors()

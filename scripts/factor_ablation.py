@@ -30,7 +30,7 @@ from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.geometry import row_times
 from pdr_graph.lifelog import sessions
 from pdr_graph.measurements import Closures
-from pdr_graph.priors import LOSSES, MOTION, changed
+from pdr_graph.priors import FIXES, LOSSES, MOTION, changed
 from pdr_graph.types import Trajectory
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"
@@ -144,7 +144,7 @@ def losses():
     with (
         changed(LOSSES, huber=NO_WIDTH),
         patch.object(loss_functions, "huber_weight", lambda deviation, _=NO_WIDTH: np.ones_like(deviation)),
-        patch.object(fix_factors, "OUTLIER", NO_WIDTH),
+        changed(FIXES, outlier=NO_WIDTH),
         patch.object(fix_factors, "consistent_chains", all_believed),
     ):
         gaussian = scored(walks)

@@ -21,7 +21,7 @@ from pdr_graph import FloorPlan, Headings, Prior, WalkGraph, smooth
 from pdr_graph.estimation.ambiguity.path_modes import rotated, solutions
 from pdr_graph.estimation.factors import preintegration
 from pdr_graph.estimation.factors.base import POSE, State
-from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS, PATH_LOSS_SIGMA, BeaconRssiFactor
+from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
 from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
@@ -520,11 +520,11 @@ def beacon():
     """How loud a beacon is at a distance, ahead and behind; and of any phone."""
     metres = np.geomspace(0.5, 40, 200)
     figure, axes = canvas(1)
-    draws = np.random.default_rng(0).normal(PATH_LOSS, PATH_LOSS_SIGMA, (400, 3))
+    draws = np.random.default_rng(0).normal(BEACONS.path_loss, BEACONS.path_loss_sigma, (400, 3))
     low, high = np.percentile([level(metres, 0.0, q) for q in draws], [2.5, 97.5], axis=0)
     axes.fill_between(metres, low, high, color=PALE, alpha=0.5, lw=0, label="a phone of which nothing is known, 95 %")
     for name, facing, colour in (("ahead", 0.0, BLUE), ("behind", np.pi, ORANGE)):
-        usual = level(metres, facing, PATH_LOSS)
+        usual = level(metres, facing, np.array(BEACONS.path_loss))
         axes.fill_between(metres, *(usual + s * BEACONS.level_sigma for s in (-1, 1)), color=colour, alpha=0.15, lw=0)
         axes.plot(metres, usual, color=colour, label=f"the usual one, the beacon {name}, ±1 σ")
     axes.set(xscale="log", xlabel="distance [m]", ylabel="level [dBm]", xticks=[1, 2, 5, 10, 20, 40])

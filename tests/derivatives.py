@@ -1,10 +1,23 @@
 """Derivatives of all factors of a graph, held against central differences: for tests."""
 
+from itertools import pairwise
+
 import gtsam
 import numpy as np
 import pytest
 
 STEP = 1e-6
+
+
+def terms(block, state):
+    """Per factor with rows: index, (key, derivatives ``(r, 3)``) of each variable, residuals ``(r,)``."""
+    residual, blocks = block.weighted
+    keys = [state.keys(symbol, rows).tolist() for symbol, rows in block.variables]
+    bounds = np.searchsorted(block.row_of, np.arange(len(block) + 1)).tolist()
+    for n, (a, b) in enumerate(pairwise(bounds)):
+        if a < b:
+            pairs = [(column[n], by[a:b]) for column, by in zip(keys, blocks, strict=True)]
+            yield n, pairs, residual[a:b]
 
 
 def random_state(graph, random, reach=6.0):
@@ -72,7 +85,7 @@ def linear_graph(at):
     """All factors of an evaluation as GTSAM's linear graph, whitened and weighted: the oracle of our linear algebra."""
     graph = gtsam.GaussianFactorGraph()
     for block in at.blocks:
-        for _, pairs, residual in block.terms(at.state):
+        for _, pairs, residual in terms(block, at.state):
             unit = gtsam.noiseModel.Unit.Create(len(residual))
             graph.add(*(side for pair in pairs for side in pair), -residual, unit)
     return graph

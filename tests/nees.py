@@ -10,10 +10,10 @@ from walks import drawn_beside_beacons, drawn_from_the_model, drawn_with_a_recei
 
 from pdr_graph import smooth
 from pdr_graph.estimation import kalman
-from pdr_graph.estimation.factors import beacon_rssi, gnss_bias, losses
+from pdr_graph.estimation.factors import losses
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.priors import LOSSES, changed
+from pdr_graph.priors import BEACONS, LOSSES, PRICES, changed
 
 SEEDS = 120
 STEPS = 90
@@ -24,8 +24,8 @@ WIDE = 1e6  # [σ] within which Huber's loss is Gaussian
 def gaussian():
     """Without robust losses and hypotheses about sources that err, which are not Gaussian."""
     with ExitStack() as patches:
-        patches.enter_context(patch.object(gnss_bias, "WORSE", ()))
-        patches.enter_context(patch.object(beacon_rssi, "SUSPICIOUS", np.inf))
+        patches.enter_context(changed(PRICES, worse=()))
+        patches.enter_context(changed(BEACONS, suspicious=np.inf))
         patches.enter_context(changed(LOSSES, huber=WIDE))
         for module in (losses, kalman):
             patches.enter_context(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_graph.geometry import dead_reckon
-from pdr_graph.priors import MOTION
+from pdr_graph.priors import BEACONS, MOTION, RECEIVERS
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
 
     period: between fixes [s], at least that of the nodes, between which the offset is no Gauss–Markov process.
     """
-    from pdr_graph.estimation.factors.gnss_bias import LAG, LAG_CHANGE, THROUGHOUT, WHITE, GnssBias
+    from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
     from pdr_graph.estimation.factors.receivers import drift
     from pdr_graph.estimation.graph import WalkGraph
     from pdr_graph.geometry import interpolate, rotation
@@ -110,7 +110,7 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     for i in range(1, len(time)):
         offset[i] = keep[i - 1] * offset[i - 1] + np.sqrt(1 - keep[i - 1] ** 2) * offset[i]
     offset += np.random.default_rng([seed, 3]).normal(0, THROUGHOUT, 2)
-    change = np.append(random.normal(0, LAG), random.normal(0, LAG_CHANGE * np.sqrt(np.diff(time))))
+    change = np.append(random.normal(0, RECEIVERS.lag), random.normal(0, RECEIVERS.lag_change * np.sqrt(np.diff(time))))
     lag, where = np.cumsum(change)[:, None], interpolate(time, truth.time, truth.position)
 
     graph = WalkGraph(steps, fixes_at(time, where, sigma))
@@ -118,7 +118,7 @@ def drawn_with_a_receiver(n: int, seed: int, period: float = 5.0) -> tuple[Steps
     assert gnss is not None
     velocity = gnss.velocity[graph.positions.keyframe]
     ahead = np.array([rotation(h) @ v for h, v in zip(truth.heading[rows], velocity, strict=True)])
-    white = WHITE * random.normal(0, 1, where.shape)
+    white = RECEIVERS.white * random.normal(0, 1, where.shape)
     fixes = fixes_at(time, where - ahead * lag + sigma * (offset + white), sigma)
     return steps, replace(fixes, source=("GNSS",) * len(fixes)), truth
 
@@ -128,10 +128,9 @@ def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, 
 
     ``wrong`` scales the errors of the levels.
     """
-    from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS, PATH_LOSS_SIGMA
+
     from pdr_graph.geometry import unit
     from pdr_graph.measurements import Levels
-    from pdr_graph.priors import BEACONS
 
     steps, fixes, truth = drawn_from_the_model(n, seed, every=30)
     random, count, surveyed = np.random.default_rng([seed, 2]), 4, 0.5
@@ -143,7 +142,7 @@ def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, 
     gap = b[beacon, :2] - truth.position[row]
     distance = np.sqrt(np.sum(gap**2, axis=1) + BEACONS.height**2)
     facing = np.sum(unit(truth.heading[row]) * gap, axis=1) / distance
-    power, exponent, shade = random.normal(PATH_LOSS, PATH_LOSS_SIGMA)
+    power, exponent, shade = random.normal(BEACONS.path_loss, BEACONS.path_loss_sigma)
     expected = power + b[beacon, 2] - 10 * exponent * np.log10(distance) + shade * facing
     rssi = expected + random.normal(0, wrong * BEACONS.level_sigma, len(row))
     levels = Levels(truth.time[row], beacon, rssi, tuple("abcd"), listed, np.full(count, surveyed))

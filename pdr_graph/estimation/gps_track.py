@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.estimation.factors.fixes import WITHIN, longest_consistent_chain
-from pdr_graph.estimation.factors.gnss_bias import WHITE
+from pdr_graph.estimation.factors.fixes import longest_consistent_chain
 from pdr_graph.estimation.gps_smoother import GpsKnots, Motion, SmoothTrack, smooth_track
 from pdr_graph.estimation.results import REPEATED
 from pdr_graph.estimation.transport_mode import RIDES, STANDS, STATES, moves, straightness
 from pdr_graph.geometry import ANY_HEADING, interpolate
-from pdr_graph.priors import REPORTS, TRACK, TRAVEL
+from pdr_graph.priors import FIXES, RECEIVERS, REPORTS, TRACK, TRAVEL
 from pdr_graph.types import INSTANT, Array, Estimate, Fixes, FixReport, Index, Mask, Trajectory
 
 LOST = len(STATES)  # transport mode where there is no data
@@ -76,12 +75,12 @@ def _plausible(fixes: Fixes) -> Index:
     order = order[np.append(True, np.diff(fixes.time[order]) > INSTANT)]
     first = fixes[order]
     way = TRACK.fastest * (first.time - first.time[0])
-    return order[longest_consistent_chain(first.position, WITHIN * _knots(first).white, way, TRACK.jump)[1]]
+    return order[longest_consistent_chain(first.position, FIXES.within * _knots(first).white, way, TRACK.jump)[1]]
 
 
 def _knots(fixes: Fixes) -> GpsKnots:
     """Knots at the fixes; fixes with a source have a slowly varying error, others are independent."""
-    independent = np.where(np.array(fixes.source, dtype=str) == "", 1.0, WHITE)
+    independent = np.where(np.array(fixes.source, dtype=str) == "", 1.0, RECEIVERS.white)
     slow = fixes.sigma * np.sqrt(1 - independent**2)
     return GpsKnots(fixes.time, fixes.position, slow, independent * fixes.sigma)
 

@@ -40,12 +40,12 @@ from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.measurements import Closures, Levels
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
 if TYPE_CHECKING:
     import gtsam
 
-STEPS_PER_SEGMENT = 100
 MOST_EQUATIONS = 3  # places of blocks that are kept
 Kind = TypeVar("Kind", bound=Measurement)
 
@@ -334,7 +334,7 @@ class WalkGraph:
 def segments(pieces: Pieces, steps: Steps) -> Index:
     """The calibration segment of each keyframe interval: equal shares of about a hundred steps, cut at gaps."""
     walked = np.searchsorted(steps.time, pieces.keyframe_time[:-1])
-    count = max(1, round(len(steps) / STEPS_PER_SEGMENT))
+    count = max(1, round(len(steps) / MOTION.steps_per_segment))
     segment = np.minimum(walked * count // max(len(steps), 1), count - 1)
     gaps = np.searchsorted(np.round(steps.time[steps.is_gap], DECIMALS), pieces.keyframe_time[:-1], side="right")
     return np.unique(segment + gaps, return_inverse=True)[1]

@@ -16,13 +16,13 @@ import numpy as np
 
 from pdr_graph.estimation.covariance import covariance_of_ends
 from pdr_graph.estimation.factors.base import State
-from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, WALKING_SPEED
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, near_start
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import interpolate, nearest, row_times, wrap_angle
 from pdr_graph.measurements import Closures, by_type, with_offset
+from pdr_graph.priors import FIXES
 from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, Headings, Trajectory
 
 BETWEEN = 3600.0  # [s] between two walks on the common time axis
@@ -109,8 +109,8 @@ def _within(graph: WalkGraph) -> Fixes:
     """The fixes of a walk; one shortly outside the recording is moved to its end, away from the next walk."""
     fixes, steps = graph.fixes, graph.steps
     time = np.clip(fixes.time, steps.start, steps.end)
-    near = np.abs(time - fixes.time) <= LONGEST_OVERHANG
-    sigma = np.hypot(fixes.sigma, WALKING_SPEED * (time - fixes.time))
+    near = np.abs(time - fixes.time) <= FIXES.longest_overhang
+    sigma = np.hypot(fixes.sigma, FIXES.walking_speed * (time - fixes.time))
     return replace(fixes, time=time, sigma=sigma)[near]
 
 

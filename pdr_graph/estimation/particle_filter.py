@@ -20,11 +20,11 @@ from pdr_graph.estimation.factors.base import Measurement
 from pdr_graph.estimation.factors.likelihood import LimitsSteps, PoseCosts, pose_costs
 from pdr_graph.estimation.factors.preintegration import Pieces
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.graph import STEPS_PER_SEGMENT, WalkGraph
+from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.particle_motion import Walls, changed_floor, stepped, stood
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.priors import PARTICLES
+from pdr_graph.priors import MOTION, PARTICLES
 from pdr_graph.types import Array, Index
 
 LEAST_STRIDE = 0.1  # least R_s, since its logarithm is used
@@ -157,7 +157,9 @@ class ParticleFilter:
     def close(self, measured: KeyframeMeasurements = ()) -> None:
         """Close a keyframe: weight by the measurements there, resample."""
         state, random = self.state, self.random
-        state[3:] += np.sqrt(self._steps / STEPS_PER_SEGMENT) * self._change * random.standard_normal(state[3:].shape)
+        state[3:] += (
+            np.sqrt(self._steps / MOTION.steps_per_segment) * self._change * random.standard_normal(state[3:].shape)
+        )
         np.maximum(state[3], LEAST_STRIDE, out=state[3])
         for kind in measured:
             if (sought := kind.place_sought(state)) is not None:

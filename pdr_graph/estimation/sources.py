@@ -18,11 +18,10 @@ from pdr_graph.estimation.results import used_fixes
 from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, row_times, wrap_angle
-from pdr_graph.priors import INITIAL, REPORTS
+from pdr_graph.priors import INITIAL, REPORTS, VERDICTS
 from pdr_graph.types import Array, Estimate, Fixes, Trajectory
 
 FIXES, PLAN = "fixes", "plan"  # names of sources: fixes without a receiver, and the floor plan
-OVERRULED = 0.5  # share of rejected measurements above which a source is overruled; chosen by hand
 NAMED = 5  # beacons that a remark names
 
 
@@ -114,7 +113,7 @@ def _use(name: str, reports: list[Any], estimate: Estimate) -> tuple[int, float,
     remark = "used"
     if rejected:
         share = size[weight < REPORTS.rejected].sum() / size.sum()
-        verb = "overruled" if share > OVERRULED else "used in part"
+        verb = "overruled" if share > VERDICTS.overruled else "used in part"
         remark = f"{verb}: {len(rejected)} of {len(reports)} rejected, {_reason(rejected)}"
     stated = [reason.text for reason in estimate.contradictions if reason.source == name]
     return int(size.sum()), float((weight * size).sum() / size.sum()), "; ".join([remark, *dict.fromkeys(stated)])

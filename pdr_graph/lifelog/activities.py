@@ -13,13 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_graph.estimation.factors.fixes import DRIVEN, STRETCHED, WITHIN
 from pdr_graph.estimation.gps_track import LOST, way_through
 from pdr_graph.estimation.transport_mode import RIDES, STANDS, WALKS
 from pdr_graph.geometry import distance_walked, interpolate, length_along
 from pdr_graph.lifelog.day import GAP, KINDS, VEHICLE, Segment
 from pdr_graph.lifelog.observation import StatedActivity
-from pdr_graph.priors import MOTION
+from pdr_graph.priors import FIXES, MOTION
 from pdr_graph.types import INSTANT, Array, Fixes, Index, Mask, Steps, Trajectory
 
 # A bout of walking ends with a rest of 3 s and has at least two strides of either foot (Kluge et al., "Consensus based
@@ -123,7 +122,7 @@ def detect_rides(steps: Steps, fixes: Fixes) -> Array:
     spans = np.reshape([(s.start, s.end) for s in fast], (-1, 2))
     far = np.array([_gap_distance(way, s) if s.kind == GAP else s.distance for s in fast])
     # shortest ride [m]
-    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + WITHIN * _largest_sigma(fixes, spans), 150.0)]
+    spans = spans[far > np.maximum(_reach_of_steps(steps, spans) + FIXES.within * _largest_sigma(fixes, spans), 150.0)]
     return _extended_to_steps(steps, _without_walks(_merge_rides(steps, spans), _confirmed_walks(steps, way)))
 
 
@@ -171,8 +170,8 @@ def _gap_distance(way: Trajectory, gap: Segment) -> float:
 
 def _reach_of_steps(steps: Steps, spans: Array) -> Array:
     """Largest distance that the steps can have led in each span [m]; gaps count with a vehicle's speed."""
-    length = np.where(steps.is_gap, DRIVEN * steps.duration, steps.length)
-    return STRETCHED * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
+    length = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
+    return FIXES.stretched * np.diff(distance_walked(steps, spans, length), axis=1)[:, 0]
 
 
 def _largest_sigma(fixes: Fixes, spans: Array) -> Array:
@@ -203,7 +202,7 @@ def _confirmed_walks(steps: Steps, way: Trajectory) -> Array:
     gone = np.diff(np.interp(bouts, way.time, length_along(way.position)), axis=1)[:, 0]
     led = np.diff(distance_walked(steps, bouts), axis=1)[:, 0]
     # least steps between rides of a walk that separates two rides
-    return bouts[(gone < STRETCHED * led) & (led < STRETCHED * gone) & (after - first >= 30)]
+    return bouts[(gone < FIXES.stretched * led) & (led < FIXES.stretched * gone) & (after - first >= 30)]
 
 
 def _without_walks(spans: Array, walks: Array) -> Array:

@@ -27,7 +27,7 @@ FIX_INTERVAL, FEWEST_FIXES = 45.0, 22  # [s]
 SLIVER = 60.0  # [s] shortest piece of an entry that a correction leaves beside it; chosen by hand
 CONTRADICTION = 3.0  # sigmas between a stated place and the recorded positions, from which a note says the distance
 # [s] at either end of a stated stay in which a walk with steps may go to the place and back, and [m/s] how fast: slower
-# than `DRIVEN` of `factors.fixes`; chosen by hand
+# than `FIXES.driven`; chosen by hand
 FREE_TIME, FREE_SPEED = 60.0, 20.0
 
 

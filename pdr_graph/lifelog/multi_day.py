@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors.beacon_rssi import PATH_LOSS
 from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
 from pdr_graph.gait.walker import Profile
@@ -33,6 +32,7 @@ from pdr_graph.lifelog.reconstruct import EstimatedWalk, estimate_walk, reconstr
 from pdr_graph.lifelog.store import TOGETHER, Store, StoredDay
 from pdr_graph.lifelog.walk_blocks import MAX_STEPS, WalkPlace, blocks
 from pdr_graph.measurements import Closures
+from pdr_graph.priors import BEACONS
 from pdr_graph.types import Index, Recording, Sightings
 
 # Chosen by hand
@@ -78,8 +78,12 @@ def _pair_encounters(
     during = (time + later >= other.start) & (time + later <= other.end) & (time >= one.start) & (time <= one.end)
     rows = np.flatnonzero(theirs & during & (received.rssi >= MIN_RSSI))
     loudest = rows[np.argsort(-received.rssi[rows], kind="stable")]
+    power, exponent, _ = BEACONS.path_loss
     for row in loudest[np.unique(time[loudest] // ENCOUNTER_PERIOD, return_index=True)[1]]:
-        moment, distance = float(time[row]), 10 ** ((PATH_LOSS[0] - received.rssi[row]) / (10 * PATH_LOSS[1]))
+        moment, distance = (
+            float(time[row]),
+            10 ** ((power - received.rssi[row]) / (10 * exponent)),
+        )
         yield moment, moment + later, max(MIN_SIGMA, distance / np.sqrt(2))
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from pdr_graph.estimation.kalman import GaussianMixture
 from pdr_graph.geometry import wrap_angle
 from pdr_graph.online.interface import Mode
+from pdr_graph.priors import REPORTS
 from pdr_graph.types import Array
 
 FOLLOWED = 2.0  # [s] within which a jump of the pose is caught up
-LEAST_PROBABILITY = 0.01  # of a way that is listed
 
 
 def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
@@ -18,7 +18,7 @@ def modes_of(ways: GaussianMixture) -> tuple[Mode, ...]:
     modes = []
     for n in np.argsort(-ways.log_weight, kind="stable").tolist():
         probability, (x, y, heading) = float(np.exp(ways.log_weight[n])), ways.mean[n, :3].tolist()
-        if probability >= LEAST_PROBABILITY or not modes:
+        if probability >= REPORTS.least_reported or not modes:
             modes.append(Mode(probability, x, y, float(wrap_angle(heading)), ways.covariance[n, :3, :3]))
     return tuple(modes)
 

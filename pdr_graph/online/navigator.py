@@ -18,7 +18,7 @@ from pdr_graph.errors import count, expect
 from pdr_graph.estimation.calibration import prior_of
 from pdr_graph.estimation.consistency import verdict
 from pdr_graph.estimation.factors import kind_of
-from pdr_graph.estimation.factors.heading_prior import START, START_HEADING_SIGMA
+from pdr_graph.estimation.factors.heading_prior import START
 from pdr_graph.estimation.factors.level_collector import LevelCollector
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.live.fixes_alone import FixesAlone, after_fixes
@@ -40,6 +40,7 @@ from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, 
 from pdr_graph.online.live_warnings import contradictions_of, warnings_of
 from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
 from pdr_graph.online.step_log import StepLog
+from pdr_graph.priors import INITIAL
 from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Headings, Steps, Trajectory
 
 if TYPE_CHECKING:
@@ -104,7 +105,7 @@ class Navigator:
         radio_map: RadioMap | None = None,
         start_floor: str | None = None,
         start_heading: float | None = None,
-        start_heading_sigma: float = START_HEADING_SIGMA,
+        start_heading_sigma: float = INITIAL.heading_sigma,
         epoch: float | None = None,
         executor: Executor | None = None,
     ):

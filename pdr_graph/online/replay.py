@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pdr_graph.errors import InputError
-from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG, OUTSIDE
+from pdr_graph.estimation.factors.fixes import OUTSIDE
 from pdr_graph.estimation.factors.receivers import duplicates
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.results import missing_of, outside_warnings
@@ -30,6 +30,7 @@ from pdr_graph.online.journal import Journal
 from pdr_graph.outputs import REPORT, Result, write
 from pdr_graph.pipeline import NO_ACCELEROMETER, positions_alone
 from pdr_graph.plausibility import check_beacons_on_plan, check_floors
+from pdr_graph.priors import FIXES
 from pdr_graph.progress import Stages, shows_progress
 from pdr_graph.storage import fingerprint
 from pdr_graph.types import Fixes, FixReport, Mask, Recording, Trajectory
@@ -153,7 +154,7 @@ def _outside(walk: Recording, fixes: Fixes) -> Mask:
         return np.zeros(len(fixes), dtype=bool)
     start = min(float(signal.time[0]) for signal in walk.signals.values())
     end = max(float(signal.time[-1]) for signal in walk.signals.values())
-    return (fixes.time < start - LONGEST_OVERHANG) | (fixes.time > end + LONGEST_OVERHANG)
+    return (fixes.time < start - FIXES.longest_overhang) | (fixes.time > end + FIXES.longest_overhang)
 
 
 def navigator_of(options: Options) -> tuple[partial[Any], tuple[str, ...]]:

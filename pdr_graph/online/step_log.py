@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG
 from pdr_graph.estimation.initialization import lay_dead_reckoning
 from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
 from pdr_graph.online.interface import trajectory_of_rows
+from pdr_graph.priors import FIXES
 from pdr_graph.types import Array, Fixes, FixReport, Steps, Trajectory
 
 
@@ -40,7 +40,7 @@ class StepLog:
         if not self._chunks:
             return trajectory_of_rows([])
         steps = concatenate_steps(self._chunks)
-        begin = steps.start - LONGEST_OVERHANG
+        begin = steps.start - FIXES.longest_overhang
         used = [fix for fix in reports if fix.weight > 0 and fix.time >= begin]
         place = np.array([(fix.x, fix.y) for fix in used]).reshape(-1, 2)
         time, sigma = np.array([fix.time for fix in used]), np.array([fix.sigma for fix in used])

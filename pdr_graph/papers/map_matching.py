@@ -14,10 +14,11 @@ import numpy as np
 
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
-from pdr_graph.estimation.factors.turns import LEAST_TURN, range_of_turn
+from pdr_graph.estimation.factors.turns import range_of_turn
 from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import courses, row_times, turn_between, unit, wrap_angle
+from pdr_graph.priors import TURNS
 from pdr_graph.types import Array, Index, Mask, Steps, Trajectory
 
 TURNING = np.radians(10)  # heading change of a step above which the walker is turning: gait sways by up to 7°
@@ -126,7 +127,7 @@ class _Bend:
         node = min(set(network.links[before].tolist()) & set(network.links[after].tolist()))
         into, out_of = -network.direction(before, node), network.direction(after, node)
         angle = turn_between(into, out_of)
-        return cls(node, into, out_of, angle) if abs(angle) > LEAST_TURN else None
+        return cls(node, into, out_of, angle) if abs(angle) > TURNS.least else None
 
     def sharpest(self, track: Array, begin: int, end: int) -> int:
         """The step of [begin, end) up to which the track approaches the node most and after which it leaves it most."""

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.estimation.factors.fixes import LONGEST_OVERHANG
 from pdr_graph.io.validation import INERTIAL
 from pdr_graph.online.interface import PACKET, Event, Scan, events_of
+from pdr_graph.priors import FIXES
 from pdr_graph.serve import positions, sensor_messages
 from pdr_graph.serve.sensor_messages import Signs
 from pdr_graph.types import LONLAT, Array, Fixes, Recording, Signal
@@ -116,7 +116,7 @@ class Intake:
             self.held[name] = table if earlier is None else np.concatenate([earlier, table])
         if fixes is not None:
             rows = np.column_stack([fixes.time - self.origin, fixes.position, fixes.sigma])
-            rows = rows[(np.abs(rows[:, 0]) < FARTHEST) & (rows[:, 0] >= -LONGEST_OVERHANG)]
+            rows = rows[(np.abs(rows[:, 0]) < FARTHEST) & (rows[:, 0] >= -FIXES.longest_overhang)]
             self.held_fixes = np.concatenate([self.held_fixes, rows])
         if times:
             self.samples += sum(len(time) for time in times)

@@ -10,10 +10,11 @@ from walks import fixes_at, steps_of
 
 from pdr_graph.estimation.factors.corridor import CorridorFactor
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.turns import SIGMA_PLACE, TurnFactor
+from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.geometry import wrap_angle
+from pdr_graph.priors import TURNS
 
 WIDTH = 4.0  # [m]: a walker in the middle of 4 m feels no wall, whose margin is 0.8 m
 ASKEW = 0.06  # [rad] by which the walk is laid wrongly: 1.2 m at the end of 20 m, still clear of the walls
@@ -71,7 +72,7 @@ def test_a_turn_outside_its_intersection_has_its_distance_as_residual():
     matched = graph.associated_at(graph.start)
     short = graph.start.replaced(x=graph.start.poses - np.array([3.0, 0.0, 0.0]))
     [outside] = matched.evaluate(short).blocks_of("turns.place")
-    assert outside.residual.max() == pytest.approx((3.0 - WIDTH / 2) / SIGMA_PLACE, abs=0.1)
+    assert outside.residual.max() == pytest.approx((3.0 - WIDTH / 2) / TURNS.place, abs=0.1)
 
 
 @pytest.mark.parametrize(

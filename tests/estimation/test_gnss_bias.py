@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
-from pdr_graph.estimation.factors import gnss_bias
 from pdr_graph.estimation.factors.fixes import FixFactor
-from pdr_graph.estimation.factors.gnss_bias import NODE, THROUGHOUT, WHITE, GnssBias
+from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
 from pdr_graph.estimation.factors.receivers import drift, independent_sigmas
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth
 from pdr_graph.geometry import interpolate
-from pdr_graph.priors import RECEIVERS
+from pdr_graph.priors import PRICES, RECEIVERS, changed
 from pdr_graph.types import Fixes, Steps
 
 
@@ -48,16 +47,16 @@ def biased(graph):
     return graph._with_variables(tuple(replaced.get(kind.name, kind) for kind in graph.measurements))
 
 
-def test_a_minute_of_correlated_fixes_is_worth_a_few(monkeypatch):
+def test_a_minute_of_correlated_fixes_is_worth_a_few():
     """While standing, the position is the generalised least-squares mean of the fixes; an offset throughout adds."""
-    monkeypatch.setattr(gnss_bias, "WORSE", ())
-    time, sigma = np.arange(0, 61, NODE), 3.0
+    time, sigma = np.arange(0, 61, RECEIVERS.node), 3.0
     standing = Steps(0.0, 60.0, *np.empty((6, 0)), sigma_turn=np.empty(0))
     errors = sigma * gauss_markov(standing, time, np.random.default_rng(2))
-    estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
+    with changed(PRICES, worse=()):
+        estimate = smooth(WalkGraph(standing, named(fixes_at(time, errors, sigma))))
 
     alike = np.exp(-np.abs(time[:, None] - time) / RECEIVERS.standing)
-    weight = np.linalg.solve(sigma**2 * (alike + WHITE**2 * np.eye(len(time))), np.ones(len(time)))
+    weight = np.linalg.solve(sigma**2 * (alike + RECEIVERS.white**2 * np.eye(len(time))), np.ones(len(time)))
     assert estimate.trajectory.position[0] == pytest.approx(weight @ errors / weight.sum(), abs=0.01)
     variance = 1 / weight.sum() + (THROUGHOUT * sigma) ** 2
     assert estimate.trajectory.covariance[0, 0, 0] == pytest.approx(variance, rel=0.01)
@@ -78,7 +77,7 @@ def test_a_slow_offset_does_not_bend_the_walk():
     assert np.mean(bent) < 0.8
 
 
-def test_the_lag_of_a_receiver_is_estimated(monkeypatch):
+def test_the_lag_of_a_receiver_is_estimated():
     """Positions are two seconds late on a walk with many turns; the estimate is less late."""
     steps = meander(300)
     truth = dead_reckon(steps)
@@ -92,8 +91,8 @@ def test_the_lag_of_a_receiver_is_estimated(monkeypatch):
     lag = optimize(graph, graph.start).state["g"][:, 2]
     assert 0.5 < np.median(lag) < 2.5
     aware = error()
-    monkeypatch.setattr(gnss_bias, "LAG", 1e-3)
-    assert aware < 0.8 * error()
+    with changed(RECEIVERS, lag=1e-3):
+        assert aware < 0.8 * error()
 
 
 def test_duplicate_epochs_are_not_used_twice():

@@ -9,14 +9,13 @@ import shapely
 from walks import dead_reckon, fixes_at, square_walk, steps_of, wandering_walk
 
 from pdr_graph import Headings, kalman_filter, smooth
-from pdr_graph.estimation.ambiguity.hypothesis import COMPASS_OFF
 from pdr_graph.estimation.ambiguity.path_modes import solutions
 from pdr_graph.estimation.factors.base import extract
-from pdr_graph.estimation.factors.heading_prior import OFF
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
+from pdr_graph.priors import COMPASS, PRICES
 
 
 def told(time, heading, sigma=0.2):
@@ -72,8 +71,8 @@ def test_a_compass_that_nothing_contradicts_may_still_be_off():
     [optimum] = solutions(graph)
     assert estimate.trajectory.position[-1] == pytest.approx(optimum.at.ends[-1, :2], abs=1e-6)
     assert not estimate.contradictions
-    share = 2 * np.exp(-COMPASS_OFF)  # to either side
-    variance = 0.2**2 + share / (1 + share) * OFF**2
+    share = 2 * np.exp(-PRICES.compass_off)  # to either side
+    variance = 0.2**2 + share / (1 + share) * COMPASS.off**2
     assert np.sqrt(estimate.trajectory.covariance[2, 2, 2]) == pytest.approx(np.sqrt(variance), rel=0.1)
 
 

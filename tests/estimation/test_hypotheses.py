@@ -8,9 +8,10 @@ import pytest
 from walks import dead_reckon, fixes_at, steps_of
 
 from pdr_graph import WalkGraph
-from pdr_graph.estimation.ambiguity.bank import UNLIKELY, HypothesisBank, Memory, contradictions, pruned, weighed
+from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory, contradictions, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
 from pdr_graph.estimation.optimizer import solve_robust
+from pdr_graph.priors import DOUBTS
 from pdr_graph.storage import decode, encode
 
 GNSS = ("GNSS",)
@@ -96,7 +97,7 @@ def solved():
 def test_of_equal_solutions_the_first_is_kept_and_other_claims_stay(solved):
     moved, gone = (Hypothesis(("beacons", "moved"), (label,), price=price) for label, price in (("b", 1.0), ("c", 9.0)))
     one, other = weighed(solved, solved, moved), weighed(solved, solved, gone)
-    assert pruned([other, one, solved, solved], UNLIKELY) == [solved, one]
+    assert pruned([other, one, solved, solved], DOUBTS.unlikely) == [solved, one]
 
 
 def test_evidence_is_cost_information_and_price(solved):

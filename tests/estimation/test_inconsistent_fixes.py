@@ -7,11 +7,12 @@ import pytest
 from walks import dead_reckon, fixes_at, fixes_on, steps_of, wandering_walk
 
 from pdr_graph import kalman_filter, kalman_smoother, smooth
-from pdr_graph.estimation.factors.fixes import REJECTED, consistent_chains
+from pdr_graph.estimation.factors.fixes import consistent_chains
 from pdr_graph.estimation.gps_track import follow
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.gait.step_chunks import concatenate_steps, gap, join, shifted
 from pdr_graph.geometry import unit
+from pdr_graph.priors import FIXES
 from pdr_graph.types import Fixes, Steps
 
 METHODS = pytest.mark.parametrize("method", [smooth, kalman_filter, kalman_smoother])
@@ -195,7 +196,7 @@ def test_of_two_equal_chains_the_one_without_a_rejected_fix_is_consistent():
     """The third fix, or the last, is 40 m off: only that the walk has rejected one of them tells which."""
     steps = straight()
     fixes = fixes_at([0.0, 6.0, 16.0, 22.0], [[0, 0], [8, 0], [8, 30], [30, 0]])
-    used, share = np.ones(4, dtype=bool), np.array([1.0, 1.0, REJECTED, 1.0])
+    used, share = np.ones(4, dtype=bool), np.array([1.0, 1.0, FIXES.rejected, 1.0])
     assert consistent_chains(steps, fixes, fixes.sigma, used)[1].tolist() == [True, True, True, False]
     assert consistent_chains(steps, fixes, fixes.sigma, used, share)[1].tolist() == [True, True, False, True]
 

@@ -12,8 +12,9 @@ from walks import drawn_beside_beacons, drawn_with_a_receiver
 from pdr_graph import smooth
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis
-from pdr_graph.estimation.ambiguity.review import SPAN, Excess, Findings, Question
+from pdr_graph.estimation.ambiguity.review import Excess, Findings, Question
 from pdr_graph.estimation.graph import WalkGraph
+from pdr_graph.priors import DOUBTS
 from pdr_graph.storage import decode, encode
 
 STEPS = 160
@@ -197,13 +198,13 @@ def test_a_review_is_encoded_without_loss():
 
 
 def test_the_past_that_is_compared_is_bounded():
-    """There are no more than those of SPAN, and no older measurement."""
+    """There are no more than those of DOUBTS.span, and no older measurement."""
     steps, fixes, _ = drawn_with_a_receiver(300, 3)
     live = followed(steps, [fixes])
     graph = live.ambiguity.history.question(
         live.graph.window.times[-1], live.graph.prior, Findings(), {}, False
     ).graph()
-    assert graph.steps.end - graph.steps.start < SPAN + 2
+    assert graph.steps.end - graph.steps.start < DOUBTS.span + 2
     assert graph.fixes.time.min() > graph.steps.start - 10
 
 

@@ -6,10 +6,11 @@ import shapely
 from walks import fixes_at, steps_of
 
 from pdr_graph import FloorPlan, Headings, WalkGraph
-from pdr_graph.estimation.ambiguity.path_modes import APART, dominant_modes, path_modes, path_starts
+from pdr_graph.estimation.ambiguity.path_modes import dominant_modes, path_modes, path_starts
 from pdr_graph.estimation.particle_filter import Paths, particle_filter
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame
+from pdr_graph.priors import PATHS
 
 STEM, BRANCH, HALF_ANGLE = 20.0, 22.0, np.radians(30)  # [m], [m], of each branch from straight ahead
 
@@ -94,6 +95,6 @@ def test_paths_of_vanishing_weight_are_in_no_mode():
 
 def test_a_central_path_represents_its_mode():
     state = np.zeros((61, 6, 11))
-    state[:, 1] = np.linspace(-APART / 2.2, APART / 2.2, 11)
+    state[:, 1] = np.linspace(-PATHS.apart / 2.2, PATHS.apart / 2.2, 11)
     (middle,) = path_modes(Paths(state, np.full(11, 1 / 11)))
     assert middle == 5

@@ -27,17 +27,10 @@ from pdr_graph.estimation.factors.base import AnyArray
 from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.protocols import Doubted, decisions_of
 from pdr_graph.estimation.optimizer import Optimum, continued, optimize
-from pdr_graph.priors import SEARCH
+from pdr_graph.priors import DOUBTS, SEARCH
 from pdr_graph.types import Array, Index
 
-UNLIKELY = 5.0  # [nats] above the best from which a hypothesis is not carried on: 0.7 %
-PROBABLE = 0.5  # probability above which a user is told what a source gets wrong
-DIFFERENT = 0.5  # [m] largest distance at some step above which two solutions differ
 LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that fits nothing is still the best there is
-
-# Live: what was adopted holds for the whole walk, and a review sees two minutes of it
-OLDER = 8.0  # [nats] per adopted hypothesis: its price, 5.5, and 2.5 of evidence that may be older
-LEAD = 1.0  # [nats] by which other hypotheses must be better than the adopted ones; judgement
 
 
 @dataclass(frozen=True)
@@ -67,7 +60,7 @@ class HypothesisBank:
         for name in [kind.name for kind in self.first.graph.measurements]:
             best = self.members[0]
             bases = [best] if best is self.first else [best, self.first]
-            self.add((new for base in bases for new in self._alternatives(base, name)), UNLIKELY)
+            self.add((new for base in bases for new in self._alternatives(base, name)), DOUBTS.unlikely)
         return self
 
     def add(self, optima: Iterable[Optimum], within: float) -> None:
@@ -122,7 +115,7 @@ class HypothesisBank:
             self.recalled = replace(held, burden=held.burden - self._older(memory.adopted))
             self.members, kept = [*self.members, self.recalled], [*kept, True]
         lead = [
-            member.surprise - LEAD * held if _adoptable(member) else np.inf
+            member.surprise - DOUBTS.lead * held if _adoptable(member) else np.inf
             for member, held in zip(self.members, kept, strict=True)
         ]
         self.members = [self.members[n] for n in np.argsort(lead, kind="stable").tolist()]
@@ -131,7 +124,7 @@ class HypothesisBank:
     def memory(self) -> Memory:
         """What this review leaves: the hypotheses of the first member, and those that remain possible."""
         best, least = self.members[0], min(member.surprise for member in self.members)
-        possible = [member for member in self.members if member is best or member.surprise < least + UNLIKELY]
+        possible = [member for member in self.members if member is best or member.surprise < least + DOUBTS.unlikely]
         return Memory(best.assumed, tuple(dict.fromkeys(claim for member in possible for claim in member.assumed)))
 
     def _supported(self, member: Optimum, memory: Memory) -> Optimum:
@@ -142,7 +135,7 @@ class HypothesisBank:
 
     def _older(self, hypotheses: Iterable[Hypothesis]) -> float:
         """What older evidence says for hypotheses [nats]; nothing where all that they are about is in the data."""
-        return sum(OLDER for claim in hypotheses if not self._is_recent(claim))
+        return sum(DOUBTS.older for claim in hypotheses if not self._is_recent(claim))
 
     def _is_recent(self, claim: Hypothesis) -> bool:
         """True if a hypothesis is about rows of the data alone."""
@@ -179,7 +172,7 @@ def _differ(one: Optimum, other: Optimum) -> bool:
     """True if two solutions assume different things, or lead elsewhere."""
     claims = [[(claim, claim.parameter) for claim in optimum.assumed] for optimum in (one, other)]
     apart = one.at.ends[:, :2] - other.at.ends[:, :2]
-    return claims[0] != claims[1] or float(np.abs(apart).max()) > DIFFERENT
+    return claims[0] != claims[1] or float(np.abs(apart).max()) > DOUBTS.different
 
 
 def _adoptable(optimum: Optimum) -> bool:
@@ -216,7 +209,7 @@ def contradictions(optima: Sequence[Optimum], probability: Array) -> tuple[Contr
     for claim in dict.fromkeys(claim for optimum in optima for claim in optimum.assumed):
         sizes = [[other for other in optimum.assumed if other == claim and other.wording.check] for optimum in optima]
         share = float(probability[[bool(of_optimum) for of_optimum in sizes]].sum() / probability.sum())
-        if share > PROBABLE:
+        if share > DOUBTS.probable:
             words = next(of_optimum[0] for of_optimum in sizes if of_optimum).wording
             text = f"{words.text} (probability {percent(share)})"
             against = "the steps and the other sources"

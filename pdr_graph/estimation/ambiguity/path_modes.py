@@ -30,21 +30,8 @@ from pdr_graph.estimation.optimizer import (
 )
 from pdr_graph.estimation.particle_filter import Paths, particle_filter, particles_from
 from pdr_graph.geometry import rotation
-from pdr_graph.priors import INITIAL, PARTICLES, SEARCH
+from pdr_graph.priors import INITIAL, PARTICLES, PATHS, SEARCH
 from pdr_graph.types import Array, Index
-
-# Modes of the paths of particles
-MOST_MODES = 8
-MOST_SOUGHT = 300  # modes among which the heaviest are chosen: after a long gap particles are all over the plan
-APART = 4.0  # [m] largest distance between two modes: nearer ones lead the optimiser to the same walk
-MOMENTS = 60  # keyframes at which paths are compared
-LIVE_MOMENTS, LIVE_MODES = 8, 5  # keyframes and modes for a walk under way
-NEGLECTED = 0.01  # share of the particles that need not belong to any mode
-
-# Paths that fixes determine without particles
-LARGEST_SIGMA = 2.7  # [m] standard deviation in the worst direction: aisles lie three times as far apart and more
-FEWEST_FIXES = 3  # two do not check one another
-MOST_OPEN = 0.25  # share of the walk, at its end, that may be undetermined
 
 
 def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
@@ -131,13 +118,13 @@ def fixes_determine_path(graph: WalkGraph, solution: Solution) -> tuple[int, Arr
 
     None if they do not determine it. solution: of the walk without its walls.
     """
-    if np.count_nonzero(graph.positions.held & ~graph.positions.outlier) < FEWEST_FIXES:
+    if np.count_nonzero(graph.positions.held & ~graph.positions.outlier) < PATHS.fewest_fixes:
         return None
     count = len(graph.start.poses)
     covariance = solution.joint(("x", np.arange(count)))[:, :2, :2]
     sigma = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1])
-    last = int(np.argmax(np.append(sigma, np.inf) > LARGEST_SIGMA)) - 1
-    if last < (1 - MOST_OPEN) * (count - 1):
+    last = int(np.argmax(np.append(sigma, np.inf) > PATHS.largest_sigma)) - 1
+    if last < (1 - PATHS.most_open) * (count - 1):
         return None
     return last, np.maximum(sigma[:-1], sigma[1:])[graph.pieces.interval]
 
@@ -179,8 +166,8 @@ def mode_starts(graph: WalkGraph, paths: Paths) -> list[State]:
 
 def path_modes(paths: Paths) -> list[int]:
     """The middle path of each mode of ``paths``, the heaviest mode first."""
-    modes = islice(_modes(paths.state[_moments(paths, MOMENTS), :2], paths.weight), MOST_SOUGHT)
-    return [n for _, n in sorted(modes, reverse=True)[:MOST_MODES]]
+    modes = islice(_modes(paths.state[_moments(paths, PATHS.moments), :2], paths.weight), PATHS.most_sought)
+    return [n for _, n in sorted(modes, reverse=True)[: PATHS.most_modes]]
 
 
 def dominant_modes(paths: Paths) -> list[tuple[float, int]]:
@@ -189,8 +176,8 @@ def dominant_modes(paths: Paths) -> list[tuple[float, int]]:
     Modes are formed around a few random paths; a mode with a large share is among them.
     """
     order = np.random.default_rng(0).permutation(len(paths.weight))
-    track = paths.state[_moments(paths, LIVE_MOMENTS), :2].take(order, axis=2)
-    modes = sorted(islice(_modes(track, paths.weight[order]), LIVE_MODES), reverse=True)
+    track = paths.state[_moments(paths, PATHS.live_moments), :2].take(order, axis=2)
+    modes = sorted(islice(_modes(track, paths.weight[order]), PATHS.live_modes), reverse=True)
     return [(share, int(order[n])) for share, n in modes]
 
 
@@ -202,13 +189,13 @@ def _moments(paths: Paths, most: int) -> Index:
 def _modes(track: Array, weight: Array) -> Iterator[tuple[float, int]]:
     """Share and middle path of each mode. track: ``(k, 2, n)`` [m]; weight: ``(n,)``."""
     number, left = np.arange(len(weight)), weight > 0
-    while weight[left].sum() > NEGLECTED:
+    while weight[left].sum() > PATHS.neglected:
         track, weight, number = track.compress(left, axis=2), weight[left], number[left]
-        near = _apart(track, track[:, :, 0]) < APART**2
+        near = _apart(track, track[:, :, 0]) < PATHS.apart**2
         share = np.where(near, weight, 0.0)
         middle = track @ (share / share.sum())
         central = int(np.argmin(np.where(near, _apart(track, middle), np.inf)))
-        mode = _apart(track, track[:, :, central]) < APART**2
+        mode = _apart(track, track[:, :, central]) < PATHS.apart**2
         yield float(weight[mode].sum()), int(number[central])
         left = ~(mode | near)
 

@@ -17,15 +17,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.bank import UNLIKELY, HypothesisBank, pruned, weighed
-from pdr_graph.estimation.ambiguity.hypothesis import (
-    ADDED_BY_WALLS,
-    DISPLACED_PLAN,
-    WRONG_PLAN,
-    Hypothesis,
-    Wording,
-    wording_of,
-)
+from pdr_graph.estimation.ambiguity.bank import HypothesisBank, pruned, weighed
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Wording, wording_of
 from pdr_graph.estimation.ambiguity.path_modes import (
     corrected_solutions,
     different_directions,
@@ -39,22 +32,11 @@ from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
 from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, measurements_at
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
-from pdr_graph.priors import SEARCH
+from pdr_graph.priors import ANYWHERE, DOUBTS, PRICES, SEARCH
 from pdr_graph.types import Array, Mask
 
 PLAN = "plan"  # the kind of hypotheses about it
-MISPLACED = 6.0  # [m] sigma of the displacement of a plan or of the only position on it, per axis; judgement
-
-# Particles all over the plan: chosen on 36 simulated walks in malls and offices; doors of 0.9 m in small plans need the
-# densest
-DENSITY, MOST_DENSITY = 8.0, 50.0  # [1/m²] of particles at first: in large plans, in small ones
-FEWEST, FEWEST_AT_FIRST, MOST = 2000, 50_000, 200_000  # particles
 MOST_STORED = 10_000_000  # particles times keyframes of a run: half a gigabyte, if a walk fits everywhere
-KEPT = 5000  # paths of a run
-PER_BIN = 0.1  # [m²] particles per occupied bin of place and direction, times their density at first
-DRAWN = 2000  # paths among which modes are sought
-PLACES = 2000  # that stand for all of a plan
-RUNS = 2  # independent ones: a run may lose the right place
 
 
 @wording_of(PLAN)
@@ -81,7 +63,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
     free = HypothesisBank(solve_robust(graph.without_plan())).explain().members
     between = list(_between_walls(graph, free))
     by_walls = _measurements_by_walls(between[0])
-    if between[0].surprise > free[0].surprise + UNLIKELY and _single_position(graph):
+    if between[0].surprise > free[0].surprise + DOUBTS.unlikely and _single_position(graph):
         between += _displaced(graph, free[0])
     return pruned([*between, *(walk for other in free for walk in _without_walls(other, by_walls))])
 
@@ -122,7 +104,7 @@ def _without_walls(free: Optimum, by_walls: float) -> Iterator[Optimum]:
     """
     walks = different_directions(free)
     for walk in walks:
-        price = max(WRONG_PLAN, ADDED_BY_WALLS * (by_walls + walk.cost))
+        price = max(PRICES.wrong_plan, PRICES.added_by_walls * (by_walls + walk.cost))
         wrong = Hypothesis((PLAN, "wrong"), price=price + float(np.log(len(walks))))
         yield _assuming(replace(walk, burden=0.0), free, wrong)
 
@@ -136,8 +118,8 @@ def _single_position(graph: WalkGraph) -> bool:
 def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:
     """Walks between the walls that start some metres from the only fix: it is misplaced, or the plan by as much."""
     positions = free.graph.positions
-    wide = free.graph.assuming((positions.misplaced(MISPLACED),))
-    wrong = Hypothesis((PLAN, "wrong"), price=DISPLACED_PLAN + float(np.log(2)))  # it, or the position
+    wide = free.graph.assuming((positions.misplaced(DOUBTS.misplaced),))
+    wrong = Hypothesis((PLAN, "wrong"), price=PRICES.displaced_plan + float(np.log(2)))  # it, or the position
     for walk in corrected_solutions(graph, optimize(wide, free.state)):
         fix = int(np.argmax(positions.used))
         by = positions.fixes.position[fix] - walk.state.poses[positions.keyframe[fix], :2]
@@ -194,7 +176,7 @@ def localized(graph: WalkGraph) -> Localization:
     free = graph.without_plan()
     runs, optima, paths = list[tuple[Paths, float]](), list[Optimum](), None
     for attempt in range(SEARCH.attempts):
-        runs += [particles_anywhere(free, RUNS * attempt + n, 2**attempt) for n in range(RUNS)]
+        runs += [particles_anywhere(free, ANYWHERE.runs * attempt + n, 2**attempt) for n in range(ANYWHERE.runs)]
         paths = _pooled(runs)
         optima = solutions_near(graph, mode_starts(graph, _drawn(paths)))
         if not SEARCH.strained <= optima[0].surprise < SEARCH.dropped:
@@ -202,8 +184,8 @@ def localized(graph: WalkGraph) -> Localization:
     assert paths is not None, "there is an attempt"
     covered = float(paths.weight[_near_any(paths, optima)].sum())
     evidence = float(np.logaddexp.reduce([logarithm for _, logarithm in runs]) - np.log(len(runs)))
-    anywhere = _floor(graph).random_places(PLACES, np.random.default_rng(0))
-    optima = [replace(optimum, unseen=WRONG_PLAN) for optimum in optima]
+    anywhere = _floor(graph).random_places(ANYWHERE.places, np.random.default_rng(0))
+    optima = [replace(optimum, unseen=PRICES.wrong_plan) for optimum in optima]
     return Localization(optima, max(0.0, 1.0 - covered), evidence, anywhere)
 
 
@@ -214,13 +196,13 @@ def particles_anywhere(graph: WalkGraph, seed: int, times: int = 1) -> tuple[Pat
     """
     floor = _floor(graph)
     area = floor.walkable_area
-    most = min(MOST_DENSITY * area, MOST, MOST_STORED / len(graph.keyframe_time))
-    count = times * int(min(max(DENSITY * area, FEWEST_AT_FIRST), most))
-    per_bin = PER_BIN * count / area
-    particles = ParticleFilter(graph.prior, seed, fewest=FEWEST, most=count, per_bin=per_bin)
+    most = min(ANYWHERE.most_density * area, ANYWHERE.most, MOST_STORED / len(graph.keyframe_time))
+    count = times * int(min(max(ANYWHERE.density * area, ANYWHERE.fewest_at_first), most))
+    per_bin = ANYWHERE.per_bin * count / area
+    particles = ParticleFilter(graph.prior, seed, fewest=ANYWHERE.fewest, most=count, per_bin=per_bin)
     particles.begin_anywhere(floor, measurements_at(graph.measurements, 0))
     advance_through(particles, graph, 0)
-    return particles.paths(KEPT), particles.evidence
+    return particles.paths(ANYWHERE.kept), particles.evidence
 
 
 def _floor(graph: WalkGraph) -> FloorPlan:
@@ -241,7 +223,9 @@ def _pooled(runs: Sequence[tuple[Paths, float]]) -> Paths:
 def _drawn(paths: Paths) -> Paths:
     """Some paths drawn by their weights, all with the same weight."""
     random = np.random.default_rng(0)
-    drawn = random.choice(len(paths.weight), min(DRAWN, len(paths.weight)), p=paths.weight / paths.weight.sum())
+    drawn = random.choice(
+        len(paths.weight), min(ANYWHERE.drawn, len(paths.weight)), p=paths.weight / paths.weight.sum()
+    )
     return Paths(paths.state[:, :, drawn], np.full(len(drawn), 1.0 / len(drawn)))
 
 

@@ -39,14 +39,11 @@ from pdr_graph.geometry import (
     pose_rotation,
     rotation,
 )
-from pdr_graph.priors import REPORTS
+from pdr_graph.priors import DOUBTS, REPORTS
 from pdr_graph.types import Array, Fixes, Headings, Index, Steps
 
-SPAN = 120.0  # [s] of the walk in which sources are compared: twice the usual lag; chosen by hand
-SPACING = 10.0  # [s] between the times at which the covariance of a review is computed
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
-LEAST_SIGMA, LEAST_SIGMA_HEADING = 1.0, 0.2  # [m], [rad] of a certain place: the walls that tell it count again
-NOWHERE_ELSE, LEAST = 1e-3, 1e-9  # probability below which no other place is kept; least of the solutions together
+LEAST = 1e-9  # probability of the solutions together
 
 
 @dataclass(frozen=True)
@@ -162,7 +159,7 @@ class Question:
 def _excess(optima: list[Optimum], weight: Array) -> Excess:
     """What the covariance of the first walk lacks to that of all, with weights; negative parts are left out."""
     chain = optima[0].at.chain
-    time = np.arange(chain.time[-1], chain.time[0], -SPACING)[::-1]
+    time = np.arange(chain.time[-1], chain.time[0], -DOUBTS.spacing)[::-1]
     poses, solved = _keyframes(optima[0], time)
     total = np.zeros_like(solved)
     for share, optimum in zip(weight[1:].tolist(), optima[1:], strict=True):
@@ -191,7 +188,7 @@ class HistoryCheckpoint:
 
 
 class History:
-    """The steps and measurements of the last SPAN seconds; log: gets the rows of the window's log."""
+    """The steps and measurements of the last `DOUBTS.span` seconds; log: gets the rows of the window's log."""
 
     def __init__(self) -> None:
         self.log = MeasurementLog()
@@ -200,21 +197,21 @@ class History:
     def extend(self, steps: Steps) -> None:
         """Append the next steps. What no question asks for, while nothing measures positions, is dropped in time."""
         self._chunks.append(steps)
-        if steps.end - self._chunks[0].start > 3 * SPAN:
-            self._forget(steps.end - 2 * SPAN)
+        if steps.end - self._chunks[0].start > 3 * DOUBTS.span:
+            self._forget(steps.end - 2 * DOUBTS.span)
 
     def set_goings(self, goings: Array) -> None:
         """Give the steps on stairs the length of the treads, see `with_goings`."""
         self._chunks = [with_goings(steps, goings) for steps in self._chunks]
 
     def has_position(self, now: float) -> bool:
-        """True if a measurement of the last SPAN seconds before ``now`` [s] determines a position."""
+        """True if a measurement of the last `DOUBTS.span` seconds before ``now`` [s] determines a position."""
         times = self.log.position_times()
-        return bool(((times > now - SPAN) & (times <= now)).any())
+        return bool(((times > now - DOUBTS.span) & (times <= now)).any())
 
     def question(self, now: float, prior: Prior, before: Findings, decisions: Decisions, walled: bool) -> Question:
-        """The review of the last SPAN seconds before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
-        steps = self._forget(now - SPAN)
+        """The review of the recent past before ``now`` [s]; older data are dropped. Arguments: of `Question`."""
+        steps = self._forget(now - DOUBTS.span)
         graph = partial(WalkGraph.of, steps, self.log.until(steps.end), prior=prior)
         kept = {name: self.log.renumbered(name, rows) for name, rows in decisions.items() if name in before.changes}
         return Question(graph, before, kept, walled, self.log.all_numbers(steps.end))
@@ -247,13 +244,13 @@ class Places:
     @property
     def fix(self) -> Fixes:
         """The certain place."""
-        sigma = max(float(horizontal_sigma(self.ways.covariance[0])), LEAST_SIGMA)
+        sigma = max(float(horizontal_sigma(self.ways.covariance[0])), DOUBTS.least_sigma)
         return Fixes(np.array([self.time]), self.ways.mean[:1, :2], np.array([sigma]), source=(SOURCE,))
 
     @property
     def heading(self) -> Headings:
         """The direction at the certain place."""
-        sigma = max(float(np.sqrt(self.ways.covariance[0, 2, 2])), LEAST_SIGMA_HEADING)
+        sigma = max(float(np.sqrt(self.ways.covariance[0, 2, 2])), DOUBTS.least_sigma_heading)
         return Headings(np.array([self.time]), self.ways.mean[:1, 2], np.array([sigma]), (SOURCE,))
 
 
@@ -276,7 +273,7 @@ class PlacesQuestion:
 
 def _with_elsewhere(ways: GaussianMixture, found: Localization, probability: float) -> GaussianMixture:
     """The ways, and anywhere on the plan in any direction with a probability."""
-    if probability < NOWHERE_ELSE:
+    if probability < DOUBTS.nowhere_else:
         return ways
     mean, covariance = ways.mean[0].copy(), ways.covariance[0].copy()
     mean[:3] = (*found.anywhere.mean(axis=0), 0.0)

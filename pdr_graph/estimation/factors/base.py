@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -30,15 +29,6 @@ if TYPE_CHECKING:
 AnyArray = NDArray[Any]
 POSE, CALIBRATION = "x", "c"  # the symbols of the variables that every walk has
 PLANE = np.array([1.0, 1.0, 0.0])  # components of a variable that are a position, where the third is something else
-TOLERANCE = {  # change of a variable at which most factors are linearised again; chosen by hand
-    "x": np.array([0.2, 0.2, 0.05]),  # [m, m, rad]
-    "c": np.array([0.01, 0.01, 0.002]),  # [-, -, rad/s]
-    "g": np.array([0.2, 0.2, 0.2]),  # [σ, σ, s]
-    "b": np.array([0.2, 0.2, 1.0]),  # [m, m, dB]
-    "q": np.array([1.0, 0.1, 1.0]),  # [dBm, -, dB]
-}
-DEFAULT_TOLERANCE = np.array([0.2, 0.2, 0.2])  # of variables of other symbols
-EXACT = 1e6  # scale of a number in a factor's signature, so that any change of it counts
 
 
 def key(symbol: str, number: int = 0) -> int:
@@ -190,9 +180,7 @@ class FactorBlock:
     all rows by each of these variables, in GTSAM's local coordinates; number: ``(n,)`` permanent number of each factor.
     rows_each: rows of every factor, 0 if they vary; loss: of the norm of its residual, or of the residual itself where
     every factor has one row; most_rows: ``(n,)`` where another state may give a factor more rows.
-    tolerance: by symbol, change ``(3,)`` of a variable at which a live smoother linearises the factors again, None for
-    linear factors; signature: ``(n,)`` of a factor's data, a change by 1 matters; prior: these are priors of variables
-    that the kind adds.
+    prior: these are priors of variables that the kind adds.
     curvature: returns a root ``(n, k, 3 v)`` of the second derivatives of the residuals times these, unweighted,
     without those that would make the cost concave; the search adds them to JᵀJ, covariances are without them.
     native: returns GTSAM's own version of factor n, where GTSAM has such a factor.
@@ -207,8 +195,6 @@ class FactorBlock:
     rows_each: int = 0
     loss: Loss = GAUSSIAN
     most_rows: Index | None = None
-    tolerance: Mapping[str, Array] | None = field(default_factory=lambda: TOLERANCE)
-    signature: Array | None = None
     prior: bool = False
     curvature: Callable[[], Array] | None = None
     native: Callable[[int], gtsam.NonlinearFactor] | None = None
@@ -250,15 +236,6 @@ class FactorBlock:
             native=None if native is None else lambda n: native(int(which[n])),
         )
 
-    def point(self, state: State) -> Array:
-        """The variables ``(n, 3 v)`` of each factor."""
-        return np.hstack([state[symbol][rows] for symbol, rows in self.variables])
-
-    def limits(self) -> Array:
-        """Change ``(3 v,)`` of its variables at which a factor is linearised again."""
-        tolerance = self.tolerance or {}
-        return np.concatenate([tolerance.get(symbol, DEFAULT_TOLERANCE) for symbol, _ in self.variables])
-
     @cached_property
     def deviation(self) -> Array:
         """Deviation ``(n,)`` of each factor [σ]: the norm of its residual, or the signed residual."""
@@ -283,16 +260,6 @@ class FactorBlock:
             return self.residual, list(self.jacobian())
         root = np.sqrt(self.weight)[self.row_of]
         return root * self.residual, [root[:, None] * by for by in self.jacobian()]
-
-    def terms(self, state: State) -> Iterable[tuple[int, list[tuple[int, Array]], Array]]:
-        """Per factor with rows: index, (key, derivatives ``(r, 3)``) of each variable, residuals ``(r,)``."""
-        residual, blocks = self.weighted
-        keys = [state.keys(symbol, rows).tolist() for symbol, rows in self.variables]
-        bounds = np.searchsorted(self.row_of, np.arange(len(self) + 1)).tolist()
-        for n, (a, b) in enumerate(pairwise(bounds)):
-            if a < b:
-                pairs = [(column[n], by[a:b]) for column, by in zip(keys, blocks, strict=True)]
-                yield n, pairs, residual[a:b]
 
 
 class _UnitNoise(dict[int, Any]):

@@ -19,15 +19,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.hypothesis import (
-    WRONG_LIST,
-    WRONG_ORIGIN,
-    Hypothesis,
-    Proposal,
-    Wording,
-    wording_of,
-)
-from pdr_graph.estimation.factors.base import EXACT, PLANE, AnyArray, FactorBlock, Measurement, Variables
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
 from pdr_graph.estimation.factors.beacon_list import (
     placement_costs,
     relocated_beacons,
@@ -35,24 +28,13 @@ from pdr_graph.estimation.factors.beacon_list import (
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.measurements import Levels, take
-from pdr_graph.priors import BEACONS
+from pdr_graph.priors import BEACONS, PRICES
 from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-STRETCH = 2.0  # [m] of the walk over which levels are averaged
-PATH_LOSS, PATH_LOSS_SIGMA = np.array([-62.0, 2.2, 3.0]), np.array([8.0, 0.5, 3.0])  # (P [dBm], n, k [dB]), any phone
-BIN, NEAREST = 15.0, 2.0  # [s] between rough fixes; [m] least sigma of one
-RANGE = 60.0  # [m] from which no phone receives a beacon; at half of it the usual level is the weakest
 STRONGEST, MOST_BEACONS = 50, 300  # beacons of a stretch, and of a walk or a window, that are used: more only cost time
-ANYWHERE = 30.0  # [m] sigma of an unsurveyed beacon about the place of its strongest level
-
-# A wrong list
-MOST_OF_A_KIND = 2  # swaps, and moved beacons, that are assumed and solved
-SUSPICIOUS = 3.0  # [nats] by which a beacon fits better elsewhere along the walk; of honest lists up to 4, simulated
-ORIGIN_SIGMA = 30.0  # [m] of the displacement of a whole list
-DISPLACED = 8.0  # [m] between the walks by the list and by all else, from which that is assumed
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +128,7 @@ class BeaconRssiFactor(Measurement):
         needed = np.full(len(self.prior), np.inf)
         beacons, single = Variables("b", self.beacon_number, self.prior, needed), np.zeros(1, dtype=np.intp)
         displacement = () if self.origin is None else (Variables("d", single, np.zeros((1, 3)), needed[:1]),)
-        return beacons, Variables("q", single, PATH_LOSS[None], np.full(1, np.inf)), *displacement
+        return beacons, Variables("q", single, np.array([BEACONS.path_loss]), np.full(1, np.inf)), *displacement
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
         """Factors of the levels, and priors of beacons and path loss."""
@@ -191,7 +173,7 @@ class BeaconRssiFactor(Measurement):
 
     def _priors(self, at: Evaluation) -> list[FactorBlock]:
         b, q = at.state["b"], at.state["q"]
-        place = np.where(np.isnan(self.position[:, 0]), ANYWHERE, self.listed.sigma)
+        place = np.where(np.isnan(self.position[:, 0]), BEACONS.anywhere, self.listed.sigma)
         root = 1 / np.stack([place, place, np.full(len(b), BEACONS.power_sigma)], axis=1)
         beacons, single = np.arange(len(b)), np.zeros(1, dtype=np.intp)
         moved = [] if self.origin is None else [self._displacement(at)]
@@ -204,36 +186,33 @@ class BeaconRssiFactor(Measurement):
                 [("b", beacons), *(("d", 0 * beacons) for _ in moved)],
                 lambda: [np.eye(3) * root[:, :, None], *(-np.diag(PLANE) * root[:, :, None] for _ in moved)],
                 self.beacon_number,
-                tolerance=None,
-                signature=EXACT * np.nan_to_num(self.prior[:, :2].sum(axis=1)),
                 prior=True,
             ),
             FactorBlock.uniform(
                 f"{self.name}.path_loss",
-                (q - PATH_LOSS) / PATH_LOSS_SIGMA,
+                (q - BEACONS.path_loss) / BEACONS.path_loss_sigma,
                 [("q", single)],
-                lambda: [np.diag(1 / PATH_LOSS_SIGMA)[None]],
+                lambda: [np.diag(1 / np.array(BEACONS.path_loss_sigma))[None]],
                 single,
-                tolerance=None,
                 prior=True,
             ),
         ]
 
     def _displacement(self, at: Evaluation) -> FactorBlock:
         """The prior of how far the whole list is displaced: ``origin``, and what ``d`` adds to it."""
-        single, root = np.zeros(1, dtype=np.intp), np.diag([1 / ORIGIN_SIGMA, 1 / ORIGIN_SIGMA, 1.0])
+        single, root = np.zeros(1, dtype=np.intp), np.diag([1 / BEACONS.origin_sigma, 1 / BEACONS.origin_sigma, 1.0])
         off = (at.state["d"] + np.append(np.zeros(2) if self.origin is None else self.origin, 0.0)) @ root
         name = f"{self.name}.displacement"
-        return FactorBlock.uniform(name, off, [("d", single)], lambda: [root[None]], single, tolerance=None, prior=True)
+        return FactorBlock.uniform(name, off, [("d", single)], lambda: [root[None]], single, prior=True)
 
     def rough_fixes(self) -> Fixes:
         """A rough fix at the strongest surveyed beacon in every BIN seconds."""
         levels = self.listed
         surveyed = np.flatnonzero(np.isfinite(levels.position[levels.beacon, 0]))
         order = surveyed[np.argsort(-levels.rssi[surveyed], kind="stable")]
-        chosen = order[np.unique(levels.time[order] // BIN, return_index=True)[1]]
-        distance = 10 ** ((PATH_LOSS[0] - levels.rssi[chosen]) / (10 * PATH_LOSS[1]))
-        near = np.maximum(NEAREST, distance)
+        chosen = order[np.unique(levels.time[order] // BEACONS.bin, return_index=True)[1]]
+        distance = 10 ** ((BEACONS.path_loss[0] - levels.rssi[chosen]) / (10 * BEACONS.path_loss[1]))
+        near = np.maximum(BEACONS.nearest, distance)
         return Fixes(levels.time[chosen], levels.position[levels.beacon[chosen]], near, ("",) * len(chosen))
 
     def corrected(self, at: Evaluation) -> Self | None:
@@ -262,14 +241,14 @@ class BeaconRssiFactor(Measurement):
         others = by_others()
         apart = list_hypotheses(self, others, placed=True) if along else []
         by = np.mean(others.state.poses[:, :2] - at.state.poses[:, :2], axis=0)
-        if np.hypot(*by) > DISPLACED:
+        if np.hypot(*by) > BEACONS.displaced:
             apart.append(self._displaced(by))
         return [*along, *(replace(proposal, start=others.state) for proposal in apart)]
 
     def _displaced(self, by: Array) -> Proposal:
         """The list has the right distances between beacons, but another origin, ``by (2,)`` [m] away."""
         displaced = replace(self.at_places(self.position + by), origin=by)
-        price = WRONG_ORIGIN + 2 * float(np.log(ORIGIN_SIGMA))
+        price = PRICES.wrong_origin + 2 * float(np.log(BEACONS.origin_sigma))
         away = Hypothesis((self.name, "displaced"), (), (float(np.round(np.hypot(*by))),), price)
         return Proposal(away, (displaced,), fresh=("b",))
 
@@ -299,7 +278,7 @@ class BeaconRssiFactor(Measurement):
                 reason += f"at the place of {nearest}: swapped, that place was used"
             else:
                 reason += f"nearest to the place of {nearest}: moved or swapped, its place was not used"
-        elif away > RANGE:
+        elif away > BEACONS.range:
             moved, reason = True, f"received, although the walk is {away:.0f} m or more from where it is listed"
         return BeaconReport(label[m], len(off), float(off.mean()), x, y, moved, reason)
 
@@ -311,7 +290,7 @@ def levels_along(sightings: Sightings, beacons: Beacons, steps: Steps) -> Levels
     rows = (which >= 0) & (sightings.time >= steps.start) & (sightings.time <= steps.end)
     time, which, rssi = sightings.time[rows], which[rows], sightings.rssi[rows]
     walked = np.append(0.0, np.cumsum(steps.length))[np.searchsorted(steps.time, time)]
-    return mean_levels((walked // STRETCH).astype(np.intp), time, which, rssi, beacons)
+    return mean_levels((walked // BEACONS.stretch).astype(np.intp), time, which, rssi, beacons)
 
 
 def mean_levels(stretch: Index, time: Array, beacon: Index, rssi: Array, beacons: Beacons) -> Levels:
@@ -339,26 +318,26 @@ def list_hypotheses(beacons: BeaconRssiFactor, at: Evaluation, placed: bool) -> 
 
     placed: other sources say where the walk was, so that the whole list may be wrong.
     """
-    q = at.state.arrays.get("q", PATH_LOSS[None])[0]
+    q = at.state.arrays.get("q", np.array([BEACONS.path_loss]))[0]
     levels = replace(beacons.listed, position=beacons.position)
     surveyed, places, cost = placement_costs(levels, at.chain.time, at.state.poses[:, :2], q)
     count = len(surveyed)
     own = np.diag(cost[:, :count])
     swaps = [(own[i] + own[j] - cost[i, j] - cost[j, i], i, j) for i in range(count) for j in range(i)]
     gains = own - cost[:, count:].min(axis=1, initial=np.inf)
-    if max(gains.max(initial=0.0), max(swaps, default=(0.0,))[0]) < SUSPICIOUS:
+    if max(gains.max(initial=0.0), max(swaps, default=(0.0,))[0]) < BEACONS.suspicious:
         return []
     found = [
         _swapped(beacons, surveyed[i], surveyed[j])
-        for gain, i, j in sorted(swaps, reverse=True)[:MOST_OF_A_KIND]
-        if gain > -SUSPICIOUS
+        for gain, i, j in sorted(swaps, reverse=True)[: BEACONS.most_of_a_kind]
+        if gain > -BEACONS.suspicious
     ]
     best = places[count + np.argmin(cost[:, count:], axis=1)]
-    for i in np.argsort(-gains)[:MOST_OF_A_KIND].tolist():
-        if gains[i] > SUSPICIOUS:
+    for i in np.argsort(-gains)[: BEACONS.most_of_a_kind].tolist():
+        if gains[i] > BEACONS.suspicious:
             label = beacons.listed.label[surveyed[i]]
             found.append(_unlisted(beacons, surveyed[i : i + 1], best[i : i + 1], "moved", (label,)))
-    if placed and count > 1 and np.sum(gains) > count * SUSPICIOUS:
+    if placed and count > 1 and np.sum(gains) > count * BEACONS.suspicious:
         found.append(_unlisted(beacons, surveyed, best, "of another place"))
     return found
 
@@ -367,7 +346,7 @@ def _swapped(beacons: BeaconRssiFactor, a: int, b: int) -> Proposal:
     position = beacons.position.copy()
     position[[a, b]] = position[[b, a]]
     labels = tuple(sorted((beacons.listed.label[a], beacons.listed.label[b])))
-    swapped = Hypothesis((beacons.name, "swapped"), labels, price=WRONG_LIST)
+    swapped = Hypothesis((beacons.name, "swapped"), labels, price=PRICES.wrong_list)
     return Proposal(swapped, (beacons.at_places(position),), fresh=("b",))
 
 
@@ -382,7 +361,7 @@ def _unlisted(
     position[which] = np.nan
     unlisted = beacons.at_places(position)
     unlisted.prior[which, :2] = place
-    price = WRONG_LIST + float(2 * np.log(ANYWHERE / beacons.listed.sigma[which]).sum())
+    price = PRICES.wrong_list + float(2 * np.log(BEACONS.anywhere / beacons.listed.sigma[which]).sum())
     return Proposal(Hypothesis((beacons.name, error), labels, price=price), (unlisted,), fresh=("b",))
 
 

@@ -18,18 +18,12 @@ from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.geometry import length_along, wrap_angle
+from pdr_graph.priors import CORRIDOR
 from pdr_graph.types import Array, Headings, Index
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-SIGMA_SIDE = 0.3  # of a corridor's width, lateral position at either end of a run; 1/√12 if uniformly distributed
-SIGMA_AHEAD = 0.03  # [rad] between the line from end to end of a run and the keyframe's dead-reckoned heading
-# Of the association, chosen by hand
-ON_LINK = 2.0  # largest cost of a step on a link: half a corridor off and askew as in a zigzag
-SHORTEST = 3.0  # [m] of the walk along a link
-BRIDGED = 6.0  # [m] of the walk between two parts of one run: across an intersection, past an open shop
-STRAIGHT, SPREAD = np.radians(10), np.radians(4)  # between the links of one run, the same as a standard deviation
 LEAST_LENGTH, LEAST_RATIO = 8.0, 3.0  # of a run [m], and in widths of its corridor: a shorter one may cross a plaza
 
 
@@ -139,13 +133,13 @@ def stretches_along(track: Array, network: Network) -> list[Stretch]:
     nearest = cost.argmin(axis=1)
     along = segments.along[nearest]
     bearing = np.arctan2(*(along * np.where(np.sum(step * along, axis=1) < 0, -1, 1)[:, None]).T[::-1])
-    link = np.where(cost.min(axis=1) < ON_LINK, segments.link[nearest], -1)
-    bends = np.abs(wrap_angle(np.diff(bearing))) > STRAIGHT
+    link = np.where(cost.min(axis=1) < CORRIDOR.on_link, segments.link[nearest], -1)
+    bends = np.abs(wrap_angle(np.diff(bearing))) > CORRIDOR.straight
     parts = np.split(np.arange(len(link)), np.flatnonzero(bends | (np.diff(link) != 0)) + 1)
     return [
         Stretch(int(part[0]), int(part[-1]) + 2, int(link[part[0]]), bearing[part])
         for part in parts
-        if link[part[0]] >= 0 and walked[part[-1] + 1] - walked[part[0]] > SHORTEST
+        if link[part[0]] >= 0 and walked[part[-1] + 1] - walked[part[0]] > CORRIDOR.shortest
     ]
 
 
@@ -160,7 +154,7 @@ def straight_runs(track: Array, network: Network) -> list[Run]:
 def _continues(before: Stretch, after: Stretch, walked: Array) -> bool:
     """True if two stretches are parts of one run."""
     bend = abs(float(wrap_angle(after.bearing[0] - before.bearing[-1])))
-    return bend < STRAIGHT and walked[after.first] - walked[before.last - 1] < BRIDGED
+    return bend < CORRIDOR.straight and walked[after.first] - walked[before.last - 1] < CORRIDOR.bridged
 
 
 def _run(parts: Sequence[Stretch], network: Network) -> Run:
@@ -174,7 +168,7 @@ def _run(parts: Sequence[Stretch], network: Network) -> Run:
 def _is_corridor(run: Run, track: Array) -> bool:
     """True if a run is long enough, and its links are straight enough, for a corridor."""
     length = float(np.hypot(*(track[run.last - 1] - track[run.first])))
-    return length > max(LEAST_LENGTH, LEAST_RATIO * run.width) and run.spread < SPREAD
+    return length > max(LEAST_LENGTH, LEAST_RATIO * run.width) and run.spread < CORRIDOR.spread
 
 
 def _heading(track: Track, run: Run) -> tuple[int, float, float] | None:
@@ -187,5 +181,5 @@ def _heading(track: Track, run: Run) -> tuple[int, float, float] | None:
     if keyframe is None:
         return None
     length = float(np.hypot(*(track.position[last] - track.position[first])))
-    sigma = np.hypot(np.sqrt(2) * SIGMA_SIDE * run.width / length, np.hypot(SIGMA_AHEAD, run.spread))
+    sigma = np.hypot(np.sqrt(2) * CORRIDOR.side * run.width / length, np.hypot(CORRIDOR.ahead, run.spread))
     return keyframe, float(wrap_angle(run.direction + track.aside(keyframe, first, last))), float(sigma)

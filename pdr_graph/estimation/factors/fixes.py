@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.hypothesis import WRONG_FIX, Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import distance_walked, pose_rotation
-from pdr_graph.priors import PARTICLES
+from pdr_graph.priors import FIXES, PARTICLES, PRICES
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -28,22 +28,11 @@ if TYPE_CHECKING:
 
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-LONGEST_OVERHANG = 5.0  # [s] by which a fix may lie outside the recording
-WALKING_SPEED = 1.4  # [m/s] at which the sigma of such a fix grows
-OUTLIER = 5.0  # [σ] from a first optimum beyond which a fix is an outlier
-STRETCHED = 1.5  # ratio by which a walk may be longer than its strides say
-WITHIN = 5.0  # [σ] of both fixes, within reach
-DRIVEN = 30.0  # [m/s] reached during a gap in the recording
 MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
-LOOSELY = 5.0  # scale of the sigma in the second factor of a fix that states only a radius
-PATIENCE = 4  # consistent fixes in a row, all far from the walk, at which the estimate has diverged
-REJECTED = 0.25  # of a fix in the longest chain, for one that the walk under way has rejected; chosen by hand
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
-DOUBTFUL = 0.3  # probability that the farthest of honest fixes is as far off, below which one may be wrong
 WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
-SUSPICIOUS, FEWEST_SCATTER, SECONDS = 0.7, 10, 3.0  # share from which, triples of fixes, and their time [s]
 RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
@@ -85,7 +74,7 @@ class FixFactor(Measurement):
 
     name: ClassVar[str] = "fixes"
     determines_position: ClassVar[bool] = True
-    overhang: ClassVar[float] = LONGEST_OVERHANG
+    overhang: ClassVar[float] = FIXES.longest_overhang
 
     @classmethod
     def of(
@@ -93,7 +82,7 @@ class FixFactor(Measurement):
     ) -> FixFactor:
         """The fixes of one walk. approximate: they only initialise the search; number: 0, 1, … by default."""
         overhang = np.maximum(np.maximum(steps.start - fixes.time, fixes.time - steps.end), 0.0)
-        fresh, sigma = overhang <= LONGEST_OVERHANG, np.hypot(fixes.sigma, WALKING_SPEED * overhang)
+        fresh, sigma = overhang <= FIXES.longest_overhang, np.hypot(fixes.sigma, FIXES.walking_speed * overhang)
         duplicate, still = duplicates(fixes), frozen(fixes, steps)
         used = fresh & ~duplicate & ~still
         run, consistent = consistent_chains(steps, fixes, sigma, used)
@@ -140,7 +129,7 @@ class FixFactor(Measurement):
         loss = RobustLoss(self.outlier[which], flat=self.flat)
         blocks = [self._positions(at, self.name, which, sigma[which], loss)]
         if self.flat:
-            loosely = LOOSELY * self.independent_sigma[which]
+            loosely = FIXES.loosely * self.independent_sigma[which]
             blocks.append(self._positions(at, f"{self.name}.radius", which, loosely, GAUSSIAN))
         return blocks
 
@@ -181,7 +170,7 @@ class FixFactor(Measurement):
         too_small = self._too_small(at)
         if (too_small > 1).any():
             return self._wider(too_small).refined(at)
-        far = self.used & (self.distance(at) > OUTLIER * self.sigma)
+        far = self.used & (self.distance(at) > FIXES.outlier * self.sigma)
         held = self.used & (self.consistent | ~_mostly(far, self.run))
         of_receiver = sourced(self.fixes)
         if not (far.any() or of_receiver.any() or self.approximate) and (held == self.held).all():
@@ -203,10 +192,10 @@ class FixFactor(Measurement):
         for indices in by_source(self.fixes, self.used & (self.keyframe >= 0)):
             time, middle = self.fixes.time[indices], indices[1:-1]
             scatter = np.hypot(*(off[middle] - (off[indices[:-2]] + off[indices[2:]]) / 2).T) / np.sqrt(1.5)
-            within = time[2:] - time[:-2] <= SECONDS
-            if within.sum() >= FEWEST_SCATTER:
+            within = time[2:] - time[:-2] <= FIXES.seconds
+            if within.sum() >= FIXES.fewest_scatter:
                 share = float(np.median((scatter / self.sigma[middle])[within])) / RAYLEIGH
-                factor[indices] = share / WHITEST if share > SUSPICIOUS else 1.0
+                factor[indices] = share / WHITEST if share > FIXES.suspicious else 1.0
         return factor
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
@@ -231,7 +220,7 @@ class FixFactor(Measurement):
         too_small = self._too_small(at)
         if (too_small > 1).any():
             return self._wider(too_small).reclassified(at)
-        far = self.distance(at) > OUTLIER * self.sigma
+        far = self.distance(at) > FIXES.outlier * self.sigma
         reached = self.used & (self.keyframe >= 0)
         outlier = np.where(reached, far & (self.consistent | self.outlier), self.outlier)
         held = np.where(reached, ~far | self.consistent, self.held)
@@ -244,7 +233,7 @@ class FixFactor(Measurement):
             return ()
         sigmas = (self.distance(at) / self.sigma)[own]
         worst = int(np.argmax(sigmas))
-        if len(own) * np.exp(-(sigmas[worst] ** 2) / 2) > DOUBTFUL:
+        if len(own) * np.exp(-(sigmas[worst] ** 2) / 2) > FIXES.doubtful:
             return ()
         usual = float(np.median(self.sigma[own]))
         beside = [n for n in range(max(worst - 1, 0), min(worst + 2, len(own))) if not self.outlier[own[n]]]
@@ -255,7 +244,7 @@ class FixFactor(Measurement):
         outlier, held = self.outlier.copy(), self.held.copy()
         outlier[near], held[near] = False, self.used[near]
         held[n] = False
-        price = WRONG_FIX + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))
+        price = PRICES.wrong_fix + 2 * float(np.log(max(usual / self.sigma[n], 1.0)))
         without = replace(self.classified(outlier, held), wrong=self.wrong | (self.number == self.number[n]))
         where = (float(self.fixes.time[n]), *self.fixes.position[n].tolist())
         return Proposal(Hypothesis((self.name, "wrong"), (int(self.number[n]),), where, price), (without,))
@@ -268,8 +257,8 @@ class FixFactor(Measurement):
     @property
     def diverged(self) -> bool:
         """True if the last consistent fixes all lie far from the walk."""
-        last = np.flatnonzero(self.consistent & (self.keyframe >= 0))[-PATIENCE:]
-        return len(last) == PATIENCE and bool(self.outlier[last].all())
+        last = np.flatnonzero(self.consistent & (self.keyframe >= 0))[-FIXES.patience :]
+        return len(last) == FIXES.patience and bool(self.outlier[last].all())
 
     def contradicts(self, decisions: Mapping[str, AnyArray]) -> bool:
         """True if fixes before the newest were consistent with the others and no longer are."""
@@ -294,7 +283,7 @@ class FixFactor(Measurement):
         if not decisions:
             return self.classified(self.outlier, self.held)
         if (rejected := self._rejected_by(decisions)).any():
-            share = np.where(rejected, REJECTED, 1.0)
+            share = np.where(rejected, FIXES.rejected, 1.0)
             run, consistent = consistent_chains(self.steps, self.fixes, self.sigma, self.used, share)
             return replace(self, run=run, consistent=consistent, held=consistent)._continued(decisions)
         return self._continued(decisions)
@@ -413,10 +402,12 @@ def consistent_chains(
     order = np.flatnonzero(used)
     order = order[np.argsort(fixes.time[order], kind="stable")]
     if len(order):
-        moved = np.where(steps.is_gap, DRIVEN * steps.duration, steps.length)
-        way = STRETCHED * distance_walked(steps, fixes.time[order], moved)
+        moved = np.where(steps.is_gap, FIXES.driven * steps.duration, steps.length)
+        way = FIXES.stretched * distance_walked(steps, fixes.time[order], moved)
         share = np.ones(len(fixes)) if share is None else share
-        chains = longest_consistent_chain(fixes.position[order], WITHIN * sigma[order], way, np.inf, ENDS, share[order])
+        chains = longest_consistent_chain(
+            fixes.position[order], FIXES.within * sigma[order], way, np.inf, ENDS, share[order]
+        )
         run[order], consistent[order] = chains
     return run, consistent
 

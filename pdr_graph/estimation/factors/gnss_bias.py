@@ -4,10 +4,10 @@
 its correlation is 0.9 after a second, 0.5 after ten), so a minute of epochs has the information of a few fixes, not of
 sixty. With g = (g_x, g_y, lag) of the source at its time [m, m, s], a fix of stated sigma σ is modelled as
 
-    z = p − R(θ) v lag + g + white noise of variance WHITE² σ₀² + n (σ² − σ₀²)
+    z = p − R(θ) v lag + g + white noise of variance ω² σ₀² + n (σ² − σ₀²)
 
-with v the walking velocity in the body's axes, averaged over LATELY. g is a Gauss–Markov process of sigma σ₀ about o,
-lag a slow random walk; both are linear between nodes NODE apart. o [m] is what stays the same throughout: a reflection
+with ω = RECEIVERS.white, v the recent walking velocity in the body's axes. g is a Gauss–Markov process of sigma σ₀
+about o, lag a slow random walk; both are linear between nodes. o [m] is what stays the same throughout: a reflection
 under a roof. Its sigma is k times the receiver's median σ₀. How large k is nothing tells where there is no other
 source, so that it is a hypothesis: most receivers have k = 1, some are several times worse than they state. The process
 runs in units of `drift`, with correlation length 1. σ₀ is the least sigma of the n fixes with the same error; the
@@ -23,29 +23,22 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.hypothesis import LARGER, WORSE, Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.fixes import OUTLIER, FixFactor
+from pdr_graph.estimation.factors.fixes import FixFactor
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.receivers import alike, by_source, drift
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation, rotation
-from pdr_graph.priors import RECEIVERS
+from pdr_graph.priors import FIXES, PRICES, RECEIVERS
 from pdr_graph.types import Array, Complex, Index, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-WHITE = 0.3  # share of white noise in the stated sigma
-NODE = 5.0  # [s] between nodes
-LAG, LAG_CHANGE = 1.0, 0.02  # prior sigma of the lag [s]; its random walk [s/√s]
-LATELY = 2.0  # [s] over which the velocity is averaged
-AMBLE = 1.0  # [m/s] assumed after the last step, until the next node
 SOURCES, NODES_PER_SOURCE = 2**20, 2**34  # ranges of node numbers, so that those of a source do not depend on others
 QUARTER = rotation(np.pi / 2)
 THROUGHOUT = 1.0  # k of a receiver that is as good as it states
-USUALLY_WORSE = 2.0  # k up to which a user need not check a receiver
-SCATTERED = 1.1  # [σ] root mean square residual from which all errors may be larger than stated
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +113,7 @@ class GnssBias(Measurement):
 
     def _off_throughout(self) -> Iterator[Proposal]:
         """All receivers are off throughout; the normaliser is that of the wider prior."""
-        for k, price in WORSE:
+        for k, price in PRICES.worse:
             normaliser = 2 * float(np.log(k)) * len(self.usual)
             off = Hypothesis((self.name, "throughout"), self._names, (k,), price + normaliser)
             yield Proposal(off, (replace(self, throughout=k),))
@@ -133,11 +126,11 @@ class GnssBias(Measurement):
     def _larger_errors(self, at: Evaluation) -> Iterator[Proposal]:
         """All errors are several times what is stated, if the fixes lie accordingly about the walk and the offset."""
         [block] = [block for block in at.blocks_of(FixFactor.name) if block.variables[-1][0] == self.symbol]
-        if np.sqrt(np.mean(block.residual**2)) < SCATTERED:
+        if np.sqrt(np.mean(block.residual**2)) < RECEIVERS.scattered:
             return
-        for factor, price in LARGER:
+        for factor, price in PRICES.larger:
             normalisers = 2 * float(np.log(factor)) * (len(block) + len(self.sigma) + len(self.usual))
-            outlier = self.fixes.outlier & (self.fixes.distance(at) > OUTLIER * factor * self.fixes.sigma)
+            outlier = self.fixes.outlier & (self.fixes.distance(at) > FIXES.outlier * factor * self.fixes.sigma)
             fixes = self.fixes.classified(outlier, self.fixes.held)
             errors = Hypothesis((self.name, "larger"), self._names, (factor,), price + normalisers)
             yield Proposal(errors, (replace(self._times(factor), fixes=fixes), fixes))
@@ -164,7 +157,7 @@ class GnssBias(Measurement):
         return replace(self, fixes=self.fixes.bind(chain), velocity=velocities(*chain.track, chain.time))
 
     def variables(self, poses: Array) -> Sequence[Variables]:
-        """A node (g_x, g_y [-], lag [s]) every NODE seconds in which there are fixes; o [-] of each receiver."""
+        """A node (g_x, g_y [-], lag [s]) every few seconds in which there are fixes; o [-] of each receiver."""
         if not len(self.node_number):
             return ()
         needed = np.full(len(self.node_number), -np.inf)
@@ -201,38 +194,31 @@ class GnssBias(Measurement):
 
         variables = (("x", keyframe), (self.symbol, node), (self.symbol, node + 1))
         loss = RobustLoss(self.fixes.outlier[fix])
-        tenths = 10 * np.log(white)
-        return FactorBlock.uniform(
-            FixFactor.name, value, variables, jacobian, self.fixes.number[fix], loss=loss, signature=tenths
-        )
+        return FactorBlock.uniform(FixFactor.name, value, variables, jacobian, self.fixes.number[fix], loss=loss)
 
     def _process(self, at: Evaluation) -> list[FactorBlock]:
         """Factors of g, which varies about o, and of o."""
         g, o = at.state[self.symbol], at.state[self.symbol_throughout]
         first, later = np.flatnonzero(self.keep == 0), np.flatnonzero(self.keep)
         about = g - o[self.receiver] * PLANE
-        sigma = np.stack([self.sigma, self.sigma, np.full(len(g), LAG)], axis=1)
+        sigma = np.stack([self.sigma, self.sigma, np.full(len(g), RECEIVERS.lag)], axis=1)
         begin = FactorBlock.uniform(
             f"{self.name}.begin",
             about[first] / sigma[first],
             [(self.symbol, first), (self.symbol_throughout, self.receiver[first])],
             lambda: [np.eye(3) / sigma[first, :, None], -np.diag(PLANE) / sigma[first, :, None]],
             self.node_number[first],
-            tolerance=None,
-            signature=10 * np.log(self.sigma[first]),
             prior=True,
         )
         share = self.keep[later, None] * self.sigma[later, None] / self.sigma[later - 1, None] * [1, 1, 0] + [0, 0, 1]
         change = self.sigma[later] * np.sqrt(1 - self.keep[later] ** 2)
-        scale = 1 / np.stack([change, change, LAG_CHANGE * np.sqrt(self.elapsed[later])], axis=1)
+        scale = 1 / np.stack([change, change, RECEIVERS.lag_change * np.sqrt(self.elapsed[later])], axis=1)
         follow = FactorBlock.uniform(
             f"{self.name}.change",
             (about[later] - share * about[later - 1]) * scale,
             [(self.symbol, later), (self.symbol, later - 1), (self.symbol_throughout, self.receiver[later])],
             lambda: [np.eye(3) * by[:, :, None] for by in (scale, -share * scale, (share - 1) * PLANE * scale)],
             self.node_number[later],
-            tolerance=None,
-            signature=20 * self.keep[later] + 10 * np.log(self.sigma[later]),
             prior=True,
         )
         root = np.stack([1 / (self.throughout * self.usual)] * 2 + [np.ones(len(o))], axis=1)
@@ -242,8 +228,6 @@ class GnssBias(Measurement):
             [(self.symbol_throughout, np.arange(len(o)))],
             lambda: [np.eye(3) * root[:, :, None]],
             self.receiver_number,
-            tolerance=None,
-            signature=10 * np.log(root[:, 0]),
             prior=True,
         )
         return [begin, follow, same]
@@ -257,7 +241,7 @@ def _wording(hypothesis: Hypothesis) -> Wording:
     if hypothesis.kind[1] == "larger":
         return Wording(names, f"the errors of {names} are about {factor:.0f} times what it states", check)
     text = f"{names} is off throughout by up to {factor:.0f} times what it states"
-    return Wording(names, text, check if factor > USUALLY_WORSE else "")
+    return Wording(names, text, check if factor > RECEIVERS.usually_worse else "")
 
 
 def _number(source: str) -> int:
@@ -270,7 +254,7 @@ def velocities(track: Complex, heading: Array, time: Array) -> Array:
 
     track: ``(k + 1,)`` [m]; heading: ``(k + 1,)`` [rad]; time: ``(k + 1,)`` [s].
     """
-    way = (track - np.interp(time - LATELY, time, track)) * np.exp(-1j * heading) / LATELY
+    way = (track - np.interp(time - RECEIVERS.lately, time, track)) * np.exp(-1j * heading) / RECEIVERS.lately
     return np.stack([way.real, way.imag], axis=1)
 
 
@@ -281,23 +265,23 @@ def _sigmas(fixes: FixFactor, sources: Sequence[Index], steps: Steps) -> tuple[A
         first, after = alike(drift(steps, fixes.fixes.time[indices]))
         offset[indices] = [fixes.sigma[indices[a:b]].min() for a, b in zip(first, after, strict=True)]
         beyond = fixes.sigma[indices] ** 2 - offset[indices] ** 2
-        white[indices] = np.sqrt(WHITE**2 * offset[indices] ** 2 + (after - first) * beyond)
+        white[indices] = np.sqrt(RECEIVERS.white**2 * offset[indices] ** 2 + (after - first) * beyond)
     return offset, white
 
 
 def _nodes(time: Array, sigma: Array, steps: Steps, source: str) -> tuple[Index, Array, Index, Array, Array, Array]:
-    """Nodes around a source's fixes at ``time (f,)``, at multiples of NODE, so that they do not depend on a window.
+    """Nodes around a source's fixes at ``time (f,)``, at multiples of their interval, whatever the window.
 
     sigma: ``(f,)`` of their common error. Returns per fix the row of the node before and the share to the next; per
     node its number, sigma, correlation with the node before, and the time since.
     """
-    before = np.floor(time / NODE).astype(np.intp)
+    before = np.floor(time / RECEIVERS.node).astype(np.intp)
     grid = np.unique([before, before + 1]).astype(np.intp)
-    at = (NODE * grid).astype(np.float64)
+    at = (RECEIVERS.node * grid).astype(np.float64)
     node = np.searchsorted(grid, before)
-    beyond = np.maximum(at - steps.end, 0.0) * AMBLE / RECEIVERS.along
+    beyond = np.maximum(at - steps.end, 0.0) * RECEIVERS.amble / RECEIVERS.along
     kept = np.exp(-np.diff(drift(steps, at) + beyond, prepend=0.0))
     keep = np.where(np.arange(len(at)) > 0, kept, 0.0)
     elapsed = np.diff(at, prepend=at[0]).astype(np.float64)
     number = _number(source) * NODES_PER_SOURCE + NODES_PER_SOURCE // 2 + grid
-    return node, (time - at[node]) / NODE, number, np.interp(at, time, sigma), keep, elapsed
+    return node, (time - at[node]) / RECEIVERS.node, number, np.interp(at, time, sigma), keep, elapsed

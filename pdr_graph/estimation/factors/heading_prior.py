@@ -9,20 +9,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.estimation.ambiguity.hypothesis import (
-    COMPASS_OFF,
-    WRONG_START,
-    Hypothesis,
-    Proposal,
-    Wording,
-    wording_of,
-)
-from pdr_graph.estimation.factors.base import EXACT, AnyArray, FactorBlock, Measurement
+from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
+from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.measurements import take
-from pdr_graph.priors import PARTICLES
+from pdr_graph.priors import COMPASS, PARTICLES, PRICES
 from pdr_graph.types import Array, Headings, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -30,8 +23,7 @@ if TYPE_CHECKING:
 
     from pdr_graph.estimation.factors.chain import Chain, Evaluation
 
-START, START_HEADING_SIGMA = "start", 0.2  # source and sigma [rad] of the start heading of a user; chosen by hand
-OFF = np.pi / 4  # [rad] of a compass that is off throughout
+START = "start"  # source of the start heading of a user
 
 
 @dataclass(frozen=True)
@@ -105,7 +97,7 @@ class HeadingFactor(Measurement):
         Compass headings share most of their error (`gait.compass`).
         """
         started, bound = of_start(self.headings), self.keyframe >= 0
-        found = [self._off(angle) for angle in (OFF, -OFF)] if np.any(bound & ~started) else []
+        found = [self._off(angle) for angle in (COMPASS.off, -COMPASS.off)] if np.any(bound & ~started) else []
         if not np.any(bound & started):
             return found
         found.append(self._without_start())
@@ -123,13 +115,13 @@ class HeadingFactor(Measurement):
     def _without_start(self) -> Proposal:
         """The start heading is wrong; its normaliser replaces that of its sigma."""
         sigma = float(self.headings.sigma[of_start(self.headings)][0])
-        price = WRONG_START + float(np.log(ANY_HEADING / sigma))
+        price = PRICES.wrong_start + float(np.log(ANY_HEADING / sigma))
         return Proposal(Hypothesis((self.name, "wrong start"), price=price), (replace(self, wrong_start=True),))
 
     def _off(self, angle: float) -> Proposal:
         """All compass headings are off by ``angle`` [rad]."""
         side = "left" if angle > 0 else "right"
-        off = Hypothesis((self.name, f"off to the {side}"), parameter=(abs(angle),), price=COMPASS_OFF)
+        off = Hypothesis((self.name, f"off to the {side}"), parameter=(abs(angle),), price=PRICES.compass_off)
         return Proposal(off, (replace(self, off=angle),))
 
     @property
@@ -215,5 +207,4 @@ def heading_block(name: str, at: Evaluation, keyframe: Index, headings: Headings
         number,
         loss=loss,
         native=native,
-        signature=EXACT * (headings.heading + 10 * sigma),
     )

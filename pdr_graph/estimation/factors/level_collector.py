@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 import numpy as np
 
 from pdr_graph.estimation.factors.base import AnyArray
-from pdr_graph.estimation.factors.beacon_rssi import STRETCH, levels_along, mean_levels
+from pdr_graph.estimation.factors.beacon_rssi import levels_along, mean_levels
 from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.measurements import Levels
 from pdr_graph.priors import BEACONS
@@ -19,7 +19,7 @@ MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 2
 class LevelCollector:
     """Makes mean levels of surveyed beacons on a walk under way; a `Collector`. beacons: in the frame of the walk.
 
-    A stretch ends after STRETCH metres, or after BEACONS.longest_stretch seconds.
+    A stretch ends after BEACONS.stretch metres, or after BEACONS.longest_stretch seconds.
     """
 
     def __init__(self, beacons: Beacons):
@@ -56,7 +56,7 @@ class LevelCollector:
         time = self._waiting[:, 0]
         if not len(time) or time.min() > until:
             return
-        stretch, now = walked(time) // STRETCH, float(walked(np.array([until]))[0] // STRETCH)
+        stretch, now = walked(time) // BEACONS.stretch, float(walked(np.array([until]))[0] // BEACONS.stretch)
         complete = (time <= until) & ((stretch < now) | (time < until - BEACONS.longest_stretch))
         if complete.any():
             time, beacon, rssi = self._waiting[complete].T

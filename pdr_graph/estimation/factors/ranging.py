@@ -132,7 +132,6 @@ class RangeFactor(Measurement):
             [(self.symbol, every)],
             lambda: [np.eye(3) * root[:, :, None]],
             self._met,
-            tolerance=None,
             prior=True,
         )
 

@@ -118,7 +118,6 @@ class CalibrationFactor(Measurement):
                 lambda: [root],
                 number[first],
                 native=prior_factor,
-                tolerance=None,
             ),
             FactorBlock.uniform(
                 f"{self.name}.change",
@@ -127,7 +126,6 @@ class CalibrationFactor(Measurement):
                 lambda: [-by, by],
                 number[later],
                 native=changed,
-                tolerance=None,
             ),
         ]
 

@@ -19,10 +19,6 @@ from pdr_graph.types import Array, Index
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
 
-C_TOLERANCE = np.array([0.01, 0.01, 0.002])
-OF_STEPS = {"x": np.array([0.5, 0.5, 0.02]), "c": C_TOLERANCE}  # nearly linear in translations
-OF_WALLS = {"x": np.array([0.15, 0.15, 0.02]), "c": C_TOLERANCE}
-
 
 @dataclass(frozen=True)
 class StepFactor(Measurement):
@@ -44,10 +40,8 @@ class StepFactor(Measurement):
             whitened = at.step_residual.times(root)
             return [whitened.by_i, whitened.by_j, whitened.by_c]
 
-        number, lengths = chain.number[1:], 1e3 * (chain.delta[:, 0] + 2 * chain.delta[:, 1])  # by a millimetre
-        return [
-            FactorBlock.uniform(self.name, value, variables, jacobian, number, tolerance=OF_STEPS, signature=lengths)
-        ]
+        number = chain.number[1:]
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, number)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +120,6 @@ class WallFactor(Measurement):
             slope[:, 0, :2] = gradient[near]
             return [(slope @ by)[:, 0] for by in (poses.by_i, poses.by_j, poses.by_c)]
 
-        regions = np.array([id(field) % 2**31 for field in self.fields] + [0], dtype=float)
-        signature = np.bincount(at.pieces.interval, regions[self.field_of] * (1.0 + np.arange(len(r)) % 10))
         return [
             FactorBlock(
                 self.name,
@@ -137,8 +129,6 @@ class WallFactor(Measurement):
                 jacobian,
                 chain.number[1:],
                 most_rows=np.bincount(at.pieces.interval),
-                tolerance=OF_WALLS,
-                signature=np.asarray(signature, dtype=np.float64),
             )
         ]
 

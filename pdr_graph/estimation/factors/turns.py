@@ -15,23 +15,16 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 import shapely
 
-from pdr_graph.estimation.factors.base import EXACT, FactorBlock, Linearized, Measurement
+from pdr_graph.estimation.factors.base import FactorBlock, Linearized, Measurement
 from pdr_graph.estimation.factors.corridor import Track, stretches_along
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Network
 from pdr_graph.geometry import length_along, turn_between, wrap_angle
+from pdr_graph.priors import TURNS
 from pdr_graph.types import Array, Index
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation
-
-SIGMA_TURNED = 0.05  # [rad] of a heading change: few steps of a turn are straight in a corridor
-SIGMA_PLACE = 0.5  # [m] outside the intersection: corners are cut, and the step nearest to the turn is half a step off
-# Of the association, chosen by hand
-OVERLAP = 6  # places at the end or the beginning of a stretch that may belong to the turn
-LONGEST = 8.0  # [m] of the walk around an intersection, from one link to the other
-LEAST_TURN, MOST_TURN = np.radians(25), np.radians(150)  # less is one corridor, more is a reversal
-AT_NODE = 2.0  # [m] between a turn and its intersection
 
 
 @dataclass(frozen=True)
@@ -102,7 +95,7 @@ class TurnFactor(Measurement):
         """
         off = wrap_angle(heading[self.after] - heading[self.before] - (self.least + self.most) / 2)
         beyond = np.maximum(np.abs(off) - (self.most - self.least) / 2, 0.0)
-        return np.sign(off) * beyond / SIGMA_TURNED, (beyond > 0) / SIGMA_TURNED
+        return np.sign(off) * beyond / TURNS.turned, (beyond > 0) / TURNS.turned
 
     def outside(self, turning: Linearized) -> Linearized:
         """Residual ``(t, 4)`` of each turn beyond the sides of its intersection: r = max(0, n p − e) / σ.
@@ -112,8 +105,8 @@ class TurnFactor(Measurement):
         """
         beyond = np.einsum("tsk,tk->ts", self.normal, turning.value[:, :2]) - self.edge
         slope = np.zeros((*beyond.shape, 3))
-        slope[:, :, :2] = self.normal * (beyond > 0)[:, :, None] / SIGMA_PLACE
-        value = np.maximum(beyond, 0.0) / SIGMA_PLACE
+        slope[:, :, :2] = self.normal * (beyond > 0)[:, :, None] / TURNS.place
+        value = np.maximum(beyond, 0.0) / TURNS.place
         return Linearized(value, slope @ turning.by_i, slope @ turning.by_j, slope @ turning.by_c)
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
@@ -136,7 +129,6 @@ class TurnFactor(Measurement):
                 [("x", self.before), ("x", self.after)],
                 by_headings,
                 number,
-                signature=EXACT * (self.least + self.most),
             ),
             FactorBlock.uniform(
                 f"{self.name}.place",
@@ -144,7 +136,6 @@ class TurnFactor(Measurement):
                 [("x", interval), ("x", interval + 1), ("c", at.chain.segment[interval])],
                 lambda: [place.by_i, place.by_j, place.by_c],
                 number,
-                signature=EXACT * self.edge.sum(axis=1),
             ),
         ]
 
@@ -156,11 +147,16 @@ def turns_along(track: Array, network: Network) -> Iterator[Turn]:
         shared = np.intersect1d(network.links[before.link], network.links[after.link])
         for node in shared[~np.isnan(network.corners[shared, 0, 0])].tolist():
             into, out_of = -network.direction(before.link, node), network.direction(after.link, node)
-            low, high = max(before.last - OVERLAP, before.first), min(after.first + OVERLAP, after.last)
+            low, high = max(before.last - TURNS.overlap, before.first), min(after.first + TURNS.overlap, after.last)
             at = low + int(np.argmax(track[low:high] @ (into - out_of)))  # the sharpest
             turned, around = abs(turn_between(into, out_of)), walked[after.first] - walked[before.last - 1]
             apart = shapely.distance(shapely.polygons(network.corners[node]), shapely.Point(track[at]))
-            if before.link != after.link and LEAST_TURN < turned < MOST_TURN and around < LONGEST and apart < AT_NODE:
+            if (
+                before.link != after.link
+                and TURNS.least < turned < TURNS.most
+                and around < TURNS.longest
+                and apart < TURNS.at_node
+            ):
                 yield Turn(before.first, at, after.last - 1, into, out_of, network.corners[node])
 
 

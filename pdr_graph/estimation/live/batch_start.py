@@ -19,11 +19,8 @@ from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.prediction import Position, in_output_axes
 from pdr_graph.estimation.optimizer import Optimum
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.priors import INITIAL, KALMAN, REPORTS
+from pdr_graph.priors import INITIAL, KALMAN, REPORTS, SCHEDULE
 from pdr_graph.types import Array, Index
-
-LEAST_DURATION = 25.0  # [s] on a plan, unless fixes determine the direction: shorter walks fit several aisles
-MOST_SIGMA, MOST_SIGMA_ON_PLAN = 0.5, 0.35  # [rad] of the last heading, for a linearisation there; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -85,9 +82,9 @@ class BatchQuestion:
         modes = modes_at_end(optima, probability)
         variance = modes.covariance[:, 2, 2]
         certain = float(probability[path == 0].sum()) > REPORTS.sure
-        long = graph.steps.end - graph.steps.start > LEAST_DURATION
+        long = graph.steps.end - graph.steps.start > SCHEDULE.least_duration
         determined = not walled or sigma_direction(graph.chain, graph.positions) < INITIAL.ambiguous or long
-        narrow = variance[0] < (MOST_SIGMA_ON_PLAN if walled else MOST_SIGMA) ** 2
+        narrow = variance[0] < (SCHEDULE.most_sigma_on_plan if walled else SCHEDULE.most_sigma) ** 2
         return BatchSolution(
             time=np.append(chain.time[0], chain.time[:-1][at.pieces.interval] + at.pieces.to_end[1]),
             pose=np.vstack([at.pose_i[:1], at.ends]),

@@ -14,8 +14,6 @@ from pdr_graph.estimation.live.step_buffer import Interval
 from pdr_graph.geometry import pose_rotation, rotation
 from pdr_graph.types import Array
 
-COVARIANCE_INTERVAL = 5.0  # [s] between covariances of the first keyframe; rows between are interpolated
-
 
 @dataclass(frozen=True)
 class TrajectoryRows:

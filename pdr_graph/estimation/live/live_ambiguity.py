@@ -42,8 +42,6 @@ from pdr_graph.estimation.particle_filter import KeyframeMeasurements, measureme
 from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Fixes, Headings, Index, Mask
 
-DOUBTED, DOUBTED_BEHIND_WALL = 3.0, 1.0  # [σ] of a fix from the walk, beyond which the batch is asked; chosen by hand
-
 
 @dataclass(frozen=True)
 class AmbiguityCheckpoint:
@@ -247,7 +245,7 @@ class LiveAmbiguity:
             self.next_batch = now + SCHEDULE.batch_delay(now - window.times[0])
 
     def _is_elsewhere(self, fixes: Fixes) -> Mask:
-        """``(f,)`` True for fixes that the present path passes at over DOUBTED sigmas, or in an area beyond a wall.
+        """``(f,)`` True for fixes that the present path passes at over some sigmas, or in an area beyond a wall.
 
         A fix where nobody can walk counts as the nearest place where one can: in a corridor, most fixes are beyond its
         walls, and no other path leads there.
@@ -255,11 +253,11 @@ class LiveAmbiguity:
         window = self.graph.window
         there = poses_at(fixes.time, np.array(window.times), window.pose)[:, :2]
         sigmas = np.hypot(*(fixes.position - there).T) / fixes.sigma
-        elsewhere, plan = sigmas > DOUBTED, window.located_plan
+        elsewhere, plan = sigmas > SCHEDULE.doubted, window.located_plan
         if plan is not None:
             floor = plan[window.floor]
             begin, end = (np.array([floor.nearest_walkable(p) for p in places]) for places in (there, fixes.position))
-            elsewhere |= (sigmas > DOUBTED_BEHIND_WALL) & floor.crosses_wall(begin, end)
+            elsewhere |= (sigmas > SCHEDULE.doubted_behind_wall) & floor.crosses_wall(begin, end)
         return elsewhere
 
     # Other paths: by particles between the walls, or by the batch once more

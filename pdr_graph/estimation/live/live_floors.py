@@ -19,7 +19,6 @@ from pdr_graph.priors import CLIMB, LIVE_FLOORS
 from pdr_graph.types import Array, Fixes, Signal, Steps
 
 LOWEST, HIGHEST = 300.0, 1200.0  # [hPa] range of plausible pressures
-APART = 120.0  # [s] between a sample and the steps at which its time stamp is wrong
 MOST_FIXES, MOST_IN_CELL = 300, 200  # stored fixes, and samples per cell, at most
 
 
@@ -73,7 +72,7 @@ class LiveFloors:
         rows = np.column_stack([time, values]).astype(float)
         rows = rows[np.isfinite(rows).all(axis=1) & (rows[:, 1] > LOWEST) & (rows[:, 1] < HIGHEST)]
         if np.isfinite(self.end):
-            rows = rows[np.abs(rows[:, 0] - self.end) < APART]
+            rows = rows[np.abs(rows[:, 0] - self.end) < LIVE_FLOORS.apart]
         else:
             self.pressure = self.pressure[-round(LIVE_FLOORS.longest / CLIMB.grid) :]
         for sample in rows:

@@ -21,7 +21,7 @@ from pdr_graph.estimation.factors.protocols import Itemized, decisions_of
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, first_pose_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.live.finalization import COVARIANCE_INTERVAL, FinalizedCheckpoint, FinalizedTrajectory
+from pdr_graph.estimation.live.finalization import FinalizedCheckpoint, FinalizedTrajectory
 from pdr_graph.estimation.live.marginal import MarginalFactor, marginalized
 from pdr_graph.estimation.live.measurement_log import (
     WAITING,
@@ -39,6 +39,7 @@ from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation
 from pdr_graph.measurements import take
+from pdr_graph.priors import SCHEDULE
 from pdr_graph.types import Array, Index, Sightings
 
 MOST_FAILURES = 100  # reasons that are kept
@@ -395,7 +396,7 @@ class LiveGraph:
         if min(self._arrivals, default=until) < until:
             self._search = None  # a late measurement is of the past
         at, start = self.at, window.pose[0].copy() if window.complete else None
-        due = until > self.finalized.edge[0] + COVARIANCE_INTERVAL
+        due = until > self.finalized.edge[0] + SCHEDULE.covariance_interval
         edge = self.covariance(count) if due or start is not None else np.eye(3)
         self._report_until(until, at)
         self.finalized.take(window.intervals[:count], at, start)

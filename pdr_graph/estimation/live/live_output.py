@@ -27,9 +27,8 @@ from pdr_graph.estimation.live.prediction import (
 from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.measurements import take
+from pdr_graph.priors import LIVE_PATHS
 from pdr_graph.types import Array, Calibration, Fixes, Headings, Steps
-
-LEAST_PROBABILITY = 0.1  # of the graph's way, however few particles are there; chosen by hand
 
 
 class LiveOutput:
@@ -83,7 +82,7 @@ class LiveOutput:
         if begin < start or self.fixes_between(begin, end):  # the steps since have left the window, or a fix decides
             return ways
         others = predict(particles.elsewhere, whole, start, begin, end, [])
-        own = max(1.0 - float(np.exp(others.log_weight).sum()), LEAST_PROBABILITY)
+        own = max(1.0 - float(np.exp(others.log_weight).sum()), LIVE_PATHS.least_probability)
         every = np.arange(len(ways) + len(others))
         return GaussianMixture(
             np.concatenate([ways.mean, others.mean]),

@@ -16,15 +16,14 @@ from pdr_graph.estimation.live.measurement_log import Decisions
 from pdr_graph.estimation.live.particles import AlternativePath
 from pdr_graph.estimation.live.step_buffer import CLOSE
 from pdr_graph.estimation.live.window import ALL, Window
-
-LEAST_GAIN = 0.1  # [nats] by which an alternative must cost less: else it is the same path; chosen by hand
+from pdr_graph.priors import LIVE_PATHS
 
 
 @dataclass(frozen=True)
 class Trial:
     """A compared alternative.
 
-    accepted: it costs less than the path that was present by LEAST_GAIN; path: at its optimum; decisions: about
+    accepted: it clearly costs less than the path that was present; path: at its optimum; decisions: about
     measurements, on it.
     """
 
@@ -53,7 +52,7 @@ class TrialQuestion:
         before = self._optimized()
         graph.decide(graph.decisions | decisions)
         place_on(graph, path)
-        return Trial(self._optimized() < before - LEAST_GAIN, _path_of(graph.window), decisions)
+        return Trial(self._optimized() < before - LIVE_PATHS.least_gain, _path_of(graph.window), decisions)
 
     def _optimized(self) -> float:
         """The cost of the path at its optimum, with the price of the regions that it leads through."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.estimation.factors.fixes import DRIVEN
 from pdr_graph.estimation.factors.preintegration import (
     DECIMALS,
     Bridge,
@@ -20,7 +19,7 @@ from pdr_graph.estimation.factors.preintegration import (
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_chunks import concatenate_steps
-from pdr_graph.priors import MOTION
+from pdr_graph.priors import FIXES, MOTION
 from pdr_graph.types import INSTANT, Array, Index, Steps
 
 CLOSE = 2 * INSTANT  # [s] within which two times are the same, since times are rounded to DECIMALS
@@ -111,8 +110,8 @@ class StepBuffer:
         return self.whole if tail is None else np.concatenate([self.whole, _rows(tail)])
 
     def walked_by(self, time: float | Array) -> Array:
-        """Distance walked by each time [s], with gaps at speed DRIVEN. [m]"""
-        driven = np.where(self.whole[:, GAP] > 0, DRIVEN * np.diff(self.whole[:, END], prepend=self.start), 0)
+        """Distance walked by each time [s], with gaps at speed FIXES.driven. [m]"""
+        driven = np.where(self.whole[:, GAP] > 0, FIXES.driven * np.diff(self.whole[:, END], prepend=self.start), 0)
         distance = np.append(0.0, np.cumsum(self.whole[:, LENGTH] + driven))
         return np.asarray(self.walked + np.interp(time, np.append(self.start, self.whole[:, END]), distance))
 

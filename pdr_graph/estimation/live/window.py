@@ -13,11 +13,11 @@ from pdr_graph.estimation.factors.chain import Chain
 from pdr_graph.estimation.factors.preintegration import Bridge, Pieces, preintegrate
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.estimation.factors.steps_and_walls import walls_of_fields, walls_on_plan
-from pdr_graph.estimation.graph import STEPS_PER_SEGMENT
 from pdr_graph.estimation.live.step_buffer import CLOSE, Interval, StepBuffer, StepCheckpoint
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import rotation, wrap_angle
+from pdr_graph.priors import MOTION
 from pdr_graph.types import Array, Index
 
 ALL = 10**9  # more pieces or intervals than any window has
@@ -240,8 +240,8 @@ class Window:
         return self.count - 1
 
     def _segment_until(self, end: float) -> int:
-        """The segment of the interval up to ``end`` [s]; a new one after STEPS_PER_SEGMENT steps and after a gap."""
-        due = self.in_segment >= STEPS_PER_SEGMENT or self.steps.gap_within(self.times[-1], end)
+        """The segment of the interval up to ``end`` [s]; a new one after so many steps and after a gap."""
+        due = self.in_segment >= MOTION.steps_per_segment or self.steps.gap_within(self.times[-1], end)
         if due and self.intervals:  # an empty window has no link from the segment before
             self.segment, self.in_segment = self.segment + 1, 0
             self.c[self.segment] = self.c[self.segment - 1]
