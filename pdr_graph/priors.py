@@ -707,10 +707,10 @@ class PricePriors(Table):
     wrong_fix: float = number(6.0, "nats", "a fix is wrong: 1 in 100, anywhere within about 5 sigma", JUDGEMENT)
     wrong_start: float = number(-float(np.log(0.1)), "nats", "the start heading of a user is wrong: 1 in 10", JUDGEMENT)
     compass_off: float = number(
-        -float(np.log(0.07)),
+        -float(np.log(0.0115)),
         "nats",
-        "a compass is off to one side throughout: 7 in 100; of 21 real headings none was",
-        JUDGEMENT,
+        "a compass is off to one side throughout: 1 in 87, 1 in 43 to either",
+        "none of 21 real headings: mean of Beta(1/2, 1/2) after them",
     )
     wrong_plan: float = number(
         6.0, "nats", "a plan does not fit, at least", "right walls add 0 to 4.5 nats on 60 simulated and 45 real walks"

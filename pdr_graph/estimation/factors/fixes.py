@@ -20,7 +20,7 @@ from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import distance_walked, pose_rotation
-from pdr_graph.priors import FIXES, PARTICLES, PRICES
+from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
-WHITEST = 0.45  # share of a receiver's sigma that changes in a second: of three phones 0.06, simulated 0.45
 RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
@@ -195,7 +194,7 @@ class FixFactor(Measurement):
             within = time[2:] - time[:-2] <= FIXES.seconds
             if within.sum() >= FIXES.fewest_scatter:
                 share = float(np.median((scatter / self.sigma[middle])[within])) / RAYLEIGH
-                factor[indices] = share / WHITEST if share > FIXES.suspicious else 1.0
+                factor[indices] = share / RECEIVERS.white if share > FIXES.suspicious else 1.0
         return factor
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
