@@ -67,30 +67,30 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (28, 3195),
+    ".": (29, 4161),
     "cli": (12, 985),
-    "estimation": (28, 3423),
-    "estimation/ambiguity": (2, 0),
-    "estimation/factors": (19, 2213),
-    "estimation/live": (27, 2712),
+    "estimation": (23, 2891),
+    "estimation/ambiguity": (7, 546),
+    "estimation/factors": (22, 2523),
+    "estimation/live": (20, 2203),
     "evaal": (5, 551),
-    "floor": (12, 1527),
+    "floor": (10, 1233),
     "floor/formats": (20, 1936),
-    "gait": (14, 1782),
-    "inertial": (6, 667),
-    "io": (20, 1738),
-    "lifelog": (53, 6287),
+    "gait": (14, 1694),
+    "inertial": (6, 604),
+    "io": (20, 1737),
+    "lifelog": (53, 6299),
     "lifelog/past": (21, 1055),
-    "online": (12, 1159),
-    "papers": (6, 422),
+    "online": (12, 1151),
+    "papers": (6, 567),
     "report": (8, 702),
     "serve": (28, 2907),
     "simulation": (11, 1454),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (52, 6348),
-    "online.navigator": (111, 13690),
+    "estimation.smoother": (53, 7223),
+    "online.navigator": (106, 14022),
 }
 
 
