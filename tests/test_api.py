@@ -24,8 +24,8 @@ Contradiction(source, against, amount, unit, text, check, state=)
 Estimate(trajectory, dead_reckoning, calibration, reports, iterations, cost, converged, probability=, warnings=, \
 contradictions=, routes=, placed=, graph=)
 Event
-FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, tolerance=, \
-signature=, prior=, curvature=, native=)
+FactorBlock(name, residual, row_of, variables, jacobian, number, rows_each=, loss=, most_rows=, prior=, \
+curvature=, native=)
 Fixes(time, position, sigma, floor=, epsg=, source=)
 FloorPlan(label, areas, frame, notes=, repairs=, height=)
 Frame(kind=, origin=, epsg=, metres_per_degree=)
