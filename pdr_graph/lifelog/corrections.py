@@ -21,8 +21,8 @@ from pdr_graph.lifelog.timeline import STAY, TimelineEntry
 from pdr_graph.types import Array, Fixes
 
 NOT_MINE = "part of this recording is masked: not this person's"
-# Fixes of a stated place: often enough that the smoother sees no gap (`gps_track.LONGEST`), and enough of them that it
-# accepts a jump to them (`gps_track.JUMP`)
+# Fixes of a stated place: often enough that the smoother sees no gap (`TRACK.longest`), and enough of them that it
+# accepts a jump to them (`TRACK.jump`)
 FIX_INTERVAL, FEWEST_FIXES = 45.0, 22  # [s]
 SLIVER = 60.0  # [s] shortest piece of an entry that a correction leaves beside it; chosen by hand
 CONTRADICTION = 3.0  # sigmas between a stated place and the recorded positions, from which a note says the distance
