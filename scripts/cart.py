@@ -1,7 +1,6 @@
 """[stationary-switch]'s experiment with the simulator: a phone on a cart, forth 95 cm and back 105 cm."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -13,7 +12,6 @@ from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Signal
 
-SCENARIO = Path(__file__).resolve().parent.parent / "scenarios" / "cart.toml"
 LEARNT_FOR = 30.0  # [s] at rest
 SEEDS = range(20)
 SWITCHES = {  # rest in samples in a row, and whether the next rest is known

@@ -12,7 +12,7 @@ from tables import publish, table
 from pdr_graph import WalkGraph, kalman_filter, kalman_smoother, smooth
 from pdr_graph.errors import read_toml
 from pdr_graph.geometry import unit
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.scenario import Scenario, scenario_file
 from pdr_graph.types import Fixes
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -104,7 +104,7 @@ def outdoors():
 
 def drawn(name, seed):
     """A scenario by another walker and phone, as one recorder writes them all."""
-    path = ROOT / "scenarios" / f"{name}.toml"
+    path = scenario_file(name)
     return Scenario.of(read_toml(path) | {"seed": seed, "recorder": "sensor_logger"}, path)
 
 

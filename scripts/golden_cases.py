@@ -11,7 +11,7 @@ from pathlib import Path
 
 from golden_program import DATA, ROOT, SCRATCH, Case, Program, commands, killed_and_resumed, require_equal, served_trial
 
-SCENARIOS = tuple(sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml")))
+SCENARIOS = tuple(sorted(path.stem for path in (ROOT / "pdr_graph").rglob("scenarios/*.toml")))
 FIX_PERIOD = 30.0  # [s] between the fixes of a scenario that has none of its own
 FIX_SIGMA = 1.0  # [m] of these fixes, which are exact
 WAYPOINT_SIGMA = 0.5  # [m] of every second waypoint of a Microsoft walk

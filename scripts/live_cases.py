@@ -32,11 +32,10 @@ from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
 from pdr_graph.online.interface import events_of
 from pdr_graph.simulation.recorders import write
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.scenario import Scenario, scenario_file
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Beacons, Fixes, Headings, Recording, Trajectory
 
-SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
 SPARSE = 60.0  # [s] between the fixes of a user who gives few
 STANDING = 60.0  # [s] in which a walker stands still
 STANDS_AT = (0.0, 0.5)  # share of the corners passed when the walker stands: odd seeds begin so, others pause half-way
@@ -277,9 +276,10 @@ def from_samples(name, seed):
 
 def of_scenario(name):
     """A walk through a drawn building, with its plan, fixes and beacons."""
-    path = SCENARIOS / f"{name}.toml"
+    path = scenario_file(name)
     content = tomllib.loads(path.read_text()) | SCENARIO_FILES[name]
-    return simulated("scenario", name, Scenario.of(content, path), SCENARIOS / content["plan"])
+    scenario = Scenario.of(content, path)
+    return simulated("scenario", name, scenario, scenario.plan)
 
 
 def simulated(name, given, scenario, plan):

@@ -1,7 +1,6 @@
 """What wild fixes cost: shares of the fixes of real and simulated walks replaced by ones 50 to 500 m off."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import gps_outage
 import numpy as np
@@ -19,7 +18,6 @@ NEAR, FAR = 50.0, 500.0  # [m] that a wild fix is off
 SEEDS, OF_MANY, MANY = 4, 2, 200  # draws of wild fixes for each walk, and for one with more fixes than so many
 SEEN = 0.1  # weight below which a fix was taken for wild
 METHODS = {"graph": smooth, "RTS": kalman_smoother, "EKF": kalman_filter}
-OUTDOORS = Path(__file__).resolve().parent.parent / "scenarios" / "outdoors.toml"
 
 
 @dataclass(frozen=True)
@@ -125,6 +123,6 @@ def walks_of(data, malls):
         "NJU campus, GPS at 1 Hz": [nju_walk(data)],
         **{f"IPIN21's eight, {said}": [eights[file]] for said, file in ipin.items()},
         "Microsoft, every second waypoint": malls,
-        "simulated, outdoors.toml": [simulated(replace(Scenario.load(OUTDOORS), seed=seed)) for seed in range(2)],
+        "simulated, outdoors.toml": [simulated(replace(Scenario.load("outdoors"), seed=seed)) for seed in range(2)],
         "simulated, [gps-dr]'s walk": [gps_outage.walked(0)],
     }

@@ -22,6 +22,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
+from pdr_graph.simulation.scenario import scenario_file
+
 ROOT = Path(__file__).resolve().parents[1]
 SIZES = [0, 1, 100, *(1000 * 2**n for n in range(14))]  # [bytes] of the largest file that may be written
 FREE = [0, 4096, 20_000, 100_000, 1_000_000, 30_000_000]  # [bytes] on a small disk
@@ -116,7 +118,7 @@ def ended(process):
 
 def prepare(root):
     """Recordings and a smoothed walk, which the commands read."""
-    scenario = (ROOT / "scenarios/arcade.toml").read_text().replace("../maps", str(ROOT / "maps"))
+    scenario = scenario_file("arcade").read_text()
     (root / "walk.toml").write_text(scenario + "\n[wifi]\naccess_points = 15\n")
     for arguments in (
         ["simulate", "walk.toml", "--out", "walk"],

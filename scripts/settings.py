@@ -39,7 +39,7 @@ def malls(data, given):
 @cache
 def outdoors(data):
     """A campus walk with the phone's fixes, and two simulated walks with a receiver's."""
-    scenario = Scenario.load(ROOT / "scenarios" / "outdoors.toml")
+    scenario = Scenario.load("outdoors")
     return [*nju_walks(data), *(simulated(replace(scenario, seed=seed)) for seed in (1, 2))]
 
 

@@ -19,11 +19,11 @@ from pdr_graph.estimation.fingerprinting import RadioMap
 from pdr_graph.gait.step_chunks import gap
 from pdr_graph.measurements import Levels, Ranges
 from pdr_graph.online.interface import Event, Samples, Scan, events_of
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.scenario import Scenario, scenario_file
 from pdr_graph.simulation.simulate import simulate
 from pdr_graph.types import Beacons, Fixes, Headings, Recording, Sightings, Steps
 
-SCENARIOS = Path(__file__).resolve().parents[1] / "scenarios"
+MAPS = Path(__file__).resolve().parents[1] / "maps"
 HOUR = 3600.0  # [s]
 PERIOD = 0.5  # [s] per step
 BEACONS, TRANSMITTERS = 100_000, 10_000
@@ -58,7 +58,7 @@ def only_steps(hours):
 @cache
 def recording(name="arcade", rate=None, times=1):
     """A scenario as a phone records it, with its fixes. times: how often its route is walked; rate [Hz]."""
-    path = SCENARIOS / f"{name}.toml"
+    path = scenario_file(name)
     content = tomllib.loads(path.read_text())
     start, *legs = content["route"]
     corners = [start, *(corner for leg in legs for corner in leg.get("to", ()))]
@@ -71,7 +71,7 @@ def recording(name="arcade", rate=None, times=1):
 
 
 def arcade():
-    return {"floor": FloorPlan.load(SCENARIOS.parent / "maps" / "arcade.geojson")}
+    return {"floor": FloorPlan.load(MAPS / "arcade.geojson")}
 
 
 def later(event, seconds):

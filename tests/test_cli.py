@@ -18,7 +18,7 @@ from pdr_graph.io.loading import READERS
 from pdr_graph.simulation import scenario
 
 ROOT = Path(__file__).parent.parent
-MAPS, SCENARIOS = ROOT / "maps", ROOT / "scenarios"
+MAPS = ROOT / "maps"
 ARCADE, EIGHT = MAPS / "arcade.geojson", MAPS / "figure_eight.geojson"
 ROUTE = np.array([(2.5, 18.0), (6.8, 18.2), (6.8, 27.8), (27.6, 27.6), (27.9, 8.0), (40.0, 7.7)])
 
@@ -171,7 +171,7 @@ def test_steps_writes_a_table_of_steps(folder):
 
 def test_a_profile_of_calibrate_corrects_the_length_of_a_walk(tmp_path):
     """Calibrated on a known route, a figure of eight."""
-    assert run("simulate", SCENARIOS / "figure_eight.toml", "--out", tmp_path / "eight")[0] == 0
+    assert run("simulate", "figure_eight", "--out", tmp_path / "eight")[0] == 0
     profile = tmp_path / "walker.toml"
     arguments = ("--route", MAPS / "figure_eight.geojson", "--out", profile)
     code, printed, errors = run("calibrate", tmp_path / "eight", *arguments)

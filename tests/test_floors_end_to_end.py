@@ -18,10 +18,7 @@ PLAN = ROOT / "maps" / "two_floors.geojson"
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
     folder = tmp_path_factory.mktemp("walk")
-    assert (
-        CliRunner().invoke(app, ["simulate", str(ROOT / "scenarios/two_floors.toml"), "--out", str(folder)]).exit_code
-        == 0
-    )
+    assert CliRunner().invoke(app, ["simulate", "two_floors", "--out", str(folder)]).exit_code == 0
     return folder
 
 

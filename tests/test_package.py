@@ -34,7 +34,7 @@ def test_the_wheel_has_the_package_with_all_it_reads_and_no_tests(built):
     """Every file beside the code but what Python made itself; and scenarios with their plans, for a first walk."""
     here = {f.relative_to(ROOT).as_posix() for f in (ROOT / "pdr_graph").rglob("*") if f.is_file()}
     wanted = {name for name in here if "__pycache__" not in name}
-    wanted |= {f"pdr_graph/{f.relative_to(ROOT)}" for kind in ("maps", "scenarios") for f in (ROOT / kind).iterdir()}
+    wanted |= {f"pdr_graph/{f.relative_to(ROOT)}" for f in (ROOT / "maps").iterdir()}
     with zipfile.ZipFile(built[1]) as wheel:
         found = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert found == wanted

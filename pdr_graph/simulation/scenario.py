@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import shapely
 
+import pdr_graph
 from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, read_toml
 from pdr_graph.floor.plan_files import FloorPlan
@@ -22,13 +23,14 @@ from pdr_graph.simulation.itinerary import Route, check_keys, number, one_of, pa
 from pdr_graph.simulation.recorders import RECORDERS
 from pdr_graph.simulation.sensors import Receiver, SampleClock, Transmitter
 
-PACKAGE = Path(__file__).parents[1]
-FOLDERS = (PACKAGE / "scenarios", PACKAGE.parent / "scenarios")  # of an installation; of a checkout
+READY = Path(__file__).parent / "scenarios"
+PACKAGE = Path(pdr_graph.__file__).parent
+MAPS = (PACKAGE / "maps", PACKAGE.parent / "maps")  # plans of READY: in an installation; in a checkout
 
 
 def names() -> tuple[str, ...]:
     """The names of all scenarios of the package, sorted."""
-    return tuple(sorted({file.stem for folder in FOLDERS for file in folder.glob("*.toml")}))
+    return tuple(sorted(file.stem for file in READY.glob("*.toml")))
 
 
 def scenario_file(name: str | Path) -> Path:
@@ -39,9 +41,8 @@ def scenario_file(name: str | Path) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    for folder in FOLDERS:
-        if (folder / f"{name}.toml").is_file():
-            return folder / f"{name}.toml"
+    if (READY / f"{name}.toml").is_file():
+        return READY / f"{name}.toml"
     found = "a folder" if path.is_dir() else "no such file"
     raise InputError(path, "", found, f"a scenario's TOML file, or one of {', '.join(names())}")
 
@@ -145,7 +146,7 @@ def _scenario(path: Path, content: dict[str, Any]) -> Scenario:
     check_keys(path, "", content, allowed.split())
     seed = typed(path, "seed", content.get("seed", 0), int)
     _check_range(path, "seed", seed)
-    plan = path.parent / typed(path, "plan", content["plan"], str) if "plan" in content else None
+    plan = _plan_file(path, typed(path, "plan", content["plan"], str)) if "plan" in content else None
     plans = {floor.label: floor for floor in FloorPlan.load_all(plan)} if plan else {}
     phone = _section(path, "phone", content, Phone)
     one_of(path, "phone.hold", phone.hold, tuple(HOLDS))
@@ -178,6 +179,13 @@ def _scenario(path: Path, content: dict[str, Any]) -> Scenario:
         beacons=_beacons(path, content.get("beacons", {}), plans),
         access_points=_access_points(path, content, plans, route),
     )
+
+
+def _plan_file(path: Path, name: str) -> Path:
+    """The file of a scenario's plan: beside the scenario, else a plan of the package."""
+    beside = path.parent / name
+    ready = next((folder / name for folder in MAPS if (folder / name).is_file()), beside)
+    return beside if beside.exists() else ready
 
 
 def _section(path: Path, name: str, content: dict[str, Any], kind: type[Section]) -> Section:

@@ -29,7 +29,7 @@ TURN = np.pi / 2
 @cache
 def arcade():
     """The plan of the arcade, the steps of a walk in it, and its truth."""
-    scenario = Scenario.load(ROOT / "scenarios" / "arcade.toml")
+    scenario = Scenario.load("arcade")
     walk = simulate(scenario)
     return FloorPlan.load(ROOT / "maps" / "arcade.geojson"), detect_steps(walk.recording()), walk.truth
 
@@ -116,7 +116,7 @@ def test_the_floor_on_which_a_walk_begins_is_found():
 
 
 def test_several_floors_are_several_possible_starts():
-    walk = simulate(Scenario.load(ROOT / "scenarios" / "two_floors.toml"))
+    walk = simulate(Scenario.load("two_floors"))
     building = Building.load(ROOT / "maps" / "two_floors.geojson")
     inputs = Inputs(walk.recording(), Walker(), building, building.floors[0].frame, Fixes.none(), ())
     evidence = observe(inputs)

@@ -18,7 +18,7 @@ INERTIAL = ("accelerometer", "gyroscope")
 @cache
 def followed():
     """The poses of the arcade's walk by plan and inertial sensors alone, its truth, and its estimate."""
-    walk = simulate(Scenario.load(ROOT / "scenarios" / "arcade.toml"))
+    walk = simulate(Scenario.load("arcade"))
     recording = Recording("arcade", 0.0, None, **{name: walk.signals[name] for name in INERTIAL})
     navigator = Navigator(FloorPlan.load(ROOT / "maps" / "arcade.geojson"), lag=60.0)
     poses, states = [], []

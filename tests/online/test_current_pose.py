@@ -40,7 +40,7 @@ def recorded(route, seed=0):
 @cache
 def arcade():
     """The arcade's plan, and 80 s of its walk with the fixes of the demo, two of them outliers; no compass."""
-    simulation = simulate(Scenario.load(ROOT / "scenarios" / "arcade.toml"))
+    simulation = simulate(Scenario.load("arcade"))
     signals, fixes = {}, demo_fixes(simulation)
     for name in INERTIAL:
         signal = simulation.signals[name]

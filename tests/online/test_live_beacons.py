@@ -23,7 +23,7 @@ END = 30.0  # [s] of the walk
 def mall():
     """The plan of the mall, its beacons, the events of a walk's first 30 s, and its truth."""
     plan = FloorPlan.load(ROOT / "maps" / "mall.geojson")
-    walk = simulate(replace(Scenario.load(ROOT / "scenarios" / "mall.toml"), seed=12))
+    walk = simulate(replace(Scenario.load("mall"), seed=12))
     recording = replace(walk.recording(), bluetooth=walk.bluetooth)
     beacons = drawn_beacons([(area, "1") for area in plan.of_kind("beacon")], recording)
     events = tuple(event for event in events_of(recording) if moment(event) < END)

@@ -1,7 +1,6 @@
 """Steps on stairs are as long as the treads on a walk under way, although a climb shows seconds after it began."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,13 +15,11 @@ from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import Fixes
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
-
 
 @cache
 def climbing():
     """A walk up the stairs and down in the lift: its recording, and the steps of the batch."""
-    recording = simulate(Scenario.load(SCENARIOS / "stairs.toml")).recording()
+    recording = simulate(Scenario.load("stairs")).recording()
     steps = detect_steps(recording)
     floors = floors_along(steps, recording.barometer, "1", Fixes.none(), None)
     return recording, steps, with_stair_lengths(steps, floors.climbs, floors.kinds)

@@ -5,7 +5,6 @@ import sys
 import time
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from pdr_graph.simulation.simulate import simulate
 from pdr_graph.storage import decode, encode
 from pdr_graph.types import LONLAT, Fixes, Recording, Sightings, Signal
 
-SCENARIOS = Path(__file__).parents[2] / "scenarios"
 JUMP = 3600.0  # [s]
 END = 80.0  # [s] of a walk
 
@@ -34,7 +32,7 @@ def until(end, signal):
 @cache
 def walk(name):
     """A scenario of at most 80 s as its phone recorded it, a fix of 1 m each ten seconds, and its truth."""
-    simulation = simulate(Scenario.load(SCENARIOS / f"{name}.toml"))
+    simulation = simulate(Scenario.load(name))
     signals = {sensor: until(END, simulation.signals[sensor]) for sensor in ("accelerometer", "gyroscope")}
     at = np.arange(1.0, min(END, simulation.truth.time[-1]) - 1.0, 10.0)
     place = np.column_stack([np.interp(at, simulation.truth.time, axis) for axis in simulation.truth.position.T])

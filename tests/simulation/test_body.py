@@ -7,11 +7,10 @@ import pytest
 
 from pdr_graph import FloorPlan
 from pdr_graph.geometry import interpolate
-from pdr_graph.simulation.scenario import Scenario
+from pdr_graph.simulation.scenario import Scenario, names
 from pdr_graph.simulation.simulate import simulate
 
 ROOT = Path(__file__).resolve().parents[2]
-SCENARIOS = sorted((ROOT / "scenarios").glob("*.toml"))
 
 
 def walked(*route, **more):
@@ -20,12 +19,12 @@ def walked(*route, **more):
 
 @pytest.fixture(scope="module")
 def mall():
-    return simulate(Scenario.load(ROOT / "scenarios" / "mall.toml"))
+    return simulate(Scenario.load("mall"))
 
 
-@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_nobody_walks_through_a_wall(path):
-    walk = simulate(Scenario.load(path))
+@pytest.mark.parametrize("name", names())
+def test_nobody_walks_through_a_wall(name):
+    walk = simulate(Scenario.load(name))
     for label, plan in walk.scenario.plans.items():
         on_floor = np.array(walk.truth.floor) == label
         stays, at = on_floor[:-1] & on_floor[1:], walk.body.position
@@ -33,9 +32,9 @@ def test_nobody_walks_through_a_wall(path):
     assert np.all(np.isfinite(walk.motion.acceleration))
 
 
-@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
-def test_speed_and_acceleration_are_those_of_a_walker(path):
-    body = simulate(Scenario.load(path)).body
+@pytest.mark.parametrize("name", names())
+def test_speed_and_acceleration_are_those_of_a_walker(name):
+    body = simulate(Scenario.load(name)).body
     speed = np.hypot(*np.diff(body.position, axis=0).T) * body.rate
     assert speed.max() < 2.6
     assert np.abs(np.diff(speed) * body.rate).max() < 12
@@ -98,7 +97,7 @@ def test_a_lift_has_its_speed_and_acceleration():
 
 def test_stairs_and_lifts_climb_to_the_floors_of_the_building():
     """4 m by the plan; the floor changes half-way, and the pressure falls by 12 Pa per metre."""
-    walk = simulate(Scenario.load(ROOT / "scenarios" / "two_floors.toml"))
+    walk = simulate(Scenario.load("two_floors"))
     truth, height = walk.truth, walk.body.height
     changes = [n for n in range(1, len(truth)) if truth.floor[n] != truth.floor[n - 1]]
     assert [truth.floor[n] for n in (0, *changes)] == ["1", "2", "1"]
@@ -120,7 +119,7 @@ def test_stairs_are_climbed_step_by_step():
 
 def test_a_cart_moves_as_pushed_and_keeps_its_heading():
     """[stationary-switch]: forward 0.95 m, back 1.05 m, without a turn or a step."""
-    body = simulate(Scenario.load(ROOT / "scenarios" / "cart.toml")).body
+    body = simulate(Scenario.load("cart")).body
     assert len(body.landings) == 0
     assert np.ptp(body.heading) == 0
     forth, back = np.diff(body.position[:, 0]).clip(0).sum(), np.diff(body.position[:, 0]).clip(None, 0).sum()

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_the_plan_does_not_make_correct_fixes_outliers(seed):
     """A fix of 2 m every 40 s. Initialised by fixes alone, a walk was led 15 m off by walls and a fix lost weight."""
-    scenario = Scenario.load(ROOT / "scenarios" / "mall.toml")
+    scenario = Scenario.load("mall")
     walk = simulate(replace(scenario, seed=seed, user_fixes=UserFixes(period=40, sigma=2.0)))
     floor = FloorPlan.load(ROOT / "maps" / "mall.geojson")
     steps = detect_steps(walk.recording("accelerometer", "gyroscope"))

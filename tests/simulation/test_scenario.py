@@ -86,7 +86,7 @@ def test_the_files_beside_the_recording_have_the_truth(tmp_path):
 
 
 def test_a_scenario_is_simulated_smoothed_and_scored_by_the_command_line(tmp_path):
-    code, output, _ = run("simulate", ROOT / "scenarios" / "arcade.toml", "--out", tmp_path / "walk", "--seed", 7)
+    code, output, _ = run("simulate", "arcade", "--out", tmp_path / "walk", "--seed", 7)
     assert code == 0
     assert "steps" in output
     options = ("--map", ROOT / "maps" / "arcade.geojson", "--fixes", tmp_path / "walk" / "fixes.csv")
