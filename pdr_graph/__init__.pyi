@@ -1,7 +1,5 @@
 # The public names, each once: `__init__.py` loads them from here on first use, type checkers read this file as it is.
 
-from .contradiction import Contradiction as Contradiction
-from .contradiction import Verdict as Verdict
 from .errors import InputError as InputError
 from .estimation.consistency import verdict as verdict
 from .estimation.factors import register as register
@@ -39,6 +37,7 @@ from .simulation.scenario import Scenario as Scenario
 from .simulation.simulate import simulate as simulate
 from .types import LONLAT as LONLAT
 from .types import Calibration as Calibration
+from .types import Contradiction as Contradiction
 from .types import Estimate as Estimate
 from .types import Fixes as Fixes
 from .types import Headings as Headings
@@ -48,5 +47,6 @@ from .types import Sightings as Sightings
 from .types import Signal as Signal
 from .types import Steps as Steps
 from .types import Trajectory as Trajectory
+from .types import Verdict as Verdict
 
 __version__: str

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count, one_line
 from pdr_graph.evaluation import TOLERANCE, evaluate, pair
 from pdr_graph.floor.building import Building
 from pdr_graph.io.likely_causes import clock_hint
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.types import Trajectory
+from pdr_graph.types import OneLineRepr, Trajectory
 
 RESULT = ("trajectory.csv", "summary.json")  # of an output folder of smooth and replay
 

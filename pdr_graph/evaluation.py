@@ -12,12 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import expect
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest, rotation, wrap_angle
-from pdr_graph.types import Array, Mask, Trajectory
+from pdr_graph.types import Array, Mask, OneLineRepr, Trajectory
 
 TOLERANCE = 0.5  # [s] between a truth sample and the estimate paired with it, as in the committee's tools
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.contradiction import Verdict
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.consistency import teaches_profile, verdict
 from pdr_graph.estimation.floors import Floors
@@ -29,7 +28,7 @@ from pdr_graph.io import gpx, writers
 from pdr_graph.progress import Stages
 from pdr_graph.report.library import packed_library
 from pdr_graph.second_core import ForkedCall, in_background
-from pdr_graph.types import Estimate, Steps, Trajectory
+from pdr_graph.types import Estimate, Steps, Trajectory, Verdict
 from pdr_graph.walk_options import Options
 
 LONGEST_SOURCES = (

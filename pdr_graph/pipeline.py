@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph.contradiction import OK, Contradiction
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.estimation.ambiguity.plan_hypotheses import begun_on
 from pdr_graph.estimation.calibration import calibrate, prior_of
@@ -34,11 +33,23 @@ from pdr_graph.geometry import interpolate
 from pdr_graph.inputs import Inputs
 from pdr_graph.io.loading import load
 from pdr_graph.io.tables import read_trajectory
-from pdr_graph.measurements import by_type
 from pdr_graph.outputs import Result
 from pdr_graph.plausibility import check_floors
 from pdr_graph.priors import INITIAL
-from pdr_graph.types import Beacons, Estimate, Fixes, FixReport, Headings, Sightings, Signal, Steps, Trajectory
+from pdr_graph.types import (
+    OK,
+    Beacons,
+    Contradiction,
+    Estimate,
+    Fixes,
+    FixReport,
+    Headings,
+    Sightings,
+    Signal,
+    Steps,
+    Trajectory,
+    by_type,
+)
 from pdr_graph.walk_options import Options
 from pdr_graph.whole_files import write_file
 

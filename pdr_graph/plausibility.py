@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.formats.drawing import storey_of
@@ -20,7 +19,7 @@ from pdr_graph.floor.plan import FAR_FROM_PLAN
 from pdr_graph.frames import Frame, projected
 from pdr_graph.geometry import distance_to_box
 from pdr_graph.io.likely_causes import CLOCK_MARGIN, clock_hint
-from pdr_graph.types import Array, Beacons, Fixes, Recording, Trajectory
+from pdr_graph.types import Array, Beacons, Fixes, OneLineRepr, Recording, Trajectory
 
 # Chosen by hand
 FASTEST_WALK = 2.0  # [m/s] mean speed of a walker over a recording; a brisk walk has 1.8

@@ -16,8 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, BinaryIO, cast
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, check_not_special, count
+from pdr_graph.types import OneLineRepr
 
 MAXIMUM_FILES = 1000
 DEEPEST = 3  # levels of folders that are searched

@@ -6,22 +6,27 @@
 * Time is float64 seconds from the recording's start; ``Recording.clock_origin`` takes it to the recorder's clock.
 * Arrays are samples-first, ``(n, 3)``. Data types are frozen; functions return new values and never change inputs.
 * Intervals are ``[start, end)``. Uncertainty is a standard deviation ``sigma_*`` or a covariance ``(n, d, d)``.
+* A table of measurements for the graph is a frozen dataclass with ``time``, ``(n,)`` or ``(n, 2)`` for pairs [s], rows
+  sorted by time. Arrays and tuples of n values are columns with a value per row. It may state, as class variables:
+  ``limits``, least and largest value of a column (a live walk leaves out rows beyond them, and rows that are not
+  finite); ``most``, rows that a live walk uses in a quarter of a second; ``tables`` and ``reference``, the names of the
+  fields that rows refer to (label, position of anchors), and the column that refers to them.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, ClassVar
+from math import isfinite
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_graph.columns import OneLineRepr, check_each, check_finite, fill_labels, select_rows, time_span
-from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import count, expect, one_line
 
 Array = NDArray[np.float64]
@@ -35,6 +40,101 @@ FINEST = 1e-4  # [m] least sigma of a measured position; squares of much smaller
 Limits = dict[str, tuple[float, float]]  # least and largest value of a column, by its name
 STANDARD_GRAVITY = 9.80665  # [m/s²]
 LONLAT = 4326  # EPSG code of longitude and latitude on WGS 84 [deg]
+Table = TypeVar("Table", bound=Any)
+
+
+class OneLineRepr:
+    """Base of data types: their `repr` is ``Name(part, part)`` on one line, never a dump of arrays.
+
+    row: the noun for one row, in the singular.
+    """
+
+    _row: ClassVar[str] = "row"
+
+    def __init_subclass__(cls, row: str = "row", **options: object):
+        super().__init_subclass__(**options)
+        cls._row = row
+        cls.__repr__ = OneLineRepr.__repr__  # in the class itself: `dataclass` replaces an inherited one
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self._summary())})"
+
+    def _repr_html_(self) -> str:
+        """A table of the fields, and a picture of paths, plans and sensors: what a notebook shows."""
+        from pdr_graph.notebook_html import html_of  # imports shapely
+
+        return html_of(self)
+
+    def _summary(self) -> list[str]:
+        """The parts of the `repr`: the number of rows and the span of their times; other types override it."""
+        return [count(len(getattr(self, "time", getattr(self, "position", ()))), self._row), *time_span(self)]
+
+
+def time_span(record: object) -> list[str]:
+    """The first and last time of a record's rows as a text, ``0.0 to 243.1 s``; empty without rows."""
+    time = np.asarray(getattr(record, "time", ()))
+    return [f"{time.min():.1f} to {time.max():.1f} s"] if time.size else []
+
+
+def check_finite(record: object, *columns: str) -> None:
+    """Store the named columns of `record` as float arrays ``(n, …)`` of equal length; lists are converted.
+
+    The first column is the time. If it is a number, the record has one row, and its columns are lifted to arrays of one
+    row. Raises ValueError unless all values are finite.
+    """
+    if isinstance(getattr(record, columns[0]), float | int | np.number):
+        for name in columns:
+            object.__setattr__(record, name, [getattr(record, name)])
+    rows = len(_stored_array(record, columns[0]))
+    for name in columns:
+        values = _stored_array(record, name)
+        if len(values) != rows or not np.isfinite(values).all():
+            bad = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)) if len(values) else []
+            found = f"row {bad[0]}: {values[bad[0]]}" if len(bad) else f"{len(values)} rows"
+            raise ValueError(f"{type(record).__name__}.{name}: found {found}, expected {rows} finite rows")
+
+
+def _stored_array(record: object, name: str) -> Array:
+    """Convert a column to an array, store it in the frozen record and return it."""
+    column = getattr(record, name)
+    try:
+        values = np.asarray(column, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.empty(())
+    if not values.ndim:
+        raise ValueError(f"{type(record).__name__}.{name}: found {type(column).__name__}, expected an array of numbers")
+    object.__setattr__(record, name, values)
+    return values
+
+
+def check_each(name: str, valid: Mask, values: Array, expected: str) -> None:
+    """Raise ValueError at the first row that is not valid; `expected` says what a valid row is."""
+    if not valid.all():
+        row = int(np.argmin(valid))
+        raise ValueError(f"{name}, row {row}: found {values[row]}, expected {expected}")
+
+
+def fill_labels(record: Any, *names: str) -> None:
+    """Store an empty text per row if a column of texts was left empty; raise ValueError if its length is wrong."""
+    rows = len(record.time)
+    for name in names:
+        labels = getattr(record, name) or ("",) * rows
+        labels = (labels,) if isinstance(labels, str) else labels
+        if len(labels) != rows:
+            raise ValueError(f"{type(record).__name__}.{name}: found {len(labels)} labels, expected {rows}")
+        object.__setattr__(record, name, labels)
+
+
+def select_rows(table: Table, which: int | slice | Mask | Index) -> Table:
+    """Selected rows of all columns, which are arrays or tuples; a column that is None or empty is kept."""
+    index = np.atleast_1d(np.arange(len(table.time))[which])
+    selected: dict[str, Any] = {}
+    for name, column in vars(table).items():
+        if isinstance(column, np.ndarray):
+            selected[name] = column[index]
+        elif isinstance(column, tuple) and column:
+            selected[name] = tuple(map(column.__getitem__, index.tolist()))
+    return replace(table, **selected)
 
 
 class Sensor(StrEnum):
@@ -284,7 +384,7 @@ class Recording(OneLineRepr):
     fixes: position fixes inside the recording.
     bluetooth, wifi: receptions; beacons: the surveyed positions of Bluetooth beacons, None if unknown.
     truth: surveyed positions inside the recording, for scoring and plots only: no estimate reads it.
-    measurements: tables of any other kind, as in ``measurements.py``.
+    measurements: tables of any other kind, such as ``Levels``.
     notes: what the reader left out or assumed, one line each.
     """
 
@@ -382,6 +482,195 @@ class Steps(OneLineRepr):
         gaps = int(np.count_nonzero(self.is_gap))
         some = [count(len(self) - gaps, "step"), f"{self.length.sum():.1f} m", f"{self.start:.1f} to {self.end:.1f} s"]
         return [*some, *([count(gaps, "gap")] if gaps else [])]
+
+
+class Measured(Protocol):
+    """A table of measurements. time: of each row [s]."""
+
+    @property
+    def time(self) -> Array: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Levels(OneLineRepr, row="level"):
+    """Mean signal strengths of beacons over parts of a walk; ``l`` levels, ``m`` beacons.
+
+    time: ``(l,)`` [s]; beacon: ``(l,)`` its row in the table of beacons; rssi: ``(l,)`` mean [dBm].
+    label: name of each beacon; position: ``(m, 2)`` [m], NaN where unknown; sigma: ``(m,)`` per axis [m].
+    """
+
+    time: Array
+    beacon: Index
+    rssi: Array
+    label: tuple[str, ...]
+    position: Array
+    sigma: Array
+
+    tables: ClassVar[tuple[str, ...]] = ("label", "position", "sigma")
+    reference: ClassVar[str] = "beacon"
+    limits: ClassVar[Limits] = {
+        "rssi": (-200.0, 200.0),
+        "position": (-FARTHEST, FARTHEST),
+        "sigma": (FINEST, FARTHEST),
+    }
+    most: ClassVar[None] = None  # as many as there are beacons
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Closures(OneLineRepr, row="closure"):
+    """Loop closures: ``l`` pairs of times at which the walker was at one place. Some may be wrong.
+
+    time: ``(l, 2)`` both times of each pair [s]; sigma: ``(l,)`` per axis of the distance between both places [m].
+    walk: ``(l, 2)`` number of the walk of each time, if there are several walks.
+    """
+
+    time: Array
+    sigma: Array
+    walk: Index
+
+    limits: ClassVar[Limits] = {"sigma": (FINEST, FARTHEST)}
+    most: ClassVar[int] = 2
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[float, float, float]], walks: Sequence[tuple[int, int]] = ()) -> Closures:
+        """Closures from rows of two times [s] and a sigma [m]; all in walk 0 by default."""
+        table = np.array(rows, dtype=float).reshape(-1, 3)
+        walk = np.array(walks, dtype=np.intp).reshape(-1, 2) if walks else np.zeros((len(table), 2), np.intp)
+        return cls(table[:, :2], table[:, 2], walk)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Closures]) -> Closures:
+        """The closures of all parts, in their order; 0 rows for an empty list."""
+        names, parts = ("time", "sigma", "walk"), (cls.of([]), *parts)
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def shifted(self, begins: Array) -> Closures:
+        """Closures of one walk: the times of walk ``w`` are ``begins[w]`` [s] later, and every walk number is 0."""
+        return replace(self, time=self.time + begins[self.walk], walk=np.zeros_like(self.walk))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class Ranges(OneLineRepr, row="range"):
+    """Distances to anchors: UWB, Wi-Fi RTT, BLE ranging; ``n`` ranges, ``m`` anchors.
+
+    time: ``(n,)`` [s]; anchor: ``(n,)`` its row in the table of anchors; range: ``(n,)`` [m]; sigma: ``(n,)`` with line
+    of sight [m].
+    label: of each anchor; position: ``(m, 2)`` [m]; position_sigma: ``(m,)`` of its survey, per axis [m].
+    """
+
+    time: Array
+    anchor: Index
+    range: Array
+    sigma: Array
+    label: tuple[str, ...]
+    position: Array
+    position_sigma: Array
+
+    tables: ClassVar[tuple[str, ...]] = ("label", "position", "position_sigma")
+    reference: ClassVar[str] = "anchor"
+    limits: ClassVar[Limits] = {
+        "range": (0.0, FARTHEST),
+        "sigma": (FINEST, FARTHEST),
+        "position": (-FARTHEST, FARTHEST),
+        "position_sigma": (FINEST, FARTHEST),
+    }
+    most: ClassVar[int] = 10
+
+    def __post_init__(self) -> None:
+        """Raise ValueError on what would make an estimate NaN or silently wrong."""
+        for name in ("time", "range", "sigma", "position", "position_sigma"):
+            if not np.isfinite(getattr(self, name)).all():
+                raise ValueError(f"Ranges.{name}: found a value that is not finite, expected finite numbers")
+        if (self.sigma <= 0).any() or (self.range < 0).any() or (self.position_sigma <= 0).any():
+            raise ValueError("Ranges: found a range below 0 m or a sigma not above 0 m, expected distances and sigmas")
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass(frozen=True)
+class RangeReport:
+    """How one range was used.
+
+    residual: measured minus expected [m], positive if the range is too long; weight: share of its information that was
+    used, 0-1.
+    """
+
+    time: float
+    anchor: str
+    range: float
+    sigma: float
+    residual: float
+    weight: float
+    reason: str
+
+
+OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
+STATES = (OK, DOUBTFUL, FAILED)  # from the best to the worst
+
+
+@dataclass(frozen=True)
+class Contradiction(OneLineRepr):
+    """What one source of a walk says against the others, or what keeps its estimate from being determined.
+
+    source: "fixes", "GNSS", "beacons", "plan", "stride", "start", "headings", …; against: the sources that it
+    contradicts; amount, unit: how much ("sigma", "m", "share"); text: one sentence for the user; check: what the user
+    should check; state: of the estimate with this contradiction, "doubtful", or "failed" if nothing is consistent.
+    """
+
+    source: str
+    against: str
+    amount: float
+    unit: str
+    text: str
+    check: str
+    state: str = DOUBTFUL
+
+    def describe(self) -> dict[str, Any]:
+        """Return the contradiction for `summary.json`; an unknown amount is None."""
+        return asdict(self) | {"amount": self.amount if isfinite(self.amount) else None}
+
+    def _summary(self) -> list[str]:
+        return [f"{self.source} against {self.against}", f"{self.amount:.3g} {self.unit}".strip(), self.state]
+
+
+@dataclass(frozen=True)
+class Verdict(OneLineRepr):
+    """Whether an estimate can be trusted.
+
+    state: "ok"; "doubtful" if something contradicts something else; "failed" if nothing is consistent. reasons: the
+    contradictions, empty for "ok".
+    """
+
+    state: str
+    reasons: tuple[Contradiction, ...] = ()
+
+    @classmethod
+    def of(cls, reasons: Iterable[Contradiction]) -> Verdict:
+        """The verdict with these reasons: the worst of their states, "ok" without any. The worst reasons come first."""
+        ordered = sorted(dict.fromkeys(reasons), key=lambda reason: -STATES.index(reason.state))
+        return cls(ordered[0].state if ordered else OK, tuple(ordered))
+
+    @property
+    def ok(self) -> bool:
+        """True if nothing contradicts the estimate."""
+        return self.state == OK
+
+    def describe(self) -> dict[str, Any]:
+        """Return the verdict for `summary.json`."""
+        return {"state": self.state, "reasons": [reason.describe() for reason in self.reasons]}
+
+    def __str__(self) -> str:
+        return f"{self.state}: {'; '.join(reason.text for reason in self.reasons) or 'no reason for doubt found'}"
+
+    def _summary(self) -> list[str]:
+        return [self.state, *([count(len(self.reasons), "reason")] if self.reasons else [])]
 
 
 @dataclass(frozen=True)
@@ -500,3 +789,85 @@ class Estimate(OneLineRepr):
         state, kinds = "converged" if self.converged else "not converged", self.reports.items()
         counts = [f"{len(rows)} {kind}" for kind, rows in kinds if rows]
         return [count(len(self.trajectory), "pose"), *time_span(self.trajectory), *counts, state]
+
+
+def take(data: Table, which: Index) -> Table:
+    """The rows `which` of a measurement table."""
+    selected = {}
+    for name in row_columns(data):
+        column = getattr(data, name)
+        selected[name] = column[which] if isinstance(column, np.ndarray) else tuple(column[i] for i in which.tolist())
+    return replace(data, **selected)
+
+
+def appended(data: Table, more: Table) -> Table:
+    """The rows of `data` and then of `more`, of the same type; tables that rows refer to are taken from `more`."""
+    return replace(more, **{name: _stacked([getattr(data, name), getattr(more, name)]) for name in row_columns(data)})
+
+
+def with_offset(data: Table, seconds: float) -> Table:
+    """The table with `seconds` added to its times."""
+    return replace(data, time=data.time + seconds)
+
+
+def concatenate(parts: Sequence[Table]) -> Table:
+    """The rows of at least one table, all of one type, in the order of the parts.
+
+    Tables that rows refer to are merged: a label names one beacon or anchor, described by the first part that has it.
+    """
+    parts = [part for part in parts if len(part)] or list(parts[:1])
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    joined = {name: _stacked([getattr(part, name) for part in parts]) for name in row_columns(first)}
+    tables = getattr(type(first), "tables", ())
+    if tables:
+        named: dict[tuple[str, int], tuple[Table, int]] = {}
+        keys = [list(_keys(part)) for part in parts]
+        for part, of_part in zip(parts, keys, strict=True):
+            for m, key in enumerate(of_part):
+                named.setdefault(key, (part, m))
+        row_of = {key: row for row, key in enumerate(named)}
+        rows = [np.array([row_of[key] for key in of_part], dtype=np.intp) for of_part in keys]
+        column = type(first).reference
+        joined[column] = np.concatenate([row[getattr(part, column)] for row, part in zip(rows, parts, strict=True)])
+        for name in tables:
+            values = [getattr(part, name)[m] for part, m in named.values()]
+            joined[name] = tuple(values) if isinstance(getattr(first, name), tuple) else np.array(values)
+    return replace(first, **joined)
+
+
+def by_type(tables: Sequence[Any]) -> tuple[Any, ...]:
+    """The tables with all of one type concatenated, in the order in which the types first appear."""
+    kinds = dict.fromkeys(type(table) for table in tables)
+    return tuple(concatenate([table for table in tables if type(table) is kind]) for kind in kinds)
+
+
+def last_time(data: Any) -> Array:
+    """The time ``(n,)`` at which each row is complete: its only time, or the later of two. [s]"""
+    return data.time if data.time.ndim == 1 else data.time.max(axis=1)
+
+
+def row_columns(data: Any) -> list[str]:
+    """The names of the columns with one value per row; other fields are tables that rows refer to."""
+    tables = getattr(type(data), "tables", ())
+    columns = [(field.name, getattr(data, field.name)) for field in fields(data) if field.name not in tables]
+    return [name for name, column in columns if isinstance(column, (np.ndarray, tuple)) and len(column) == len(data)]
+
+
+def _stacked(columns: Sequence[Any]) -> Any:
+    """Columns of several tables below each other: arrays or tuples."""
+    if isinstance(columns[0], np.ndarray):
+        return np.concatenate(columns)
+    return tuple(value for column in columns for value in column)
+
+
+def _keys(part: Any) -> Iterator[tuple[str, int]]:
+    """The label of each beacon or anchor of a part, and how often it stands before in its list.
+
+    A label that stands several times in one list names several things, in the order of the list.
+    """
+    before = Counter[str]()
+    for label in part.label:
+        yield label, before[label]
+        before[label] += 1

@@ -29,9 +29,8 @@ from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.geometry import row_times
 from pdr_graph.lifelog import sessions
-from pdr_graph.measurements import Closures
 from pdr_graph.priors import FIXES, LOSSES, MOTION, changed
-from pdr_graph.types import Trajectory
+from pdr_graph.types import Closures, Trajectory
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"
 FIRMLY = 1e-3  # of the usual sigmas: a calibration that is not estimated

@@ -37,11 +37,10 @@ from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
 from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
 from pdr_graph.lifelog.sessions import STANDING_SIGMA
-from pdr_graph.measurements import Closures, Levels, take
 from pdr_graph.plotting import draw_plan
 from pdr_graph.priors import BEACONS, COMPASS, LOSSES, MOTION
 from pdr_graph.simulation.scenario import Scenario
-from pdr_graph.types import Fixes, Sightings, Steps, Trajectory
+from pdr_graph.types import Closures, Fixes, Levels, Sightings, Steps, Trajectory, take
 
 INK, GREY, PALE = "#2b2f36", "#8a8a8a", "#c9cdd4"
 BLUE, ORANGE, GREEN, PURPLE, RED, GOLD = "#1f5fbf", "#d1602b", "#3a8f63", "#7b4fa6", "#b03a5b", "#e0a030"

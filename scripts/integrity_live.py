@@ -16,10 +16,9 @@ from integrity_walks import INDOORS, OUTDOORS, measured, simulated_walk
 from tables import publish, table
 
 from pdr_graph import smooth
-from pdr_graph.measurements import last_time, take
 from pdr_graph.online.interface import trajectory_of
 from pdr_graph.online.navigator import Navigator
-from pdr_graph.types import Estimate, Steps
+from pdr_graph.types import Estimate, Steps, last_time, take
 
 WALKS = 30  # of each row
 LAG = 60.0  # [s]

@@ -15,7 +15,6 @@ from pdr_graph.floor.cells import WALL, Area
 from pdr_graph.gait.signals import gait_signals
 from pdr_graph.geometry import interpolate, rotation, unit
 from pdr_graph.io.beacons import SURVEY_SIGMA
-from pdr_graph.measurements import Levels, Ranges
 from pdr_graph.simulation.body import Body
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.sensors import (
@@ -28,7 +27,7 @@ from pdr_graph.simulation.sensors import (
     receptions,
 )
 from pdr_graph.simulation.simulate import simulate
-from pdr_graph.types import Beacons, Fixes, Headings, Steps, Trajectory
+from pdr_graph.types import Beacons, Fixes, Headings, Levels, Ranges, Steps, Trajectory
 
 PLANS = ("mall", "arcade", "campus")  # of maps/, one walk after the other
 WAYS = (140.0, 260.0)  # [m] walked: two to four minutes

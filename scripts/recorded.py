@@ -13,8 +13,7 @@ from pdr_graph.gait.signals import gait_signals
 from pdr_graph.gait.stair_steps import with_stair_lengths
 from pdr_graph.io.beacons import read_beacons
 from pdr_graph.io.loading import load
-from pdr_graph.measurements import Levels
-from pdr_graph.types import Fixes, Headings, Steps, Trajectory
+from pdr_graph.types import Fixes, Headings, Levels, Steps, Trajectory
 
 SIGMA = 0.5  # [m] stated of a waypoint that is given
 START_SIGMA = 0.3  # [m] stated of IPIN21's known start

@@ -28,7 +28,7 @@ FLOORS = [
     ["gait", "io"],
     ["inertial", "floor"],
     ["recovery"],
-    ["geometry", "frames", "storage", "web_request", "source", "measurements", "types", "contradiction", "columns"],
+    ["geometry", "frames", "storage", "web_request", "source", "types"],
     ["notebook_html"],
     ["second_core"],
     ["errors", "whole_files", "progress", "priors"],

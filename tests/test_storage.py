@@ -15,10 +15,9 @@ from hypothesis import given
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
-from pdr_graph.measurements import Ranges
 from pdr_graph.online.interface import Samples, Scan, event_types
 from pdr_graph.storage import ARRAY, FORMAT, decode, encode
-from pdr_graph.types import Array, Fixes, Sightings, Steps, Trajectory
+from pdr_graph.types import Array, Fixes, Ranges, Sightings, Steps, Trajectory
 
 ANY = st.floats(width=64)  # NaN, infinities and -0.0 too
 TEXT = st.text()

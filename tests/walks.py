@@ -12,7 +12,7 @@ from pdr_graph.priors import BEACONS, MOTION, RECEIVERS
 from pdr_graph.types import Array, Fixes, Steps, Trajectory
 
 if TYPE_CHECKING:
-    from pdr_graph.measurements import Levels
+    from pdr_graph.types import Levels
 
 PERIOD = 0.55  # [s] per step
 
@@ -130,7 +130,7 @@ def drawn_beside_beacons(n: int, seed: int, wrong: float = 1.0) -> tuple[Steps, 
     """
 
     from pdr_graph.geometry import unit
-    from pdr_graph.measurements import Levels
+    from pdr_graph.types import Levels
 
     steps, fixes, truth = drawn_from_the_model(n, seed, every=30)
     random, count, surveyed = np.random.default_rng([seed, 2]), 4, 0.5

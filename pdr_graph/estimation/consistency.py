@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pdr_graph.contradiction import DOUBTFUL, FAILED, Contradiction, Verdict
 from pdr_graph.errors import count, percent
 from pdr_graph.estimation.factors import locating_kinds
 from pdr_graph.estimation.factors.fixes import LOUD_BEACON
@@ -20,7 +19,7 @@ from pdr_graph.estimation.results import FIRST_ONLY, REPEATED, is_measured, stri
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import distance_to_box
 from pdr_graph.priors import REPORTS, VERDICTS
-from pdr_graph.types import Array, Estimate, FixReport, Trajectory
+from pdr_graph.types import DOUBTFUL, FAILED, Array, Contradiction, Estimate, FixReport, Trajectory, Verdict
 
 ROUTE = "route"  # source of a contradiction that only leaves open where the walk went
 STEPS = "steps and the rest"  # what contradicts fixes without another source of positions

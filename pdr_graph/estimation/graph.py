@@ -39,9 +39,8 @@ from pdr_graph.estimation.initialization import initial_walk, pivot, reach
 from pdr_graph.estimation.normal_equations import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.measurements import Closures, Levels
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Array, Fixes, Headings, Index, Steps
+from pdr_graph.types import Array, Closures, Fixes, Headings, Index, Levels, Steps
 
 if TYPE_CHECKING:
     import gtsam

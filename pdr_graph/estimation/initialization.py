@@ -23,9 +23,8 @@ from pdr_graph.estimation.factors.losses import huber_weight
 from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.protocols import Directions, Positions
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle
-from pdr_graph.measurements import take
 from pdr_graph.priors import INITIAL
-from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory
+from pdr_graph.types import Array, Complex, Fixes, Index, Steps, Trajectory, take
 
 REWEIGHTINGS = 5
 

@@ -21,9 +21,19 @@ from pdr_graph.estimation.optimizer import Optimum, near_start
 from pdr_graph.estimation.results import prior_sigma
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import interpolate, nearest, row_times, wrap_angle
-from pdr_graph.measurements import Closures, by_type, with_offset
 from pdr_graph.priors import FIXES
-from pdr_graph.types import INSTANT, Array, Calibration, Estimate, Fixes, Headings, Trajectory
+from pdr_graph.types import (
+    INSTANT,
+    Array,
+    Calibration,
+    Closures,
+    Estimate,
+    Fixes,
+    Headings,
+    Trajectory,
+    by_type,
+    with_offset,
+)
 
 BETWEEN = 3600.0  # [s] between two walks on the common time axis
 ANYWHERE = 1e4 / BETWEEN  # [m/s] sigma of the speed there: the next walk starts anywhere within ten kilometres

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.estimation.factors import kind_of, locating_kinds
 from pdr_graph.estimation.graph import WalkGraph
@@ -19,7 +18,7 @@ from pdr_graph.estimation.smoother import poses_of_rows
 from pdr_graph.floor.building import Building
 from pdr_graph.geometry import interpolate, row_times, wrap_angle
 from pdr_graph.priors import INITIAL, REPORTS, VERDICTS
-from pdr_graph.types import Array, Estimate, Fixes, Trajectory
+from pdr_graph.types import Array, Estimate, Fixes, OneLineRepr, Trajectory
 
 FIXES, PLAN = "fixes", "plan"  # names of sources: fixes without a receiver, and the floor plan
 NAMED = 5  # beacons that a remark names

@@ -12,12 +12,11 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count, expect
 from pdr_graph.floor.cells import CONNECTING, NOWHERE, Area, overlap, stray_of
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.types import Array, Index, Mask
+from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 
 @dataclass(frozen=True, eq=False)

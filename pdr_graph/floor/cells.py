@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import viterbi
 from pdr_graph.priors import PLANS, REGIONS
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, OneLineRepr
 
 OUTLINE = "floor"
 OPEN = ("corridor", "intersection", "stairs")  # open to each other

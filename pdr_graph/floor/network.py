@@ -21,11 +21,10 @@ import numpy as np
 import shapely
 from scipy.spatial import KDTree, Voronoi
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.floor.cells import CLOSED, DOOR, LINK, OPEN, Area, Cells, without_cracks
 from pdr_graph.geometry import length_along, wrap_angle
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, OneLineRepr
 
 INTERSECTION, CORRIDOR = "intersection", "corridor"
 # Tolerances of a drawing, chosen by hand

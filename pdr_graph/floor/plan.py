@@ -9,13 +9,12 @@ from typing import Self
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.floor.cells import OUTLINE, SOLID, Area, Cells, Regions, without_cracks
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.floor.network import Network, derived_network, drawn_network
 from pdr_graph.frames import Frame
-from pdr_graph.types import Array, Mask
+from pdr_graph.types import Array, Mask, OneLineRepr
 
 EDGE = 0.05  # [m] of the walkable area along walls where `nearest_walkable` puts no one
 FAR_FROM_PLAN = 100.0  # [m] from the plan's bounding box: a walk beyond it is not on this plan

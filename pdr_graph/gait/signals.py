@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count, slow_rate
 from pdr_graph.gait.heading import Direction, forward_acceleration, forward_axis, walking_direction
 from pdr_graph.gait.step_detection import Landings, walking_steps
 from pdr_graph.inertial.attitude import SHORTEST_WALK, Attitude, attitude_of
 from pdr_graph.priors import REST
-from pdr_graph.types import Array, Mask, Recording, Signal
+from pdr_graph.types import Array, Mask, OneLineRepr, Recording, Signal
 
 
 def uninterrupted(recording: Recording) -> list[Recording]:

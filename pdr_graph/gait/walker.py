@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, one_line, read_toml
 from pdr_graph.gait.step_length import MODELS, REFERENCE_HEIGHT
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Array, Steps
+from pdr_graph.types import Array, OneLineRepr, Steps
 from pdr_graph.whole_files import write_file
 
 COEFFICIENTS = ("E_length", "E_straight", "E_corner")

@@ -9,11 +9,10 @@ import vqf
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.geometry import interpolate
 from pdr_graph.priors import REST
-from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, Recording, Signal
+from pdr_graph.types import STANDARD_GRAVITY, Array, Index, Mask, OneLineRepr, Recording, Signal
 
 SHORTEST_WALK = 1.0  # [s] of samples, or there is nothing to detect a step in
 LEAST_GRAVITY, MOST_GRAVITY = 7.0, 13.0  # [m/s²] median |a|: walking raises it a little, a wrong unit far more

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.inertial.attitude import runs
 from pdr_graph.priors import CLIMB, KIND
-from pdr_graph.types import Array, Index, Mask, Signal, Steps
+from pdr_graph.types import Array, Index, Mask, OneLineRepr, Signal, Steps
 
 SCALE_HEIGHT = 287.05 * 293.15 / 9.80665  # [m] R T / g of dry air at 20 °C, that of buildings; 1 % less at 17 °C
 

@@ -12,9 +12,8 @@ from typing import overload
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 DELIMITERS = "\t;,"  # in this order: a comma may be a decimal mark
 MISSING = ("", "nan", "null", "none", "na", "n/a", "-")  # texts that recorders write for a missing value

@@ -17,12 +17,11 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] no stubs
 
-from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.errors import InputError, count, printable
 from pdr_graph.frames import Frame
 from pdr_graph.io.validation import build_recording, receiver_fixes
 from pdr_graph.source import Source
-from pdr_graph.types import Array, Fixes, Recording, Trajectory
+from pdr_graph.types import Array, Fixes, OneLineRepr, Recording, Trajectory, time_span
 
 NAME = "GPX"
 NAMESPACE = "http://www.topografix.com/GPX/1/1"

@@ -10,8 +10,7 @@ import numpy as np
 from pdr_graph.errors import InputError
 from pdr_graph.io.likely_causes import clock_hint
 from pdr_graph.io.tables import read_table
-from pdr_graph.measurements import Ranges
-from pdr_graph.types import Beacons, Recording
+from pdr_graph.types import Beacons, Ranges, Recording
 
 RANGE_SIGMA = 0.3  # [m] of a range with line of sight, if the table has no sigma; chosen by hand
 ANCHOR_SIGMA = 0.1  # [m] per axis of an anchor's place whose list states none: tape or laser; chosen by hand

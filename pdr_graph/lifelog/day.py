@@ -11,12 +11,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import interpolate, length_along, nearest, wrap_angle
-from pdr_graph.types import INSTANT, Array, Trajectory
+from pdr_graph.types import INSTANT, Array, OneLineRepr, Trajectory, time_span
 
 WALKING, STANDING, VEHICLE, GAP = "walking", "standing", "vehicle", "gap"
 KINDS = (STANDING, WALKING, VEHICLE, GAP)  # in the order of the numbers in `estimation.transport_mode`

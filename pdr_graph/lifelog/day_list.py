@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count, one_line
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING
 from pdr_graph.lifelog.place_visits import DAY_LENGTH, place_label
 from pdr_graph.lifelog.timeline import KIND_NAMES, PASSING, STAY, TimelineEntry, duration_text, entry_texts
+from pdr_graph.types import OneLineRepr
 
 MOST_ROWS = 25  # of a list that fits a screen
 MERGED_NAMES = {

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.lifelog import cache
 from pdr_graph.lifelog.corrections import apply_to_entries, place_names
@@ -28,6 +27,7 @@ from pdr_graph.lifelog.store import ZONE, Store
 from pdr_graph.lifelog.timeline import PASSING, SHORTEST_GAP, STAY, DayTotals, TimelineEntry, timeline
 from pdr_graph.lifelog.visits import SHORTEST_VISIT, Track, Visit, on_sphere, visits_of
 from pdr_graph.storage import compress, decompress
+from pdr_graph.types import OneLineRepr
 
 DAY = 86_400.0  # [s]
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.lifelog.day import STANDING, VEHICLE, WALKING
+from pdr_graph.types import OneLineRepr
 
 AT, MERGE, SPLIT, MODE, NOT_ME, NAME, FORGOTTEN = "at", "merge", "split", "mode", "not me", "name", "forgotten"
 CORRECTION_KINDS = (AT, MERGE, SPLIT, MODE, NOT_ME, NAME, FORGOTTEN)

@@ -17,12 +17,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from pdr_graph.colours import FIX, GREY, RADIO, TRACK
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count, one_line
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Day, Outing, Stay, clipped, split_at_gaps
 from pdr_graph.lifelog.timeline import PASSING, STAY
-from pdr_graph.types import Array, Trajectory
+from pdr_graph.types import Array, OneLineRepr, Trajectory
 
 # Chosen by hand
 MARGIN_SHARE = 0.12  # of the size of the content, on each side of a map

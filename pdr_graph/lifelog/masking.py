@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pdr_graph.columns import select_rows
 from pdr_graph.frames import Frame, enu
 from pdr_graph.gait.step_chunks import gap, shifted
-from pdr_graph.measurements import take, with_offset
-from pdr_graph.types import INSTANT, Array, Mask, Steps
+from pdr_graph.types import INSTANT, Array, Mask, Steps, select_rows, take, with_offset
 
 if TYPE_CHECKING:
     from pdr_graph.lifelog.observation import Observation

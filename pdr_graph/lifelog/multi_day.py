@@ -17,7 +17,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.estimation.fingerprinting import Scans, revisits, scans_of
 from pdr_graph.estimation.multi_walk import smooth_together
@@ -31,9 +30,8 @@ from pdr_graph.lifelog.observation import Observation
 from pdr_graph.lifelog.reconstruct import EstimatedWalk, estimate_walk, reconstruct_outings
 from pdr_graph.lifelog.store import TOGETHER, Store, StoredDay
 from pdr_graph.lifelog.walk_blocks import MAX_STEPS, WalkPlace, blocks
-from pdr_graph.measurements import Closures
 from pdr_graph.priors import BEACONS
-from pdr_graph.types import Index, Recording, Sightings
+from pdr_graph.types import Closures, Index, OneLineRepr, Recording, Sightings
 
 # Chosen by hand
 MIN_RSSI = -85.0  # [dBm] about ten metres; weaker levels depend more on bodies and reflections than on the distance

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.frames import Frame
 from pdr_graph.gait.walker import Profile
@@ -23,7 +22,7 @@ from pdr_graph.lifelog.local_time import zone_at
 from pdr_graph.lifelog.masking import DELETED, without_times
 from pdr_graph.lifelog.store import RecordingOptions
 from pdr_graph.storage import compress, decode, decompress, encode
-from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, Recording, Sightings, Signal, Steps
+from pdr_graph.types import INSTANT, Array, Beacons, Fixes, Headings, OneLineRepr, Recording, Sightings, Signal, Steps
 from pdr_graph.walk_options import Options
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ from itertools import groupby
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.lifelog.day import (
     GAP,
@@ -38,7 +37,7 @@ from pdr_graph.lifelog.place_visits import (
 )
 from pdr_graph.lifelog.places import Place
 from pdr_graph.lifelog.timeline import PASSING, STAY, DayTotals, TimelineEntry
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 WALK, RIDE, STAYED, NO_DATA = "walking", "riding", "staying", "no data"
 GROUPS = {

@@ -12,12 +12,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA
 from pdr_graph.lifelog.places import Place
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry, duration_text
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 WEEKDAYS = ("Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday", "Sunday")
 EVERY_DAY = "every day"  # instead of a weekday

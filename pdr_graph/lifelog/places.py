@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.lifelog.local_time import LocalClock, zone_at
 from pdr_graph.lifelog.timeline import duration_text
 from pdr_graph.lifelog.visits import SURE, VISIT_RADIUS, Visit, lonlat_of, on_sphere
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 PLACE_RADIUS = VISIT_RADIUS  # [m] between visits of one place
 NIGHT_END, FEWEST_NIGHTS = 6 * 3600.0, 3  # [s] after midnight; nights of which a home is guessed

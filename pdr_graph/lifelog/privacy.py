@@ -27,7 +27,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.frames import Frame, enu
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
 from pdr_graph.lifelog.day import (
@@ -44,7 +43,7 @@ from pdr_graph.lifelog.day import (
 )
 from pdr_graph.lifelog.nested_squares import nested_squares
 from pdr_graph.lifelog.private_places import PrivatePlace, is_hidden, normalized_name
-from pdr_graph.types import INSTANT, Array, Index, Mask, Trajectory
+from pdr_graph.types import INSTANT, Array, Index, Mask, OneLineRepr, Trajectory
 
 # Chosen by hand
 SHORTEST_SHOWN = 60.0  # [s] of a track between two hidden ones

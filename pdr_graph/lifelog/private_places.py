@@ -26,14 +26,13 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.floor.cells import CLOSED, SOLID
 from pdr_graph.floor.formats.geojson import check_degrees, features_of, read_json
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.nested_squares import nested_squares
-from pdr_graph.types import Array, Mask
+from pdr_graph.types import Array, Mask, OneLineRepr
 
 CIRCLE = re.compile(r"\s*(-?[\d.]+)\s*,\s*(-?[\d.]+)\s*,\s*([\d.]+)\s*m?\s*", re.ASCII)
 NAMED_KINDS = (*CLOSED, *SOLID)  # kinds of areas of a plan that have names

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.estimation.calibration import posterior_profile
 from pdr_graph.estimation.consistency import ROUTE, teaches_profile, verdict
 from pdr_graph.estimation.graph import WalkGraph
@@ -32,7 +31,7 @@ from pdr_graph.lifelog.sessions import (
 from pdr_graph.lifelog.stays import stays_of, stays_of_positions
 from pdr_graph.pipeline import Evidence, estimate, with_beacon_levels, with_floors, with_measurements
 from pdr_graph.priors import MOTION
-from pdr_graph.types import INSTANT, Array, Estimate, Fixes
+from pdr_graph.types import INSTANT, Array, Estimate, Fixes, OneLineRepr
 
 
 @dataclass(frozen=True)

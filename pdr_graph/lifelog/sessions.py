@@ -15,14 +15,27 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.frames import Frame
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.lifelog.observation import MIN_POSITIONS, Observation, StatedActivity
-from pdr_graph.measurements import Closures, by_type, last_time, take, with_offset
 from pdr_graph.priors import MOTION
-from pdr_graph.types import Array, Beacons, Fixes, Headings, Index, Sightings, Signal, Steps
+from pdr_graph.types import (
+    Array,
+    Beacons,
+    Closures,
+    Fixes,
+    Headings,
+    Index,
+    OneLineRepr,
+    Sightings,
+    Signal,
+    Steps,
+    by_type,
+    last_time,
+    take,
+    with_offset,
+)
 
 # Chosen by hand
 LONGEST_GAP = 600.0  # [s] between two recordings of one session; after a longer one the walker may be anywhere

@@ -16,14 +16,13 @@ from operator import itemgetter
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.cells import CLOSED, Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import length_along, row_times, unit, wrap_angle
 from pdr_graph.lifelog.day import STANDING, Segment, Stay, sampled
-from pdr_graph.types import INSTANT, Array, Index, Mask, Steps, Trajectory
+from pdr_graph.types import INSTANT, Array, Index, Mask, OneLineRepr, Steps, Trajectory
 
 FRONT_KINDS = ("shop", "place")  # kinds of areas that are solid and looked at; walls are not, even if they have names
 

@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from pdr_graph import storage
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 from pdr_graph.gait.walker import Profile
 from pdr_graph.lifelog import checksums
@@ -29,6 +28,7 @@ from pdr_graph.lifelog.day_rows import DAY_SCHEMA, TABLES, Rows, day_of, profile
 from pdr_graph.lifelog.facts import Correction, Guess
 from pdr_graph.recovery import DataLossWarning, checked
 from pdr_graph.storage import Kind
+from pdr_graph.types import OneLineRepr
 
 REMEDY = "add the recordings to a new store, pdr-graph lifelog add NEW …, or read this one with the older pdr_graph"
 FACTS = (

@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import one_line
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.io.writers import cell
@@ -27,6 +26,7 @@ from pdr_graph.lifelog.day import (
     rows_between,
     sampled,
 )
+from pdr_graph.types import OneLineRepr
 
 STAY, PASSING = "stay", "passing"
 KIND_NAMES = {VEHICLE: "riding", GAP: "no data"}  # shown instead of the kind

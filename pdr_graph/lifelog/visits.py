@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.lifelog.day import GAP, STANDING, Outing, without_gap_rows
 from pdr_graph.lifelog.timeline import STAY, TimelineEntry, duration_text
-from pdr_graph.types import Array, Mask
+from pdr_graph.types import Array, Mask, OneLineRepr
 
 # The usual stay points have 100 to 200 m and 5 to 30 min; the others were chosen by hand
 VISIT_RADIUS = 100.0  # [m] of a place

@@ -14,9 +14,22 @@ import numpy as np
 
 from pdr_graph.gait.step_chunks import concatenate_steps, gap
 from pdr_graph.inertial.attitude_stream import SENSOR_VALIDATION
-from pdr_graph.measurements import Levels, last_time, row_columns, take
 from pdr_graph.priors import MOTION
-from pdr_graph.types import INSTANT, SENSORS, Array, Fixes, Limits, Mask, Sightings, Steps, unknown_sensor
+from pdr_graph.types import (
+    INSTANT,
+    SENSORS,
+    Array,
+    Fixes,
+    Levels,
+    Limits,
+    Mask,
+    Sightings,
+    Steps,
+    last_time,
+    row_columns,
+    take,
+    unknown_sensor,
+)
 
 AHEAD = 30.0  # [s] by which a measurement may lie in the future, if its clock is not that of the sensors
 STEPS: Limits = {  # [m, rad] of steps of another front end; of rows that are no gaps

@@ -13,14 +13,25 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.live.finalization import TrajectoryRows
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import horizontal_sigma, protection_level, wrap_angle
-from pdr_graph.measurements import Measured, last_time, take
-from pdr_graph.types import Array, Estimate, Recording, Sensor, Sightings, Steps, Trajectory
+from pdr_graph.types import (
+    Array,
+    Estimate,
+    Measured,
+    OneLineRepr,
+    Recording,
+    Sensor,
+    Sightings,
+    Steps,
+    Trajectory,
+    last_time,
+    take,
+    time_span,
+)
 
 PACKET = 0.1  # [s] of samples that a phone delivers at once
 NO_DATA = "no data received"  # issue of a missing sensor

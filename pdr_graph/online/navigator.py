@@ -33,7 +33,6 @@ from pdr_graph.gait.stair_steps import with_goings
 from pdr_graph.gait.step_stream import StepStream, StepStreamCheckpoint
 from pdr_graph.gait.walker import Walker
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
-from pdr_graph.measurements import last_time, take
 from pdr_graph.online.display import Display, modes_of
 from pdr_graph.online.event_checks import AHEAD, UNUSABLE, EventChecks
 from pdr_graph.online.interface import Event, Pose, Samples, Scan, event_types, trajectory_of_rows
@@ -41,7 +40,7 @@ from pdr_graph.online.live_warnings import contradictions_of, warnings_of
 from pdr_graph.online.status import Status, issues_of, issues_of_times, missing_inputs, state_of
 from pdr_graph.online.step_log import StepLog
 from pdr_graph.priors import INITIAL
-from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Headings, Steps, Trajectory
+from pdr_graph.types import LONLAT, Array, Beacons, Estimate, Fixes, Headings, Steps, Trajectory, last_time, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.fingerprinting import RadioMap

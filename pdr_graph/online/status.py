@@ -8,12 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
-from pdr_graph.contradiction import Verdict
 from pdr_graph.errors import count
 from pdr_graph.inertial.attitude_stream import Health
 from pdr_graph.online.event_checks import AHEAD
 from pdr_graph.online.interface import NO_DATA, NO_STEPS
+from pdr_graph.types import OneLineRepr, Verdict
 
 SILENT = 2.0  # [s] without samples of a sensor while others have some, until it is an issue
 

@@ -16,11 +16,10 @@ import vqf
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, install
 from pdr_graph.geometry import compose
 from pdr_graph.inertial.attitude import Attitude, lasting_runs, on_one_grid, running_mean, runs, upright
-from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, Recording
+from pdr_graph.types import STANDARD_GRAVITY, Array, Mask, OneLineRepr, Recording
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.estimation.factors.turns import range_of_turn
 from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import courses, row_times, turn_between, unit, wrap_angle
 from pdr_graph.priors import TURNS
-from pdr_graph.types import Array, Index, Mask, Steps, Trajectory
+from pdr_graph.types import Array, Index, Mask, OneLineRepr, Steps, Trajectory
 
 TURNING = np.radians(10)  # heading change of a step above which the walker is turning: gait sways by up to 7°
 AROUND = 8  # [steps] before and after a turn that determine its links: the length of a zigzag; chosen by hand

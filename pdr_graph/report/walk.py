@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pdr_graph.colours import FIX, GREY, OTHER, RADIO, SURROUNDINGS, TRACK, TRUTH
-from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.errors import percent, printable
 from pdr_graph.estimation.gps_track import without_data
 from pdr_graph.estimation.results import is_usual
@@ -33,7 +32,7 @@ from pdr_graph.report.page import (
     thinned,
     track,
 )
-from pdr_graph.types import Array, Estimate, FixReport, Recording, Steps, Trajectory
+from pdr_graph.types import Array, Estimate, FixReport, OneLineRepr, Recording, Steps, Trajectory, time_span
 
 CAUSAL = "#2fa37d"  # colour of causal tracks
 DASHES = {GREY: "dash", OTHER: "dashdot"}  # of tracks that have the lightness of others; those of sources are dotted

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from pdr_graph.contradiction import DOUBTFUL, OK
 from pdr_graph.errors import count, one_line
+from pdr_graph.types import DOUBTFUL, OK
 
 MOST_LINES = 8  # of each list: the report is one page
 SPECIAL = re.compile(r"([\\`*_{}\[\]<>#|~])")

@@ -9,10 +9,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
-from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.simulation.pedestrian import MANNERS, Clearance, Manner, Pedestrian, WalkPath, footfalls, walk_path
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, OneLineRepr, time_span
 
 HOLD_CHANGE_TIME = 1.4  # [s] to move the phone from one hold to another; chosen by hand
 

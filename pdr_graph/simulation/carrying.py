@@ -15,11 +15,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation, Slerp
 
-from pdr_graph.columns import OneLineRepr, time_span
 from pdr_graph.geometry import compose
 from pdr_graph.simulation.body import HOLD_CHANGE_TIME, Body
 from pdr_graph.simulation.pedestrian import Pedestrian, smooth_noise
-from pdr_graph.types import STANDARD_GRAVITY, Array, Recording, Signal
+from pdr_graph.types import STANDARD_GRAVITY, Array, OneLineRepr, Recording, Signal, time_span
 
 USUAL_STEP = 0.72  # [m] at which the amplitudes in this file hold
 HIP = 0.53  # height of the body's centre as a share of the stature

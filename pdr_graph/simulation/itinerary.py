@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError
 from pdr_graph.floor.formats.drawing import STOREY
 from pdr_graph.floor.plan import FloorPlan
@@ -21,7 +20,7 @@ from pdr_graph.geometry import length_along
 from pdr_graph.simulation.body import Activity, ChangeHold, Ride, Roll, Shake, Stand, Walk
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.pedestrian import MANNERS
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 # Names of types in messages
 NAMES = {float: "a number", int: "a whole number", str: "a text", dict: "a table", list: "a list"}

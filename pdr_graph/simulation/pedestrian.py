@@ -16,9 +16,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.geometry import interpolate, length_along
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 
 def smooth_noise(random: np.random.Generator, count: int, length: float, sigma: float, columns: int = 1) -> Array:

@@ -15,13 +15,13 @@ import numpy as np
 import shapely
 
 import pdr_graph
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, read_toml
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.simulation.carrying import HOLDS
 from pdr_graph.simulation.itinerary import Route, check_keys, number, one_of, pair, route_of, typed
 from pdr_graph.simulation.recorders import RECORDERS
 from pdr_graph.simulation.sensors import Receiver, SampleClock, Transmitter
+from pdr_graph.types import OneLineRepr
 
 READY = Path(__file__).parent / "scenarios"
 PACKAGE = Path(pdr_graph.__file__).parent

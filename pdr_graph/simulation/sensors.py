@@ -12,13 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.geometry import interpolate, wrap_angle
 from pdr_graph.io.validation import RADIUS_68
 from pdr_graph.simulation.body import Body
 from pdr_graph.simulation.carrying import Motion
 from pdr_graph.simulation.pedestrian import autoregressive_noise, smooth_noise
-from pdr_graph.types import Array, Fixes, Index, Sightings, Signal
+from pdr_graph.types import Array, Fixes, Index, OneLineRepr, Sightings, Signal
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import expect
 from pdr_graph.frames import Frame, earth_field, enu
 from pdr_graph.geometry import compose, interpolate, unit, wrap_angle
@@ -18,7 +17,7 @@ from pdr_graph.simulation.carrying import Motion, carry
 from pdr_graph.simulation.pedestrian import Pedestrian
 from pdr_graph.simulation.scenario import Scenario, UserFixes
 from pdr_graph.simulation.sensors import BLUETOOTH, WIFI, SatelliteFixes, gnss_fixes, receptions
-from pdr_graph.types import Fixes, Recording, Sightings, Signal, Trajectory
+from pdr_graph.types import Fixes, OneLineRepr, Recording, Sightings, Signal, Trajectory
 
 
 @dataclass(frozen=True)

@@ -29,9 +29,8 @@ from pdr_graph.gait import compass
 from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.lifelog import multi_day
-from pdr_graph.measurements import Closures, Levels
 from pdr_graph.priors import LOSSES, MOTION, RECEIVERS
-from pdr_graph.types import Headings, Sightings
+from pdr_graph.types import Closures, Headings, Levels, Sightings
 
 MARGIN, LOOSE = 0.8, 1.0  # [m] of walls, as the page has them
 

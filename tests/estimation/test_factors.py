@@ -21,8 +21,7 @@ from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
-from pdr_graph.measurements import Closures, Levels, Ranges
-from pdr_graph.types import Headings
+from pdr_graph.types import Closures, Headings, Levels, Ranges
 
 
 def hall(margin=1.0):

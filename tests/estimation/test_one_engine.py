@@ -19,8 +19,7 @@ from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.frames import Frame
 from pdr_graph.geometry import interpolate, wrap_angle
-from pdr_graph.measurements import last_time, take
-from pdr_graph.types import Headings
+from pdr_graph.types import Headings, last_time, take
 
 ROUNDS = 40
 

@@ -16,8 +16,8 @@ from pdr_graph.estimation.factors.beacon_rssi import levels_along
 from pdr_graph.estimation.factors.likelihood import WeighsPoses, pose_costs
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.geometry import interpolate
-from pdr_graph.measurements import Ranges
 from pdr_graph.priors import PARTICLES, RANGES
+from pdr_graph.types import Ranges
 
 
 def states(n, middle=(0.0, 0.0), seed=0):

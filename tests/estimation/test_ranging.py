@@ -11,9 +11,8 @@ from pdr_graph.estimation.factors.ranging import LongErrors, RangeFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.live_smoother import LiveSmoother
 from pdr_graph.estimation.smoother import smooth
-from pdr_graph.measurements import Ranges, take
 from pdr_graph.priors import RANGES
-from pdr_graph.types import Steps
+from pdr_graph.types import Ranges, Steps, take
 
 SIGMA, NLOS, DETOUR = 0.3, 0.2, 3.0  # [m], share, [m]
 ANCHOR_SIGMA = 0.1  # [m]

@@ -9,9 +9,8 @@ from walks import drawn_from_the_model, fixes_at
 
 from pdr_graph import WalkGraph, smooth
 from pdr_graph.estimation.multi_walk import smooth_together
-from pdr_graph.measurements import Closures
 from pdr_graph.priors import LOSSES, changed
-from pdr_graph.types import Estimate
+from pdr_graph.types import Closures, Estimate
 
 SIGMA_CLOSURE = 1.0  # [m]
 SEEDS = 60

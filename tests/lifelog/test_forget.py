@@ -22,8 +22,7 @@ from pdr_graph.lifelog.facts import Guess
 from pdr_graph.lifelog.ingest import add
 from pdr_graph.lifelog.observation import observe, read_observation
 from pdr_graph.lifelog.store import Store
-from pdr_graph.measurements import Ranges
-from pdr_graph.types import Sightings, Signal
+from pdr_graph.types import Ranges, Sightings, Signal
 
 DATE = "2024-05-01"
 NAMES = (b"SSID-of-the-clinic", b"aa:bb:cc:clinic", b"anchor-of-the-clinic", b"clinic in a note", b"the clinic itself")

@@ -21,8 +21,7 @@ from pdr_graph.lifelog.observation import read_observation
 from pdr_graph.lifelog.reconstruct import reconstruct
 from pdr_graph.lifelog.sessions import join
 from pdr_graph.lifelog.store import RecordingOptions, Store
-from pdr_graph.measurements import Ranges, concatenate
-from pdr_graph.types import Fixes
+from pdr_graph.types import Fixes, Ranges, concatenate
 
 ROUTE = np.array([(40.0, 30.0), (65.0, 30.0), (65.0, 42.0), (40.0, 42.0), (40.0, 32.0)])
 ANCHORS = np.array([(36.0, 26.0), (36.0, 46.0), (69.0, 46.0), (69.0, 26.0)])

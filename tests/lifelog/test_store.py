@@ -24,10 +24,9 @@ from pdr_graph.lifelog.day import Day
 from pdr_graph.lifelog.day_rows import rows_of
 from pdr_graph.lifelog.observation import Ends, Observation, from_bytes, observe, read_observation, to_bytes
 from pdr_graph.lifelog.store import Entry, RecordingOptions, Store
-from pdr_graph.measurements import Ranges
 from pdr_graph.recovery import DataLossWarning
 from pdr_graph.storage import decompress
-from pdr_graph.types import Beacons, Headings, Sightings, Signal, Steps, Trajectory
+from pdr_graph.types import Beacons, Headings, Ranges, Sightings, Signal, Steps, Trajectory
 
 DATE = "2024-05-01"
 

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_graph.contradiction import Contradiction
 from pdr_graph.errors import percent
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal
 from pdr_graph.estimation.factors.base import AnyArray
@@ -28,7 +27,7 @@ from pdr_graph.estimation.factors.chain import Evaluation
 from pdr_graph.estimation.factors.protocols import Doubted, decisions_of
 from pdr_graph.estimation.optimizer import Optimum, continued, optimize
 from pdr_graph.priors import DOUBTS, SEARCH
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Contradiction, Index
 
 LEAST_LOGARITHM = -300.0  # of a probability: its square is not 0; a walk that fits nothing is still the best there is
 

@@ -16,7 +16,6 @@ from functools import partial
 
 import numpy as np
 
-from pdr_graph.contradiction import Contradiction
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, Memory, contradictions, paths, probabilities
 from pdr_graph.estimation.ambiguity.plan_hypotheses import Localization, localized
 from pdr_graph.estimation.factors.base import poses_at
@@ -40,7 +39,7 @@ from pdr_graph.geometry import (
     rotation,
 )
 from pdr_graph.priors import DOUBTS, REPORTS
-from pdr_graph.types import Array, Fixes, Headings, Index, Steps
+from pdr_graph.types import Array, Contradiction, Fixes, Headings, Index, Steps
 
 SOURCE = "plan"  # of the fix and the heading of a place that is certain
 LEAST = 1e-9  # probability of the solutions together

@@ -24,8 +24,7 @@ from pdr_graph.estimation.factors.start import CalibrationFactor, Prior, StartFa
 from pdr_graph.estimation.factors.steps_and_walls import StepFactor, WallFactor
 from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.floor.building import FloorSequence
-from pdr_graph.measurements import Closures, Levels, Ranges
-from pdr_graph.types import Fixes, Headings, Index, Steps
+from pdr_graph.types import Closures, Fixes, Headings, Index, Levels, Ranges, Steps
 
 KINDS: dict[type, tuple[Any, ...]] = {}  # type of data: the kind made from it, then kinds that are made from the first
 RESERVED = {kind.name for kind in (StepFactor, WallFactor, CorridorFactor, CalibrationFactor, StartFactor)}
@@ -34,7 +33,7 @@ RESERVED = {kind.name for kind in (StepFactor, WallFactor, CorridorFactor, Calib
 def register(data_type: type, *kinds: type[Measurement]) -> None:
     """Let every part of the package take data of a type: graphs, live walks, journals, lifelogs, reports.
 
-    data_type: a frozen dataclass with ``time`` [s], see `pdr_graph.measurements`; files know it by its name. kinds: the
+    data_type: a frozen dataclass with ``time`` [s], see `pdr_graph.types`; files know it by its name. kinds: the
     subclass of `Measurement` that is made from it, and any others that are made from the first; each has a ``name`` and
     a class method ``of(data, steps, prior, number)``, number ``(n,)`` being the permanent numbers of the rows.
     Registering the same definitions again, as in a notebook, replaces the former.

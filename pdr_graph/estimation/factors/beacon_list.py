@@ -10,9 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import log_ndtr
 
-from pdr_graph.measurements import Levels
 from pdr_graph.priors import BEACONS
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, Levels
 
 POWERS = np.arange(-12.0, 12.5, 3.0)  # [dB] candidate powers of a beacon
 MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a kilometre; more repeat the same fading

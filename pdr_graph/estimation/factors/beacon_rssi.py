@@ -27,9 +27,8 @@ from pdr_graph.estimation.factors.beacon_list import (
 )
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.measurements import Levels, take
 from pdr_graph.priors import BEACONS, PRICES
-from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Sightings, Steps
+from pdr_graph.types import Array, BeaconReport, Beacons, Fixes, Index, Levels, Sightings, Steps, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation

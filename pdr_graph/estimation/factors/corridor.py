@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.estimation.factors.base import FactorBlock, Measurement
 from pdr_graph.estimation.factors.heading_prior import heading_block
 from pdr_graph.floor.building import FloorSequence
 from pdr_graph.floor.network import Network, Segments, segment_costs
 from pdr_graph.geometry import length_along, wrap_angle
 from pdr_graph.priors import CORRIDOR
-from pdr_graph.types import Array, Headings, Index
+from pdr_graph.types import Array, Headings, Index, OneLineRepr
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Evaluation

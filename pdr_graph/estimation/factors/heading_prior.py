@@ -14,9 +14,8 @@ from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import ANY_HEADING, wrap_angle
-from pdr_graph.measurements import take
 from pdr_graph.priors import COMPASS, PARTICLES, PRICES
-from pdr_graph.types import Array, Headings, Index, Mask, Steps
+from pdr_graph.types import Array, Headings, Index, Mask, Steps, take
 
 if TYPE_CHECKING:
     import gtsam

@@ -9,9 +9,8 @@ import numpy as np
 from pdr_graph.estimation.factors.base import AnyArray
 from pdr_graph.estimation.factors.beacon_rssi import levels_along, mean_levels
 from pdr_graph.estimation.factors.preintegration import DECIMALS
-from pdr_graph.measurements import Levels
 from pdr_graph.priors import BEACONS
-from pdr_graph.types import Array, Beacons, Index, Sightings, Steps, minor_number
+from pdr_graph.types import Array, Beacons, Index, Levels, Sightings, Steps, minor_number
 
 MOST_RECEPTIONS = 100_000  # that are stored: an hour of a receiver that hears 25 a second
 

@@ -18,9 +18,8 @@ from pdr_graph.estimation.factors.base import CALIBRATION, POSE, FactorBlock, Li
 from pdr_graph.estimation.factors.chain import Chain, Evaluation
 from pdr_graph.estimation.factors.preintegration import Increments
 from pdr_graph.estimation.factors.protocols import Structural
-from pdr_graph.measurements import take
 from pdr_graph.priors import PARTICLES
-from pdr_graph.types import Array, Index
+from pdr_graph.types import Array, Index, take
 
 
 class PoseCosts(Protocol):

@@ -15,9 +15,8 @@ from pdr_graph.estimation.factors.base import FactorBlock, Measurement, Stage
 from pdr_graph.estimation.factors.losses import GAUSSIAN, RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import pose_rotation
-from pdr_graph.measurements import Closures
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Index, Steps
+from pdr_graph.types import Array, Closures, Index, Steps
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation

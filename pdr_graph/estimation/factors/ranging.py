@@ -25,9 +25,8 @@ from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
 from pdr_graph.estimation.factors.losses import Loss, RobustLoss, huber_weight
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import rotation
-from pdr_graph.measurements import RangeReport, Ranges, take
 from pdr_graph.priors import LOSSES, RANGES, REPORTS
-from pdr_graph.types import Array, Fixes, Index, Steps
+from pdr_graph.types import Array, Fixes, Index, RangeReport, Ranges, Steps, take
 
 if TYPE_CHECKING:
     from pdr_graph.estimation.factors.chain import Chain, Evaluation

@@ -38,9 +38,8 @@ from pdr_graph.estimation.normal_equations import NormalEquations, Solution
 from pdr_graph.estimation.optimizer import Descent
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.geometry import pose_rotation
-from pdr_graph.measurements import take
 from pdr_graph.priors import SCHEDULE
-from pdr_graph.types import Array, Index, Sightings
+from pdr_graph.types import Array, Index, Sightings, take
 
 MOST_FAILURES = 100  # reasons that are kept
 

@@ -26,9 +26,8 @@ from pdr_graph.estimation.live.prediction import (
 )
 from pdr_graph.estimation.live.step_buffer import CLOSE, END, ROW
 from pdr_graph.estimation.results import prior_sigma
-from pdr_graph.measurements import take
 from pdr_graph.priors import LIVE_PATHS
-from pdr_graph.types import Array, Calibration, Fixes, Headings, Steps
+from pdr_graph.types import Array, Calibration, Fixes, Headings, Steps, take
 
 
 class LiveOutput:

@@ -12,9 +12,8 @@ from pdr_graph.estimation.factors import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
 from pdr_graph.estimation.factors.preintegration import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.measurements import appended, last_time, take
 from pdr_graph.storage import decode, encode
-from pdr_graph.types import INSTANT, Array, Index, Mask, Sightings, Steps
+from pdr_graph.types import INSTANT, Array, Index, Mask, Sightings, Steps, appended, last_time, take
 
 WAITING = 1000  # measurements of a type that are kept for the first steps
 Decisions = dict[str, dict[str, AnyArray]]  # about measurements, by kind

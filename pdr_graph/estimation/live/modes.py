@@ -17,9 +17,8 @@ from pdr_graph.estimation.live.prediction import SHORTEST, Position, corrected_b
 from pdr_graph.estimation.live.step_buffer import StepBuffer
 from pdr_graph.floor.distance_field import DistanceField
 from pdr_graph.geometry import horizontal_sigma
-from pdr_graph.measurements import take
 from pdr_graph.priors import LIVE_PATHS
-from pdr_graph.types import Array, Headings, Index
+from pdr_graph.types import Array, Headings, Index, take
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor import plan_files
 from pdr_graph.floor.formats import own_format
 from pdr_graph.floor.formats.drawing import Drawing
 from pdr_graph.floor.plan_files import FloorPlan
 from pdr_graph.frames import enu
-from pdr_graph.types import Array
+from pdr_graph.types import Array, OneLineRepr
 
 
 def convert(

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import InputError, count
 from pdr_graph.floor.cells import Area
 from pdr_graph.frames import Frame, enu
+from pdr_graph.types import OneLineRepr
 
 
 @dataclass(frozen=True)

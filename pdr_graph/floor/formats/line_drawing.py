@@ -12,12 +12,11 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.floor.cells import DOOR, OUTLINE, WALL, Area
 from pdr_graph.floor.formats import raster
 from pdr_graph.geometry import wrap_angle
-from pdr_graph.types import Array, Index, Mask
+from pdr_graph.types import Array, Index, Mask, OneLineRepr
 
 STAIRS = "stairs"
 Geometries = NDArray[np.object_]

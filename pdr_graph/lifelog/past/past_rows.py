@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.columns import OneLineRepr
 from pdr_graph.errors import count
 from pdr_graph.io.past_day import CM, E7, MS, NO_ACCURACY, POSITION, SIGHTING, Rows
 from pdr_graph.io.validation import float_of, iso_time
 from pdr_graph.lifelog.facts import Guess
 from pdr_graph.lifelog.observation import LATEST_EPOCH
-from pdr_graph.types import Array, Mask
+from pdr_graph.types import Array, Mask, OneLineRepr
 
 PATH_ACCURACY = 113.0  # [m] 68 % radius of a point of Google's processed path, sigma 75 m per axis; chosen by hand
 
