@@ -11,7 +11,6 @@ from .estimation.graph import WalkGraph as WalkGraph
 from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
 from .estimation.smoother import smooth as smooth
-from .evaluation import evaluate as evaluate
 from .floor.plan_files import Building as Building
 from .floor.plan_files import FloorPlan as FloorPlan
 from .frames import Frame as Frame
@@ -32,7 +31,8 @@ from .online.interface import events_of as events_of
 from .online.journal import Journal as Journal
 from .online.navigator import Navigator as Navigator
 from .online.status import Status as Status
-from .plotting import plot as plot
+from .report.evaluation import evaluate as evaluate
+from .report.plotting import plot as plot
 from .simulation.scenario import Scenario as Scenario
 from .simulation.simulate import simulate as simulate
 from .types import LONLAT as LONLAT

@@ -20,13 +20,13 @@ from pdr_graph.estimation.floors import Floors
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.results import is_located, is_usual
 from pdr_graph.estimation.sources import position_sources
-from pdr_graph.evaluation import circular_error, coverage, error_text, evaluate, pair
 from pdr_graph.gait.walker import Profile
 from pdr_graph.geometry import horizontal_sigma, protection_level, resample
 from pdr_graph.inputs import Inputs
 from pdr_graph.io import gpx, writers
 from pdr_graph.progress import Stages
-from pdr_graph.report.library import packed_library
+from pdr_graph.report.evaluation import circular_error, coverage, error_text, evaluate, pair
+from pdr_graph.report.page import packed_library
 from pdr_graph.second_core import ForkedCall, in_background
 from pdr_graph.types import Estimate, Steps, Trajectory, Verdict
 from pdr_graph.walk_options import Options
@@ -140,7 +140,7 @@ def picture_call(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] |
     def prepare() -> Mapping[str, Trajectory] | None:
         tracks = None
         with suppress(Exception):  # of the report, which says so, and of a package that cannot be loaded
-            import_module("pdr_graph.plotting")
+            import_module("pdr_graph.report.plotting")
             tracks = causal()
         return tracks
 
@@ -150,7 +150,7 @@ def picture_call(inputs: Inputs, causal: Callable[[], Mapping[str, Trajectory] |
 def _draw(inputs: Inputs, tracks: Mapping[str, Trajectory] | None, estimate: Estimate) -> PictureAndTracks:
     """The picture of a walk, or a text if it cannot be drawn, since the result is still useful; and the tracks."""
     try:
-        from pdr_graph.plotting import picture_bytes, plot
+        from pdr_graph.report.plotting import picture_bytes, plot
 
         title = f"{inputs.walk.source}   {_length(estimate):.0f} m"
         picture = picture_bytes(plot(estimate, inputs.building, _truth_beside(inputs, estimate), title))

@@ -250,7 +250,7 @@ def calibrate_walker(recording: Path, route: Path, out: Path, walker: Walker | N
 
     Returns the profile and the number of laps. Raises InputError if an input cannot be used.
     """
-    from pdr_graph.plotting import picture_bytes, plot
+    from pdr_graph.report.plotting import picture_bytes, plot
 
     walk, person = load(recording), walker or Walker()
     if walk.gyroscope is None:

@@ -25,11 +25,11 @@ from pdr_graph.estimation.factors import fixes as fix_factors
 from pdr_graph.estimation.factors import losses as loss_functions
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import poses_of_rows
-from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.gait.step_chunks import append_steps, gap
 from pdr_graph.geometry import row_times
 from pdr_graph.lifelog import sessions
 from pdr_graph.priors import FIXES, LOSSES, MOTION, changed
+from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.types import Closures, Trajectory
 
 SECOND, BOTH, FIRST = "every second waypoint", "first and last", "first only"

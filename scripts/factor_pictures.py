@@ -37,8 +37,8 @@ from pdr_graph.gait.step_chunks import append_steps, gap, shifted
 from pdr_graph.geometry import dead_reckon, interpolate, rotation, unit, wrap_angle
 from pdr_graph.lifelog.multi_day import CarriedPhone, encounters
 from pdr_graph.lifelog.sessions import STANDING_SIGMA
-from pdr_graph.plotting import draw_plan
 from pdr_graph.priors import BEACONS, COMPASS, LOSSES, MOTION
+from pdr_graph.report.plotting import draw_plan
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.types import Closures, Fixes, Levels, Sightings, Steps, Trajectory, take
 

@@ -18,9 +18,9 @@ from simulations import simulated
 from tables import publish, published, table
 
 from pdr_graph import FloorPlan, priors, smooth
-from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.io.loading import load
 from pdr_graph.priors import changed, entries, tables
+from pdr_graph.report.evaluation import circular_error, pair
 from pdr_graph.simulation.scenario import Scenario
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -17,14 +17,13 @@ FLOORS = [
     ["serve"],
     ["lifelog", "evaal"],
     ["online"],
-    ["batch", "comparison"],
+    ["batch"],
     ["pipeline"],
     ["outputs"],
     ["report"],
     ["inputs"],
     ["plausibility", "walk_options"],
-    ["estimation", "simulation", "plotting", "evaluation"],
-    ["colours"],
+    ["estimation", "simulation"],
     ["gait", "io"],
     ["inertial", "floor"],
     ["recovery"],
@@ -36,7 +35,7 @@ FLOORS = [
 HEIGHT = {room: -n for n, floor in enumerate(FLOORS) for room in floor}
 ROOMS = {
     "gtsam": {"estimation"},
-    "matplotlib": {"plotting", "lifelog"},
+    "matplotlib": {"report", "lifelog"},
     "pyproj": {"frames"},
     "pygeomag": {"frames"},
     "lxml": {"io", "floor", "lifelog"},
@@ -67,7 +66,7 @@ ROOMS = {
 # there (`python tests/test_design.py` prints such figures). Who needs more looks first for what it can replace, then
 # edits the figure and says why in the commit.
 BUDGETS: dict[str, tuple[int, int]] = {
-    ".": (29, 4161),
+    ".": (22, 3658),
     "cli": (12, 985),
     "estimation": (23, 2891),
     "estimation/ambiguity": (7, 546),
@@ -83,14 +82,14 @@ BUDGETS: dict[str, tuple[int, int]] = {
     "lifelog/past": (21, 1055),
     "online": (12, 1151),
     "papers": (6, 567),
-    "report": (8, 702),
+    "report": (8, 1204),
     "serve": (28, 2907),
     "simulation": (11, 1454),
 }
 # Most modules and lines of code that a module imports, directly or not
 REACH: dict[str, tuple[int, int]] = {
-    "estimation.smoother": (53, 7223),
-    "online.navigator": (106, 14022),
+    "estimation.smoother": (50, 7222),
+    "online.navigator": (102, 14021),
 }
 
 

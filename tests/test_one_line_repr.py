@@ -5,11 +5,11 @@ import pytest
 from plans import MAPS
 
 from pdr_graph import FloorPlan, detect_steps
-from pdr_graph.evaluation import pair
 from pdr_graph.io.delimited import table
 from pdr_graph.io.gpx import Points, Track
 from pdr_graph.papers.attitude_filters import Navigation, Samples
 from pdr_graph.papers.map_matching import correct, match
+from pdr_graph.report.evaluation import pair
 from pdr_graph.simulation.pedestrian import walk_path
 from pdr_graph.simulation.scenario import Scenario
 from pdr_graph.simulation.simulate import simulate

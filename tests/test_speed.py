@@ -70,7 +70,7 @@ LOADED = "import sys, {}; print(*(name for name in {} if name in sys.modules))"
     ("modules", "slow"),
     [
         (
-            "pdr_graph.cli, pdr_graph.pipeline, pdr_graph.plotting, pdr_graph.report.walk",
+            "pdr_graph.cli, pdr_graph.pipeline, pdr_graph.report.plotting, pdr_graph.report.walk",
             SLOW_TO_LOAD,
         ),
         ("pdr_graph.outputs, pdr_graph.report.walk", ("matplotlib",)),  # a copy of the process draws

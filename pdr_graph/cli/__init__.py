@@ -311,9 +311,9 @@ def evaluate(
     \b
     pdr-graph evaluate result/trajectory.csv truth.csv --map plan.geojson
     """
-    from pdr_graph import evaluation
     from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import read_trajectory
+    from pdr_graph.report import evaluation
 
     floor = Building.load(map_, scale) if map_ else None
     tracks = read_trajectory(trajectory), read_trajectory(truth)

@@ -44,24 +44,24 @@ def compare(
     pdr-graph compare result other.tum --truth truth.csv --map plan.geojson
     pdr-graph compare graph filter pdr --recording walk.zip --fixes fixes.csv --truth truth.csv
     """
-    from pdr_graph import comparison
     from pdr_graph.floor.plan_files import Building
     from pdr_graph.io.tables import read_trajectory
-    from pdr_graph.plotting import picture_bytes, plot_comparison
+    from pdr_graph.report import evaluation
+    from pdr_graph.report.plotting import picture_bytes, plot_comparison
     from pdr_graph.whole_files import write_file
 
     if len(tracks) < 2 and walk.truth is None:
         raise InputError(tracks[0], "", "one trajectory", "two or more, or --truth")
     with tempfile.TemporaryDirectory() as folder:
         results = [_estimated(name, recording, Path(folder), walk) for name in tracks]
-        read = comparison.read_tracks(results)
+        read = evaluation.read_tracks(results)
     truth = read_trajectory(walk.truth) if walk.truth else None
     building = Building.load(walk.map, walk.scale) if walk.map else None
-    compared = comparison.compare(read, truth, walk.truth.name if walk.truth else "", building)
+    compared = evaluation.compare(read, truth, walk.truth.name if walk.truth else "", building)
     write_file(out, picture_bytes(plot_comparison(read, truth, building)))
     if json_:
         echo_result(json.dumps({"reference": compared.reference, "scores": compared.scores}))
-    echo_lines(comparison.table(compared))
+    echo_lines(evaluation.comparison_table(compared))
     echo(f"-> {out}")
 
 

@@ -33,7 +33,7 @@ def map_show(
     pdr-graph map show plan.geojson --out plan.png
     """
     from pdr_graph.floor.plan_files import FloorPlan
-    from pdr_graph.plotting import picture_bytes, plot_plan
+    from pdr_graph.report.plotting import picture_bytes, plot_plan
     from pdr_graph.whole_files import write_file
 
     floors = FloorPlan.load_all(plan, scale)
@@ -88,7 +88,7 @@ def map_convert(
     """
     from pdr_graph.floor.formats.conversion import convert
     from pdr_graph.floor.plan_files import FloorPlan
-    from pdr_graph.plotting import picture_bytes, plot_conversion
+    from pdr_graph.report.plotting import picture_bytes, plot_conversion
     from pdr_graph.whole_files import write_file
 
     target = out or Path(plan.resolve().stem + ".geojson")

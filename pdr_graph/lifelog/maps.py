@@ -16,11 +16,11 @@ from matplotlib.patheffects import Normal, Stroke
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pdr_graph.colours import FIX, GREY, RADIO, TRACK
 from pdr_graph.errors import count, one_line
 from pdr_graph.frames import Frame, enu
 from pdr_graph.lifelog.day import GAP, PRIVATE, STANDING, VEHICLE, WALKING, Day, Outing, Stay, clipped, split_at_gaps
 from pdr_graph.lifelog.timeline import PASSING, STAY
+from pdr_graph.report.page import FIX, GREY, RADIO, TRACK
 from pdr_graph.types import Array, OneLineRepr, Trajectory
 
 # Chosen by hand

@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from pdr_graph.colours import RADIO, TRACK
 from pdr_graph.errors import InputError, one_line
 from pdr_graph.floor.plan_files import Building
 from pdr_graph.lifelog.day import KINDS_WITHOUT_DATA, Day, Stay
@@ -46,7 +45,8 @@ from pdr_graph.lifelog.timeline import (
     total_texts,
     totals,
 )
-from pdr_graph.plotting import LONGEST_SIDE, draw_plan, draw_uncertainty
+from pdr_graph.report.page import RADIO, TRACK
+from pdr_graph.report.plotting import LONGEST_SIDE, draw_plan, draw_uncertainty
 from pdr_graph.types import Array, Trajectory
 
 PAPER, BORDER = "#f7f6f2", "#c8c4ba"

@@ -35,10 +35,10 @@ from pdr_graph.lifelog.timeline import (
     timeline_csv,
     totals,
 )
-from pdr_graph.plotting import TRACK, picture_bytes
 from pdr_graph.report import charts_and_tables, page
 from pdr_graph.report.charts_and_tables import Table, table
 from pdr_graph.report.page import CENTIMETRE, CENTISECOND, NOWHERE, column, rings, runs, track
+from pdr_graph.report.plotting import TRACK, picture_bytes
 from pdr_graph.types import Array, Trajectory
 
 PICTURE_DPI = 130

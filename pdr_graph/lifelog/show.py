@@ -173,7 +173,7 @@ def _write(chosen: Overview, folder: Path, template: str, remarks: Sequence[str]
     """Write the files of an overview; returns a line for each map without tiles."""
     from pdr_graph.lifelog import overview_page, overview_picture
     from pdr_graph.lifelog.report import PICTURE_DPI
-    from pdr_graph.plotting import picture_bytes
+    from pdr_graph.report.plotting import picture_bytes
 
     figure, failures = overview_picture.picture(chosen, template)
     for name, table in tables(chosen).items():

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.colours import FIX, GREY, RADIO, TRACK
 from pdr_graph.errors import count
-from pdr_graph.evaluation import circular_error, pair
 from pdr_graph.geometry import horizontal_sigma
 from pdr_graph.io.validation import INERTIAL, are_gaps, clipped
-from pdr_graph.report.page import CENTISECOND, column, thinned
+from pdr_graph.report.evaluation import circular_error, pair
+from pdr_graph.report.page import CENTISECOND, FIX, GREY, RADIO, TRACK, column, thinned
 from pdr_graph.types import (
     Array,
     BeaconReport,

@@ -10,9 +10,13 @@ walks of a day are no larger than the script that draws them.
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
+import zlib
 from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from itertools import groupby
 from typing import Any
@@ -20,13 +24,18 @@ from typing import Any
 import numpy as np
 import shapely
 
-from pdr_graph.colours import BORDER, CELLS, EDGE, SOLID_FILL, WALKABLE
-from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
+from pdr_graph.floor.cells import BEACON, CLOSED, DOOR, LINK, OPEN, SOLID
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import confidence_band
-from pdr_graph.report.library import packed_library, policy_hash
 from pdr_graph.types import Array, Index, Trajectory
 
+# Colours and margin of all pictures and reports
+SOLID_FILL, BORDER, EDGE, OUTSIDE, WALKABLE = "#c9c4bb", "#a8a196", "#8d877c", "#efece6", "#ffffff"
+ROOM, OPENING, STAIRS = "#f4f6f0", "#e8c9a8", "#ebe3c8"
+CELLS = ((CLOSED, ROOM), ((DOOR,), OPENING), (("stairs",), STAIRS))  # colours of kinds of cells
+TRACK, BAND, GREY, FIX, TRUTH, RADIO = "#1f5fbf", "#7fb0f0", "#8a8a8a", "#d1602b", "#111111", "#7b4fa6"
+OTHER = "#b0458a"  # other routes
+SURROUNDINGS = 0.12  # share of the walk's size shown around it
 SCRIPTS = ("content", "walker", "map", "charts", "player", "words", "start")  # in this order
 PLACE = re.compile(rb"\{\{(\w+)\}\}")  # placeholder of a part in the template
 
@@ -179,3 +188,24 @@ def rings(polygons: Array) -> dict[str, Any]:
     parts = [np.append(shapely.get_coordinates(p), [[np.nan, np.nan]], axis=0) for p in polygons]
     x, y = np.concatenate([np.empty((0, 2)), *parts]).T
     return {"x": column(x, CENTIMETRE), "y": column(y, CENTIMETRE)}
+
+
+@cache
+def packed_library() -> tuple[bytes, str]:
+    """The JavaScript library of charts as base64 of its zlib stream, and its hash for a content security policy."""
+    library = files("plotly").joinpath("package_data", "plotly.min.js").read_bytes()
+    return base64.b64encode(_compressed(library)), policy_hash(library)
+
+
+def _compressed(data: bytes) -> bytes:
+    """A zlib stream: where ISA-L is installed, in an eighth of the time and a tenth longer."""
+    try:
+        from isal import isal_zlib
+    except ImportError:
+        return zlib.compress(data)
+    return isal_zlib.compress(data, isal_zlib.ISAL_BEST_COMPRESSION)
+
+
+def policy_hash(script: bytes) -> str:
+    """The hash of a script as a content security policy states it."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script).digest()).decode()}'"

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_graph.colours import FIX, GREY, OTHER, RADIO, SURROUNDINGS, TRACK, TRUTH
 from pdr_graph.errors import percent, printable
 from pdr_graph.estimation.gps_track import without_data
 from pdr_graph.estimation.results import is_usual
@@ -17,14 +16,21 @@ from pdr_graph.estimation.sources import PositionSource
 from pdr_graph.floor.building import Building
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import interpolate, nearest
-from pdr_graph.report import charts_and_tables, integrity, page, scores
+from pdr_graph.report import charts_and_tables, integrity, page
 from pdr_graph.report.page import (
     CENTIMETRE,
     CENTIRADIAN,
     CENTISECOND,
     EVERYWHERE,
+    FIX,
+    GREY,
     MAXIMUM_MARKS,
+    OTHER,
     PERCENT,
+    RADIO,
+    SURROUNDINGS,
+    TRACK,
+    TRUTH,
     bands,
     column,
     maps_of,
@@ -99,7 +105,7 @@ def content(report: WalkReport) -> dict[str, Any]:
     """The content of the page, in the form documented in ``web/content.js``."""
     estimate, summary, labels = report.estimate, report.summary, report.labels
     paths = {name: path for name, (_, path) in report.tracks.items()}
-    accuracy = None if report.truth is None else scores.scored(paths, report.truth, report.building)
+    accuracy = None if report.truth is None else integrity.scored(paths, report.truth, report.building)
     fixes = [estimate.fixes[row] for row in thinned(len(estimate.fixes), MAXIMUM_MARKS).tolist()]
     fix_labels = [_fix_label(fix) for fix in fixes]
     return {
@@ -158,7 +164,7 @@ def _headline(summary: Mapping[str, Any], probability: float) -> list[list[str]]
     """Key figures of the walk, as [name, value]."""
     floors = [label for label in summary["floors"] if label]
     figures = [
-        *scores.error_figures(summary),
+        *integrity.error_figures(summary),
         ["distance", f"{summary['distance']:,.0f} m"],
         ["duration", charts_and_tables.clock(summary["duration"])],
         ["fixes", f"{len(summary['fixes']):,}"],

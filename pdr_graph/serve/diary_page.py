@@ -29,7 +29,7 @@ from pdr_graph.lifelog.period import period_of
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
 from pdr_graph.lifelog.timeline import TimelineEntry
-from pdr_graph.plotting import picture_bytes
+from pdr_graph.report.plotting import picture_bytes
 from pdr_graph.serve.access import COOKIE, OWNER, Access
 from pdr_graph.serve.application import Guard
 

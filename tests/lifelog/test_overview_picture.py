@@ -28,7 +28,7 @@ from pdr_graph.lifelog.overview_picture import offset_text, picture
 from pdr_graph.lifelog.period import period_of
 from pdr_graph.lifelog.show import Choice, show
 from pdr_graph.lifelog.store import Store
-from pdr_graph.plotting import picture_bytes
+from pdr_graph.report.plotting import picture_bytes
 
 FILES = {"overview.html", "overview.png", "days.csv", "places.csv", "visits.csv", "hours.csv"}
 REPORT = {"report.html", "timeline.csv", "day.geojson", "day.png"}

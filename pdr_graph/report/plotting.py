@@ -20,7 +20,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path
 
-from pdr_graph.colours import (
+from pdr_graph.errors import expect, printable
+from pdr_graph.floor.building import Building
+from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
+from pdr_graph.floor.plan import FloorPlan
+from pdr_graph.geometry import confidence_band, interpolate, nearest
+from pdr_graph.report.page import (
     BAND,
     BORDER,
     CELLS,
@@ -39,11 +44,6 @@ from pdr_graph.colours import (
     TRUTH,
     WALKABLE,
 )
-from pdr_graph.errors import expect, printable
-from pdr_graph.floor.building import Building
-from pdr_graph.floor.cells import BEACON, CLOSED, LINK, OPEN, SOLID
-from pdr_graph.floor.plan import FloorPlan
-from pdr_graph.geometry import confidence_band, interpolate, nearest
 from pdr_graph.types import Array, Estimate, Trajectory
 
 MANY = 50  # points above which marks are smaller, so that the track stays visible
