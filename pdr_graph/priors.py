@@ -558,9 +558,6 @@ class FixPriors(Table):
     stretched: float = number(1.5, "ratio", "by which a walk may be longer than its strides say", JUDGEMENT)
     within: float = number(5.0, "σ", "of both fixes, within reach of one another", JUDGEMENT)
     driven: float = number(30.0, "m/s", "reached during a gap in the recording", JUDGEMENT)
-    loosely: float = number(
-        5.0, "factor", "of the sigma in the second factor of a fix that states only a radius", JUDGEMENT
-    )
     patience: int = number(
         4, "fixes", "consistent ones in a row, all far from the walk, at which the estimate has diverged", JUDGEMENT
     )
@@ -608,8 +605,6 @@ class BeaconPriors(Table):
     power_sigma: float = number(4.0, "dB", "of a beacon's power", JUDGEMENT)
     weakest: float = number(-97.0, "dBm", "that phones receive", JUDGEMENT)
     most_evidence: float = number(4.5, "log-odds", "of one level at most", JUDGEMENT)
-    relocated: float = number(8.0, "log-odds", "at which a beacon counts as relocated", JUDGEMENT)
-    apart: float = number(15.0, "m", "by which it must be elsewhere", JUDGEMENT)
     grid: float = number(5.0, "m", "spacing of candidate positions", JUDGEMENT)
     beside: float = number(20.0, "m", "of their area beside the walk", JUDGEMENT)
     longest_stretch: float = number(6.0, "s", "that a stretch of levels may take, live", JUDGEMENT)

@@ -465,7 +465,6 @@ def losses():
             PURPLE,
             "--",
         ),
-        "dead zone, 1.5 σ (an option)": (M.L2WithDeadZone.Create(1.5), GREEN, ":"),
     }
     figure, (cost, weight) = canvas()
     cost.plot(s, s**2 / 2, color=PALE, label="Gaussian")

@@ -22,7 +22,6 @@ from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
 from pdr_graph.estimation.factors.protocols import (
     Directions,
     Initialized,
-    Listed,
     Locating,
     Multimodal,
     OnPlan,
@@ -278,14 +277,6 @@ class WalkGraph:
         if all(new is old for new, old in zip(refined, self.measurements, strict=True)):
             return self
         return self._with_variables(tuple(measurement.bind(self.chain) for measurement in refined))
-
-    def corrected(self, at: Evaluation) -> WalkGraph | None:
-        """Drop listed positions that the optimum ``at`` contradicts; None if there are none."""
-        corrected = [kind.corrected(at) if isinstance(kind, Listed) else None for kind in self.measurements]
-        if not any(corrected):
-            return None
-        merged = tuple(new or old for new, old in zip(corrected, self.measurements, strict=True))
-        return self._with_variables(merged)
 
     def assuming(self, measurements: Sequence[Measurement]) -> WalkGraph:
         """Replace the measurements of some kinds by other versions of them."""

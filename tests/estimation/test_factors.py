@@ -70,12 +70,6 @@ def received():
     return graph
 
 
-def flat():
-    """Fixes of a receiver that states a radius and no more."""
-    steps = wandering_walk(30, 2)
-    return WalkGraph(steps, fixes_on(dead_reckon(steps), every=6), prior=Prior(fix_flat=1.5))
-
-
 def beside_beacons():
     """Levels of three beacons, one of which nobody surveyed."""
     steps = wandering_walk(30, 3)
@@ -119,7 +113,6 @@ GRAPHS = {
     "turns": lambda: in_corridors("turns"),
     "directions": lambda: in_corridors("directions"),
     "a receiver": received,
-    "radius": flat,
     "beacons": beside_beacons,
     "compass": with_a_compass,
     "closures": lambda: closed(Stage.FINAL),

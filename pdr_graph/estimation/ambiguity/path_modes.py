@@ -46,14 +46,6 @@ def solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Op
     return pruned([solve_robust(start) for start in rotated(graph)])
 
 
-def corrected_solutions(graph: WalkGraph, without_walls: Optimum | None = None) -> list[Optimum]:
-    """As `solutions`, repeated without listed positions that the most probable walk contradicts (relocated beacons)."""
-    optima = solutions(graph, without_walls)
-    while corrected := optima[0].graph.corrected(optima[0].at):
-        optima = solutions(corrected)
-    return optima
-
-
 def near_walk(graph: WalkGraph, without_walls: Optimum, start: State | None = None) -> Optimum:
     """The local optimum between the walls near the walk without them, or near ``start``."""
     robust = graph.classified_as(without_walls.graph)

@@ -20,7 +20,6 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import HypothesisBank, pruned, weighed
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Wording, wording_of
 from pdr_graph.estimation.ambiguity.path_modes import (
-    corrected_solutions,
     different_directions,
     mode_starts,
     near_walk,
@@ -71,7 +70,7 @@ def joint_solutions(graph: WalkGraph) -> list[Optimum]:
 def _between_walls(graph: WalkGraph, free: list[Optimum]) -> Iterator[Optimum]:
     """Walks between the walls: on each path for the best walk ``free`` without walls, then near each other one."""
     best, *others = free
-    first, *more = corrected_solutions(graph, best)
+    first, *more = solutions(graph, best)
     yield from (_assuming(walk, best) for walk in (first, *more))
     for other in others:
         same_path = float(np.hypot(*(other.at.ends[:, :2] - best.at.ends[:, :2]).T).mean()) < SEARCH.same_path
@@ -120,7 +119,7 @@ def _displaced(graph: WalkGraph, free: Optimum) -> Iterator[Optimum]:
     positions = free.graph.positions
     wide = free.graph.assuming((positions.misplaced(DOUBTS.misplaced),))
     wrong = Hypothesis((PLAN, "wrong"), price=PRICES.displaced_plan + float(np.log(2)))  # it, or the position
-    for walk in corrected_solutions(graph, optimize(wide, free.state)):
+    for walk in solutions(graph, optimize(wide, free.state)):
         fix = int(np.argmax(positions.used))
         by = positions.fixes.position[fix] - walk.state.poses[positions.keyframe[fix], :2]
         displaced = Hypothesis((PLAN, "displaced"), parameter=(float(np.round(np.hypot(*by))),))

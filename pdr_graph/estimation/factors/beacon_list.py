@@ -19,20 +19,6 @@ MOST_STRETCHES = 400  # of a walk by which a list is judged, evenly spaced: a ki
 MOST_AT_ONCE = 1_000_000  # costs of places, powers and stretches in memory
 
 
-def relocated_beacons(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> list[int]:
-    """Indices of surveyed beacons that are not at their listed positions.
-
-    position: ``(k, 2)`` of the walk at its keyframes [m]; q: (P, n, k).
-    """
-    surveyed, places, cost = placement_costs(levels, keyframe_time, position, q)
-    relocated = list[int]()
-    for m, of_beacon in zip(surveyed.tolist(), cost, strict=True):
-        near = np.hypot(*(places - levels.position[m]).T) < BEACONS.apart
-        if of_beacon[near].min() - of_beacon.min() > BEACONS.relocated:
-            relocated.append(m)
-    return relocated
-
-
 def placement_costs(levels: Levels, keyframe_time: Array, position: Array, q: Array) -> tuple[Index, Array, Array]:
     """How well the levels of each surveyed beacon fit each place.
 

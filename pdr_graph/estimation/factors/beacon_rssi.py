@@ -21,10 +21,7 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import PLANE, AnyArray, FactorBlock, Measurement, Variables
-from pdr_graph.estimation.factors.beacon_list import (
-    placement_costs,
-    relocated_beacons,
-)
+from pdr_graph.estimation.factors.beacon_list import placement_costs
 from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.measurements import Levels, take
@@ -214,17 +211,6 @@ class BeaconRssiFactor(Measurement):
         distance = 10 ** ((BEACONS.path_loss[0] - levels.rssi[chosen]) / (10 * BEACONS.path_loss[1]))
         near = np.maximum(BEACONS.nearest, distance)
         return Fixes(levels.time[chosen], levels.position[levels.beacon[chosen]], near, ("",) * len(chosen))
-
-    def corrected(self, at: Evaluation) -> Self | None:
-        """Drop the listed positions of beacons whose levels fit another place; None if there are none."""
-        moved = relocated_beacons(
-            replace(self.listed, position=self.position), at.chain.time, at.state.poses[:, :2], at.state["q"][0]
-        )
-        if not moved:
-            return None
-        position = self.position.copy()
-        position[moved] = np.nan
-        return replace(self, position=position).initialized(at.state.poses)
 
     def at_places(self, position: Array) -> Self:
         """The same levels with beacons listed at other positions ``(m, 2)`` [m], NaN where unknown."""

@@ -16,11 +16,11 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.hypothesis import Hypothesis, Proposal, Wording, wording_of
 from pdr_graph.estimation.factors.base import AnyArray, FactorBlock, Measurement
-from pdr_graph.estimation.factors.losses import GAUSSIAN, Loss, RobustLoss
+from pdr_graph.estimation.factors.losses import RobustLoss
 from pdr_graph.estimation.factors.receivers import by_source, duplicates, frozen, independent_sigmas, sourced
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.geometry import distance_walked, pose_rotation
-from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS
+from pdr_graph.priors import FIXES, PARTICLES, PRICES, RECEIVERS, VERDICTS
 from pdr_graph.types import Array, Fixes, FixReport, Index, Mask, Steps
 
 if TYPE_CHECKING:
@@ -32,7 +32,6 @@ MOST_RUNS = 1000  # searched backwards for a predecessor
 ENDS = 3  # fixes at the end of a run that may lead to the next: an outlier just within reach must not part two runs
 DUPLICATE, OUTSIDE = "duplicate epoch: not used twice", "outside the recording: not used"  # reasons in reports
 FROZEN = "the receiver held its position while the walk went on: not used"
-RAYLEIGH = 1.18  # median of a distance in the plane [σ]
 LOUD_BEACON = "a loud beacon: used only to find where to start"
 
 
@@ -48,7 +47,7 @@ class FixFactor(Measurement):
     independent_sigma: ``(f,)`` wider, so that correlated fixes of one receiver may be treated as independent [m].
     outlier: ``(f,)`` far from the first optimum; held: ``(f,)`` with a factor, here or in `GnssBias`.
     biased: ``(f,)`` with a factor in `GnssBias`, which models their common error, and none here.
-    keyframe: ``(f,)``; flat: see `Prior.fix_flat`; approximate: the fixes only initialise the search.
+    keyframe: ``(f,)``; approximate: the fixes only initialise the search.
     widened: ``(f,)`` factor by which sigmas are wider than stated; wrong: ``(f,)`` assumed to be.
     """
 
@@ -66,7 +65,6 @@ class FixFactor(Measurement):
     held: Mask
     biased: Mask
     keyframe: Index
-    flat: float = 0.0
     approximate: bool = False
     widened: Array | float = 1.0
     wrong: Mask | bool = False
@@ -101,7 +99,6 @@ class FixFactor(Measurement):
             held=consistent,
             biased=none,
             keyframe=np.full(len(fixes), -1),
-            flat=prior.fix_flat,
             approximate=approximate,
         )
 
@@ -122,17 +119,9 @@ class FixFactor(Measurement):
         return np.flatnonzero(self.held & ~self.biased & (self.keyframe >= 0))
 
     def factors(self, at: Evaluation) -> Sequence[FactorBlock]:
-        """One factor for each fix; with ``flat`` a second, loose one, since the first has no gradient within it."""
+        """One factor for each fix that is treated as independent."""
         which = self.independent
-        sigma = self.sigma if self.flat else self.independent_sigma
-        loss = RobustLoss(self.outlier[which], flat=self.flat)
-        blocks = [self._positions(at, self.name, which, sigma[which], loss)]
-        if self.flat:
-            loosely = FIXES.loosely * self.independent_sigma[which]
-            blocks.append(self._positions(at, f"{self.name}.radius", which, loosely, GAUSSIAN))
-        return blocks
-
-    def _positions(self, at: Evaluation, name: str, which: Index, sigma: Array, loss: Loss) -> FactorBlock:
+        sigma, loss = self.independent_sigma[which], RobustLoss(self.outlier[which])
         pose, position = at.state.poses[self.keyframe[which]], self.fixes.position[which]
 
         def jacobian() -> list[Array]:
@@ -143,12 +132,12 @@ class FixFactor(Measurement):
 
             pose_key = int(at.state.keys("x", self.keyframe[which])[n])
             noise = loss.noise(n, gtsam.noiseModel.Isotropic.Sigma(2, sigma[n]))
-            assert noise is not None, "GTSAM has the losses of fixes"
             return gtsam.PoseTranslationPrior2D(pose_key, position[n], noise)
 
         value = (pose[:, :2] - position) / sigma[:, None]
         variables = [("x", self.keyframe[which])]
-        return FactorBlock.uniform(name, value, variables, jacobian, self.number[which], loss=loss, native=native)
+        number = self.number[which]
+        return [FactorBlock.uniform(self.name, value, variables, jacobian, number, loss=loss, native=native)]
 
     def pose_costs(self, keyframe: int) -> FixCosts | None:
         """The used fixes at a keyframe, as if independent; not the rough fixes of another kind, which weighs itself."""
@@ -193,14 +182,14 @@ class FixFactor(Measurement):
             scatter = np.hypot(*(off[middle] - (off[indices[:-2]] + off[indices[2:]]) / 2).T) / np.sqrt(1.5)
             within = time[2:] - time[:-2] <= FIXES.seconds
             if within.sum() >= FIXES.fewest_scatter:
-                share = float(np.median((scatter / self.sigma[middle])[within])) / RAYLEIGH
+                share = float(np.median((scatter / self.sigma[middle])[within])) / VERDICTS.fix_median
                 factor[indices] = share / RECEIVERS.white if share > FIXES.suspicious else 1.0
         return factor
 
     def classified(self, outlier: Mask, held: Mask) -> Self:
         """Set the masks ``outlier (f,)`` and ``held (f,)``; fixes that are not held have no factor."""
         of_receiver = sourced(self.fixes)
-        return replace(self, outlier=outlier, held=held, biased=held & of_receiver & (self.flat == 0))
+        return replace(self, outlier=outlier, held=held, biased=held & of_receiver)
 
     def misplaced(self, sigma: float) -> Self:
         """The same fixes with an error of ``sigma`` [m] per axis in addition to theirs."""
@@ -228,7 +217,7 @@ class FixFactor(Measurement):
     def hypotheses(self, at: Evaluation, by_others: Callable[[], Evaluation] | None) -> Sequence[Proposal]:
         """A fix beside the one farthest from the walk, or that one, is wrong: the walk may have followed it."""
         own = self.independent[np.argsort(self.fixes.time[self.independent], kind="stable")]
-        if self.approximate or self.flat or len(own) < 2:
+        if self.approximate or len(own) < 2:
             return ()
         sigmas = (self.distance(at) / self.sigma)[own]
         worst = int(np.argmax(sigmas))

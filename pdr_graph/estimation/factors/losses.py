@@ -30,11 +30,6 @@ def geman_mcclure_weight(deviation: Array, width: float | None = None) -> Array:
     return (square / (square + deviation**2)) ** 2
 
 
-def dead_zone_weight(deviation: Array, flat: float) -> Array:
-    """Weight ``(n,)`` that is 0 within ``flat`` sigmas, as GTSAM's L2WithDeadZone."""
-    return np.maximum(0.0, 1 - flat / np.maximum(np.abs(deviation), 1e-9))
-
-
 class Loss:
     """Half the squared deviation: errors are Gaussian."""
 
@@ -61,26 +56,20 @@ GAUSSIAN = Loss()
 class RobustLoss(Loss):
     """Huber's loss, and Geman and McClure's for outliers.
 
-    outlier: ``(n,)``; width: of Geman and McClure's [σ]; flat: within so many sigmas the cost is 0, for receivers
-    that state only a radius (0: Huber's loss).
+    outlier: ``(n,)``; width: of Geman and McClure's [σ].
     """
 
     outlier: Mask
     width: float = field(default_factory=lambda: LOSSES.geman_mcclure)
-    flat: float = 0.0
 
     def weight(self, deviation: Array) -> Array:
         """Weights ``(n,)`` at deviations ``(n,)`` [σ]."""
-        inlier = dead_zone_weight(deviation, self.flat) if self.flat else huber_weight(deviation)
-        return np.where(self.outlier, geman_mcclure_weight(deviation, self.width), inlier)
+        return np.where(self.outlier, geman_mcclure_weight(deviation, self.width), huber_weight(deviation))
 
     def cost(self, deviation: Array) -> Array:
         """Costs ``(n,)`` at deviations ``(n,)`` [σ]."""
         far, square = np.abs(deviation), deviation**2
-        if self.flat:
-            inlier = 0.5 * np.maximum(0.0, far - self.flat) ** 2
-        else:
-            inlier = np.where(far > LOSSES.huber, LOSSES.huber * (far - LOSSES.huber / 2), square / 2)
+        inlier = np.where(far > LOSSES.huber, LOSSES.huber * (far - LOSSES.huber / 2), square / 2)
         return np.where(self.outlier, 0.5 * self.width**2 * square / (self.width**2 + square), inlier)
 
     def noise(self, n: int, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
@@ -90,5 +79,4 @@ class RobustLoss(Loss):
         robust, estimator = gtsam.noiseModel.Robust, gtsam.noiseModel.mEstimator
         if self.outlier[n]:
             return robust.Create(estimator.GemanMcClure.Create(self.width), noise)
-        loss = estimator.L2WithDeadZone.Create(self.flat) if self.flat else estimator.Huber.Create(LOSSES.huber)
-        return robust.Create(loss, noise)
+        return robust.Create(estimator.Huber.Create(LOSSES.huber), noise)

@@ -162,15 +162,6 @@ class Doubted(Structural):
         ...
 
 
-class Listed(Structural):
-    """A kind whose positions come from a list, which may be wrong."""
-
-    @abstractmethod
-    def corrected(self, at: Evaluation) -> Self | None:
-        """The measurement without listed positions that the optimum ``at`` contradicts; None if there are none."""
-        ...
-
-
 class Positions(Protocol):
     """The fixes of a walk with the classification of each, ``f`` of them."""
 
