@@ -3,7 +3,6 @@
 from .contradiction import Contradiction as Contradiction
 from .contradiction import Verdict as Verdict
 from .errors import InputError as InputError
-from .estimation.consistency import verdict as verdict
 from .estimation.factors import register as register
 from .estimation.factors.base import FactorBlock as FactorBlock
 from .estimation.factors.base import Measurement as Measurement
@@ -12,6 +11,7 @@ from .estimation.floors import floors_of as floors_of
 from .estimation.graph import WalkGraph as WalkGraph
 from .estimation.kalman import kalman_filter as kalman_filter
 from .estimation.kalman import kalman_smoother as kalman_smoother
+from .estimation.results import verdict as verdict
 from .estimation.smoother import smooth as smooth
 from .evaluation import evaluate as evaluate
 from .floor.plan_files import Building as Building

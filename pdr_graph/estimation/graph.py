@@ -16,13 +16,12 @@ import numpy as np
 
 from pdr_graph.errors import count, expect
 from pdr_graph.estimation.factors import corridors_of, kind_of, made_from, measurements_of_walk
-from pdr_graph.estimation.factors.base import AnyArray, Measurement, Stage, State, initial_state
-from pdr_graph.estimation.factors.chain import Chain, Evaluation
-from pdr_graph.estimation.factors.preintegration import DECIMALS, Pieces, cut
-from pdr_graph.estimation.factors.protocols import (
+from pdr_graph.estimation.factors.base import (
+    AnyArray,
     Directions,
     Initialized,
     Locating,
+    Measurement,
     Multimodal,
     OnPlan,
     Positions,
@@ -30,12 +29,16 @@ from pdr_graph.estimation.factors.protocols import (
     Refined,
     Remembered,
     Restarted,
+    Stage,
     Staged,
+    State,
+    initial_state,
 )
+from pdr_graph.estimation.factors.chain import DECIMALS, Chain, Evaluation, Pieces, cut
 from pdr_graph.estimation.factors.start import Prior, calibration_prior, first_heading_prior, start_prior
 from pdr_graph.estimation.factors.steps_and_walls import steps_between_keyframes, walls_on_plan
 from pdr_graph.estimation.initialization import initial_walk, pivot, reach
-from pdr_graph.estimation.normal_equations import NormalEquations
+from pdr_graph.estimation.linear_system import NormalEquations
 from pdr_graph.floor.building import Building, FloorSequence
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.measurements import Closures, Levels

@@ -12,13 +12,12 @@ import pytest
 import shapely
 from walks import dead_reckon, drawn_from_the_model, fixes_at, fixes_on, square_walk, wandering_walk
 
-from pdr_graph.estimation.factors import losses
+from pdr_graph.estimation.factors import base as losses
 from pdr_graph.estimation.factors.beacon_rssi import BeaconRssiFactor
-from pdr_graph.estimation.factors.corridor import CorridorFactor
+from pdr_graph.estimation.factors.corridors import CorridorFactor, TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.loop_closure import LoopClosureFactor
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.live.marginal import marginalized
 from pdr_graph.estimation.optimizer import optimize

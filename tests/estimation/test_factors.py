@@ -13,10 +13,10 @@ from walks import dead_reckon, fixes_at, fixes_on, square_walk, wandering_walk
 
 from pdr_graph.estimation.factors import KINDS
 from pdr_graph.estimation.factors.base import Stage
+from pdr_graph.estimation.factors.corridors import TurnFactor
 from pdr_graph.estimation.factors.gnss_bias import GnssBias
 from pdr_graph.estimation.factors.gtsam_export import FactorError, guarded
 from pdr_graph.estimation.factors.start import Prior
-from pdr_graph.estimation.factors.turns import TurnFactor
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.floor.cells import Area
 from pdr_graph.floor.plan import FloorPlan

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from walks import PERIOD, dead_reckon, fixes_at, steps_of
 
-from pdr_graph.estimation.factors.fixes import FixFactor
+from pdr_graph.estimation.factors.fixes import FixFactor, drift, independent_sigmas
 from pdr_graph.estimation.factors.gnss_bias import THROUGHOUT, GnssBias
-from pdr_graph.estimation.factors.receivers import drift, independent_sigmas
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import optimize
 from pdr_graph.estimation.smoother import smooth

@@ -17,7 +17,7 @@ import numpy as np
 from pdr_graph.estimation.ambiguity.bank import pruned
 from pdr_graph.estimation.factors.base import State
 from pdr_graph.estimation.graph import WalkGraph
-from pdr_graph.estimation.normal_equations import Solution
+from pdr_graph.estimation.linear_system import Solution
 from pdr_graph.estimation.optimizer import (
     Optimum,
     continued,

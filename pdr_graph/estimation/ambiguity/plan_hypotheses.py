@@ -28,7 +28,7 @@ from pdr_graph.estimation.ambiguity.path_modes import (
 )
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.optimizer import Optimum, optimize, solve_robust
-from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, measurements_at
+from pdr_graph.estimation.particle_filter import ParticleFilter, Paths, advance_through, pose_costs
 from pdr_graph.floor.plan import FloorPlan
 from pdr_graph.geometry import ANY_HEADING
 from pdr_graph.priors import ANYWHERE, DOUBTS, PRICES, SEARCH
@@ -199,7 +199,7 @@ def particles_anywhere(graph: WalkGraph, seed: int, times: int = 1) -> tuple[Pat
     count = times * int(min(max(ANYWHERE.density * area, ANYWHERE.fewest_at_first), most))
     per_bin = ANYWHERE.per_bin * count / area
     particles = ParticleFilter(graph.prior, seed, fewest=ANYWHERE.fewest, most=count, per_bin=per_bin)
-    particles.begin_anywhere(floor, measurements_at(graph.measurements, 0))
+    particles.begin_anywhere(floor, pose_costs(graph.measurements, 0))
     advance_through(particles, graph, 0)
     return particles.paths(ANYWHERE.kept), particles.evidence
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from pdr_graph.estimation.ambiguity.bank import paths, probabilities
 from pdr_graph.estimation.ambiguity.path_modes import solutions
-from pdr_graph.estimation.factors.base import poses_at
-from pdr_graph.estimation.factors.protocols import decisions_of
+from pdr_graph.estimation.factors.base import decisions_of, poses_at
 from pdr_graph.estimation.graph import WalkGraph
 from pdr_graph.estimation.initialization import sigma_direction
 from pdr_graph.estimation.kalman import GaussianMixture

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_graph.estimation.factors import KINDS, kind_of, measurements_of
 from pdr_graph.estimation.factors.base import AnyArray, Measurement
-from pdr_graph.estimation.factors.preintegration import DECIMALS
+from pdr_graph.estimation.factors.chain import DECIMALS
 from pdr_graph.estimation.factors.start import Prior
 from pdr_graph.measurements import appended, last_time, take
 from pdr_graph.storage import decode, encode
