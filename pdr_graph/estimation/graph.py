@@ -15,16 +15,14 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from pdr_graph.errors import count, expect
-from pdr_graph.estimation.factors import corridors_of, kind_of, made_from, measurements_of_walk
+from pdr_graph.estimation.factors import Directions, Positions, corridors_of, kind_of, made_from, measurements_of_walk
 from pdr_graph.estimation.factors.base import (
     AnyArray,
-    Directions,
     Initialized,
     Locating,
     Measurement,
     Multimodal,
     OnPlan,
-    Positions,
     Priced,
     Refined,
     Remembered,

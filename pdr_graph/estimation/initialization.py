@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from pdr_graph.estimation.factors.base import Directions, Positions, huber_weight
+from pdr_graph.estimation.factors import Directions, Positions
+from pdr_graph.estimation.factors.base import huber_weight
 from pdr_graph.estimation.factors.chain import DECIMALS, Chain
 from pdr_graph.estimation.factors.heading_prior import of_start
 from pdr_graph.geometry import as_complex, dead_reckon, interpolate, nearest, rotation, wrap_angle

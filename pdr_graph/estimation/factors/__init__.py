@@ -83,6 +83,7 @@ register(Levels, BeaconRssiFactor)
 register(Closures, LoopClosureFactor)
 register(Ranges, RangeFactor)
 
+Positions, Directions = FixFactor, HeadingFactor  # what fixes and headings are in a graph, which starts from them
 CORRIDORS = {"directions": CorridorFactor, "turns": TurnFactor}  # by `Prior.corridors`
 
 

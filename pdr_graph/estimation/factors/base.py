@@ -17,14 +17,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pdr_graph.geometry import interpolate, rotation, wrap_angle
 from pdr_graph.priors import LOSSES
-from pdr_graph.types import Array, Fixes, FixReport, Headings, Index, Mask
+from pdr_graph.types import Array, Fixes, Index, Mask
 
 if TYPE_CHECKING:
     import gtsam
@@ -546,104 +546,6 @@ class Doubted(Structural):
 
         by_others: returns the walk by the other sources alone; None if these do not determine its place.
         """
-        ...
-
-
-class Positions(Protocol):
-    """The fixes of a walk with the classification of each, ``f`` of them."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def name(self) -> str:
-        """Name of the kind."""
-        ...
-
-    @property
-    def fixes(self) -> Fixes:
-        """All fixes."""
-        ...
-
-    @property
-    def keyframe(self) -> Index:
-        """The keyframe of each fix ``(f,)``, −1 outside the walk."""
-        ...
-
-    @property
-    def sigma(self) -> Array:
-        """Sigma ``(f,)`` per axis [m], wider outside the recording."""
-        ...
-
-    @property
-    def independent_sigma(self) -> Array:
-        """Sigma ``(f,)`` [m], wider, so that correlated fixes of one receiver may be treated as independent."""
-        ...
-
-    @property
-    def used(self) -> Mask:
-        """True ``(f,)`` for fixes that measure the walk: new, not frozen, not far outside the recording."""
-        ...
-
-    @property
-    def consistent(self) -> Mask:
-        """True ``(f,)`` for fixes in the longest chain that one walk can have made."""
-        ...
-
-    @property
-    def outlier(self) -> Mask:
-        """True ``(f,)`` for fixes far from the first optimum."""
-        ...
-
-    @property
-    def held(self) -> Mask:
-        """True ``(f,)`` for fixes that have a factor."""
-        ...
-
-    @property
-    def duplicate(self) -> Mask:
-        """True ``(f,)`` for epochs that repeat the one before."""
-        ...
-
-    @property
-    def still(self) -> Mask:
-        """True ``(f,)`` for fixes of a receiver that held its position while the walk went on."""
-        ...
-
-    @property
-    def approximate(self) -> bool:
-        """True if the fixes only initialise the search."""
-        ...
-
-    def rejected(self, number: Index) -> Measurement:
-        """Mark the fixes with these numbers as outliers."""
-        ...
-
-    def misplaced(self, sigma: float) -> Measurement:
-        """The same fixes with an error of ``sigma`` [m] per axis in addition to theirs."""
-        ...
-
-    def reports(self, at: Evaluation, which: Index | None = None) -> tuple[FixReport, ...]:
-        """Residual, weight and reason of every fix, or of the fixes ``which``."""
-        ...
-
-    def reported(
-        self, distance: Array, sigmas: Array, weight: Array, origin: str, which: Index | None = None
-    ) -> tuple[FixReport, ...]:
-        """Reports of fixes, all or ``which``, at ``distance (f,)`` [m], in ``sigmas (f,)``, from ``origin``."""
-        ...
-
-
-class Directions(Protocol):
-    """The headings of a walk: walking directions of a compass or of the user, ``h`` of them."""
-
-    @property
-    def headings(self) -> Headings:
-        """The headings during the recording."""
-        ...
-
-    @property
-    def keyframe(self) -> Index:
-        """The keyframe of each heading ``(h,)``, −1 outside the walk."""
         ...
 
 
